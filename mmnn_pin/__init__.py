@@ -1,0 +1,48 @@
+"""Controllers that learn the dynamics of nonholonomic mobile manipulators, checked against Pinocchio.
+
+    reference -> kinematic -> torque -> plant -> sensor -> (back)        closed by `loop`
+
+- `model`: what the robot is. `load` a URDF: wheels found, M, C, gravity by Pinocchio, projected onto what wheels permit.
+- `reference`: where it should be. `kinematic`: pose error to velocity command (Kanayama).
+- `torque`: velocity command to torque: the thesis's networks, PD, computed torque, or a controller of your own.
+- `plant`, `sensor`: the robot simulated and measured. `loop`: all of it, one row of signals per control sample.
+- `recording`: one run. `experiments`: the thesis's studies as data. `show`: plots.
+
+The public names are loaded when first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "model.robot": ("Robot", "load"),
+    "model.dynamics": ("Dynamics",),
+    "reference": ("Circle", "Eight", "Hold", "Line", "MinimumJerk", "Sine", "Table", "Trajectory", "Waypoints"),
+    "kinematic": ("Kinematic",),
+    "torque.controller": ("Feedback", "Memory", "TorqueController", "Wiring"),
+    "torque.model_based": ("PD", "ComputedTorque", "ScheduledPD"),
+    "torque.neural": ("Inputs", "Neural", "OneLayer", "Robust", "TwoLayer"),
+    "timing": ("Timing",),
+    "loop": ("Bounds", "Loop", "Start"),
+    "recording": ("Outcome", "Recording"),
+    "experiments.config": ("load_experiment",),
+    "experiments.runner": ("run_experiment",),
+    "errors": ("InputError", "MmnnError"),
+}
+_WHERE = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = sorted(["__version__", *_WHERE])
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'mmnn_pin' has no attribute '{name}'")
+    return getattr(import_module(f"mmnn_pin.{_WHERE[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,64 @@
+"""The one decorator that compiles the arithmetic of the blocks with numba.
+
+`@compiled` is `numba.njit` without the interpreter lock and with a file cache. numba's cache looks only at the
+file of the function itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all
+sources of the package. `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def cache_root() -> Path:
+    """Folder that holds the compiled code of all versions of the sources."""
+    if given := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(given)
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches" / "mmnn_pin"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mmnn_pin"
+
+
+@cache
+def cache_folder() -> Path | None:
+    """Folder for the code compiled from exactly these sources, None where nothing can be written."""
+    digest = hashlib.sha256()
+    package = Path(__file__).parent
+    for source in sorted(package.rglob("*.py")):
+        text = source.read_bytes()
+        if b"@compiled" in text or source.name == "signals.py":  # signals.py: numbers that compiled code freezes
+            digest.update(str(source.relative_to(package)).encode() + b"\0" + text)
+    folder = cache_root() / digest.hexdigest()[:16]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return None
+    return folder if os.access(folder, os.W_OK) else None
+
+
+def is_warm() -> bool:
+    """Whether compiled code for these sources is already on disk (else the first run takes some seconds)."""
+    folder = cache_folder()
+    return os.environ.get("NUMBA_DISABLE_JIT", "0") == "1" or (folder is not None and any(folder.rglob("*.nbi")))
+
+
+def compiled(function: F) -> F:
+    """Compile a function of scalars and float64 arrays; division by zero gives inf or nan as in numpy."""
+    folder = cache_folder()
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = "" if folder is None else str(folder)
+    try:
+        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
+    finally:
+        config.CACHE_DIR = before

@@ -1,0 +1,83 @@
+"""What can go wrong, said in one line: `where: error: what: why: fix`.
+
+Every error of this package derives from `MmnnError`. An `InputError` is the user's to mend (the command line
+exits with 2); its children carry the evidence as attributes and say what would have been right.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from pathlib import Path
+
+
+class MmnnError(Exception):
+    """Root of all errors raised by mmnn_pin."""
+
+
+class InputError(MmnnError):
+    """Bad input: a file, a name, a value.
+
+    Args:
+        what: What is wrong, e.g. `"mass '1,5' is not a number"`.
+        why: Why it is refused, or what it would lead to.
+        fix: What to do instead.
+        file: File the input came from.
+        line: Line in that file, counted from 1.
+        key: Key path inside a config, e.g. `time.control_period`.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        why: str = "",
+        fix: str = "",
+        file: str | Path | None = None,
+        line: int | None = None,
+        key: str | None = None,
+    ) -> None:
+        self.what, self.why, self.fix = what, why, fix
+        self.file, self.line, self.key = file, line, key
+        super().__init__(what)
+
+    def __str__(self) -> str:
+        where = [str(part) for part in (self.file, self.line, self.key) if part is not None]
+        text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
+        return f"{':'.join(where)}: error: {text}" if where else f"error: {text}"
+
+
+class RobotError(InputError):
+    """A robot description that cannot be used."""
+
+
+class ConfigError(InputError):
+    """A setting that is missing, unknown, of the wrong type or out of range."""
+
+
+class TrajectoryError(InputError):
+    """A reference trajectory that is malformed or that the base cannot follow."""
+
+
+class RecordingError(InputError):
+    """A recording that cannot be written or read."""
+
+
+class UnknownName(InputError):
+    """A name that nothing answers to.
+
+    Args:
+        kind: What was looked for, e.g. `"robot"`.
+        name: The name given.
+        available: The names that exist.
+    """
+
+    def __init__(
+        self, kind: str, name: str, available: Iterable[str], *, file: str | Path | None = None, key: str | None = None
+    ) -> None:
+        self.kind, self.name, self.available = kind, name, tuple(available)
+        near = difflib.get_close_matches(name, self.available, n=1)
+        guess = f"did you mean '{near[0]}'? " if near else ""
+        super().__init__(
+            f"unknown {kind} '{name}'", fix=f"{guess}there is: {', '.join(self.available)}", file=file, key=key
+        )

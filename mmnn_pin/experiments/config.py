@@ -1,0 +1,131 @@
+"""Reads an experiment's TOML, applies overrides, and names the key path of whatever is wrong with it."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ..errors import ConfigError, InputError, UnknownName
+from .experiment import Experiment
+
+FOLDER = Path(__file__).parent
+
+
+def bundled() -> dict[str, Path]:
+    """Experiments that come with the package, name to file."""
+    return {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
+
+
+def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Experiment:
+    """Experiment by name or from a TOML file.
+
+    Args:
+        name_or_path: A bundled name (`chapter4`) or a path to a file.
+        overrides: `key.path=value` texts, values as in TOML (a bare word is a text).
+
+    Raises:
+        UnknownName: No such experiment.
+        ConfigError: The file cannot be read or is not TOML, a key is unknown, a value of the wrong type or range.
+    """
+    path = find(name_or_path)
+    table = read_toml(path)
+    for text in overrides:
+        override(table, text)
+    try:
+        return msgspec.convert(table, Experiment)
+    except msgspec.ValidationError as error:
+        raise config_error(error, path) from error
+    except InputError as error:
+        error.file = error.file or path
+        raise
+
+
+def find(name_or_path: str | Path) -> Path:
+    """File of an experiment.
+
+    Raises:
+        UnknownName: Neither a bundled name nor something that looks like a path.
+        ConfigError: A path without a file.
+    """
+    text = str(name_or_path)
+    if text in bundled():
+        return bundled()[text]
+    path = Path(text)
+    if path.suffix != ".toml" and len(path.parts) < 2 and not path.exists():
+        raise UnknownName("experiment", text, bundled())
+    if not path.is_file():
+        raise ConfigError("no such file", fix=f"name a TOML file, or one of: {', '.join(bundled())}", file=path)
+    return path
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises:
+        ConfigError: It cannot be read, is not UTF-8 or not TOML; with the line.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"at line (\d+)", str(error))
+        number = int(line[1]) if line else None
+        raise ConfigError("not valid TOML", why=str(error), file=path, line=number) from error
+
+
+def override(table: dict[str, Any], text: str) -> None:
+    """Set `key.path=value` in a table read from TOML.
+
+    Raises:
+        ConfigError: No `=`, or the path runs through something that is not a table.
+    """
+    key, equals, value = text.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise ConfigError(f"'{text}' sets nothing", fix="write key.path=value, e.g. time.duration=2", key="--set")
+    for part in parts[:-1]:
+        inner = table.setdefault(part, {}) if isinstance(table, dict) else None
+        if not isinstance(inner, (dict, list)):
+            raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key.strip())
+        table = inner[int(part)] if isinstance(inner, list) else inner
+    table[parts[-1]] = parse_value(value.strip())
+
+
+def parse_value(text: str) -> Any:
+    """Value as TOML reads it; what TOML does not read is a text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
+def config_error(error: msgspec.ValidationError, path: Path) -> ConfigError:
+    """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`"."""
+    message, _, where = str(error).partition(" - at ")
+    key = where.strip("`").removeprefix("$").removeprefix(".") or None
+    fix = ""
+    if unknown := re.search(r"unknown field `(\w+)`", message):
+        message = f"unknown key '{unknown[1]}'"
+        known = known_keys(key)
+        fix = f"there is: {', '.join(known)}" if known else ""
+    return ConfigError(message, fix=fix, file=path, key=key)
+
+
+def known_keys(key: str | None) -> tuple[str, ...]:
+    """Keys that exist at a key path; none where the path does not lead to settings."""
+    kind: Any = Experiment
+    for part in (key or "").split("."):
+        if part:
+            fields = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}
+            kind = fields.get(part)
+        if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
+            return ()
+    return tuple(f.encode_name for f in msgspec.structs.fields(kind))

@@ -1,0 +1,220 @@
+"""An experiment as data: robot, reference, gains, controllers, periods. Its TOML has exactly these keys."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from ..errors import ConfigError, UnknownName
+from ..kinematic import Kinematic
+from ..loop import Bounds, Loop, Start
+from ..model.robot import Robot, load
+from ..reference import Circle, Eight, Hold, Line, MinimumJerk, Sine, Trajectory, Waypoints
+from ..settings import Settings, require_gains
+from ..signals import Array, Layout
+from ..timing import Timing
+from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
+from ..torque.model_based import PD, ComputedTorque, ScheduledPD
+from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
+
+BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
+ARM_PROFILES = {"sine": Sine, "hold": Hold, "minimum_jerk": MinimumJerk}
+# PD at a learner's effective gain: the learner whose gain it takes.
+EFFECTIVE = {"pd_effective": "two_layer", "pd_effective_one_layer": "one_layer"}
+CONTROLLERS = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
+
+
+class Friction(Settings, frozen=True):
+    """Viscous friction on nu, beside what the URDF says of its joints.
+
+    Args:
+        base: One number or one per base velocity [N s/m, N m s].
+        arm: One number or one per joint [N m s or N s/m].
+    """
+
+    base: float | tuple[float, ...] = 0.0
+    arm: float | tuple[float, ...] = 0.0
+
+    def __post_init__(self) -> None:
+        require_gains(self, "friction")
+
+
+class ReferenceTables(Settings, frozen=True):
+    """The reference: a table with `type` and its arguments for the base, and one for every arm joint."""
+
+    base: dict[str, Any] | None = None
+    arm: tuple[dict[str, Any], ...] = ()
+
+
+class Learning(Settings, frozen=True):
+    """Conventions and switches of the learners.
+
+    Args:
+        rates: "per_sample" (Appendix B) or "per_second".
+        update: "after_output", or "before_output" as in Appendix B.
+        learning: Off keeps the initial weights.
+        leakage: Off drops the e-modification.
+        robust_term: Off drops the robust term (3.50).
+    """
+
+    rates: Literal["per_sample", "per_second"] = "per_sample"
+    update: Literal["after_output", "before_output"] = "after_output"
+    learning: bool = True
+    leakage: bool = True
+    robust_term: bool = True
+
+
+class Experiment(Settings, frozen=True):
+    """Everything that defines an experiment; see the bundled TOML files for commented examples.
+
+    Args:
+        title: One line for tables and plots.
+        robot: Bundled name or path.
+        controllers: Controllers to run, names of `CONTROLLERS`.
+        seed: The one seed.
+        windows: Intervals for the RMS errors [s].
+        weights_interval: Time between two records of the weights [s].
+        time: Periods and integrator.
+        start: Start relative to the reference.
+        bounds: Where a run counts as diverged.
+        reference: The reference.
+        kinematic: Gains of the kinematic layer.
+        feedback: k1, k2.
+        robust: Kz, ZB.
+        two_layer: The two-layer network.
+        one_layer: The one-layer network.
+        inputs: What the networks see.
+        learning: Conventions and switches.
+        friction: Friction of the true robot beside its URDF's.
+
+    Raises:
+        UnknownName: A controller that does not exist.
+        ConfigError: No controllers, or windows that are not intervals.
+    """
+
+    robot: str
+    reference: ReferenceTables
+    title: str = ""
+    controllers: tuple[str, ...] = CONTROLLERS
+    seed: int = 0
+    windows: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 5.0))
+    weights_interval: float = 0.1
+    time: Timing = Timing()
+    start: Start = Start()
+    bounds: Bounds = Bounds()
+    kinematic: Kinematic = Kinematic()
+    feedback: Feedback = Feedback()
+    robust: Robust = Robust()
+    two_layer: TwoLayer = TwoLayer()
+    one_layer: OneLayer = OneLayer()
+    inputs: Inputs = Inputs()
+    learning: Learning = Learning()
+    friction: Friction = Friction()
+
+    def __post_init__(self) -> None:
+        if not self.controllers:
+            raise ConfigError("no controllers", fix=f"choose from: {', '.join(CONTROLLERS)}", key="controllers")
+        for name in self.controllers:
+            if name not in CONTROLLERS:
+                raise UnknownName("controller", name, CONTROLLERS, key="controllers")
+        if any(not 0 <= start < end for start, end in self.windows):
+            raise ConfigError(f"{self.windows}", fix="give intervals [start, end] in seconds", key="windows")
+        if self.seed < 0:
+            raise ConfigError(f"{self.seed}", fix="use an integer >= 0", key="seed")
+        if not (np.isfinite(self.weights_interval) and self.weights_interval > 0):
+            raise ConfigError(f"{self.weights_interval} s", fix="use a number > 0", key="weights_interval")
+
+    def load_robot(self) -> Robot:
+        """The true robot, with the experiment's friction.
+
+        Raises:
+            RobotError: The URDF cannot be used.
+            UnknownName: No such robot.
+        """
+        robot = load(self.robot)
+        return robot.with_friction(per_velocity(self.friction.base, self.friction.arm, robot.layout, "friction"))
+
+    def trajectory(self, layout: Layout) -> Trajectory:
+        """The reference for a robot.
+
+        Raises:
+            ConfigError: Unknown type or argument, or not one profile per arm joint.
+            TrajectoryError: A path that the base cannot follow, or an argument out of range.
+        """
+        base = self.reference.base
+        if layout.base and base is None:
+            raise ConfigError("no path for the base", fix="add [reference.base] with a type", key="reference.base")
+        if len(self.reference.arm) != layout.arm:
+            raise ConfigError(
+                f"{len(self.reference.arm)} profiles for {layout.arm} arm joints",
+                fix="add one [[reference.arm]] per joint",
+                key="reference.arm",
+            )
+        path = make(BASE_PATHS, base, "reference.base") if base is not None and layout.base else None
+        arm = [make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(self.reference.arm)]
+        return Trajectory(path, tuple(arm))
+
+    def controller(self, name: str, gains: Array | None = None) -> CompiledController:
+        """A controller by name; `gains` (samples, p) are the schedule of a PD at an effective gain."""
+        if name == "pd":
+            return PD(self.feedback)
+        if name == "computed_torque":
+            return ComputedTorque(self.feedback)
+        if name in EFFECTIVE:
+            assert gains is not None
+            return ScheduledPD(gains, name)
+        switches = self.learning
+        return Neural(
+            network=self.two_layer if name == "two_layer" else self.one_layer,
+            feedback=self.feedback,
+            robust=self.robust if switches.robust_term else None,
+            inputs=self.inputs,
+            rates=switches.rates,
+            learning=switches.learning,
+            leakage=switches.leakage,
+            update=switches.update,
+        )
+
+    def loop(self, robot: Robot, controller: CompiledController | TorqueController) -> Loop:
+        """The closed loop of this experiment around one controller."""
+        return Loop(
+            robot=robot,
+            trajectory=self.trajectory(robot.layout),
+            controller=controller,
+            kinematic=self.kinematic,
+            timing=self.time,
+            start=self.start,
+            bounds=self.bounds,
+            seed=self.seed,
+            weights_interval=self.weights_interval,
+            check_gains=controller.name not in EFFECTIVE,
+        )
+
+    def to_json(self) -> str:
+        """The complete experiment with its defaults, as text (JSON) for a recording."""
+        return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+
+
+def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
+    """Object from a table with its `type` and arguments.
+
+    Raises:
+        UnknownName: No such type or argument.
+        ConfigError: A value of the wrong type, an argument is missing.
+    """
+    name = table.get("type", "")
+    if name not in kinds:
+        raise UnknownName("type", str(name), kinds, key=f"{key}.type")
+    kind, arguments = kinds[name], {k: v for k, v in table.items() if k != "type"}
+    known = [field.name for field in dataclasses.fields(kind) if field.init]
+    for argument in arguments:
+        if argument not in known:
+            raise UnknownName("key", argument, known, key=key)
+    try:
+        return msgspec.convert(arguments, kind)
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).partition(" - at ")
+        raise ConfigError(message, key=key + where.strip("`").removeprefix("$")) from error

@@ -1,0 +1,159 @@
+"""Runs all controllers of an experiment from equal starts and compares them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..model.robot import Robot
+from ..recording import Recording
+from ..reference import warnings
+from .experiment import EFFECTIVE, Experiment
+from .metrics import as_columns, metrics
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an experiment gave.
+
+    Attributes:
+        experiment: The experiment.
+        name: Its name.
+        recordings: Controller to recording, in the order asked for.
+        metrics: Controller to numbers (see `metrics`).
+        notes: What the user should know.
+    """
+
+    experiment: Experiment
+    name: str
+    recordings: dict[str, Recording]
+    metrics: dict[str, dict[str, float]]
+    notes: tuple[str, ...]
+
+    @property
+    def completed(self) -> bool:
+        """Whether every run reached its end."""
+        return all(recording.outcome.status == "completed" for recording in self.recordings.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as the command line's JSON object."""
+        runs = {
+            name: {
+                "file": str(recording.path) if recording.path else None,
+                "outcome": recording.outcome.status,
+                "message": recording.outcome.message,
+                "metrics": {key: finite(value) for key, value in self.metrics[name].items()},
+            }
+            for name, recording in self.recordings.items()
+        }
+        comparison = {"relative_to_pd": self.relative_to("pd"), "notes": list(self.notes)}
+        return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
+
+    def relative_to(self, other: str) -> dict[str, dict[str, float | None]]:
+        """Every error metric of every controller divided by that of another one; empty without it."""
+        if other not in self.metrics:
+            return {}
+        base = self.metrics[other]
+        return {
+            name: {
+                key: finite(value / base[key]) if base.get(key) else None
+                for key, value in numbers.items()
+                if key.endswith("peak") or ".rms_" in key
+            }
+            for name, numbers in self.metrics.items()
+            if name != other
+        }
+
+
+def finite(value: float) -> float | None:
+    """Number for JSON: nothing where there is none."""
+    return float(value) if np.isfinite(value) else None
+
+
+def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
+    """What to know of the reference, such as stretches without stabilisation."""
+    path = experiment.trajectory(robot.layout).base
+    times = np.arange(experiment.time.samples) * experiment.time.control_period
+    return warnings(path.sample(times)) if path is not None else []
+
+
+def in_order(wanted: Sequence[str]) -> list[str]:
+    """Controllers in the order to run them: a learner before the PD that takes its effective gain."""
+    learners = [EFFECTIVE[name] for name in wanted if name in EFFECTIVE]
+    first = [name for name in wanted if name not in EFFECTIVE]
+    missing = [name for name in dict.fromkeys(learners) if name not in first]
+    return [*first, *missing, *(name for name in wanted if name in EFFECTIVE)]
+
+
+def require_free(files: Sequence[Path], force: bool) -> None:
+    """Refuse to write where recordings are, before anything is written.
+
+    Raises:
+        RecordingError: A file exists and `force` is off, or the folder cannot be made or written to.
+    """
+    for file in files:
+        if file.exists() and not force:
+            raise RecordingError(
+                "the recording exists", fix="choose another folder with --out, or replace it with --force", file=file
+            )
+    for folder in {file.parent for file in files}:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError("the folder cannot be made", why=error.strerror or "", file=folder) from error
+        if not os.access(folder, os.W_OK):
+            raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=folder)
+
+
+def run_experiment(
+    experiment: Experiment,
+    name: str,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> Result:
+    """Run every controller of an experiment; a diverged run is part of the result.
+
+    Args:
+        experiment: The experiment.
+        name: Its name, for the recordings.
+        out: Folder for the recordings, one HDF5 file per controller; None keeps them in memory.
+        force: Replace existing recordings.
+        progress: Called now and then with the controller and the fraction done.
+
+    Raises:
+        InputError: Bad robot, reference or gains, or recordings that exist; nothing has been written then.
+    """
+    wanted = experiment.controllers
+    files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}
+    robot = experiment.load_robot()
+    for controller in wanted:
+        if controller not in EFFECTIVE:
+            loop = experiment.loop(robot, experiment.controller(controller))
+            loop.require_stable_gains()
+    require_free([file for file in files.values() if file], force)
+    runs: dict[str, Recording] = {}
+    notes = reference_notes(experiment, robot)
+    for controller in in_order(wanted):
+        gains = as_columns(runs[EFFECTIVE[controller]]["effective_gain"]) if controller in EFFECTIVE else None
+        loop = experiment.loop(robot, experiment.controller(controller, gains))
+        notes += [note for note in loop.controller.notes if note not in notes]
+        duration = experiment.time.duration
+        runs[controller] = loop.run(
+            files.get(controller),
+            force=force,
+            meta={"experiment": name, "config": experiment.to_json()},
+            progress=None if progress is None else lambda t, c=controller: progress(c, t / duration),  # type: ignore[misc]
+        )
+        if runs[controller].outcome.status == "interrupted":
+            break
+    kept = {controller: runs[controller] for controller in wanted if controller in runs}
+    numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
+    return Result(experiment, name, kept, numbers, tuple(notes))

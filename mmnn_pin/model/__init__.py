@@ -1,0 +1,6 @@
+"""What the robot is: the file audited, its mobile base found, and its Pinocchio model with the motions left to it."""
+
+from mmnn_pin.model.base import Base, Undecided, Wheel
+from mmnn_pin.model.robot import Robot, bundled, load
+
+__all__ = ["Base", "Robot", "Undecided", "Wheel", "bundled", "load"]

@@ -1,0 +1,135 @@
+"""Reduced dynamics by Pinocchio: `M nudot + C nu + gravity + friction = tau`, the true Psi, constraint forces.
+
+Full model (2.11) with the Pfaffian constraint `A v = 0` of rolling wheels, planar root in body velocities; reduced by
+the constant null space map T: `M = T' M_full T`, `C = T' C_full T` (2.23)-(2.25).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from ..signals import Array
+from . import reduction
+from .robot import Robot
+
+
+class Dynamics:
+    """Reduced dynamics of one robot. Holds a workspace: one object per thread.
+
+    Positions are (nv,) `[x, y, phi, every joint]`, velocities (p,) `nu`; results of the public methods are copies.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        model, p = robot.model, robot.layout.dof
+        self.model, self.data = model, model.createData()
+        self.frame = np.array(robot.frame, float) if robot.layout.base else np.zeros(0)
+        self.q, self.v = pin.neutral(model), np.zeros(model.nv)
+        # Views of Pinocchio's own memory; M is symmetric, its transpose is contiguous row by row.
+        self.M_full, self.C_full, self.h_full, self.g_full = self.data.M.T, self.data.C, self.data.nle, self.data.g
+        self.M, self.L, self.half = np.zeros((p, p)), np.zeros((p, p)), np.zeros((model.nv, p))
+        self.h, self.F = np.zeros(p), np.zeros(p)
+        self.w, self.f = np.zeros(model.nv), np.zeros(model.nv)
+        self.feels_gravity = self._feels_gravity()
+
+    def _feels_gravity(self) -> bool:
+        """Whether gravity does work on the reduced robot (a planar one does not feel it)."""
+        rng = np.random.default_rng(0)
+        weight = 9.81 * sum(body.mass for body in self.model.inertias)
+        trials = (self.gravity(rng.uniform(-3, 3, self.model.nv)) for _ in range(5))
+        return any(np.abs(g).max(initial=0.0) > 1e-12 * weight for g in trials)
+
+    # -- for people -------------------------------------------------------------------------------------------
+
+    def mass_matrix(self, position: Array) -> Array:
+        """Reduced mass matrix `T' M T`, (p, p) [kg, kg m, kg m^2]."""
+        self.refresh(np.ascontiguousarray(position, float), np.zeros(self.robot.layout.dof))
+        return self.M.copy()
+
+    def coriolis_matrix(self, position: Array, nu: Array) -> Array:
+        """Reduced Coriolis matrix `T' C T`, (p, p), of the factorisation with `Mdot = C + C'`."""
+        self._place(position, nu)
+        pin.computeCoriolisMatrix(self.model, self.data, self.q, self.v)
+        T = self.robot.T
+        return T.T @ self.C_full @ T
+
+    def gravity(self, position: Array) -> Array:
+        """Reduced gravity, (p,) [N, N m]: the torque that holds the robot still."""
+        self._place(position, np.zeros(self.robot.layout.dof))
+        return self.robot.T.T @ pin.computeGeneralizedGravity(self.model, self.data, self.q)
+
+    def friction(self, nu: Array) -> Array:
+        """Friction of joints and base, (p,) [N, N m], opposing the motion."""
+        robot, out = self.robot, np.zeros(self.robot.layout.dof)
+        v = robot.T @ nu
+        reduction.friction(robot.T, v, np.ascontiguousarray(nu), robot.damping, robot.coulomb, robot.viscous, out)
+        return out
+
+    def psi(self, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
+        """True Psi, what the networks must learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) [N, N m].
+
+        With `nu_ref = [alpha; qdot_rd + K e]` this is (3.20), (3.21) with (3.22).
+        """
+        C = self.coriolis_matrix(position, nu)
+        return self.mass_matrix(position) @ nudot_ref + C @ nu_ref + self.gravity(position) + self.friction(nu)
+
+    def acceleration(self, position: Array, nu: Array, tau: Array) -> Array:
+        """Acceleration nudot under the generalized torque tau, (p,)."""
+        self.refresh(np.ascontiguousarray(position, float), np.ascontiguousarray(nu, float))
+        out = np.zeros_like(self.h)
+        reduction.solve(self.M, tau - self.h, self.L, out)
+        return out
+
+    def energy(self, position: Array, nu: Array) -> float:
+        """Kinetic and potential energy [J]."""
+        nu = np.ascontiguousarray(nu, float)
+        self.refresh(np.ascontiguousarray(position, float), nu)
+        return 0.5 * reduction.quadratic(self.M, nu) + self.potential()
+
+    def constraint_forces(self, position: Array, nu: Array, motors: Array) -> Array:
+        """Lagrange multipliers of `M_full a + h + A' lambda + F = E_full motors` (2.11), (nc,), rows as in `robot.A`.
+
+        The rows of A are written in body velocities and constant, so `A a = 0`; the force of constraint i on the
+        full coordinates is `-A[i] lambda[i]`. The first row is the lateral force that keeps the wheels from slipping.
+        """
+        robot = self.robot
+        nudot = self.acceleration(position, nu, robot.E @ motors)
+        M = np.array(self.M_full)
+        friction = robot.damping * self.v + robot.coulomb * np.tanh(self.v / reduction.COULOMB_SPEED)
+        # Friction declared on nu acts through the velocities that carry nu: T (T'T)^-1 maps it to the full model.
+        friction += robot.T @ np.linalg.solve(robot.T.T @ robot.T, robot.viscous * nu)
+        rest = robot.E_full @ motors - M @ (robot.T @ nudot) - self.h_full - friction
+        return np.linalg.solve(robot.A @ robot.A.T, robot.A @ rest)
+
+    # -- for loops: results stay in the workspace ------------------------------------------------------------------
+
+    def refresh(self, position: Array, nu: Array) -> None:
+        """Mass matrix M, and h = C nu + gravity + friction, in the workspace."""
+        robot = self.robot
+        reduction.configuration(position, nu, robot.T, self.frame, robot.q_index, robot.is_continuous, self.q, self.v)
+        pin.crba(self.model, self.data, self.q)
+        pin.nonLinearEffects(self.model, self.data, self.q, self.v)
+        reduction.reduced_terms(
+            robot.T, self.M_full, self.h_full, self.v, nu, robot.damping, robot.coulomb, robot.viscous, self.half,
+            self.M, self.h, self.F,
+        )  # fmt: skip
+
+    def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
+        """True Psi at the place and velocity last refreshed, written to psi (p,)."""
+        pin.computeCoriolisMatrix(self.model, self.data, self.q, self.v)
+        if self.feels_gravity:
+            pin.computeGeneralizedGravity(self.model, self.data, self.q)
+        reduction.psi(self.robot.T, self.M, self.C_full, self.g_full, self.F, nu_ref, nudot_ref, self.w, self.f, psi)
+
+    def potential(self) -> float:
+        """Potential energy at the place last refreshed [J]."""
+        return float(pin.computePotentialEnergy(self.model, self.data, self.q)) if self.feels_gravity else 0.0
+
+    def _place(self, position: Array, nu: Array) -> None:
+        robot = self.robot
+        position, nu = np.ascontiguousarray(position, float), np.ascontiguousarray(nu, float)
+        reduction.configuration(position, nu, robot.T, self.frame, robot.q_index, robot.is_continuous, self.q, self.v)

@@ -1,0 +1,204 @@
+"""The arithmetic between the full model and the reduced one, compiled: configuration, rates, friction, `T' (.) T`.
+
+The planar root joint has body-frame velocities, so T is constant and `Tdot = 0`: the reduced matrices are plain
+projections, equal to the thesis's world-frame `Mbar`, `Cbar` (2.23)-(2.25).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compiled import compiled
+from ..signals import Array
+
+# Coulomb friction is `coulomb tanh(speed / COULOMB_SPEED)`: smooth, no sticking. [rad/s or m/s]
+COULOMB_SPEED = 0.01
+
+
+@compiled
+def configuration(
+    position: Array, nu: Array, T: Array, frame: Array, q_index: Array, continuous: Array, q: Array, v: Array
+) -> None:
+    """Pinocchio's configuration and velocity.
+
+    Args:
+        position: (nv,) pose of the control frame (none for a fixed arm), then angle or travel of every joint.
+        nu: (p,) independent velocities.
+        T: (nv, p) map to all velocities.
+        frame: (3,) control frame in the root link (x, y, angle); (0,) for a fixed arm.
+        q_index: (nv,) first index in q of every velocity.
+        continuous: (nv,) 1 where q holds cosine and sine.
+        q: (nq,) written.
+        v: (nv,) written.
+    """
+    first = frame.size
+    if first == 3:
+        c, s = math.cos(position[2] - frame[2]), math.sin(position[2] - frame[2])
+        q[0] = position[0] - c * frame[0] + s * frame[1]
+        q[1] = position[1] - s * frame[0] - c * frame[1]
+        q[2], q[3] = c, s
+    for i in range(first, position.size):
+        k = q_index[i]
+        if continuous[i]:
+            q[k], q[k + 1] = math.cos(position[i]), math.sin(position[i])
+        else:
+            q[k] = position[i]
+    spread(T, nu, v)
+
+
+@compiled
+def spread(T: Array, nu: Array, v: Array) -> None:
+    """`v = T nu`."""
+    for i in range(v.size):
+        total = 0.0
+        for j in range(nu.size):
+            total += T[i, j] * nu[j]
+        v[i] = total
+
+
+@compiled
+def position_rate(position: Array, nu: Array, v: Array, base: int, rate: Array) -> None:
+    """Time derivative of the position, (nv,): `qdot_v = S(phi) v` (2.18) for the pose, `T nu` for the joints."""
+    first = 0
+    if base:
+        first = 3
+        c, s = math.cos(position[2]), math.sin(position[2])
+        vx, vy = nu[0], nu[1] if base == 3 else 0.0
+        rate[0], rate[1], rate[2] = c * vx - s * vy, s * vx + c * vy, nu[base - 1]
+    for i in range(first, position.size):
+        rate[i] = v[i]
+
+
+@compiled
+def friction(T: Array, v: Array, nu: Array, damping: Array, coulomb: Array, viscous: Array, F: Array) -> None:
+    """Friction of the joints through T and viscous friction on nu, written to F (p,), opposing the motion.
+
+    `F = T' (damping v + coulomb tanh(v / COULOMB_SPEED)) + viscous nu`, v = T nu.
+    """
+    for j in range(nu.size):
+        F[j] = viscous[j] * nu[j]
+    for i in range(v.size):
+        if damping[i] != 0.0 or coulomb[i] != 0.0:
+            f = damping[i] * v[i] + coulomb[i] * math.tanh(v[i] / COULOMB_SPEED)
+            for j in range(nu.size):
+                F[j] += T[i, j] * f
+
+
+@compiled
+def project(T: Array, force: Array, out: Array) -> None:
+    """`T' force`, (p,)."""
+    out[:] = 0.0
+    for i in range(force.size):
+        for j in range(out.size):
+            out[j] += T[i, j] * force[i]
+
+
+@compiled
+def reduce(T: Array, full: Array, half: Array, out: Array) -> None:
+    """`T' full T`, (p, p); half (nv, p) is scratch and holds `full T` afterwards."""
+    nv, p = T.shape
+    half[:] = 0.0
+    for i in range(nv):
+        for k in range(nv):
+            a = full[i, k]
+            if a != 0.0:
+                for j in range(p):
+                    half[i, j] += a * T[k, j]
+    out[:] = 0.0
+    for i in range(nv):
+        for j in range(p):
+            t = T[i, j]
+            if t != 0.0:
+                for k in range(p):
+                    out[j, k] += t * half[i, k]
+
+
+@compiled
+def reduced_terms(
+    T: Array,
+    M_full: Array,
+    h_full: Array,
+    v: Array,
+    nu: Array,
+    damping: Array,
+    coulomb: Array,
+    viscous: Array,
+    half: Array,
+    M: Array,
+    h: Array,
+    F: Array,
+) -> None:
+    """Reduced mass matrix M, bias `h = T' h_full + F` with `h_full = C_full v + g_full`, and friction F."""
+    reduce(T, M_full, half, M)
+    friction(T, v, nu, damping, coulomb, viscous, F)
+    project(T, h_full, h)
+    for j in range(nu.size):
+        h[j] += F[j]
+
+
+@compiled
+def psi(
+    T: Array,
+    M: Array,
+    C_full: Array,
+    g_full: Array,
+    F: Array,
+    nu_ref: Array,
+    nudot_ref: Array,
+    w: Array,
+    f: Array,
+    out: Array,
+) -> None:
+    """`M nudot_ref + T' (C_full T nu_ref + g_full) + F`, written to out (p,); w and f (nv,) are scratch."""
+    spread(T, nu_ref, w)
+    for i in range(w.size):
+        f[i] = g_full[i]
+        for k in range(w.size):
+            f[i] += C_full[i, k] * w[k]
+    project(T, f, out)
+    for i in range(out.size):
+        out[i] += F[i]
+        for j in range(out.size):
+            out[i] += M[i, j] * nudot_ref[j]
+
+
+@compiled
+def solve(M: Array, b: Array, L: Array, x: Array) -> None:
+    """Solution of `M x = b` by Cholesky for a small positive definite M (p, p); L (p, p) is scratch.
+
+    A matrix that is not positive definite gives nan.
+    """
+    p = b.size
+    for j in range(p):
+        d = M[j, j]
+        for k in range(j):
+            d -= L[j, k] * L[j, k]
+        d = math.sqrt(d) if d > 0.0 else np.nan
+        L[j, j] = d
+        for i in range(j + 1, p):
+            total = M[i, j]
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            L[i, j] = total / d
+    for i in range(p):
+        total = b[i]
+        for k in range(i):
+            total -= L[i, k] * x[k]
+        x[i] = total / L[i, i]
+    for i in range(p - 1, -1, -1):
+        total = x[i]
+        for k in range(i + 1, p):
+            total -= L[k, i] * x[k]
+        x[i] = total / L[i, i]
+
+
+@compiled
+def quadratic(M: Array, a: Array) -> float:
+    """`a' M a`."""
+    total = 0.0
+    for i in range(a.size):
+        for j in range(a.size):
+            total += a[i] * M[i, j] * a[j]
+    return total

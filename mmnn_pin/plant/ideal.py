@@ -1,0 +1,84 @@
+"""The ideal plant: wheels that roll exactly, `nudot = M^-1 (tau - C nu - gravity - friction)`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..errors import UnknownName
+from ..model.dynamics import Dynamics
+from ..model.robot import Robot
+from ..signals import Array
+from . import integrators
+
+Feedback = Callable[[float, Array, Array], Array]
+
+
+class IdealPlant:
+    """A robot whose wheels neither slip nor slide, integrated with a fixed step.
+
+    Args:
+        robot: The true robot.
+        dt: Step [s].
+        method: "rk4" or "semi_implicit_euler".
+
+    Attributes:
+        y: (nv + p + 1,) position, nu and the work done on the robot since the start.
+        position: View of the position in y.
+        nu: View of nu in y.
+
+    Raises:
+        UnknownName: No such method.
+    """
+
+    def __init__(self, robot: Robot, dt: float, method: str = "rk4") -> None:
+        if method not in integrators.METHODS:
+            raise UnknownName("integrator", method, integrators.METHODS, key="time.integrator")
+        self.robot, self.dt, self.method = robot, dt, integrators.METHODS[method]
+        self.dynamics = Dynamics(robot)
+        nv, p = robot.layout.full, robot.layout.dof
+        self.y, self.trial, self.ydot, self.total = (np.zeros(nv + p + 1) for _ in range(4))
+        self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
+        self._rest = np.zeros(p)
+
+    def start(self, position: Array, nu: Array) -> None:
+        """Put the robot at a position (nv,) with velocity nu (p,) and no work done."""
+        self.position[:], self.nu[:], self.y[-1] = position, nu, 0.0
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Evaluate M and h at the present state; `step` starts from there."""
+        self.dynamics.refresh(self.position, self.nu)
+
+    def step(self, tau: Array) -> None:
+        """Advance by dt under a held torque, (p,); `refresh` must have been called at this state."""
+        self._derivative(self.y, tau)
+        if self.method == integrators.SEMI_IMPLICIT:
+            dynamics, T, base = self.dynamics, self.robot.T, self.robot.layout.base
+            integrators.semi_implicit(self.dt, T, dynamics.F, tau, base, self.y, dynamics.v, self.ydot, self.trial)
+        else:
+            integrators.rk4_stage(0, self.dt, self.y, self.ydot, self.total, self.trial)
+            for stage in (1, 2, 3):
+                self._evaluate(tau)
+                integrators.rk4_stage(stage, self.dt, self.y, self.ydot, self.total, self.trial)
+        self.y[:] = self.trial
+
+    def step_feedback(self, time: float, feedback: Feedback) -> None:
+        """Advance by dt with RK4 under a continuous feedback `tau(t, position, nu)`, evaluated at every stage."""
+        nv, p = self.position.size, self.nu.size
+        self.trial[:] = self.y
+        for stage, ahead in enumerate((0.0, 0.5, 0.5, 1.0)):
+            tau = feedback(time + ahead * self.dt, self.trial[:nv], self.trial[nv : nv + p])
+            self._evaluate(np.ascontiguousarray(tau, float))
+            integrators.rk4_stage(stage, self.dt, self.y, self.ydot, self.total, self.trial)
+        self.y[:] = self.trial
+
+    def _evaluate(self, tau: Array) -> None:
+        nv, p = self.position.size, self.nu.size
+        self.dynamics.refresh(self.trial[:nv], self.trial[nv : nv + p])
+        self._derivative(self.trial, tau)
+
+    def _derivative(self, y: Array, tau: Array) -> None:
+        d = self.dynamics
+        integrators.derivative(y, d.v, d.M, d.h, d.F, tau, self.robot.layout.base, d.L, self._rest, self.ydot)

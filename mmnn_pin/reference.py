@@ -1,0 +1,708 @@
+"""Where the robot should be: paths of the base and profiles of the arm, sampled ahead of a run.
+
+A base path gives the pose of the control frame and, in the reference's own frame, the base velocity and its time
+derivative; all of them analytic. The paths of a differential drive are curves `(x(s), y(s))` driven with a smooth
+`s(t)`. With `g = |d(x, y)/ds|` (negative when driven tail first) and heading `phi(s)`:
+
+    v = g sdot                          w = phi' sdot
+    vdot = g' sdot^2 + g sddot          wdot = phi'' sdot^2 + phi' sddot
+
+so `xdot = v cos phi`, `ydot = v sin phi`, `phidot = w` hold by construction: the base can follow, thesis (2.6).
+
+`Trajectory.table` writes base and arm into rows as the loop reads them.
+"""
+
+from __future__ import annotations
+
+import csv
+from abc import ABC, abstractmethod
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+from mmnn_pin.errors import TrajectoryError
+from mmnn_pin.signals import Array, Layout
+
+SIGNALS = ("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref")
+
+
+@dataclass(frozen=True)
+class BaseSamples:
+    """A base path at N instants.
+
+    Attributes:
+        t: (N,) time [s].
+        pose: (N, 3) pose of the control frame in the world `(x, y, phi)`, phi unwrapped [m, m, rad].
+        velocity: (N, nb) base velocity in the reference's own frame, `(v, w)` [m/s, rad/s].
+        acceleration: (N, nb) its time derivative [m/s^2, rad/s^2].
+    """
+
+    t: Array
+    pose: Array
+    velocity: Array
+    acceleration: Array
+
+
+@dataclass(frozen=True)
+class JointSamples:
+    """A joint profile at N instants, each (N,), in rad (or m) and seconds."""
+
+    q: Array
+    qdot: Array
+    qddot: Array
+
+
+class BasePath(ABC):
+    """A motion of the base.
+
+    Attributes:
+        nb: Number of base velocities, 2 for a differential drive.
+    """
+
+    nb: int = 2
+
+    @abstractmethod
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """Pose, velocity and acceleration at the times `t` (N,) [s], counted from the start of the run."""
+
+
+class JointProfile(ABC):
+    """A motion of one arm joint."""
+
+    @abstractmethod
+    def sample(self, t: ArrayLike) -> JointSamples:
+        """Position, rate and acceleration at the times `t` (N,) [s], counted from the start of the run."""
+
+
+# --- what paths are made of
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Path parameter s over time, each (N,)."""
+
+    s: Array
+    ds: Array
+    dds: Array
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A curve at N parameters s: position, heading, signed speed `g`, `k = dphi/ds`; dg and dk are d/ds; each (N,)."""
+
+    x: Array
+    y: Array
+    phi: Array
+    g: Array
+    dg: Array | float
+    k: Array
+    dk: Array | float
+
+
+def start_up(t: Array, rate: float, ramp: float) -> Progress:
+    """Reach `ds/dt = rate` from rest within `ramp` seconds, by a minimum-jerk polynomial; at once if `ramp = 0`."""
+    if ramp == 0:
+        return Progress(rate * t, np.full_like(t, rate), np.zeros_like(t))
+    u = np.clip(t / ramp, 0, 1)
+    s = rate * (ramp * u**4 * (2.5 - 3 * u + u**2) + np.maximum(t - ramp, 0))
+    return Progress(s, rate * u**3 * (10 - 15 * u + 6 * u**2), rate * 30 * u**2 * (1 - u) ** 2 / ramp)
+
+
+def there_and_stop(t: Array, rate: float, ramp: float, length: float) -> Progress:
+    """As `start_up`, but the motion mirrors itself in time and rests at `s = length` from `length / rate + ramp` on."""
+    left = length / rate + ramp - t
+    first, last = start_up(t, rate, ramp), start_up(np.maximum(left, 0), rate, ramp)
+    ending = left < t
+    ds = np.where(left < 0, 0.0, np.where(ending, last.ds, first.ds))
+    return Progress(np.where(ending, length - last.s, first.s), ds, np.where(ending, -last.dds, first.dds))
+
+
+def driven(t: ArrayLike, progress: Progress, curve: Curve) -> BaseSamples:
+    """Samples of a curve driven with a given progress, by the chain rule at the top of this module."""
+    s, c = progress, curve
+    velocity = np.stack([c.g * s.ds, c.k * s.ds], axis=1)
+    acceleration = np.stack([c.dg * s.ds**2 + c.g * s.dds, c.dk * s.ds**2 + c.k * s.dds], axis=1)
+    return BaseSamples(np.asarray(t, float), np.stack([c.x, c.y, c.phi], axis=1), velocity, acceleration)
+
+
+def times(t: ArrayLike) -> Array:
+    """Times as an array (N,).
+
+    Raises:
+        TrajectoryError: They are not a list of finite numbers from 0 on.
+    """
+    t = np.asarray(t, float)
+    if t.ndim != 1 or not np.isfinite(t).all() or (t < 0).any():
+        raise TrajectoryError("sample times are not a list of finite numbers >= 0", why="a run starts at t = 0")
+    return t
+
+
+def require_finite(**values: float | tuple[float, ...] | Array) -> None:
+    """Refuse a parameter that is not finite."""
+    for name, value in values.items():
+        if not np.isfinite(np.asarray(value, float)).all():
+            raise TrajectoryError(f"{name} = {value} is not finite", fix="give finite numbers")
+
+
+def require_positive(**values: float) -> None:
+    """Refuse a parameter that is not a finite number above 0."""
+    require_finite(**values)
+    for name, value in values.items():
+        if value <= 0:
+            raise TrajectoryError(f"{name} = {value} is not positive", fix=f"give {name} > 0")
+
+
+def require_start(start: tuple[float, float, float], ramp: float) -> None:
+    """Refuse a start that is not `(x, y, phi)`, and a ramp that is not a number of seconds from 0 on."""
+    require_finite(start=start, ramp=ramp)
+    if len(start) != 3:
+        raise TrajectoryError(f"start = {start} is not a pose", fix="give (x, y, phi) in m, m, rad")
+    if ramp < 0:
+        raise TrajectoryError(f"ramp = {ramp} s is negative", fix="give a time, or 0 to start at full speed")
+
+
+# --- base paths
+
+
+@dataclass(frozen=True)
+class Line(BasePath):
+    """A straight line.
+
+    Args:
+        speed: Forward speed [m/s]; negative drives backwards with the same heading, 0 waits at the start.
+        start: Pose `(x, y, phi)` at t = 0.
+        ramp: Time from rest to full speed [s]; 0 starts at full speed.
+    """
+
+    speed: float
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite(speed=self.speed)
+        require_start(self.start, self.ramp)
+
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """See `BasePath.sample`."""
+        t = times(t)
+        x, y, phi = self.start
+        progress = start_up(t, self.speed, self.ramp)
+        s, zero = progress.s, np.zeros_like(t)
+        return driven(t, progress, Curve(x + s * np.cos(phi), y + s * np.sin(phi), zero + phi, zero + 1, 0, zero, 0))
+
+
+@dataclass(frozen=True)
+class Circle(BasePath):
+    """A circle.
+
+    Args:
+        radius: Radius [m].
+        speed: Speed along the circle [m/s]; negative drives backwards along the same circle.
+        start: Pose `(x, y, phi)` at t = 0, on the circle and tangent to it.
+        turn: +1 with the centre to the left, -1 to the right.
+        ramp: Time from rest to full speed [s]; 0 starts at full speed.
+    """
+
+    radius: float
+    speed: float
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn: int = 1
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive(radius=self.radius)
+        require_finite(speed=self.speed)
+        require_start(self.start, self.ramp)
+        if self.turn not in (-1, 1):
+            raise TrajectoryError(f"turn = {self.turn} is neither 1 nor -1", fix="1 turns left, -1 turns right")
+
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """See `BasePath.sample`."""
+        t = times(t)
+        x, y, phi0 = self.start
+        progress = start_up(t, self.speed, self.ramp)
+        one, k = np.ones_like(t), self.turn / self.radius
+        phi = phi0 + k * progress.s
+        xs, ys = x + (np.sin(phi) - np.sin(phi0)) / k, y - (np.cos(phi) - np.cos(phi0)) / k
+        return driven(t, progress, Curve(xs, ys, phi, one, 0, k * one, 0))
+
+
+@dataclass(frozen=True)
+class Eight(BasePath):
+    """A figure of eight (Gerono's lemniscate) `x = length/2 sin s`, `y = width/2 sin 2s`, in a turned frame.
+
+    It is fastest and straight at the crossing, slower and sharpest near the four corners of its box.
+
+    Args:
+        length: Extent along its long axis [m].
+        width: Extent across [m].
+        period: Time of one lap [s]; negative drives the same curve backwards.
+        start: Pose `(x, y, phi)` at t = 0: the crossing, with the heading of the path there.
+        ramp: Time from rest to full speed [s]; 0 starts at full speed.
+    """
+
+    length: float
+    width: float
+    period: float
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    ramp: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive(length=self.length, width=self.width)
+        require_finite(period=self.period)
+        require_start(self.start, self.ramp)
+        if self.period == 0:
+            raise TrajectoryError("period = 0 s", why="a lap takes time", fix="give the time of one lap")
+
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """See `BasePath.sample`."""
+        t = times(t)
+        progress = start_up(t, 2 * np.pi / self.period, self.ramp)
+        return driven(t, progress, self._curve(progress.s))
+
+    def _curve(self, s: Array) -> Curve:
+        a, b = self.length / 2, self.width / 2
+        x1, x2, x3 = a * np.cos(s), -a * np.sin(s), -a * np.cos(s)
+        y1, y2, y3 = 2 * b * np.cos(2 * s), -4 * b * np.sin(2 * s), -8 * b * np.cos(2 * s)
+        g = np.hypot(x1, y1)
+        dg = (x1 * x2 + y1 * y2) / g
+        k = (x1 * y2 - y1 * x2) / g**2
+        dk = (x1 * y3 - y1 * x3) / g**2 - 2 * k * dg / g
+        # The tangent never points along +y of the eight's own frame, so measured from -y its angle has no jump.
+        phi = np.arctan2(x1, -y1) - np.pi / 2
+        x0, y0, phi0 = self.start
+        turn = phi0 - np.arctan2(2 * b, a)
+        x, y = a * np.sin(s), b * np.sin(2 * s)
+        cos, sin = np.cos(turn), np.sin(turn)
+        return Curve(x0 + cos * x - sin * y, y0 + sin * x + cos * y, phi + turn, g, dg, k, dk)
+
+
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
+
+
+def bend(u: ArrayLike, turn: ArrayLike) -> NDArray[np.complex128]:
+    """Point at fraction `u` of a bend of unit length that turns by `turn`, starting along +x; complex x + iy.
+
+    The heading is `turn (u - sin(2 pi u) / (2 pi))`: the curvature rises from 0 to twice its mean and falls back to 0,
+    with a continuous slope. Integrated by Gauss-Legendre quadrature, exact to rounding for turns up to pi.
+    """
+    end = np.asarray(u, float)[..., None]
+    nodes = end * (1 + NODES) / 2
+    heading = np.asarray(turn, float)[..., None] * (nodes - np.sin(2 * np.pi * nodes) / (2 * np.pi))
+    return np.exp(1j * heading) @ WEIGHTS * end[..., 0] / 2
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Bends (a straight is a bend of turn 0) one after the other; each field is (m,)."""
+
+    s: Array  # path length at the start
+    length: Array
+    point: NDArray[np.complex128]  # start, complex x + iy
+    heading: Array  # at the start
+    turn: Array
+
+
+@dataclass(frozen=True)
+class Waypoints(BasePath):
+    """Straight lines between points with the corners rounded, from rest at the first point to rest at the last.
+
+    A corner that turns by theta is cut by a bend of length `2 |theta| radius` whose curvature rises smoothly from 0 to
+    `1/radius` and back to 0, so that w and wdot are continuous (with circular arcs w would jump). The path cuts the
+    corners; the first and the last point lie on it.
+
+    Args:
+        points: (k, 2) points [m], k >= 2.
+        speed: Speed on the way [m/s]; negative drives the same path tail first.
+        radius: Smallest radius of curvature [m].
+        ramp: Time of the smooth start and of the smooth stop [s]; with 0 the speed jumps there.
+
+    Attributes:
+        length: Length of the path [m].
+        duration: Time from start to rest at the last point [s].
+
+    Raises:
+        TrajectoryError: The points leave no room for the bends, or the path is too short for the ramps.
+    """
+
+    points: tuple[tuple[float, float], ...]
+    speed: float
+    radius: float
+    ramp: float = 1.0
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, float)
+        require_finite(points=points, speed=self.speed)
+        require_positive(radius=self.radius)
+        require_start((0, 0, 0), self.ramp)
+        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+            raise TrajectoryError("points are not two or more (x, y)", fix="give points = [[x, y], [x, y], ...]")
+        if self.speed == 0:
+            raise TrajectoryError("speed = 0 m/s", why="it never reaches the next point", fix="give another speed")
+        if self.length < abs(self.speed) * self.ramp:
+            longest = self.length / abs(self.speed)
+            raise TrajectoryError(
+                f"path of {self.length:.3g} m is too short for ramps of {self.ramp:g} s at {self.speed:g} m/s",
+                why="it would have to stop before it is up to speed",
+                fix=f"give ramp <= {longest:.3g} s, or a lower speed",
+            )
+
+    @cached_property
+    def _pieces(self) -> Pieces:
+        return rounded(np.asarray(self.points, float), self.radius)
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(self._pieces.s[-1] + self._pieces.length[-1])
+
+    @property
+    def duration(self) -> float:
+        """Time from start to rest at the last point [s]."""
+        return self.length / abs(self.speed) + self.ramp
+
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """See `BasePath.sample`."""
+        t = times(t)
+        progress = there_and_stop(t, abs(self.speed), self.ramp, self.length)
+        return driven(t, progress, self._curve(progress.s))
+
+    def _curve(self, s: Array) -> Curve:
+        p = self._pieces
+        i = np.searchsorted(p.s, s, side="right") - 1
+        length, turn = p.length[i], p.turn[i]
+        u = np.clip((s - p.s[i]) / length, 0, 1)
+        point = p.point[i] + length * np.exp(1j * p.heading[i]) * bend(u, turn)
+        heading = p.heading[i] + turn * (u - np.sin(2 * np.pi * u) / (2 * np.pi))
+        k = turn / length * (1 - np.cos(2 * np.pi * u))
+        dk = turn / length**2 * 2 * np.pi * np.sin(2 * np.pi * u)
+        forward = np.sign(self.speed)
+        phi = heading if forward > 0 else heading + np.pi
+        return Curve(point.real, point.imag, phi, np.full_like(s, forward), 0, k, dk)
+
+
+def rounded(points: Array, radius: float) -> Pieces:
+    """Straights and bends along points (k, 2), none of them sharper than `radius`.
+
+    Raises:
+        TrajectoryError: Two points coincide, the path turns back on itself, or a leg is shorter than its bends need.
+    """
+    legs = np.diff(points @ (1, 1j))
+    if (abs(legs) < 1e-9).any():
+        i = int(np.argmin(abs(legs)))
+        raise TrajectoryError(f"points {i} and {i + 1} are the same: {points[i]}", fix="leave one of them out")
+    turns = np.angle(legs[1:] / legs[:-1])
+    if (abs(turns) > np.radians(175)).any():
+        i = int(np.argmax(abs(turns))) + 1
+        raise TrajectoryError(f"the path turns back at point {i}: {points[i]}", fix="go around by one more point")
+    reach = 2 * abs(turns) * abs(bend(1.0, turns)) / (2 * np.cos(turns / 2))  # corner to start of bend, per radius
+    need = np.append(reach, 0) + np.append(0, reach)
+    short = need * radius - abs(legs)
+    if (short > 1e-9).any():
+        i = int(np.argmax(short))
+        fits = min(abs(leg) / n for leg, n in zip(legs, need, strict=True) if n > 0)
+        raise TrajectoryError(
+            f"points {i} and {i + 1} are too close: {abs(legs[i]):.3g} m apart",
+            why=f"the bends of radius {radius:g} m there take {need[i] * radius:.3g} m",
+            fix=f"give radius <= {fits:.3g} m, or move the points",
+        )
+    return _chain(complex(*points[0]), legs, turns, reach * radius, radius)
+
+
+def _chain(start: complex, legs: NDArray[np.complex128], turns: Array, reach: Array, radius: float) -> Pieces:
+    """Alternating straights and bends; empty ones are left out."""
+    straight = abs(legs) - np.append(reach, 0) - np.append(0, reach)
+    length, turn = np.zeros(2 * len(legs) - 1), np.zeros(2 * len(legs) - 1)
+    length[::2], length[1::2], turn[1::2] = straight, 2 * abs(turns) * radius, turns
+    heading = np.angle(legs[0]) + np.cumsum(turn) - turn
+    step = length * np.exp(1j * heading) * bend(1.0, turn)
+    point, s = start + np.cumsum(step) - step, np.cumsum(length) - length
+    keep = length > 1e-9
+    return Pieces(s[keep], length[keep], point[keep], heading[keep], turn[keep])
+
+
+@dataclass(frozen=True, eq=False)
+class Table(BasePath):
+    """A reference given by samples, from any planner; between them the pose is a cubic Hermite spline.
+
+    Args:
+        time: (N,) increasing times [s], the first 0.
+        pose: (N, 3) poses `(x, y, phi)` [m, m, rad]; phi may be wrapped if it turns by less than pi per sample.
+        velocity: (N, 2) `(v, w)` [m/s, rad/s]; their derivatives are those of a cubic spline through them.
+
+    Raises:
+        TrajectoryError: The samples are malformed, or no differential drive can follow them (`check_followable`).
+    """
+
+    time: Array
+    pose: Array
+    velocity: Array
+
+    def __post_init__(self) -> None:
+        time, pose, velocity = (np.array(part, float) for part in (self.time, self.pose, self.velocity))
+        if time.ndim != 1 or pose.shape != (len(time), 3) or velocity.shape != (len(time), 2):
+            raise TrajectoryError(
+                f"samples of shapes {time.shape}, {pose.shape}, {velocity.shape}", fix="give (N,), (N, 3), (N, 2)"
+            )
+        require_finite(time=time, pose=pose, velocity=velocity)
+        if len(time) < 4 or time[0] != 0 or (np.diff(time) <= 0).any():
+            raise TrajectoryError("time does not increase from 0 over four or more samples", fix="sort it, start at 0")
+        pose[:, 2] = np.unwrap(pose[:, 2])
+        check_followable(time, pose, velocity)
+        for name, part in (("time", time), ("pose", pose), ("velocity", velocity)):
+            part.flags.writeable = False
+            object.__setattr__(self, name, part)
+
+    @classmethod
+    def read(cls, file: str | Path) -> Table:
+        """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
+
+        Raises:
+            TrajectoryError: A column is missing or a value is not a number (with the line), or as for the class.
+        """
+        names = ("t", "x", "y", "phi", "v", "w")
+        with open(file, newline="", encoding="utf-8-sig") as stream:
+            rows = csv.DictReader(stream, skipinitialspace=True)
+            missing = [name for name in names if name not in (rows.fieldnames or ())]
+            if missing:
+                raise TrajectoryError(
+                    f"no column {', '.join(missing)}", fix=f"name them {', '.join(names)}", file=file, line=1
+                )
+            values = [[_number(row[name], name, file, rows.line_num) for name in names] for row in rows]
+        data = np.array(values).reshape(-1, 6)
+        try:
+            return cls(data[:, 0], data[:, 1:4], data[:, 4:])
+        except TrajectoryError as error:
+            raise TrajectoryError(error.what, why=error.why, fix=error.fix, file=file) from None
+
+    @cached_property
+    def _splines(self) -> tuple[CubicHermiteSpline, CubicSpline]:
+        v, w, phi = self.velocity[:, 0], self.velocity[:, 1], self.pose[:, 2]
+        rate = np.stack([v * np.cos(phi), v * np.sin(phi), w], axis=1)
+        return CubicHermiteSpline(self.time, self.pose, rate), CubicSpline(self.time, self.velocity)
+
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """See `BasePath.sample`.
+
+        Raises:
+            TrajectoryError: A time lies after the last sample.
+        """
+        t, end = times(t), self.time[-1]
+        if t.size and t.max() > end + 1e-9:
+            raise TrajectoryError(
+                f"the reference ends at {end:g} s, but the run asks for t = {t.max():g} s", fix="shorten the run"
+            )
+        pose, velocity = self._splines
+        at = np.minimum(t, end)
+        return BaseSamples(t, pose(at), velocity(at), velocity(at, 1))
+
+
+def _number(text: str | None, column: str, file: str | Path, line: int) -> float:
+    try:
+        return float(text or "")
+    except ValueError:
+        raise TrajectoryError(f"{column} = '{text}' is not a number", file=file, line=line) from None
+
+
+def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float | None = None) -> None:
+    """Refuse samples that a differential drive cannot follow, thesis (2.6).
+
+    The poses are differentiated by a spline. In the frame of the pose the sideways speed
+    `-xdot sin phi + ydot cos phi` must vanish, and the forward speed and phidot must be the given `(v, w)`.
+
+    Args:
+        time: (N,) times [s].
+        pose: (N, 3) poses, phi unwrapped.
+        velocity: (N, 2) `(v, w)`.
+        tolerance: Largest deviation [m/s, rad/s]; by default 2 % of the largest speed that occurs, at least 0.001.
+
+    Raises:
+        TrajectoryError: Naming the worst time and the speed there.
+    """
+    rate = CubicSpline(time, pose)(time, 1)
+    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin
+    if tolerance is None:
+        tolerance = max(1e-3, 0.02 * float(max(abs(rate).max(), abs(velocity).max())))
+    worst = int(np.argmax(abs(sideways)))
+    if abs(sideways[worst]) > tolerance:
+        raise TrajectoryError(
+            f"the reference moves sideways at t = {time[worst]:g} s, by {sideways[worst]:.3g} m/s",
+            why=f"wheels that roll cannot (allowed {tolerance:.2g} m/s)",
+            fix="give phi along the direction of travel (or opposite to it), in rad",
+        )
+    for name, unit, given, moved in (
+        ("v", "m/s", velocity[:, 0], forward),
+        ("w", "rad/s", velocity[:, 1], rate[:, 2]),
+    ):
+        worst = int(np.argmax(abs(given - moved)))
+        if abs(given - moved)[worst] > tolerance:
+            raise TrajectoryError(
+                f"{name} = {given[worst]:.3g} {unit} at t = {time[worst]:g} s, the poses move at {moved[worst]:.3g}",
+                why="velocity and pose must be of one motion",
+                fix=f"correct {name}, or the time or unit of the samples",
+            )
+
+
+def warnings(samples: BaseSamples, speed: float = 1e-3, duration: float = 0.5) -> list[str]:
+    """What is allowed but should be known: stretches where the kinematic law does not stabilise the base.
+
+    With `vr = 0` Kanayama's law, thesis (3.3), leaves the lateral and the heading error without feedback.
+
+    Args:
+        samples: Samples of a base path, in order of time.
+        speed: `|vr|` below this counts as standing [m/s].
+        duration: Shorter stretches are passed over [s].
+    """
+    if samples.velocity.shape[1] != 2 or not len(samples.t):
+        return []
+    standing = np.concatenate([[False], abs(samples.velocity[:, 0]) < speed, [False]])
+    starts, ends = np.flatnonzero(np.diff(standing.astype(int))).reshape(-1, 2).T
+    spans = [(samples.t[a], samples.t[b - 1]) for a, b in zip(starts, ends, strict=True)]
+    return [
+        f"vr = 0 from t = {a:g} s to {b:g} s: there the kinematic law (3.3) leaves lateral and heading error alone"
+        for a, b in spans
+        if b - a >= duration
+    ]
+
+
+# --- arm profiles
+
+
+@dataclass(frozen=True)
+class Sine(JointProfile):
+    """`q = offset + amplitude sin(2 pi t / period + phase)`.
+
+    Args:
+        amplitude: [rad or m].
+        period: [s].
+        offset: [rad or m].
+        phase: [rad].
+    """
+
+    amplitude: float
+    period: float
+    offset: float = 0.0
+    phase: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite(amplitude=self.amplitude, offset=self.offset, phase=self.phase)
+        require_positive(period=self.period)
+
+    def sample(self, t: ArrayLike) -> JointSamples:
+        """See `JointProfile.sample`."""
+        rate = 2 * np.pi / self.period
+        angle = rate * times(t) + self.phase
+        swing = self.amplitude * np.sin(angle)
+        return JointSamples(self.offset + swing, self.amplitude * rate * np.cos(angle), -(rate**2) * swing)
+
+
+@dataclass(frozen=True)
+class Hold(JointProfile):
+    """A joint at rest at `value` [rad or m]."""
+
+    value: float
+
+    def __post_init__(self) -> None:
+        require_finite(value=self.value)
+
+    def sample(self, t: ArrayLike) -> JointSamples:
+        """See `JointProfile.sample`."""
+        zero = np.zeros_like(times(t))
+        return JointSamples(zero + self.value, zero, zero.copy())
+
+
+@dataclass(frozen=True)
+class MinimumJerk(JointProfile):
+    """From rest to rest by the polynomial of least jerk, `10 u^3 - 15 u^4 + 6 u^5`; at rest before and after.
+
+    Args:
+        start: Where it begins [rad or m].
+        goal: Where it ends [rad or m].
+        duration: Time of the motion [s].
+        begin: When the motion begins [s].
+    """
+
+    start: float
+    goal: float
+    duration: float
+    begin: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite(start=self.start, goal=self.goal, begin=self.begin)
+        require_positive(duration=self.duration)
+
+    def sample(self, t: ArrayLike) -> JointSamples:
+        """See `JointProfile.sample`."""
+        u = np.clip((times(t) - self.begin) / self.duration, 0, 1)
+        by, T = self.goal - self.start, self.duration
+        q = self.start + by * u**3 * (10 - 15 * u + 6 * u**2)
+        return JointSamples(q, by / T * 30 * u**2 * (1 - u) ** 2, by / T**2 * 60 * u * (1 - u) * (1 - 2 * u))
+
+
+# --- both together
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """What the whole robot should do.
+
+    Args:
+        base: Path of the base; None for a fixed arm.
+        arm: One profile per arm joint, in the order of the robot's arm joints.
+    """
+
+    base: BasePath | None
+    arm: tuple[JointProfile, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "arm", tuple(self.arm))
+
+    def table(self, t: ArrayLike, layout: Layout) -> Array:
+        """Rows with the signals pose_ref, velocity_ref, acceleration_ref, q_ref, qdot_ref, qddot_ref side by side.
+
+        Args:
+            t: (N,) times [s].
+            layout: Layout of the robot's rows; a row of the table fits into `row[pose_ref.start:qddot_ref.stop]`.
+
+        Returns:
+            (N, 3 + 2 nb + 3 n) table, without the base part for a fixed arm.
+
+        Raises:
+            TrajectoryError: The trajectory is for another kind of base or another number of joints.
+        """
+        t = times(t)
+        self._require_fit(layout)
+        where = {name: layout.where(name) for name in SIGNALS}
+        first = where[SIGNALS[0]].start
+        table = np.zeros((len(t), where[SIGNALS[-1]].stop - first))
+        for name, values in self._signals(t):
+            table[:, where[name].start - first : where[name].stop - first] = values
+        return table
+
+    def _signals(self, t: Array) -> Iterable[tuple[str, Array]]:
+        if self.base is not None:
+            base = self.base.sample(t)
+            yield from zip(SIGNALS[:3], (base.pose, base.velocity, base.acceleration), strict=True)
+        if self.arm:
+            joints = [profile.sample(t) for profile in self.arm]
+            for name, part in zip(SIGNALS[3:], ("q", "qdot", "qddot"), strict=True):
+                yield name, np.stack([getattr(joint, part) for joint in joints], axis=1)
+
+    def _require_fit(self, layout: Layout) -> None:
+        nb = self.base.nb if self.base is not None else 0
+        if nb != layout.base:
+            raise TrajectoryError(
+                f"a base path of {nb} velocities for a base of {layout.base}",
+                why="0: fixed, 2: differential drive, 3: holonomic",
+                fix="choose a path made for this base" if layout.base else "leave the base path out",
+            )
+        if len(self.arm) != layout.arm:
+            raise TrajectoryError(
+                f"{len(self.arm)} arm profiles for {layout.arm} arm joints", fix=f"give {layout.arm} of them"
+            )

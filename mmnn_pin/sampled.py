@@ -1,0 +1,96 @@
+"""Is the PD loop alone stable when it is sampled? Judged before a run, on the linearised, held loop.
+
+Linearised about the reference, with the torque held over a control period h: deviations
+`d = [ex, ey, ephi; e; nu]` obey `d_next = (Phi + Gamma K) d`. A spectral radius above 1 means that the samples come
+too slowly for the gains, whatever a network adds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from .errors import ConfigError
+from .signals import Array
+
+TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """Verdict on the sampled PD loop.
+
+    Attributes:
+        radius: Spectral radius of one control period; up to 1 is stable (exactly 1: something is not stabilised, such
+            as the lateral error at vr = 0).
+        gain_limits: (p,) gain on each velocity alone at which `nu_next = (1 - h k (M^-1)_ii) nu` reaches -1.
+    """
+
+    radius: float
+    gain_limits: Array
+
+    @property
+    def stable(self) -> bool:
+        """Whether no deviation grows."""
+        return self.radius <= 1.0 + TOLERANCE
+
+
+def sampled_loop(
+    M: Array, gains: Array, v_ref: Array, base_gains: Array, K: Array, h: float, friction: Array | None = None
+) -> SampledLoop:
+    """Spectral radius of the held PD loop at one mass matrix and reference velocity.
+
+    Args:
+        M: (p, p) reduced mass matrix.
+        gains: (p,) gain on `[z; r]`.
+        v_ref: (nb,) reference velocity (vr, wr).
+        base_gains: (3,) kx, ky, kth.
+        K: (n,) gain of the filtered arm error.
+        h: Control period [s].
+        friction: (p,) viscous friction on nu; None for none.
+    """
+    p, nb = len(M), len(v_ref)
+    poses, n = (3 if nb else 0), len(M) - len(v_ref)
+    size = poses + n + p
+    A, B, feedback = np.zeros((size, size)), np.zeros((size, p)), np.zeros((p, size))
+    nu = slice(poses + n, size)
+    M_inv = np.linalg.inv(M)
+    B[nu] = M_inv
+    if friction is not None:
+        A[nu, nu] = -M_inv @ np.diag(friction)
+    if nb == 2:
+        vr, wr = v_ref
+        kx, ky, kth = base_gains
+        A[0, 1], A[1, 0], A[1, 2] = wr, -wr, vr  # Eqn. 3.2, linear in the errors
+        A[0, poses + n], A[2, poses + n + 1] = -1.0, -1.0
+        feedback[0, 0], feedback[1, 1], feedback[1, 2] = kx, vr * ky, abs(vr) * kth
+    A[poses : poses + n, poses + n + nb :] = -np.eye(n)
+    feedback[nb:, poses : poses + n] = np.diag(K)
+    feedback[:, nu] = -np.eye(p)
+    held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
+    closed = held[:size, :size] + held[:size, size:] @ (gains[:, None] * feedback)
+    radius = float(np.abs(np.linalg.eigvals(closed)).max())
+    return SampledLoop(radius, 2.0 / (h * np.diag(M_inv)))
+
+
+def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float) -> None:
+    """Refuse gains that make the sampled PD loop unstable.
+
+    Raises:
+        ConfigError: With the spectral radius and the gains that are too high.
+    """
+    if verdict.stable:
+        return
+    over = [
+        f"{name}: {gain:.4g} (limit alone {limit:.4g})"
+        for name, gain, limit in zip(names, gains, verdict.gain_limits, strict=True)
+        if gain > 0.5 * limit
+    ]
+    raise ConfigError(
+        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1 at a control period of {h:g} s",
+        why="gains near or above their limit 2 / (h (M^-1)_ii): " + ("; ".join(over) or "none, the kinematic gains"),
+        fix="lower the gains or shorten the control period",
+        key="feedback",
+    )

@@ -1,0 +1,29 @@
+"""From the state to the Measurement. The ideal sensor measures everything exactly at its sampling instants."""
+
+from __future__ import annotations
+
+from .compiled import compiled
+from .signals import INDEX, Array, part
+
+POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
+
+
+@compiled
+def ideal(row: Array, at: Array, position: Array, nu: Array, arm: Array) -> None:
+    """Exact measurement of pose, base velocity, arm joints and their rates.
+
+    Args:
+        row: (width,) row of signals; pose, velocity, q, qdot are written.
+        at: Offsets of the signals.
+        position: (nv,) true position.
+        nu: (p,) true velocity.
+        arm: (n,) places of the arm joints in the position.
+    """
+    pose, velocity, q, qdot = part(row, at, POSE), part(row, at, VELOCITY), part(row, at, Q), part(row, at, QDOT)
+    for i in range(pose.size):
+        pose[i] = position[i]
+    for i in range(velocity.size):
+        velocity[i] = nu[i]
+    for i in range(q.size):
+        q[i] = position[arm[i]]
+        qdot[i] = nu[velocity.size + i]

@@ -1,0 +1,214 @@
+"""The wires between the blocks: one flat row of float64 per control sample, and named views into it.
+
+A row holds every signal of one control sample. The compiled blocks read and write slices of it; a recording is
+the rows one after the other. `Layout` says what stands where; `Reference`, `Measurement`, `VelocityCommand`
+and `State` are views for people, refreshed in place at every sample (copy what you want to keep).
+
+Notation: `nb` base velocities (2 for a differential drive `(v, w)`, 3 for a holonomic base `(vx, vy, w)`, 0 for a
+fixed arm), `n` arm joints, `p = nb + n`, `nv` velocities of the full Pinocchio model. Poses are those of the
+base's control frame in the world, `(x, y, phi)` with phi unwrapped; base velocities are in the control frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .compiled import compiled
+
+Array = NDArray[np.float64]
+
+# The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
+# Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number.
+SIGNALS: tuple[tuple[str, str, str, str], ...] = (
+    ("time", "1", "s", ""),
+    ("position", "full", "m, rad", "rad or m"),
+    ("nu", "all", "m/s, rad/s", "rad/s or m/s"),
+    ("pose_ref", "pose", "m, m, rad", ""),
+    ("velocity_ref", "base", "m/s, rad/s", ""),
+    ("acceleration_ref", "base", "m/s^2, rad/s^2", ""),
+    ("q_ref", "arm", "", "rad or m"),
+    ("qdot_ref", "arm", "", "rad/s or m/s"),
+    ("qddot_ref", "arm", "", "rad/s^2 or m/s^2"),
+    ("pose", "pose", "m, m, rad", ""),
+    ("velocity", "base", "m/s, rad/s", ""),
+    ("q", "arm", "", "rad or m"),
+    ("qdot", "arm", "", "rad/s or m/s"),
+    ("alpha", "base", "m/s, rad/s", ""),
+    ("alphadot", "base", "m/s^2, rad/s^2", ""),
+    ("pose_error", "pose", "m, m, rad", ""),
+    ("z", "base", "m/s, rad/s", ""),
+    ("e", "arm", "", "rad or m"),
+    ("edot", "arm", "", "rad/s or m/s"),
+    ("r", "arm", "", "rad/s or m/s"),
+    ("nu_ref", "all", "m/s, rad/s", "rad/s or m/s"),
+    ("nudot_ref", "all", "m/s^2, rad/s^2", "rad/s^2 or m/s^2"),
+    ("psi", "all", "N, N m", "N m or N"),
+    ("psi_hat", "all", "N, N m", "N m or N"),
+    ("robust", "all", "N, N m", "N m or N"),
+    ("weight_norm", "2", "", ""),
+    ("effective_gain", "all", "N s/m, N m s", "N m s or N s/m"),
+    ("torque", "all", "N, N m", "N m or N"),
+    ("motor_torque", "motor", "N m", "N m or N"),
+    ("energy", "1", "J", ""),
+    ("work", "1", "J", ""),
+    ("energy_residual", "1", "J", ""),
+)
+# Compiled code freezes these numbers: this file is part of the key of the compiled code's cache.
+INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where each signal stands in a row.
+
+    Args:
+        base: Number of base velocities nb (0, 2 or 3).
+        arm: Number of arm joints n.
+        full: Number of velocities nv of the full model (pose and all joints).
+        motors: Number of actuators.
+    """
+
+    base: int
+    arm: int
+    full: int
+    motors: int
+
+    @property
+    def pose(self) -> int:
+        """Number of pose coordinates: 3, or 0 for a fixed arm."""
+        return 3 if self.base else 0
+
+    @property
+    def dof(self) -> int:
+        """Number of independent velocities p."""
+        return self.base + self.arm
+
+    @cached_property
+    def offsets(self) -> NDArray[np.int64]:
+        """Start of every signal in the order of `SIGNALS`, and the width of the row, shape (len(SIGNALS) + 1,)."""
+        size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
+        size |= {"motor": self.motors, "1": 1, "2": 2}
+        return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
+
+    @property
+    def width(self) -> int:
+        """Number of float64 in a row."""
+        return int(self.offsets[-1])
+
+    def where(self, name: str) -> slice:
+        """Slice of a signal in a row.
+
+        Raises:
+            KeyError: There is no signal of that name.
+        """
+        i = INDEX[name]
+        return slice(int(self.offsets[i]), int(self.offsets[i + 1]))
+
+    def unit(self, name: str) -> str:
+        """Unit of a signal on this robot; base and arm parts separated by a semicolon."""
+        _, kind, base, arm = SIGNALS[INDEX[name]]
+        if kind == "all":
+            return "; ".join(u for u, used in ((base, self.base), (arm, self.arm)) if used)
+        return base or arm
+
+    def new_row(self) -> Array:
+        """Row of zeros, shape (width,)."""
+        return np.zeros(self.width)
+
+
+@compiled
+def part(row: Array, at: Array, index: int) -> Array:
+    """Slice of signal number `index` (see `INDEX`) of a row; `at` are the offsets of the layout."""
+    return row[at[index] : at[index + 1]]
+
+
+class View:
+    """A record whose fields are views into a row, named as the signals are."""
+
+    @classmethod
+    def of(cls, row: Array, layout: Layout) -> Self:
+        """View of a row; nothing is copied."""
+        return cls(**{f.name: row[layout.where(f.name)] for f in fields(cls)})  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True)
+class Reference(View):
+    """What the robot should do at one instant.
+
+    Attributes:
+        pose_ref: (3,) pose of the control frame in the world [m, m, rad]; (0,) for a fixed arm.
+        velocity_ref: (nb,) base velocity in the reference's own frame [m/s, rad/s].
+        acceleration_ref: (nb,) its time derivative [m/s^2, rad/s^2].
+        q_ref: (n,) arm joints [rad or m].
+        qdot_ref: (n,) their rates.
+        qddot_ref: (n,) their accelerations.
+    """
+
+    pose_ref: Array
+    velocity_ref: Array
+    acceleration_ref: Array
+    q_ref: Array
+    qdot_ref: Array
+    qddot_ref: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement(View):
+    """What the sensors say: all that a controller may know of the robot's state.
+
+    Attributes:
+        pose: (3,) pose of the control frame in the world, phi unwrapped [m, m, rad].
+        velocity: (nb,) base velocity in the control frame [m/s, rad/s].
+        q: (n,) arm joints [rad or m].
+        qdot: (n,) their rates [rad/s or m/s].
+    """
+
+    pose: Array
+    velocity: Array
+    q: Array
+    qdot: Array
+
+
+@dataclass(frozen=True, slots=True)
+class VelocityCommand(View):
+    """What the kinematic layer asks of the torque controller, thesis (3.3), (3.6), (3.10), (3.11).
+
+    Attributes:
+        alpha: (nb,) commanded base velocity [m/s, rad/s].
+        alphadot: (nb,) its analytic time derivative [m/s^2, rad/s^2].
+        pose_error: (3,) reference minus pose, in the base frame, heading wrapped to (-pi, pi] [m, m, rad].
+        z: (nb,) `alpha - velocity`.
+        e: (n,) `q_ref - q`.
+        edot: (n,) `qdot_ref - qdot`.
+        r: (n,) filtered error `edot + K e`.
+        nu_ref: (p,) `[alpha; qdot_ref + K e]`, so that `[z; r] = nu_ref - nu`.
+        nudot_ref: (p,) `[alphadot; qddot_ref + K edot]`.
+    """
+
+    alpha: Array
+    alphadot: Array
+    pose_error: Array
+    z: Array
+    e: Array
+    edot: Array
+    r: Array
+    nu_ref: Array
+    nudot_ref: Array
+
+
+@dataclass(frozen=True, slots=True)
+class State(View):
+    """The true state of the plant; controllers never see it.
+
+    Attributes:
+        position: (nv,) pose of the control frame, then the angle or travel of every joint of the full model.
+        nu: (p,) base velocity and arm joint velocities.
+    """
+
+    position: Array
+    nu: Array

@@ -1,0 +1,199 @@
+"""The interface of a torque controller: velocity command and measurement in, generalized torque out.
+
+A controller's settings are frozen; what it remembers is a `Memory` made by `init` and updated in place, so that a
+run can be frozen, resumed, or started twice from equal weights. Controllers of this package are a `Law`: numbers
+for a compiled step. A user's own controller is a subclass of `TorqueController` in plain Python.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ConfigError
+from ..settings import Settings, require_gains
+from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """What a controller is told before a run.
+
+    Args:
+        layout: Dimensions of the robot and the places of the signals.
+        control_period: Time between two control samples [s].
+        samples: Number of control samples of the run.
+        rng: The controller's own random generator, split from the run's seed.
+    """
+
+    layout: Layout
+    control_period: float
+    samples: int
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+
+@dataclass
+class Memory:
+    """What a controller remembers between samples: one flat array, and named views into it.
+
+    Attributes:
+        values: (size,) everything, float64.
+        shapes: Name and shape of each part, in the order in which they stand in `values`.
+    """
+
+    values: Array
+    shapes: dict[str, tuple[int, ...]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, **shapes: tuple[int, ...]) -> Memory:
+        """Zero memory with these parts."""
+        return cls(np.zeros(sum(int(np.prod(shape)) for shape in shapes.values())), shapes)
+
+    def __getitem__(self, name: str) -> Array:
+        """View of one part."""
+        start = 0
+        for other, shape in self.shapes.items():
+            size = int(np.prod(shape))
+            if other == name:
+                return self.values[start : start + size].reshape(shape)
+            start += size
+        raise KeyError(name)
+
+    def snapshot(self) -> Memory:
+        """Copy that later steps do not touch; hand it to a run to resume from here."""
+        return copy.deepcopy(self)
+
+
+@dataclass(frozen=True)
+class Law:
+    """A controller as numbers for the compiled step `torque.law.step`.
+
+    Attributes:
+        kind: Which law.
+        sizes: int64 numbers.
+        settings: float64 numbers.
+    """
+
+    kind: int
+    sizes: NDArray[np.int64]
+    settings: Array
+
+
+class TorqueController(ABC):
+    """A torque controller in plain Python; subclass it to plug in your own.
+
+    Such a controller runs in the ordinary loop only, which is the slower one.
+
+    Attributes:
+        name: Name in tables, plots and recordings.
+        notes: Things the user should be told before a run.
+    """
+
+    name: str = "custom"
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know about these settings."""
+        return []
+
+    def init(self, wiring: Wiring) -> Any:
+        """Memory for a new run; None if there is nothing to remember."""
+        return None
+
+    @abstractmethod
+    def step(
+        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, memory: Any
+    ) -> Array:
+        """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
+
+        The records are views that change at the next sample: copy what you keep. `memory` is what `init` returned.
+        """
+
+    def weights(self, memory: Any) -> dict[str, Array]:
+        """Named arrays to be recorded at intervals."""
+        return {}
+
+
+class CompiledController(ABC):
+    """A controller of this package: a `Law` and a `Memory` for the compiled step.
+
+    Attributes:
+        name: Name in tables, plots and recordings.
+    """
+
+    name: str
+
+    @property
+    def uses_model(self) -> bool:
+        """Whether the law adds Psi of the nominal robot (an oracle when that is the true robot)."""
+        return False
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know about these settings."""
+        return []
+
+    @abstractmethod
+    def law(self, wiring: Wiring) -> Law:
+        """The settings as numbers."""
+
+    @abstractmethod
+    def init(self, wiring: Wiring) -> Memory:
+        """Memory for a new run."""
+
+    @abstractmethod
+    def feedback_gain(self, layout: Layout) -> Array:
+        """Constant gain on `[z; r]`, (p,), used to judge the sampled loop before the run."""
+
+    def weights(self, memory: Memory) -> dict[str, Array]:
+        """Named views of what is learned, to be recorded at intervals."""
+        return {}
+
+
+class Feedback(Settings, frozen=True):
+    """Gain on `[z; r]`: `k1` for the base, `k2` for the arm (3.39).
+
+    Args:
+        base: k1, one number or one per base velocity [N s/m, N m s].
+        arm: k2, one number or one per joint [N m s or N s/m].
+
+    Raises:
+        ConfigError: A gain is negative or not finite.
+    """
+
+    base: float | tuple[float, ...] = 500.0
+    arm: float | tuple[float, ...] = 30.0
+
+    def __post_init__(self) -> None:
+        require_gains(self, "feedback")
+
+    def vector(self, layout: Layout) -> Array:
+        """Gains of all p velocities.
+
+        Raises:
+            ConfigError: Neither one number nor as many as velocities.
+        """
+        return per_velocity(self.base, self.arm, layout, "feedback")
+
+
+def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...], layout: Layout, key: str) -> Array:
+    """Numbers of the base and of the arm as one vector (p,).
+
+    Raises:
+        ConfigError: Neither one number nor as many as velocities.
+    """
+    parts = []
+    for name, value, size in (("base", base, layout.base), ("arm", arm, layout.arm)):
+        if np.ndim(value) and np.shape(value) != (size,):
+            raise ConfigError(
+                f"{np.size(value)} gains for {size} velocities",
+                fix="give one number or one per velocity",
+                key=f"{key}.{name}",
+            )
+        parts.append(np.broadcast_to(np.asarray(value, float), (size,)))
+    return np.concatenate(parts)

@@ -1,0 +1,131 @@
+"""The compiled step of all torque controllers of this package.
+
+One function for the ordinary loop, the compiled loop and the batch: it reads the row's command and writes psi_hat,
+robust, effective_gain, weight_norm and torque. Each controller is a kind, integer sizes, float settings and a flat
+memory.
+"""
+
+from __future__ import annotations
+
+from ..compiled import compiled
+from ..signals import INDEX, Array, part
+from .network import (
+    frobenius,
+    hidden_input,
+    one_layer_output,
+    one_layer_update,
+    two_layer_output,
+    two_layer_update,
+)
+
+Z, R, ALPHA, PSI_HAT, ROBUST = INDEX["z"], INDEX["r"], INDEX["alpha"], INDEX["psi_hat"], INDEX["robust"]
+EFFECTIVE_GAIN, TORQUE, WEIGHT_NORM = INDEX["effective_gain"], INDEX["torque"], INDEX["weight_norm"]
+
+CONSTANT_GAIN, SCHEDULED_GAIN, TWO_LAYER, ONE_LAYER = 0, 1, 2, 3  # kinds of law
+
+# sizes of a network controller: nx, learning, order, (hidden of the base network, of the arm network), nx rows of x
+NX, LEARNING, ORDER, HIDDEN, ROWS = 0, 1, 2, 3, 5
+OUTPUT_FIRST, UPDATE_FIRST = 0, 1
+# settings of a network controller: dt, per network (rate of W, rate of V or width, leakage, ZB), k (p), Kz (p), scale
+# of the input (nx), offset of the input (nx)
+DT, RATES, PER_NETWORK, GAINS = 0, 1, 4, 9
+
+
+@compiled
+def step(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory: Array) -> None:
+    """Torque of one sample, `tau = (k + Kz (|Z| + ZB)) s + Psi_hat` (3.39), (3.50), and the update of the weights.
+
+    Args:
+        kind: Which law.
+        row: (width,) row of signals; psi_hat holds the nominal model's Psi for laws that use a model.
+        at: Offsets of the signals.
+        sizes: int64 numbers of the law.
+        settings: float64 numbers of the law.
+        memory: The controller's memory, updated in place.
+    """
+    gain, psi_hat, robust, torque = (
+        part(row, at, EFFECTIVE_GAIN),
+        part(row, at, PSI_HAT),
+        part(row, at, ROBUST),
+        part(row, at, TORQUE),
+    )
+    if kind == CONSTANT_GAIN:
+        gain[:] = settings
+    elif kind == SCHEDULED_GAIN:
+        start = 1 + int(memory[0]) * gain.size
+        gain[:] = memory[start : start + gain.size]
+        memory[0] += 1.0
+    else:
+        networks(kind, row, at, sizes, settings, memory)
+    z, r = part(row, at, Z), part(row, at, R)
+    for i in range(torque.size):
+        s = z[i] if i < z.size else r[i - z.size]
+        torque[i] = gain[i] * s + psi_hat[i]
+        if kind >= TWO_LAYER:
+            robust[i] = (gain[i] - settings[GAINS + i]) * s
+
+
+@compiled
+def networks(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory: Array) -> None:
+    """Outputs, effective gain and updates of the base's and the arm's network; arguments as in `step`."""
+    nx, p = sizes[NX], part(row, at, PSI_HAT).size
+    x = memory[:nx]
+    inputs = settings[GAINS + 2 * p :]
+    for i in range(nx):
+        x[i] = inputs[i] * row[sizes[ROWS + i]] + inputs[nx + i]
+    start, first = nx, 0
+    for which in range(2):
+        s = part(row, at, Z) if which == 0 else part(row, at, R)
+        if s.size == 0:
+            continue
+        h, m = sizes[HIDDEN + which], s.size
+        rates = settings[RATES + which * PER_NETWORK : RATES + (which + 1) * PER_NETWORK]
+        W = memory[start : start + h * m].reshape((h, m))
+        V = memory[start + h * m : start + h * (m + nx)].reshape((nx, h))
+        sigma = memory[start + h * (m + nx) : start + h * (m + nx + 1)]
+        net = memory[start + h * (m + nx + 1) : start + h * (m + nx + 2)]
+        start += h * (m + nx + 2)
+        psi_hat = part(row, at, PSI_HAT)[first : first + m]
+        norm = one_network(kind, sizes, settings[DT], rates, W, V, x, net, sigma, s, psi_hat)
+        part(row, at, WEIGHT_NORM)[which] = norm
+        gain = part(row, at, EFFECTIVE_GAIN)
+        for i in range(first, first + m):
+            gain[i] = settings[GAINS + i] + settings[GAINS + p + i] * (norm + rates[3])
+        first += m
+
+
+@compiled
+def one_network(
+    kind: int,
+    sizes: Array,
+    dt: float,
+    rates: Array,
+    W: Array,
+    V: Array,
+    x: Array,
+    net: Array,
+    sigma: Array,
+    s: Array,
+    psi_hat: Array,
+) -> float:
+    """Output and update of one network; returns the norm of its weights, taken with the output.
+
+    With OUTPUT_FIRST the torque of a sample uses the weights from before it; UPDATE_FIRST is the order of Appendix B:
+    the weights move first, with the hidden outputs of the previous call, then the output is computed.
+    """
+    if kind == ONE_LAYER:
+        if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
+            one_layer_update(W, sigma, s, rates[0], rates[2], dt)
+        one_layer_output(W, V, rates[1], x, sigma, psi_hat)
+        norm = frobenius(W)
+        if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
+            one_layer_update(W, sigma, s, rates[0], rates[2], dt)
+        return norm
+    if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
+        hidden_input(V, x, net)
+        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
+    two_layer_output(W, V, x, net, sigma, psi_hat)
+    norm = (frobenius(W) ** 2 + frobenius(V) ** 2) ** 0.5
+    if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
+        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
+    return norm

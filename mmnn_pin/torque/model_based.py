@@ -1,0 +1,106 @@
+"""Controllers without a network: PD, PD at a learner's effective gain, computed torque.
+
+Only computed torque uses a model, the *nominal* robot of the run; with the true robot it is the oracle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..signals import Array, Layout
+from . import law
+from .controller import CompiledController, Feedback, Law, Memory, Wiring
+
+
+@dataclass(frozen=True)
+class PD(CompiledController):
+    """`tau = k s`, `s = [z; r]`: the feedback of (3.39) alone.
+
+    Args:
+        feedback: k1, k2.
+    """
+
+    feedback: Feedback = field(default_factory=Feedback)
+    name: str = "pd"
+
+    def law(self, wiring: Wiring) -> Law:
+        """The gains."""
+        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), self.feedback.vector(wiring.layout))
+
+    def init(self, wiring: Wiring) -> Memory:
+        """Nothing to remember."""
+        return Memory.of()
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """Gain on `[z; r]`, (p,)."""
+        return self.feedback.vector(layout)
+
+
+@dataclass(frozen=True)
+class ComputedTorque(CompiledController):
+    """`tau = Psi + k s` with Psi of the nominal model at the measured state (Slotine-Li form with known parameters).
+
+    Args:
+        feedback: k1, k2.
+    """
+
+    feedback: Feedback = field(default_factory=Feedback)
+    name: str = "computed_torque"
+
+    @property
+    def uses_model(self) -> bool:
+        """Psi of the nominal robot is added."""
+        return True
+
+    def law(self, wiring: Wiring) -> Law:
+        """The gains; the loop writes the model's Psi into psi_hat."""
+        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), self.feedback.vector(wiring.layout))
+
+    def init(self, wiring: Wiring) -> Memory:
+        """Nothing to remember."""
+        return Memory.of()
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """Gain on `[z; r]`, (p,)."""
+        return self.feedback.vector(layout)
+
+
+@dataclass(frozen=True, eq=False)
+class ScheduledPD(CompiledController):
+    """`tau = k(t) s` with a gain given for every sample.
+
+    With the effective gain of a learner's run it is that learner with the network's output taken away: what is left
+    of the learner's advantage over this controller is learning, the rest is gain.
+
+    Args:
+        gains: (samples, p) gain on `[z; r]` of every control sample.
+        name: Name in tables and recordings.
+    """
+
+    gains: Array
+    name: str = "pd_effective"
+
+    def law(self, wiring: Wiring) -> Law:
+        """No numbers: the gains are in the memory."""
+        return Law(law.SCHEDULED_GAIN, np.zeros(0, np.int64), np.zeros(0))
+
+    def init(self, wiring: Wiring) -> Memory:
+        """The counter and the gains; a short table (of a run that ended early) keeps its last gain.
+
+        Raises:
+            ConfigError: The table has no rows or not p columns.
+        """
+        p = wiring.layout.dof
+        if self.gains.ndim != 2 or self.gains.shape[1] != p or not len(self.gains):
+            raise ConfigError(f"gains of shape {self.gains.shape}", fix=f"give (samples, {p})", key="gains")
+        memory = Memory.of(counter=(1,), gains=(wiring.samples, p))
+        rows = np.minimum(np.arange(wiring.samples), len(self.gains) - 1)
+        memory["gains"][:] = self.gains[rows]
+        return memory
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """Largest gain of the schedule, (p,)."""
+        return np.asarray(self.gains.max(axis=0))

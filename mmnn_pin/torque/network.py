@@ -1,0 +1,140 @@
+"""The networks and their update laws; they know no robot.
+
+Two-layer network of Lewis with e-modification (3.23)-(3.28), (3.48), (3.49), and the one-layer Gaussian network
+of Lin and Goldenberg (reference [9] of the thesis; its law is not printed there and is reconstructed from the
+names of its parameters). Weights are updated in place; `s` is the error that drives the learning (z or r).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..compiled import compiled
+from ..signals import Array
+
+
+@compiled
+def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi_hat: Array) -> None:
+    """Output `Psi_hat = W' sigma(V' x)`, `sigma(a) = 1 / (1 + exp(-a))` (3.25).
+
+    Args:
+        W: (h, m) output weights.
+        V: (nx, h) hidden weights.
+        x: (nx,) input.
+        net: (h,) written: `V' x`.
+        sigma: (h,) written: hidden outputs.
+        psi_hat: (m,) written.
+    """
+    hidden_input(V, x, net)
+    for j in range(net.size):
+        sigma[j] = 1.0 / (1.0 + np.exp(-net[j]))
+    weighted_sum(W, sigma, psi_hat)
+
+
+@compiled
+def hidden_input(V: Array, x: Array, net: Array) -> None:
+    """`V' x` for V (nx, h), written to net (h,)."""
+    net[:] = 0.0
+    for i in range(x.size):
+        for j in range(net.size):
+            net[j] += V[i, j] * x[i]
+
+
+@compiled
+def weighted_sum(W: Array, sigma: Array, psi_hat: Array) -> None:
+    """`W' sigma` for W (h, m), written to psi_hat (m,)."""
+    psi_hat[:] = 0.0
+    for j in range(sigma.size):
+        for i in range(psi_hat.size):
+            psi_hat[i] += W[j, i] * sigma[j]
+
+
+@compiled
+def two_layer_update(
+    W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, F: float, G: float, kappa: float, dt: float
+) -> None:
+    """One step of the update law (3.48), (3.49), both lines with the weights as they were before.
+
+    `Wdot = F sigma s' - F sigma' V'x s' - kappa F |s| W`, `Vdot = G x (sigma'' W s)' - kappa G |s| V`, with
+    `sigma' = diag(sigma) (I - diag(sigma))` and `sigma''` its transpose.
+
+    Args:
+        W: (h, m) updated.
+        V: (nx, h) updated.
+        x: (nx,) input.
+        net: (h,) `V' x`.
+        sigma: (h,) hidden outputs.
+        s: (m,) error.
+        F: Rate of W.
+        G: Rate of V.
+        kappa: Leakage (e-modification).
+        dt: 1 for rates per sample (Appendix B), the control period for rates per second.
+    """
+    norm = 0.0
+    for i in range(s.size):
+        norm += s[i] * s[i]
+    leak = kappa * math.sqrt(norm)
+    for j in range(sigma.size):
+        slope = sigma[j] * (1.0 - sigma[j])
+        back = 0.0
+        for i in range(s.size):
+            back += W[j, i] * s[i]
+            W[j, i] += dt * F * ((sigma[j] - slope * net[j]) * s[i] - leak * W[j, i])
+        net[j] = slope * back  # from here on sigma'' W s
+    for i in range(x.size):
+        for j in range(sigma.size):
+            V[i, j] += dt * G * (x[i] * net[j] - leak * V[i, j])
+
+
+@compiled
+def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Array, psi_hat: Array) -> None:
+    """Output `Psi_hat = W' phi(x)`, `phi_j = exp(-|x - c_j|^2 / (2 width^2))`.
+
+    Args:
+        W: (h, m) output weights.
+        centres: (nx, h) centres of the Gaussians, fixed.
+        width: Their common width.
+        x: (nx,) input.
+        phi: (h,) written: activations.
+        psi_hat: (m,) written.
+    """
+    phi[:] = 0.0
+    for i in range(x.size):
+        for j in range(phi.size):
+            phi[j] += (x[i] - centres[i, j]) ** 2
+    for j in range(phi.size):
+        phi[j] = np.exp(-phi[j] / (2.0 * width * width))
+    weighted_sum(W, phi, psi_hat)
+
+
+@compiled
+def one_layer_update(W: Array, phi: Array, s: Array, beta: float, mu: float, dt: float) -> None:
+    """One step of `Wdot = beta phi s' - mu beta |s| W` (reconstructed); shapes as in `one_layer_output`."""
+    norm = 0.0
+    for i in range(s.size):
+        norm += s[i] * s[i]
+    leak = mu * math.sqrt(norm)
+    for j in range(phi.size):
+        for i in range(s.size):
+            W[j, i] += dt * beta * (phi[j] * s[i] - leak * W[j, i])
+
+
+@compiled
+def frobenius(W: Array) -> float:
+    """Frobenius norm of a matrix."""
+    total = 0.0
+    for i in range(W.shape[0]):
+        for j in range(W.shape[1]):
+            total += W[i, j] * W[i, j]
+    return math.sqrt(total)
+
+
+def numerical_rank(W: Array, tolerance: float = 1e-9) -> int:
+    """Number of singular values above `tolerance` times the largest; 0 for a zero matrix.
+
+    Weights that start from zero keep rank one for ever: all hidden units of the network stay equal.
+    """
+    singular = np.linalg.svd(np.asarray(W), compute_uv=False)
+    return int(np.sum(singular > tolerance * singular[0])) if singular.size and singular[0] > 0 else 0

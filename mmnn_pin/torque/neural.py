@@ -1,0 +1,266 @@
+"""The thesis's controllers: feedback, a network for the base and one for the arm, and a robust term (3.39), (3.50).
+
+The networks see measured and commanded signals only; this module never imports the model.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from ..errors import ConfigError, UnknownName
+from ..settings import Settings, require_gains
+from ..signals import Array, Layout
+from . import law
+from .controller import CompiledController, Feedback, Law, Memory, Wiring, per_velocity
+from .network import numerical_rank
+
+# Input of the networks in the order of (3.24) and of Appendix B.
+THESIS_INPUT = ("pose_ref", "alpha", "alphadot", "pose_error", "z", "e", "r", "q_ref", "qdot_ref", "qddot_ref")
+# What a network may see: the reference, the measurement and what is computed from them.
+MEASURED = (
+    *("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref"),
+    *("pose", "velocity", "q", "qdot"),
+    *("alpha", "alphadot", "pose_error", "z", "e", "edot", "r", "nu_ref", "nudot_ref"),
+)
+
+
+class TwoLayer(Settings, frozen=True):
+    """Two-layer network with sigmoid units; both layers learn (3.23)-(3.28), (3.48), (3.49).
+
+    Args:
+        hidden: Hidden units per network.
+        F: Rates of the output weights, (base, arm).
+        G: Rates of the hidden weights, (base, arm).
+        kappa: Leakage, e-modification.
+        initial: "random" draws V uniform in +-v_range and sets W = 0 (Lewis's practice); "zero" is the thesis's
+            section 5.2 and keeps both layers at rank one for ever.
+        v_range: Half-width of the initial V.
+
+    Raises:
+        ConfigError: A rate is negative or not finite, or there are no hidden units.
+    """
+
+    hidden: int = 22
+    F: tuple[float, float] = (1.0, 0.2)
+    G: tuple[float, float] = (1.0, 0.2)
+    kappa: float = 1.0
+    initial: Literal["random", "zero"] = "random"
+    v_range: float = 1.0
+
+    kind: ClassVar[int] = law.TWO_LAYER
+    name: ClassVar[str] = "two_layer"
+
+    def __post_init__(self) -> None:
+        require_hidden(self.hidden, "two_layer.hidden")
+        require_gains(self, "two_layer", "F", "G", "kappa", "v_range")
+
+    def rates(self, which: int, leakage: bool) -> tuple[float, float, float]:
+        """Rate of W, rate of V, leakage of the base's (0) or the arm's (1) network."""
+        return self.F[which], self.G[which], self.kappa if leakage else 0.0
+
+    def initialise(self, W: Array, V: Array, rng: np.random.Generator) -> None:
+        """Initial weights, in place."""
+        W[:] = 0.0
+        V[:] = rng.uniform(-self.v_range, self.v_range, V.shape) if self.initial == "random" else 0.0
+
+
+class OneLayer(Settings, frozen=True):
+    """One-layer network with fixed Gaussian units: reference [9] of the thesis, reconstructed (see `torque.network`).
+
+    Args:
+        hidden: Gaussian units per network.
+        beta: Rates of the output weights, (base, arm).
+        mu: Leakage.
+        width: Width of the Gaussians.
+        centre_range: Centres lie in [-centre_range, centre_range] in every input.
+        centres: "diagonal" spaces them evenly along the diagonal of the input space, "random" draws them uniformly.
+
+    Raises:
+        ConfigError: A rate is negative or not finite, the width is not positive, or there are no units.
+    """
+
+    hidden: int = 22
+    beta: tuple[float, float] = (0.5, 0.5)
+    mu: float = 0.35
+    width: float = 4.5
+    centre_range: float = 10.0
+    centres: Literal["diagonal", "random"] = "diagonal"
+
+    kind: ClassVar[int] = law.ONE_LAYER
+    name: ClassVar[str] = "one_layer"
+
+    def __post_init__(self) -> None:
+        require_hidden(self.hidden, "one_layer.hidden")
+        require_gains(self, "one_layer", "beta", "mu", "width", "centre_range")
+        if self.width == 0:
+            raise ConfigError("width 0", why="Gaussians need one", fix="use a number > 0", key="one_layer.width")
+
+    def rates(self, which: int, leakage: bool) -> tuple[float, float, float]:
+        """Rate of W, width, leakage of the base's (0) or the arm's (1) network."""
+        return self.beta[which], self.width, self.mu if leakage else 0.0
+
+    def initialise(self, W: Array, V: Array, rng: np.random.Generator) -> None:
+        """Zero weights and the fixed centres, in place."""
+        W[:] = 0.0
+        if self.centres == "diagonal":
+            V[:] = np.linspace(-self.centre_range, self.centre_range, V.shape[1])
+        else:
+            V[:] = rng.uniform(-self.centre_range, self.centre_range, V.shape)
+
+
+class Robust(Settings, frozen=True):
+    """Robust term `Kz (|Z_hat|_F + ZB) s` (3.50).
+
+    Args:
+        base: Kz of the base, one number or one per velocity.
+        arm: Kz of the arm, likewise.
+        ZB: Bound assumed on the norm of the ideal weights, (base, arm).
+
+    Raises:
+        ConfigError: A number is negative or not finite.
+    """
+
+    base: float | tuple[float, ...] = 5.0
+    arm: float | tuple[float, ...] = 0.2
+    ZB: tuple[float, float] = (5.0, 5.0)
+
+    def __post_init__(self) -> None:
+        require_gains(self, "robust")
+
+
+class Inputs(Settings, frozen=True):
+    """What the networks see.
+
+    Args:
+        signals: Names of signals, each one measured or computed from measured ones; default (3.24).
+        scale: Factor on every input (180/pi puts joint angles in degrees).
+        constant_yaw_rate: Appendix B's slip `wd = (5)`: this number in place of the second component of alpha.
+
+    Raises:
+        UnknownName: A signal that does not exist or that a controller may not know.
+    """
+
+    signals: tuple[str, ...] = THESIS_INPUT
+    scale: float = 1.0
+    constant_yaw_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.signals:
+            if name not in MEASURED:
+                raise UnknownName("network input", name, MEASURED, key="inputs.signals")
+
+    def rows(self, layout: Layout) -> np.ndarray:
+        """Places of the inputs in a row, (nx,) int64."""
+        places = [np.arange(layout.width)[layout.where(name)] for name in self.signals]
+        return np.concatenate(places).astype(np.int64)
+
+    def affine(self, layout: Layout) -> tuple[Array, Array]:
+        """Scale and offset of every input, (nx,) each."""
+        rows = self.rows(layout)
+        scale, offset = np.full(rows.size, self.scale), np.zeros(rows.size)
+        if self.constant_yaw_rate is not None and layout.base == 2:
+            wd = rows == layout.where("alpha").start + 1
+            scale[wd], offset[wd] = 0.0, self.constant_yaw_rate
+        return scale, offset
+
+
+@dataclass(frozen=True)
+class Neural(CompiledController):
+    """Feedback, networks and robust term: `tau = k s + Psi_hat + Kz (|Z| + ZB) s` with `s = [z; r]` (3.39), (3.50).
+
+    Args:
+        network: `TwoLayer` or `OneLayer`.
+        feedback: k1, k2.
+        robust: Kz, ZB; None switches the robust term off.
+        inputs: What the networks see.
+        rates: "per_sample" as in Appendix B, or "per_second" (the rates times the control period, Euler).
+        learning: Off keeps the weights as they are.
+        leakage: Off drops the e-modification.
+        update: "after_output" or "before_output" (Appendix B, with the hidden outputs of the previous call).
+    """
+
+    network: TwoLayer | OneLayer = field(default_factory=TwoLayer)
+    feedback: Feedback = field(default_factory=Feedback)
+    robust: Robust | None = field(default_factory=Robust)
+    inputs: Inputs = field(default_factory=Inputs)
+    rates: Literal["per_sample", "per_second"] = "per_sample"
+    learning: bool = True
+    leakage: bool = True
+    update: Literal["after_output", "before_output"] = "after_output"
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Name of the network."""
+        return self.network.name
+
+    @property
+    def notes(self) -> list[str]:
+        """Warns of weights that start from zero."""
+        if isinstance(self.network, TwoLayer) and self.network.initial == "zero" and self.network.hidden > 1:
+            return [
+                f"two_layer starts from zero weights: all {self.network.hidden} hidden units of a network stay equal "
+                "for ever, W and V keep rank one; use initial = 'random' for a network that can use its units"
+            ]
+        return []
+
+    def law(self, wiring: Wiring) -> Law:
+        """The settings as numbers, in the order given in `torque.law`."""
+        layout = wiring.layout
+        order = law.UPDATE_FIRST if self.update == "before_output" else law.OUTPUT_FIRST
+        rows = self.inputs.rows(layout)
+        sizes = [rows.size, int(self.learning), order, self.network.hidden, self.network.hidden, *rows]
+        dt = 1.0 if self.rates == "per_sample" else wiring.control_period
+        robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
+        per_network = [(*self.network.rates(i, self.leakage), robust.ZB[i]) for i in range(2)]
+        Kz = per_velocity(robust.base, robust.arm, layout, "robust")
+        parts = [[dt], *per_network, self.feedback.vector(layout), Kz, *self.inputs.affine(layout)]
+        settings = np.concatenate([np.asarray(part, float) for part in parts])
+        return Law(self.network.kind, np.array(sizes, np.int64), settings)
+
+    def init(self, wiring: Wiring) -> Memory:
+        """Initial weights; x, hidden outputs and net inputs of the last call are part of the memory."""
+        nx, h = self.inputs.rows(wiring.layout).size, self.network.hidden
+        shapes: dict[str, tuple[int, ...]] = {"x": (nx,)}
+        for i, size in channels(wiring.layout):
+            shapes |= {f"W{i}": (h, size), f"V{i}": (nx, h), f"sigma{i}": (h,), f"net{i}": (h,)}
+        memory = Memory.of(**shapes)
+        for i, _ in channels(wiring.layout):
+            self.network.initialise(memory[f"W{i}"], memory[f"V{i}"], wiring.rng)
+        return memory
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """Gain on `[z; r]` that is there from the first sample on: k + Kz ZB, (p,)."""
+        robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
+        ZB = per_velocity(robust.ZB[0], robust.ZB[1], layout, "robust.ZB")
+        return self.feedback.vector(layout) + per_velocity(robust.base, robust.arm, layout, "robust") * ZB
+
+    def weights(self, memory: Memory) -> dict[str, Array]:
+        """W1, V1 (base) and W2, V2 (arm); V holds the fixed centres of a one-layer network and is left out there."""
+        letters = "WV" if isinstance(self.network, TwoLayer) else "W"
+        return {name: memory[name] for name in memory.shapes if name[0] in letters}
+
+    def findings(self, memory: Memory) -> list[str]:
+        """What the weights show after a run: layers that have collapsed to rank one."""
+        ranks = {name: numerical_rank(W) for name, W in self.weights(memory).items() if min(W.shape) > 1}
+        collapsed = [name for name, rank in ranks.items() if rank == 1]
+        if not collapsed:
+            return []
+        return [f"{self.name}: {', '.join(collapsed)} ended at rank one: the hidden units act as one"]
+
+
+def channels(layout: Layout) -> list[tuple[int, int]]:
+    """Networks of a robot: (1, nb) for the base and (2, n) for the arm, where there is one."""
+    return [(i, size) for i, size in ((1, layout.base), (2, layout.arm)) if size]
+
+
+def require_hidden(hidden: int, key: str) -> None:
+    """Refuse a network without hidden units.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    if hidden < 1:
+        raise ConfigError(f"{hidden} hidden units", fix="use at least one", key=key)

@@ -1,0 +1,448 @@
+"""Robots are understood from their geometry, and T, A and E say how they move.
+
+The second answer is Pinocchio's own kinematics: whatever the loader concluded, the point of a wheel that touches the
+floor must stand still there.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmnn_pin.errors import ConfigError, RobotError, UnknownName
+from mmnn_pin.model import Robot, Undecided, bundled, load
+from mmnn_pin.model.robot import build
+from mmnn_pin.model.urdf import parse
+
+UP = np.array([0.0, 0.0, 1.0])
+SPHERE = '<sphere radius="{r!r}"/>'
+CYLINDER = '<cylinder radius="{r!r}" length="0.03"/>'
+
+
+# --- Robots of our own ------------------------------------------------------------------------------------------------
+
+
+def words(values) -> str:
+    return " ".join(repr(float(v)) for v in np.atleast_1d(values))
+
+
+def origin(R=None, p=(0, 0, 0)) -> str:
+    return f'<origin xyz="{words(p)}" rpy="{words(pin.rpy.matrixToRpy(np.eye(3) if R is None else R))}"/>'
+
+
+def link(name: str, mass: float = 1.0, inertia: float = 0.02, shape: str = "", at: str = "", tag="collision") -> str:
+    body = f"<{tag}>{at}<geometry>{shape}</geometry></{tag}>" if shape else ""
+    tensor = f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>'
+    inertial = f'<inertial><mass value="{mass}"/>{tensor}</inertial>' if mass else ""
+    return f'<link name="{name}">{inertial}{body}</link>\n'
+
+
+def joint(name, kind, parent, child, R=None, p=(0, 0, 0), axis=(0, 1, 0), more="") -> str:
+    ends = f'<parent link="{parent}"/><child link="{child}"/>'
+    return f'<joint name="{name}" type="{kind}">{ends}{origin(R, p)}<axis xyz="{words(axis)}"/>{more}</joint>\n'
+
+
+LIMIT = '<limit lower="{}" upper="{}" effort="9" velocity="2"/>'
+ARM = (
+    link("upper", 2.0)
+    + link("fore", 1.0)
+    + joint("shoulder", "continuous", "base", "upper", p=(0.1, 0, 0.4), axis=(0, 0, 1))
+    + joint("elbow", "revolute", "upper", "fore", p=(0.3, 0, 0), more=LIMIT.format(0.2, 2))
+)
+
+
+@dataclass
+class Drive:
+    """A differential drive: the control frame in the root frame, wheels (left, right), and how each is written."""
+
+    frame: tuple = (0.0, 0.0, 0.0)  # x, y, heading
+    floor: float = 0.0
+    track: float = 0.4
+    radii: tuple = (0.1, 0.1)
+    flips: tuple = (1, 1)
+    frames: tuple = (np.eye(3), np.eye(3))  # orientation of the joints' frames in the control frame
+    shape: str = CYLINDER
+    names: tuple = ("left", "right")
+    tag: str = "collision"
+
+    @property
+    def R(self) -> np.ndarray:
+        return pin.rpy.rpyToMatrix(0.0, 0.0, self.frame[2])
+
+    def hub(self, i: int) -> np.ndarray:
+        side = (self.track / 2, -self.track / 2)[i]
+        return np.array([self.frame[0], self.frame[1], self.floor + self.radii[i]]) + self.R @ [0, side, 0]
+
+    def urdf(self, more: str = ARM) -> str:
+        text = link("base", 20.0, 0.8, '<box size="0.3 0.2 0.1"/>', origin(p=(0, 0, self.floor + 0.2)))
+        for i, name in enumerate(self.names):
+            axle = self.frames[i].T @ np.array([0, self.flips[i], 0])  # the axle in the joint's frame
+            lying = pin.Quaternion.FromTwoVectors(UP, axle).matrix()  # a cylinder stands along z
+            text += link(f"{name}_link", 1.5, 0.02, self.shape.format(r=self.radii[i]), origin(lying), self.tag)
+            R = self.R @ self.frames[i]
+            text += joint(name, "continuous", "base", f"{name}_link", R, self.hub(i), axle)
+        return f'<robot name="r">{text}{more}</robot>'
+
+
+def robot_of(text: str, path: str | Path = "robot.urdf") -> Robot:
+    return build(parse(text.encode(), path))
+
+
+angles = st.floats(-3.1, 3.1)
+rotations = st.builds(pin.rpy.rpyToMatrix, angles, st.floats(-1.5, 1.5), angles)
+signs = st.sampled_from([1, -1])
+drives = st.builds(
+    Drive,
+    frame=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(-1.5, 1.5)),
+    floor=st.floats(-0.5, 0.5),
+    track=st.floats(0.2, 1.0),
+    radii=st.tuples(st.floats(0.03, 0.15), st.floats(0.03, 0.15)),
+    flips=st.tuples(signs, signs),
+    frames=st.tuples(rotations, rotations),
+    shape=st.sampled_from([CYLINDER, SPHERE]),
+    names=st.sampled_from([("left", "right"), ("z", "a"), ("elbow_2", "arm")]),
+)
+
+
+def moving(robot: Robot, position, nu):
+    """Pinocchio's data at a state that T permits."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.configuration(position), robot.T @ nu)
+    pin.updateFramePlacements(robot.model, data)
+    return data
+
+
+def random_state(robot: Robot, seed: int = 0):
+    rng = np.random.default_rng(seed)
+    return rng.uniform(-2, 2, robot.model.nv), rng.uniform(-2, 2, robot.layout.dof)
+
+
+# --- The wheels roll --------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(drive=drives, seed=st.integers(0, 1000))
+def test_contact_points_of_the_wheels_stand_still(drive, seed):
+    robot = robot_of(drive.urdf())
+    position, nu = random_state(robot, seed)
+    data = moving(robot, position, nu)
+    for name, radius in zip(drive.names, drive.radii, strict=True):
+        frame = robot.model.getFrameId(f"{name}_link", pin.FrameType.BODY)
+        velocity = pin.getFrameVelocity(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        assert np.abs(velocity.angular).max() > 1e-6
+        np.testing.assert_allclose(velocity.linear + np.cross(velocity.angular, -radius * UP), 0, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(drive=drives)
+def test_T_spans_exactly_what_A_permits(drive):
+    robot = robot_of(drive.urdf())
+    nv, p = robot.T.shape
+    assert np.abs(robot.A @ robot.T).max() < 1e-12
+    assert np.linalg.matrix_rank(robot.A) == len(robot.A) == nv - p
+    M = pin.crba(robot.model, robot.model.createData(), robot.configuration(robot.neutral_position()))
+    M = np.triu(M) + np.triu(M, 1).T
+    assert np.linalg.eigvalsh(robot.T.T @ M @ robot.T).min() > 0
+
+
+@settings(max_examples=60, deadline=None)
+@given(drive=drives, seed=st.integers(0, 1000))
+def test_the_control_frame_is_on_the_floor_amid_the_axle_and_moves_with_v_and_w(drive, seed):
+    robot = robot_of(drive.urdf())
+    np.testing.assert_allclose(robot.frame, drive.frame, atol=1e-9)
+    assert robot.base.floor == pytest.approx(drive.floor, abs=1e-9)
+    assert robot.base.track == pytest.approx(drive.track)
+    assert [(w.joint, w.radius) for w in robot.base.wheels] == [*zip(drive.names, drive.radii, strict=True)]
+    position, nu = random_state(robot, seed)
+    data = moving(robot, position, nu)
+    x, y, phi = position[:3]
+    hubs = [data.oMf[robot.model.getFrameId(f"{n}_link", pin.FrameType.BODY)].translation for n in drive.names]
+    np.testing.assert_allclose((hubs[0] + hubs[1])[:2] / 2, [x, y], atol=1e-9)
+    np.testing.assert_allclose((hubs[0] - hubs[1])[:2], drive.track * np.array([-np.sin(phi), np.cos(phi)]), atol=1e-9)
+    root = pin.getFrameVelocity(robot.model, data, robot.model.getFrameId("base"), pin.LOCAL_WORLD_ALIGNED)
+    arm = np.array([x, y, 0]) - data.oMf[robot.model.getFrameId("base")].translation
+    expected = [nu[0] * np.cos(phi), nu[0] * np.sin(phi), nu[1]]
+    np.testing.assert_allclose((root.linear + np.cross(root.angular, arm))[:2], expected[:2], atol=1e-9)
+    assert root.angular[2] == pytest.approx(expected[2])
+
+
+def test_positive_turn_of_an_axis_to_the_left_drives_forward_and_of_one_to_the_right_backward():
+    assert [w.sign for w in robot_of(Drive(flips=(1, -1)).urdf()).base.wheels] == [1, -1]
+    assert [w.sign for w in robot_of(Drive(flips=(-1, 1)).urdf()).base.wheels] == [-1, 1]
+
+
+def test_axle_ahead_of_the_root_swings_the_root_sideways():
+    robot = robot_of(Drive(frame=(0.3, 0.0, 0.0)).urdf())
+    np.testing.assert_allclose(robot.T[:3, :2], [[1, 0], [0, -0.3], [0, 1]], atol=1e-12)
+
+
+@pytest.mark.parametrize("heading", [np.pi / 2, -np.pi / 2, np.pi])
+def test_forward_is_the_rolling_direction_nearer_the_root_x(heading):
+    robot = robot_of(Drive(frame=(0, 0, heading)).urdf())
+    assert robot.frame[2] == pytest.approx(0 if heading == np.pi else np.pi / 2)
+
+
+def test_wheels_weigh_in_the_reduced_mass_with_their_spin():
+    robot = robot_of(Drive(track=0.5).urdf(more=""))
+    M = pin.crba(robot.model, robot.model.createData(), robot.configuration(np.zeros(5)))
+    M = robot.T.T @ (np.triu(M) + np.triu(M, 1).T) @ robot.T
+    in_v = 20 + 2 * 1.5 + 2 * 0.02 / 0.1**2
+    in_w = 0.8 + 2 * 1.5 * 0.25**2 + 2 * 0.02 + 2 * 0.02 * 0.25**2 / 0.1**2
+    np.testing.assert_allclose(M, np.diag([in_v, in_w]), atol=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(drive=drives)
+def test_motor_power_is_generalized_power(drive):
+    robot = robot_of(drive.urdf())
+    u, nu = np.random.default_rng(1).normal(size=(2, robot.layout.motors))
+    rates = dict(zip(robot.full_velocity_names, robot.T @ nu, strict=True))
+    assert nu @ robot.E @ u == pytest.approx(sum(rates[n] * ui for n, ui in zip(robot.actuator_names, u, strict=True)))
+    assert robot.actuator_names == (*drive.names, "shoulder", "elbow")
+
+
+def test_layout_names_and_limits():
+    text = Drive().urdf().replace('"0.2 0.0 0.0"', '"0.2 0 0"')
+    text = text.replace('<axis xyz="0.0 0.0 1.0"/>', '<axis xyz="0 0 2"/><dynamics damping="0.3" friction="0.1"/>')
+    robot = robot_of(text)
+    names = robot.full_velocity_names
+    assert robot.velocity_names == ("v", "w", "shoulder", "elbow") and robot.joint_names == ("shoulder", "elbow")
+    assert (robot.layout.base, robot.layout.arm, robot.layout.full, robot.layout.motors) == (2, 2, 7, 4)
+    assert [robot.full_velocity_names[i] for i in np.flatnonzero(robot.damping)] == ["shoulder"]
+    assert robot.damping.max() == 0.3 and robot.coulomb.max() == 0.1
+    assert robot.effort_limits.tolist() == [np.inf, np.inf, np.inf, 9.0]
+    assert robot.neutral_position()[names.index("elbow")] == 0.2 and robot.upper[names.index("elbow")] == 2
+    assert {names[i] for i in np.flatnonzero(robot.is_continuous)} == {"root_w", "left", "right", "shoulder"}
+
+
+def test_configuration_moves_as_pinocchio_integrates():
+    robot = robot_of(Drive(frame=(0.3, -0.1, 0.4), flips=(1, -1)).urdf())
+    position, nu = random_state(robot)
+    dt = 1e-7
+    rate = robot.T @ nu
+    rate[:3] = nu[0] * np.cos(position[2]), nu[0] * np.sin(position[2]), nu[1]
+    moved = pin.integrate(robot.model, robot.configuration(position), robot.T @ nu * dt)
+    np.testing.assert_allclose(robot.configuration(position + rate * dt), moved, atol=1e-12)
+
+
+# --- Wheels are found on geometry -------------------------------------------------------------------------------------
+
+
+def test_hub_height_is_the_radius_of_wheels_without_a_shape():
+    drive = Drive(floor=0.05, radii=(0.1, 0.12), shape="")
+    skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.06)))
+    robot = robot_of(drive.urdf(ARM + skid + joint("weld", "fixed", "base", "skid", p=(0, 0, 0))))
+    assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.12])
+
+
+@pytest.mark.parametrize("name", ["wheel.stl", "package://shop/wheel.stl", "../shop/wheel.stl"])
+def test_radius_of_a_mesh_is_that_of_its_vertices(tmp_path, name):
+    trimesh = pytest.importorskip("trimesh")
+    (tmp_path / "shop").mkdir()
+    trimesh.creation.cylinder(radius=80, height=30, sections=60).export(tmp_path / "shop" / "wheel.stl")
+    drive = Drive(radii=(0.08, 0.08), shape=f'<mesh filename="{name}" scale="0.001 0.001 0.001"/>', tag="visual")
+    robot = robot_of(drive.urdf(), tmp_path / "shop" / "r.urdf")
+    assert [w.radius for w in robot.base.wheels] == pytest.approx([0.08, 0.08])
+
+
+@pytest.mark.parametrize("name", ["http://127.0.0.1:9/w.stl", "missing.stl", "broken.stl", "../../outside.stl"])
+def test_meshes_that_are_missing_remote_damaged_or_outside_are_not_needed(tmp_path, name):
+    folder = tmp_path / "a" / "b"
+    folder.mkdir(parents=True)
+    (folder / "broken.stl").write_bytes(b"solid nothing\xff")
+    (tmp_path.parent / "outside.stl").write_text("solid x")
+    skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.01)))
+    drive = Drive(shape=f'<mesh filename="{name}"/>')
+    robot = robot_of(drive.urdf(skid + joint("weld", "fixed", "base", "skid")), folder / "r.urdf")
+    assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.1])
+
+
+def test_a_mesh_that_is_not_round_is_no_wheel(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((0.2, 0.1, 0.03)).export(tmp_path / "box.stl")
+    robot = robot_of(Drive(shape='<mesh filename="box.stl"/>').urdf(), tmp_path / "r.urdf")
+    assert robot.base.kind == "fixed"
+
+
+def swivel(name: str, p, shape: str = CYLINDER, parent: str = "base") -> str:
+    lying = origin(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0))
+    fork = link(f"{name}_fork") + joint(f"{name}_swivel", "continuous", parent, f"{name}_fork", p=p, axis=(0, 0, 1))
+    wheel = link(f"{name}_link", shape=shape.format(r=0.03), at=lying)
+    return fork + wheel + joint(f"{name}_roll", "continuous", f"{name}_fork", f"{name}_link", p=(-0.02, 0, 0.03))
+
+
+def test_swivel_casters_are_locked():
+    robot = robot_of(Drive().urdf(ARM + swivel("front", (0.2, 0, 0))))
+    assert robot.base.casters == ("front_swivel", "front_roll")
+    assert robot.joint_names == ("shoulder", "elbow")
+    still = [robot.full_velocity_names.index(name) for name in robot.base.casters]
+    assert not robot.T[still].any()
+    assert np.abs(robot.A @ robot.T).max() < 1e-12
+    assert np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.layout.dof
+
+
+def test_swivel_with_its_wheel_welded_on_is_a_caster_and_a_turntable_is_not():
+    fork = link("fork", shape='<box size="0.02 0.02 0.1"/>', at=origin(p=(0, 0, 0.05)))
+    fork += joint("turn", "continuous", "base", "fork", p=(0.2, 0, 0), axis=(0, 0, 1))
+    assert robot_of(Drive().urdf(fork)).base.casters == ("turn",)
+    raised = fork.replace('xyz="0.2 0.0 0.0"', 'xyz="0.2 0.0 0.3"')
+    assert raised != fork and robot_of(Drive().urdf(raised)).joint_names == ("turn",)
+
+
+def test_ball_on_a_continuous_joint_is_a_caster():
+    ball = link("ball", shape=SPHERE.format(r=0.03)) + joint("roll", "continuous", "base", "ball", p=(-0.2, 0, 0.03))
+    assert robot_of(Drive().urdf(ball)).base.casters == ("roll",)
+
+
+def test_suspension_is_locked_where_it_rests():
+    drive = Drive().urdf().replace('<parent link="base"/><child link="left_link"/>',
+                                   '<parent link="strut"/><child link="left_link"/>')  # fmt: skip
+    strut = link("strut") + joint("spring", "prismatic", "base", "strut", axis=(0, 0, 1), more=LIMIT.format(0, 0.01))
+    robot = robot_of(drive.replace("</robot>", strut + "</robot>"))
+    assert robot.base.suspensions == ("spring",) and "spring" not in robot.joint_names
+    assert not robot.T[robot.full_velocity_names.index("spring")].any()
+
+
+def four_wheels() -> str:
+    text = Drive(frame=(0.2, 0, 0)).urdf(more="")[: -len("</robot>")]
+    rear = Drive(frame=(-0.2, 0, 0), names=("left_rear", "right_rear")).urdf(more="")
+    return text + rear[rear.index('<link name="left_rear') :]
+
+
+def one_wheel() -> str:
+    text = Drive().urdf(more="")
+    return text.replace('"right" type="continuous"', '"right" type="fixed"')
+
+
+def steered() -> str:
+    turn = joint("steer", "revolute", "base", "knuckle", axis=(0, 0, 1), more=LIMIT.format(-0.5, 0.5))
+    return one_wheel().replace(
+        '<parent link="base"/><child link="left_link"/>', '<parent link="knuckle"/><child link="left_link"/>'
+    ).replace("</robot>", link("knuckle") + turn + "</robot>")  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "candidates"), [
+    (four_wheels(), ["left", "right", "left_rear", "right_rear"]),
+    (one_wheel(), ["left"]),
+    (steered(), ["left"]),
+    (Drive().urdf(more="").replace("-0.2 0.1", "-0.2 0.1").replace('xyz="0.0 -0.2 0.1"', 'xyz="0.1 -0.2 0.1"'),
+     ["left", "right"]),
+])  # fmt: skip
+def test_undecided_base_lists_its_candidates(text, candidates):
+    with pytest.raises(Undecided, match="undecided") as error:
+        robot_of(text)
+    assert [c.split("'")[1] for c in error.value.candidates] == candidates
+    assert all(name in str(error.value) for name in candidates)
+    assert ("steered" in str(error.value)) == ("steer" in text)
+
+
+def test_continuous_arm_joints_are_no_wheels():
+    roll = link("hand", shape=CYLINDER.format(r=0.04), at=origin(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0)))
+    robot = robot_of(Drive().urdf(ARM + roll + joint("wrist", "continuous", "fore", "hand", p=(0.2, 0, 0))))
+    assert robot.joint_names == ("shoulder", "elbow", "wrist")
+    fixed = robot_of(f'<robot name="a">{link("base")}{ARM}{roll}{joint("wrist", "continuous", "fore", "hand")}</robot>')
+    assert fixed.base.kind == "fixed"
+
+
+# --- Fixed arms -------------------------------------------------------------------------------------------------------
+
+
+def test_fixed_arm_has_no_base_and_no_constraints():
+    robot = robot_of(f'<robot name="a">{link("base")}{ARM}</robot>')
+    np.testing.assert_array_equal(robot.T, np.eye(2))
+    np.testing.assert_array_equal(robot.E, np.eye(2))
+    assert robot.A.shape == (0, 2) and robot.base.kind == "fixed" and robot.layout.pose == 0
+    assert robot.full_velocity_names == robot.velocity_names == robot.actuator_names == ("shoulder", "elbow")
+    np.testing.assert_allclose(robot.configuration([0.3, 0.7]), [np.cos(0.3), np.sin(0.3), 0.7])
+    np.testing.assert_allclose(robot.model.gravity.linear, [0, 0, -9.81])
+
+
+# --- Loading ----------------------------------------------------------------------------------------------------------
+
+
+def test_bundled_robots_load_by_name_from_any_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert set(bundled()) >= {"platform_arm", "two_axis_arm"}
+    platform, arm = load("platform_arm"), load("two_axis_arm")
+    assert platform.base.kind == "differential_drive" and platform.layout.arm == 2 and platform.base.casters == ()
+    assert [w.radius for w in platform.base.wheels] == [0.075, 0.075]
+    assert platform.base.track == pytest.approx(2 * 0.171)
+    assert arm.base.kind == "fixed" and arm.layout.arm == 2
+
+
+def test_robots_load_by_path(tmp_path):
+    file = tmp_path / "my robot.urdf"
+    file.write_text(Drive().urdf())
+    for given_path in (file, str(file)):
+        robot = load(given_path)
+        assert robot.name == "my robot" and robot.path == file
+    (tmp_path / "bare").write_text(Drive().urdf())
+    assert load(tmp_path / "bare").name == "bare"
+
+
+def test_unknown_names_list_what_there_is_and_missing_paths_say_so(tmp_path):
+    with pytest.raises(UnknownName, match=r"did you mean 'platform_arm'\?") as unknown:
+        load("platfrom_arm")
+    assert "two_axis_arm" in str(unknown.value)
+    for missing in ("nothing.urdf", str(tmp_path / "nothing"), tmp_path / "x"):
+        with pytest.raises(RobotError, match="no such file"):
+            load(missing)
+
+
+def test_declared_friction_makes_a_copy():
+    robot = robot_of(Drive().urdf())
+    rubbed = robot.with_friction([1, 2, 3, 4])
+    assert rubbed.viscous.tolist() == [1, 2, 3, 4] and robot.viscous.tolist() == [0] * 4
+    assert robot.with_friction(5).viscous.tolist() == [5] * 4
+    for bad in ([1, 2], [-1, 0, 0, 0], [np.nan] * 4):
+        with pytest.raises(ConfigError, match="v, w, shoulder, elbow"):
+            robot.with_friction(bad)
+
+
+def test_arrays_are_read_only_and_robots_travel_between_processes():
+    robot = robot_of(Drive().urdf())
+    with pytest.raises(ValueError, match="read-only"):
+        robot.T[0, 0] = 2
+    again = pickle.loads(pickle.dumps(robot))
+    np.testing.assert_array_equal(again.T, robot.T)
+    assert again.model == robot.model
+
+
+def test_joints_may_have_the_names_that_pinocchio_uses_itself():
+    text = Drive(names=("root_joint", "universe")).urdf()
+    robot = robot_of(text)
+    assert [w.joint for w in robot.base.wheels] == ["root_joint", "universe"]
+    assert np.abs(robot.A @ robot.T).max() < 1e-12
+
+
+@pytest.mark.parametrize("more", [
+    joint("slave", "continuous", "fore", "tip", more='<mimic joint="elbow"/>'),
+    joint("free", "floating", "fore", "tip"),
+    joint("slide", "planar", "fore", "tip"),
+])  # fmt: skip
+def test_joints_not_supported_are_named(more):
+    with pytest.raises(RobotError, match=r"'(slave|free|slide)' is a (mimic|floating|planar) joint"):
+        robot_of(Drive().urdf(ARM + link("tip") + more))
+
+
+def test_what_pinocchio_prints_is_in_the_error_and_not_on_the_terminal(capfd):
+    text = Drive().urdf(ARM.replace("</joint>", '<safety_controller k_velocity="much"/></joint>', 1))
+    with pytest.raises(RobotError, match="much"):
+        robot_of(text)
+    assert capfd.readouterr().err == ""
+    os.write(2, b"back")
+    assert capfd.readouterr().err == "back"
+
+
+def test_singular_dynamics_are_refused():
+    text = Drive().urdf().replace(link("fore", 1.0), link("fore", 1.0, -5.0))
+    with pytest.raises(RobotError, match="not positive definite"):
+        robot_of(text)
