@@ -13,7 +13,7 @@ import numpy as np
 from .compiled import compiled
 from .errors import ConfigError
 from .settings import Settings, require_gains
-from .signals import INDEX, Array, Layout, part
+from .signals import INDEX, Array, Layout
 
 POSE_REF, VELOCITY_REF, ACCELERATION_REF = INDEX["pose_ref"], INDEX["velocity_ref"], INDEX["acceleration_ref"]
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
@@ -78,13 +78,20 @@ def command(row: Array, at: Array, gains: Array, K: Array) -> None:
         gains: (3,) kx, ky, kth; unused for a fixed arm.
         K: (n,) gain of the filtered error [1/s].
     """
-    nu_ref, nudot_ref = part(row, at, NU_REF), part(row, at, NUDOT_REF)
+    nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     nb, n = at[ALPHA + 1] - at[ALPHA], at[E + 1] - at[E]
     if nb == 2:
-        error, velocity = part(row, at, POSE_ERROR), part(row, at, VELOCITY)
-        alpha, alphadot, z = part(row, at, ALPHA), part(row, at, ALPHADOT), part(row, at, Z)
-        body_error(part(row, at, POSE_REF), part(row, at, POSE), error)
-        v_ref, a_ref = part(row, at, VELOCITY_REF), part(row, at, ACCELERATION_REF)
+        error, velocity = row[at[POSE_ERROR] : at[POSE_ERROR + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
+        alpha, alphadot, z = (
+            row[at[ALPHA] : at[ALPHA + 1]],
+            row[at[ALPHADOT] : at[ALPHADOT + 1]],
+            row[at[Z] : at[Z + 1]],
+        )
+        body_error(row[at[POSE_REF] : at[POSE_REF + 1]], row[at[POSE] : at[POSE + 1]], error)
+        v_ref, a_ref = (
+            row[at[VELOCITY_REF] : at[VELOCITY_REF + 1]],
+            row[at[ACCELERATION_REF] : at[ACCELERATION_REF + 1]],
+        )
         kanayama(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
         for i in range(nb):
             z[i] = alpha[i] - velocity[i]  # Eqn. 3.6

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .compiled import compiled
-from .signals import INDEX, Array, part
+from .signals import INDEX, Array
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
 
@@ -19,7 +19,12 @@ def ideal(row: Array, at: Array, position: Array, nu: Array, arm: Array) -> None
         nu: (p,) true velocity.
         arm: (n,) places of the arm joints in the position.
     """
-    pose, velocity, q, qdot = part(row, at, POSE), part(row, at, VELOCITY), part(row, at, Q), part(row, at, QDOT)
+    pose, velocity, q, qdot = (
+        row[at[POSE] : at[POSE + 1]],
+        row[at[VELOCITY] : at[VELOCITY + 1]],
+        row[at[Q] : at[Q + 1]],
+        row[at[QDOT] : at[QDOT + 1]],
+    )
     for i in range(pose.size):
         pose[i] = position[i]
     for i in range(velocity.size):

@@ -18,8 +18,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiled import compiled
-
 Array = NDArray[np.float64]
 
 # The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
@@ -119,12 +117,6 @@ class Layout:
     def new_row(self) -> Array:
         """Row of zeros, shape (width,)."""
         return np.zeros(self.width)
-
-
-@compiled
-def part(row: Array, at: Array, index: int) -> Array:
-    """Slice of signal number `index` (see `INDEX`) of a row; `at` are the offsets of the layout."""
-    return row[at[index] : at[index + 1]]
 
 
 class View:

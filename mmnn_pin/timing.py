@@ -65,7 +65,7 @@ def divide(whole: float, period: float, name: str) -> int:
         raise ConfigError(
             f"{period} s does not divide {whole} s",
             why=f"{whole} / {period} = {whole / period:.6g}",
-            fix=f"for example {whole / max(1, count):.6g}",
+            fix=f"for example {whole / max(1, count):.12g}",
             key=f"time.{name}",
         )
     return count

@@ -54,7 +54,7 @@ LIMIT = '<limit lower="{}" upper="{}" effort="9" velocity="2"/>'
 ARM = (
     link("upper", 2.0)
     + link("fore", 1.0)
-    + joint("shoulder", "continuous", "base", "upper", p=(0.1, 0, 0.4), axis=(0, 0, 1))
+    + joint("shoulder", "continuous", "base", "upper", p=(0.1, 0, 1), axis=(0, 0, 1))
     + joint("elbow", "revolute", "upper", "fore", p=(0.3, 0, 0), more=LIMIT.format(0.2, 2))
 )
 
@@ -69,6 +69,7 @@ class Drive:
     radii: tuple = (0.1, 0.1)
     flips: tuple = (1, 1)
     frames: tuple = (np.eye(3), np.eye(3))  # orientation of the joints' frames in the control frame
+    inset: float = 0.0  # how far inside its wheel each joint sits on the axle
     shape: str = CYLINDER
     names: tuple = ("left", "right")
     tag: str = "collision"
@@ -78,15 +79,26 @@ class Drive:
         return pin.rpy.rpyToMatrix(0.0, 0.0, self.frame[2])
 
     def hub(self, i: int) -> np.ndarray:
-        side = (self.track / 2, -self.track / 2)[i]
+        side = (self.track / 2 - self.inset) * (1, -1)[i]
         return np.array([self.frame[0], self.frame[1], self.floor + self.radii[i]]) + self.R @ [0, side, 0]
+
+    def centre(self, i: int) -> np.ndarray:
+        """Of a wheel, in the joint's frame."""
+        return self.frames[i].T @ [0, self.inset * (1, -1)[i], 0]
+
+    def centres(self, robot: Robot, data) -> list[np.ndarray]:
+        """Of both wheels, in the world."""
+        frames = [robot.model.getFrameId(f"{name}_link", pin.FrameType.BODY) for name in self.names]
+        return [data.oMf[frame].act(self.centre(i)) for i, frame in enumerate(frames)]
 
     def urdf(self, more: str = ARM) -> str:
         text = link("base", 20.0, 0.8, '<box size="0.3 0.2 0.1"/>', origin(p=(0, 0, self.floor + 0.2)))
         for i, name in enumerate(self.names):
             axle = self.frames[i].T @ np.array([0, self.flips[i], 0])  # the axle in the joint's frame
             lying = pin.Quaternion.FromTwoVectors(UP, axle).matrix()  # a cylinder stands along z
-            text += link(f"{name}_link", 1.5, 0.02, self.shape.format(r=self.radii[i]), origin(lying), self.tag)
+            text += link(
+                f"{name}_link", 1.5, 0.02, self.shape.format(r=self.radii[i]), origin(lying, self.centre(i)), self.tag
+            )
             R = self.R @ self.frames[i]
             text += joint(name, "continuous", "base", f"{name}_link", R, self.hub(i), axle)
         return f'<robot name="r">{text}{more}</robot>'
@@ -96,8 +108,12 @@ def robot_of(text: str, path: str | Path = "robot.urdf") -> Robot:
     return build(parse(text.encode(), path))
 
 
+def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
+    return pin.rpy.rpyToMatrix(roll, pitch, yaw)
+
+
 angles = st.floats(-3.1, 3.1)
-rotations = st.builds(pin.rpy.rpyToMatrix, angles, st.floats(-1.5, 1.5), angles)
+rotations = st.builds(rotation, angles, st.floats(-1.5, 1.5), angles)
 signs = st.sampled_from([1, -1])
 drives = st.builds(
     Drive,
@@ -107,6 +123,7 @@ drives = st.builds(
     radii=st.tuples(st.floats(0.03, 0.15), st.floats(0.03, 0.15)),
     flips=st.tuples(signs, signs),
     frames=st.tuples(rotations, rotations),
+    inset=st.floats(-0.05, 0.05),
     shape=st.sampled_from([CYLINDER, SPHERE]),
     names=st.sampled_from([("left", "right"), ("z", "a"), ("elbow_2", "arm")]),
 )
@@ -134,11 +151,12 @@ def test_contact_points_of_the_wheels_stand_still(drive, seed):
     robot = robot_of(drive.urdf())
     position, nu = random_state(robot, seed)
     data = moving(robot, position, nu)
-    for name, radius in zip(drive.names, drive.radii, strict=True):
+    for i, (name, centre) in enumerate(zip(drive.names, drive.centres(robot, data), strict=True)):
         frame = robot.model.getFrameId(f"{name}_link", pin.FrameType.BODY)
         velocity = pin.getFrameVelocity(robot.model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+        contact = centre - drive.radii[i] * UP - data.oMf[frame].translation
         assert np.abs(velocity.angular).max() > 1e-6
-        np.testing.assert_allclose(velocity.linear + np.cross(velocity.angular, -radius * UP), 0, atol=1e-9)
+        np.testing.assert_allclose(velocity.linear + np.cross(velocity.angular, contact), 0, atol=1e-9)
 
 
 @settings(max_examples=60, deadline=None)
@@ -164,9 +182,9 @@ def test_the_control_frame_is_on_the_floor_amid_the_axle_and_moves_with_v_and_w(
     position, nu = random_state(robot, seed)
     data = moving(robot, position, nu)
     x, y, phi = position[:3]
-    hubs = [data.oMf[robot.model.getFrameId(f"{n}_link", pin.FrameType.BODY)].translation for n in drive.names]
-    np.testing.assert_allclose((hubs[0] + hubs[1])[:2] / 2, [x, y], atol=1e-9)
-    np.testing.assert_allclose((hubs[0] - hubs[1])[:2], drive.track * np.array([-np.sin(phi), np.cos(phi)]), atol=1e-9)
+    left, right = drive.centres(robot, data)
+    np.testing.assert_allclose((left + right)[:2] / 2, [x, y], atol=1e-9)
+    np.testing.assert_allclose((left - right)[:2], drive.track * np.array([-np.sin(phi), np.cos(phi)]), atol=1e-9)
     root = pin.getFrameVelocity(robot.model, data, robot.model.getFrameId("base"), pin.LOCAL_WORLD_ALIGNED)
     arm = np.array([x, y, 0]) - data.oMf[robot.model.getFrameId("base")].translation
     expected = [nu[0] * np.cos(phi), nu[0] * np.sin(phi), nu[1]]
@@ -210,8 +228,11 @@ def test_motor_power_is_generalized_power(drive):
 
 
 def test_layout_names_and_limits():
-    text = Drive().urdf().replace('"0.2 0.0 0.0"', '"0.2 0 0"')
-    text = text.replace('<axis xyz="0.0 0.0 1.0"/>', '<axis xyz="0 0 2"/><dynamics damping="0.3" friction="0.1"/>')
+    text = (
+        Drive()
+        .urdf()
+        .replace('<axis xyz="0.0 0.0 1.0"/>', '<axis xyz="0 0 2"/><dynamics damping="0.3" friction="0.1"/>')
+    )
     robot = robot_of(text)
     names = robot.full_velocity_names
     assert robot.velocity_names == ("v", "w", "shoulder", "elbow") and robot.joint_names == ("shoulder", "elbow")
@@ -333,7 +354,7 @@ def steered() -> str:
     (four_wheels(), ["left", "right", "left_rear", "right_rear"]),
     (one_wheel(), ["left"]),
     (steered(), ["left"]),
-    (Drive().urdf(more="").replace("-0.2 0.1", "-0.2 0.1").replace('xyz="0.0 -0.2 0.1"', 'xyz="0.1 -0.2 0.1"'),
+    (Drive().urdf(more="").replace('xyz="0.0 -0.2 0.1"', 'xyz="0.1 -0.2 0.1"'),
      ["left", "right"]),
 ])  # fmt: skip
 def test_undecided_base_lists_its_candidates(text, candidates):
@@ -342,6 +363,12 @@ def test_undecided_base_lists_its_candidates(text, candidates):
     assert [c.split("'")[1] for c in error.value.candidates] == candidates
     assert all(name in str(error.value) for name in candidates)
     assert ("steered" in str(error.value)) == ("steer" in text)
+
+
+def test_wheels_in_the_air_are_told_and_not_taken_for_an_arm():
+    keel = link("keel", shape='<box size="0.1 0.1 0.4"/>') + joint("weld", "fixed", "base", "keel")
+    with pytest.raises(Undecided, match=r"0\.2 m above the robot's lowest point"):
+        robot_of(Drive().urdf(keel))
 
 
 def test_continuous_arm_joints_are_no_wheels():

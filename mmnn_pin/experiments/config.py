@@ -88,15 +88,28 @@ def override(table: dict[str, Any], text: str) -> None:
         ConfigError: No `=`, or the path runs through something that is not a table.
     """
     key, equals, value = text.partition("=")
-    parts = key.strip().split(".")
+    key = key.strip()
+    parts = key.split(".")
     if not equals or not all(parts):
         raise ConfigError(f"'{text}' sets nothing", fix="write key.path=value, e.g. time.duration=2", key="--set")
+    here: Any = table
     for part in parts[:-1]:
-        inner = table.setdefault(part, {}) if isinstance(table, dict) else None
-        if not isinstance(inner, (dict, list)):
-            raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key.strip())
-        table = inner[int(part)] if isinstance(inner, list) else inner
-    table[parts[-1]] = parse_value(value.strip())
+        here = here[place(here, part, key)] if isinstance(here, list) else here.setdefault(part, {})
+        if not isinstance(here, (dict, list)):
+            raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key)
+    last = place(here, parts[-1], key) if isinstance(here, list) else parts[-1]
+    here[last] = parse_value(value.strip())
+
+
+def place(items: list[Any], part: str, key: str) -> int:
+    """Place in a list that a part of a key path names.
+
+    Raises:
+        ConfigError: The list has no such place.
+    """
+    if not (part.isdecimal() and int(part) < len(items)):
+        raise ConfigError(f"'{part}' is no place in a list of {len(items)}", fix="count from 0", key=key)
+    return int(part)
 
 
 def parse_value(text: str) -> Any:

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..errors import ConfigError, UnknownName
 from ..kinematic import Kinematic
-from ..loop import Bounds, Loop, Start
+from ..loop import Loop
+from ..start import Bounds, Start
 from ..model.robot import Robot, load
 from ..reference import Circle, Eight, Hold, Line, MinimumJerk, Sine, Trajectory, Waypoints
 from ..settings import Settings, require_gains
@@ -24,7 +25,15 @@ BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypo
 ARM_PROFILES = {"sine": Sine, "hold": Hold, "minimum_jerk": MinimumJerk}
 # PD at a learner's effective gain: the learner whose gain it takes.
 EFFECTIVE = {"pd_effective": "two_layer", "pd_effective_one_layer": "one_layer"}
-CONTROLLERS = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
+CONTROLLERS = {
+    "two_layer": "the thesis's two-layer network, both layers learn (3.39), (3.48)-(3.50)",
+    "one_layer": "one-layer Gaussian network of reference [9], its law reconstructed",
+    "pd": "the feedback alone",
+    "pd_effective": "PD at the effective gain of two_layer: its gain without its network",
+    "pd_effective_one_layer": "PD at the effective gain of one_layer",
+    "computed_torque": "feedback and the true model: the oracle",
+}
+ORACLES = ("computed_torque",)
 
 
 class Friction(Settings, frozen=True):
@@ -98,7 +107,7 @@ class Experiment(Settings, frozen=True):
     robot: str
     reference: ReferenceTables
     title: str = ""
-    controllers: tuple[str, ...] = CONTROLLERS
+    controllers: tuple[str, ...] = tuple(CONTROLLERS)
     seed: int = 0
     windows: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 5.0))
     weights_interval: float = 0.1
@@ -120,6 +129,8 @@ class Experiment(Settings, frozen=True):
         for name in self.controllers:
             if name not in CONTROLLERS:
                 raise UnknownName("controller", name, CONTROLLERS, key="controllers")
+        if len(set(self.controllers)) < len(self.controllers):
+            raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
         if any(not 0 <= start < end for start, end in self.windows):
             raise ConfigError(f"{self.windows}", fix="give intervals [start, end] in seconds", key="windows")
         if self.seed < 0:

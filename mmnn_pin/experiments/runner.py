@@ -141,11 +141,11 @@ def run_experiment(
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
     notes = reference_notes(experiment, robot)
+    duration = experiment.time.duration
     for controller in in_order(wanted):
         gains = as_columns(runs[EFFECTIVE[controller]]["effective_gain"]) if controller in EFFECTIVE else None
         loop = experiment.loop(robot, experiment.controller(controller, gains))
         notes += [note for note in loop.controller.notes if note not in notes]
-        duration = experiment.time.duration
         runs[controller] = loop.run(
             files.get(controller),
             force=force,

@@ -130,7 +130,8 @@ def find_base(document: Document) -> Base:
         document: An audited URDF.
 
     Raises:
-        Undecided: There are wheels, but not two coaxial ones that drive; the candidates are listed.
+        Undecided: There are wheels, but not two coaxial ones that drive, or they hang in the air; the candidates are
+            listed.
     """
     placements = rest_placements(document)
     candidates = wheel_candidates(document, placements)
@@ -174,12 +175,17 @@ def differential_drive(first: Candidate, second: Candidate) -> Base:
     )
 
 
-def undecided(document: Document, candidates: list[Candidate], steered: list[Candidate]) -> Undecided:
+def undecided(
+    document: Document,
+    candidates: list[Candidate],
+    steered: list[Candidate],
+    why: str = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls",
+) -> Undecided:
     """The error that lists what could be a wheel."""
     texts = tuple(c.text + (" (steered)" if c in steered else "") for c in candidates)
     error = Undecided(
         f"the base is undecided: {len(candidates)} wheel(s) found: {'; '.join(texts)}",
-        why="a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls",
+        why=why,
         fix="make joints that do not drive fixed",
         file=document.path,
         line=candidates[0].joint.line,
@@ -228,8 +234,21 @@ def wheel_candidates(document: Document, placements: dict[str, Array]) -> list[C
     heights = [lowest(shape) for link in document.links for shape in shapes(document, placements, link)]
     floor = min(heights + [c.bottom for c in known], default=math.inf)
     known += on_floor([c for c in found if c.shape == "unknown"], known, floor)
-    floor = min([floor, *mass_heights(document, placements)])  # a centre of mass lies inside its body
-    return [c for c in known if abs(c.bottom - floor) <= TOUCHING * c.radius]
+    floor = min([floor, *mass_heights(document, placements)])
+    touching = [c for c in known if abs(c.bottom - floor) <= TOUCHING * c.radius]
+    hanging = [c for c in known if not touching and is_axle(document, c, known)]
+    if hanging:
+        why = f"they end {min(c.bottom for c in hanging) - floor:.3g} m above the robot's lowest point"
+        raise undecided(document, hanging, [], why)
+    return touching
+
+
+def is_axle(document: Document, candidate: Candidate, others: list[Candidate]) -> bool:
+    """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm."""
+    above = document.moving_ancestors(candidate.joint.child)[1:]
+    return any(coaxial(candidate, o) for o in others if o is not candidate) and all(
+        j.type == "prismatic" for j in above
+    )
 
 
 def on_floor(unknown: list[Candidate], known: list[Candidate], floor: float) -> list[Candidate]:
@@ -430,10 +449,10 @@ def motion(joint: Joint, position: float) -> Array:
 
 
 def mass_heights(document: Document, placements: dict[str, Array]) -> list[float]:
-    """Heights of the links' centres of mass [m], of those that have mass."""
+    """Heights of the centres of mass [m] of links without primitive shapes: the body reaches at least that low."""
     heights = []
     for name, link in document.links.items():
-        inertial = link.find("inertial")
-        if inertial is not None and number(inertial.find("mass"), "value", 0.0) > 0:
+        inertial, shaped = link.find("inertial"), any(shapes(document, placements, name))
+        if inertial is not None and not shaped and number(inertial.find("mass"), "value", 0.0) > 0:
             heights.append(float((placements[name] @ placement(inertial.find("origin")))[2, 3]))
     return heights

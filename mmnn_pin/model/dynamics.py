@@ -29,6 +29,9 @@ class Dynamics:
         self.model, self.data = model, model.createData()
         self.frame = np.array(robot.frame, float) if robot.layout.base else np.zeros(0)
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
+        # Writable copies: compiled code exists once for these, not again for read-only arrays.
+        self.T, self.q_index, self.is_continuous = (np.array(a) for a in (robot.T, robot.q_index, robot.is_continuous))
+        self.coefficients = tuple(np.array(a) for a in (robot.damping, robot.coulomb, robot.viscous))
         # Views of Pinocchio's own memory; M is symmetric, its transpose is contiguous row by row.
         self.M_full, self.C_full, self.h_full, self.g_full = self.data.M.T, self.data.C, self.data.nle, self.data.g
         self.M, self.L, self.half = np.zeros((p, p)), np.zeros((p, p)), np.zeros((model.nv, p))
@@ -47,27 +50,23 @@ class Dynamics:
 
     def mass_matrix(self, position: Array) -> Array:
         """Reduced mass matrix `T' M T`, (p, p) [kg, kg m, kg m^2]."""
-        self.refresh(np.ascontiguousarray(position, float), np.zeros(self.robot.layout.dof))
-        return self.M.copy()
+        T = self.robot.T
+        return T.T @ pin.crba(self.model, self.data, self.robot.configuration(position)) @ T
 
     def coriolis_matrix(self, position: Array, nu: Array) -> Array:
         """Reduced Coriolis matrix `T' C T`, (p, p), of the factorisation with `Mdot = C + C'`."""
-        self._place(position, nu)
-        pin.computeCoriolisMatrix(self.model, self.data, self.q, self.v)
-        T = self.robot.T
-        return T.T @ self.C_full @ T
+        T, q = self.robot.T, self.robot.configuration(position)
+        return T.T @ pin.computeCoriolisMatrix(self.model, self.data, q, T @ nu) @ T
 
     def gravity(self, position: Array) -> Array:
         """Reduced gravity, (p,) [N, N m]: the torque that holds the robot still."""
-        self._place(position, np.zeros(self.robot.layout.dof))
-        return self.robot.T.T @ pin.computeGeneralizedGravity(self.model, self.data, self.q)
+        q = self.robot.configuration(position)
+        return self.robot.T.T @ pin.computeGeneralizedGravity(self.model, self.data, q)
 
     def friction(self, nu: Array) -> Array:
-        """Friction of joints and base, (p,) [N, N m], opposing the motion."""
-        robot, out = self.robot, np.zeros(self.robot.layout.dof)
-        v = robot.T @ nu
-        reduction.friction(robot.T, v, np.ascontiguousarray(nu), robot.damping, robot.coulomb, robot.viscous, out)
-        return out
+        """Friction of joints and base, (p,) [N, N m], opposing the motion (see `reduction.friction`)."""
+        robot = self.robot
+        return robot.T.T @ self._joint_friction(robot.T @ nu) + robot.viscous * nu
 
     def psi(self, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
         """True Psi, what the networks must learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) [N, N m].
@@ -79,16 +78,14 @@ class Dynamics:
 
     def acceleration(self, position: Array, nu: Array, tau: Array) -> Array:
         """Acceleration nudot under the generalized torque tau, (p,)."""
-        self.refresh(np.ascontiguousarray(position, float), np.ascontiguousarray(nu, float))
-        out = np.zeros_like(self.h)
-        reduction.solve(self.M, tau - self.h, self.L, out)
-        return out
+        rest = tau - self.coriolis_matrix(position, nu) @ nu - self.gravity(position) - self.friction(nu)
+        return np.linalg.solve(self.mass_matrix(position), rest)
 
     def energy(self, position: Array, nu: Array) -> float:
         """Kinetic and potential energy [J]."""
-        nu = np.ascontiguousarray(nu, float)
-        self.refresh(np.ascontiguousarray(position, float), nu)
-        return 0.5 * reduction.quadratic(self.M, nu) + self.potential()
+        q = self.robot.configuration(position)
+        potential = pin.computePotentialEnergy(self.model, self.data, q)
+        return float(0.5 * nu @ self.mass_matrix(position) @ nu + potential)
 
     def constraint_forces(self, position: Array, nu: Array, motors: Array) -> Array:
         """Lagrange multipliers of `M_full a + h + A' lambda + F = E_full motors` (2.11), (nc,), rows as in `robot.A`.
@@ -96,40 +93,35 @@ class Dynamics:
         The rows of A are written in body velocities and constant, so `A a = 0`; the force of constraint i on the
         full coordinates is `-A[i] lambda[i]`. The first row is the lateral force that keeps the wheels from slipping.
         """
-        robot = self.robot
-        nudot = self.acceleration(position, nu, robot.E @ motors)
-        M = np.array(self.M_full)
-        friction = robot.damping * self.v + robot.coulomb * np.tanh(self.v / reduction.COULOMB_SPEED)
+        robot, T = self.robot, self.robot.T
+        q, v = robot.configuration(position), T @ nu
+        a = T @ self.acceleration(position, nu, robot.E @ motors)
         # Friction declared on nu acts through the velocities that carry nu: T (T'T)^-1 maps it to the full model.
-        friction += robot.T @ np.linalg.solve(robot.T.T @ robot.T, robot.viscous * nu)
-        rest = robot.E_full @ motors - M @ (robot.T @ nudot) - self.h_full - friction
+        friction = self._joint_friction(v) + T @ np.linalg.solve(T.T @ T, robot.viscous * nu)
+        rest = robot.E_full @ motors - pin.rnea(self.model, self.data, q, v, a) - friction
         return np.linalg.solve(robot.A @ robot.A.T, robot.A @ rest)
+
+    def _joint_friction(self, v: Array) -> Array:
+        return self.robot.damping * v + self.robot.coulomb * np.tanh(v / reduction.COULOMB_SPEED)
 
     # -- for loops: results stay in the workspace ------------------------------------------------------------------
 
     def refresh(self, position: Array, nu: Array) -> None:
         """Mass matrix M, and h = C nu + gravity + friction, in the workspace."""
-        robot = self.robot
-        reduction.configuration(position, nu, robot.T, self.frame, robot.q_index, robot.is_continuous, self.q, self.v)
+        reduction.configuration(position, nu, self.T, self.frame, self.q_index, self.is_continuous, self.q, self.v)
         pin.crba(self.model, self.data, self.q)
         pin.nonLinearEffects(self.model, self.data, self.q, self.v)
         reduction.reduced_terms(
-            robot.T, self.M_full, self.h_full, self.v, nu, robot.damping, robot.coulomb, robot.viscous, self.half,
-            self.M, self.h, self.F,
-        )  # fmt: skip
+            self.T, self.M_full, self.h_full, self.v, nu, *self.coefficients, self.half, self.M, self.h, self.F
+        )
 
     def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
         """True Psi at the place and velocity last refreshed, written to psi (p,)."""
         pin.computeCoriolisMatrix(self.model, self.data, self.q, self.v)
         if self.feels_gravity:
             pin.computeGeneralizedGravity(self.model, self.data, self.q)
-        reduction.psi(self.robot.T, self.M, self.C_full, self.g_full, self.F, nu_ref, nudot_ref, self.w, self.f, psi)
+        reduction.psi(self.T, self.M, self.C_full, self.g_full, self.F, nu_ref, nudot_ref, self.w, self.f, psi)
 
     def potential(self) -> float:
         """Potential energy at the place last refreshed [J]."""
         return float(pin.computePotentialEnergy(self.model, self.data, self.q)) if self.feels_gravity else 0.0
-
-    def _place(self, position: Array, nu: Array) -> None:
-        robot = self.robot
-        position, nu = np.ascontiguousarray(position, float), np.ascontiguousarray(nu, float)
-        reduction.configuration(position, nu, robot.T, self.frame, robot.q_index, robot.is_continuous, self.q, self.v)

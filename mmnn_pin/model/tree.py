@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.tree_check import verify
-from mmnn_pin.model.tree_motion import PRISMATIC, REVOLUTE, Array, Tree
+from mmnn_pin.model.tree_motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, Tree
 
 PLANAR = "JointModelPlanar"
 ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"} | {
@@ -183,32 +183,26 @@ def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:
 
 def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, frame: Array) -> Tree:
     """The arrays of a tree."""
-    mobile = _mobile(model)
+    mobile, weight = _mobile(model), sum(b.moments[3, 3] for b in bodies) * model.gravity.linear
     root = model.jointPlacements[1] if mobile else pin.SE3.Identity()
-    gravity = model.gravity.linear
-    rows = [np.zeros(T.shape[1])] + [T[b.velocity] for b in bodies[1:]]
-    base = T[:3] if mobile else np.zeros((3, T.shape[1]))
-    in_root = root.rotation.T @ gravity
-    mass = sum(b.moments[3, 3] for b in bodies)
-    row_of = {id(b): i for i, b in enumerate(bodies)}
+    gravity = root.rotation.T @ model.gravity.linear
+    rows = [_Body(), _Body(), *bodies]  # two more velocities of the base
+    row_of = {id(body): i for i, body in enumerate(rows)}
+    T_rows = [*(T[:3] if mobile else np.zeros((3, T.shape[1]))), *(T[b.velocity] for b in bodies[1:])]
+    spans = [(nonzero[0], nonzero[-1] + 1) if nonzero.size else (0, 0) for nonzero in map(np.flatnonzero, T_rows)]
+    numbers = np.zeros((len(rows), NUMBER.weight + max(stop - first for first, stop in spans)))
+    for row, body, T_row, (first, stop) in zip(numbers, rows, T_rows, spans, strict=True):
+        P, H = body.moments, body.placement
+        row[: NUMBER.weight] = *H[:3, :3].ravel(), *H[:3, 3], P[3, 3], *P[:3, 3], *P[np.triu_indices(3)]
+        row[NUMBER.weight : NUMBER.weight + stop - first] = T_row[first:stop]
     return Tree(
-        parent=np.array([row_of.get(id(b.parent), 0) for b in bodies]),
-        kind=np.array([b.kind for b in bodies]),
-        coordinate=np.array([b.velocity for b in bodies]),
-        start=np.cumsum([0] + [np.count_nonzero(row) for row in rows]),
-        column=np.concatenate([np.flatnonzero(row) for row in rows]),
-        weight=np.concatenate([row[row != 0] for row in rows]),
-        rotation=np.array([b.placement[:3, :3].ravel() for b in bodies]),
-        offset=np.array([b.placement[:3, 3] for b in bodies]),
-        inertia=np.array(
-            [np.hstack((b.moments[3, 3], b.moments[:3, 3], b.moments[np.triu_indices(3)])) for b in bodies]
+        links=np.array(
+            [(row_of.get(id(b.parent), BASE.w), b.kind, b.velocity, *s) for b, s in zip(rows, spans, strict=True)]
         ),
-        base_column=np.flatnonzero(base.any(axis=0)),
-        base_map=np.ascontiguousarray(base[:, base.any(axis=0)]),
+        numbers=numbers,
         rotors=rotors,
-        still=np.zeros(T.shape[1]),
-        gravity=in_root,
-        frame=frame,
-        level=int(not (mobile and in_root[:2].any())),
-        height_energy=float(-mass * gravity @ root.translation),
+        gravity=(gravity[0], gravity[1], gravity[2]),
+        frame=(frame[0], frame[1], frame[2]),
+        level=int(not (mobile and gravity[:2].any())),
+        root_energy=-float(weight @ root.translation),
     )

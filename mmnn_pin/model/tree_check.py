@@ -7,7 +7,7 @@ import pinocchio as pin
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.tree_dynamics import psi_again, terms
-from mmnn_pin.model.tree_motion import Array, Tree, new_scratch
+from mmnn_pin.model.tree_motion import Array, Tree, Vector, new_scratch
 
 TOLERANCE = 1e-10
 
@@ -67,7 +67,7 @@ def _by_pinocchio(
     return M, h, M @ nudot_ref + T.T @ C @ T @ nu_ref + g
 
 
-def configuration(model: pin.Model, position: Array, frame: Array) -> Array:
+def configuration(model: pin.Model, position: Array, frame: Vector) -> Array:
     """Pinocchio's q, shape (nq,), of a position (nv,) that begins with the pose of the control frame."""
     q = pin.neutral(model)
     for joint in list(model.joints)[1:]:

@@ -1,9 +1,11 @@
 """A flattened tree, and where its bodies are and how they move, compiled.
 
-Everything is expressed in one frame O that stands still for an instant: the root link of a mobile base, the world for
-a fixed arm. There every joint has the spatial axis `S = (w, s)` (angular part first), every body the twist
-`(omega, u)` of its point at O, and mass `m`, first moment `mc` and second moment `Sigma = int x x' dm` about O.
-Row 0 of all tables is the base. Places and motions stand in a scratch table, one row per body.
+All vectors are along the axes of one frame O that stands still for an instant: the root link of a mobile base, the
+world for a fixed arm. There every joint has an axis `(w, s)`, `w` for turning and `s` for sliding (one of them zero),
+and every body an angular velocity `omega`, a mass `m` and, about the origin of its own joint (so that small bodies far
+out keep their digits), a first moment `mc` and a second moment `Sigma = int x x' dm`.
+
+All tables have one row per velocity `(vx, vy, w)` of the base, whose body is in the third, then one per moving joint.
 """
 
 from __future__ import annotations
@@ -21,66 +23,98 @@ Indices = NDArray[np.int64]
 Vector = tuple[float, float, float]
 
 REVOLUTE, PRISMATIC = 1, 2
+ZERO = (0.0, 0.0, 0.0)
 
-# Columns of the scratch table: one row per body.
-ROTATION, ORIGIN = 0, 9  # of the body in O
-AXIS, AXIS_RATE = 12, 18  # S = (w, s) and its time derivative
-OMEGA, SPEED = 24, 27  # twist of the body in O
-WHIRL = 30  # omega x mc
-BODY = 33  # mass, mc, Sigma (xx xy xz yy yz zz) about O
-COMPOSITE = 43  # the same of all that the body carries
-OMEGA_REF, ALPHA_REF, SPEED_RATE_REF = 53, 56, 59
-FORCE, MOMENT = 62, 65
-WIDTH = 68
+
+class _Links(NamedTuple):
+    """Columns of `Tree.links`."""
+
+    parent: int = 0
+    kind: int = 1
+    coordinate: int = 2
+    first: int = 3
+    stop: int = 4
+
+
+class _Numbers(NamedTuple):
+    """Columns of `Tree.numbers`."""
+
+    rotation: int = 0
+    origin: int = 9
+    mass: int = 12
+    moment: int = 13
+    second: int = 16
+    weight: int = 22
+
+
+class _Base(NamedTuple):
+    """Rows of the velocities of the base; its body is in the last."""
+
+    vx: int = 0
+    vy: int = 1
+    w: int = 2
+
+
+class _Scratch(NamedTuple):
+    """Columns of the table that the compiled functions work in; all along the axes of O."""
+
+    rotation: int = 0
+    origin: int = 9
+    lever: int = 12  # from the origin of the parent
+    lever_rate: int = 15
+    w: int = 18  # axis
+    s: int = 21
+    w_rate: int = 24
+    s_rate: int = 27
+    omega: int = 30
+    whirl: int = 33  # omega x mc
+    mass: int = 36  # of the body
+    moment: int = 37
+    second: int = 40  # xx xy xz yy yz zz
+    all_mass: int = 46  # of the body with all that it carries
+    all_moment: int = 47
+    all_second: int = 50
+    omega_ref: int = 56  # motion of the reference
+    alpha: int = 59
+    a: int = 62
+    force: int = 65
+    torque: int = 68
+    width: int = 71
+
+
+# numba compiles a function anew for every integer constant it is called with, but not for entries of tuples.
+BASE, LINK, NUMBER, AT = _Base(), _Links(), _Numbers(), _Scratch()
 
 
 class Tree(NamedTuple):
-    """A robot as plain arrays: n moving joints with their bodies, after the base in row 0.
-
-    Joint frames are turned so that every axis is z.
+    """A robot as plain arrays; joint frames are turned so that every axis is z.
 
     Attributes:
-        parent: (n + 1,) row of the parent body.
-        kind: (n + 1,) `REVOLUTE` or `PRISMATIC`; 0 for the base.
-        coordinate: (n + 1,) entry of `position` that moves the joint; -1 for the base.
-        start: (n + 2,) first term of the joint's rate `sum_k weight[k] nu[column[k]]`, k from start[i] to start[i + 1].
-        column: entries of nu.
-        weight: their factors.
-        rotation: (n + 1, 9) joint frame in its parent, by rows.
-        offset: (n + 1, 3) origin of the joint frame in its parent [m].
-        inertia: (n + 1, 10) mass [kg], first [kg m] and second moments [kg m^2] about the joint frame.
-        base_column: (k,) entries of nu that move the base.
-        base_map: (3, k) their factors in its `(vx, vy, w)`.
+        links: (3 + n, 5) row of the parent body; `REVOLUTE` or `PRISMATIC`; entry of `position` that moves the joint;
+            first and last + 1 entry of nu in the row of T.
+        numbers: (3 + n, 22 + k) rotation (by rows) and origin [m] of the joint frame in its parent, mass [kg], first
+            [kg m] and second moments [kg m^2] of the body in the joint frame, entries of the row of T.
         rotors: (p, p) constant mass of armatures and of wheels that are alike all around their axis.
-        still: (p,) zeros.
-        gravity: (3,) in the frame of the root joint (world for a fixed arm) [m/s^2].
-        frame: (3,) control frame in the root link `(x, y, psi)` [m, m, rad].
-        level: 1 where gravity does not depend on the heading.
-        height_energy: potential energy of all mass at the origin of the root joint [J].
+        gravity: (gx, gy, gz) in the frame of the root joint (world for a fixed arm) [m/s^2].
+        frame: Control frame in the root link `(x, y, psi)` [m, m, rad].
+        level: 1 where gravity does not depend on the heading, else 0.
+        root_energy: Potential energy of all mass at the origin of the root joint [J].
     """
 
-    parent: Indices
-    kind: Indices
-    coordinate: Indices
-    start: Indices
-    column: Indices
-    weight: Array
-    rotation: Array
-    offset: Array
-    inertia: Array
-    base_column: Indices
-    base_map: Array
+    links: Indices
+    numbers: Array
     rotors: Array
-    still: Array
-    gravity: Array
-    frame: Array
+    gravity: Vector
+    frame: Vector
     level: int
-    height_energy: float
+    root_energy: float
 
 
 def new_scratch(tree: Tree) -> Array:
-    """Memory that the compiled functions work in, shape (n + 1, WIDTH); one per thread."""
-    return np.zeros((len(tree.parent), WIDTH))
+    """Memory that the compiled functions work in, shape (3 + n, 71); one per thread."""
+    scratch = np.zeros((len(tree.links), AT.width))
+    scratch[BASE.vx, AT.s] = scratch[BASE.vy, AT.s + 1] = scratch[BASE.w, AT.w + 2] = 1.0  # axes of the base
+    return scratch
 
 
 @compiled
@@ -92,7 +126,9 @@ def get(table: Array, i: int, k: int) -> Vector:
 @compiled
 def put(table: Array, i: int, k: int, a: Vector) -> None:
     """Set three entries of row i."""
-    table[i, k], table[i, k + 1], table[i, k + 2] = a
+    table[i, k] = a[0]
+    table[i, k + 1] = a[1]
+    table[i, k + 2] = a[2]
 
 
 @compiled
@@ -122,131 +158,98 @@ def along(a: Vector, b: Vector, x: float) -> Vector:
 @compiled
 def times(table: Array, i: int, k: int, a: Vector) -> Vector:
     """Product of the symmetric matrix (xx xy xz yy yz zz) at `table[i, k]` and a vector."""
+    xx, xy, xz, yy, yz, zz = (
+        table[i, k],
+        table[i, k + 1],
+        table[i, k + 2],
+        table[i, k + 3],
+        table[i, k + 4],
+        table[i, k + 5],
+    )
     return (
-        table[i, k] * a[0] + table[i, k + 1] * a[1] + table[i, k + 2] * a[2],
-        table[i, k + 1] * a[0] + table[i, k + 3] * a[1] + table[i, k + 4] * a[2],
-        table[i, k + 2] * a[0] + table[i, k + 4] * a[1] + table[i, k + 5] * a[2],
+        xx * a[0] + xy * a[1] + xz * a[2],
+        xy * a[0] + yy * a[1] + yz * a[2],
+        xz * a[0] + yz * a[1] + zz * a[2],
     )
 
 
 @compiled
-def joint_rate(tree: Tree, i: int, nu: Array) -> float:
-    """Rate of joint i, a row of T times nu."""
-    x = 0.0
-    for k in range(tree.start[i], tree.start[i + 1]):
-        x += tree.weight[k] * nu[tree.column[k]]
+def rate(links: Indices, numbers: Array, i: int, nu: Array) -> float:
+    """Row i of T times nu."""
+    first, x = links[i, LINK.first], 0.0
+    for k in range(links[i, LINK.stop] - first):
+        x += numbers[i, NUMBER.weight + k] * nu[first + k]
     return x
 
 
 @compiled
-def base_rate(tree: Tree, nu: Array) -> Vector:
-    """`(vx, vy, w)` of the base in its own frame; zero for a fixed arm."""
-    x, y, w = 0.0, 0.0, 0.0
-    for k in range(len(tree.base_column)):
-        speed = nu[tree.base_column[k]]
-        x += tree.base_map[0, k] * speed
-        y += tree.base_map[1, k] * speed
-        w += tree.base_map[2, k] * speed
-    return x, y, w
+def base_rates(links: Indices, numbers: Array, nu: Array) -> Vector:
+    """`(vx, vy, w)` of the base."""
+    return rate(links, numbers, BASE.vx, nu), rate(links, numbers, BASE.vy, nu), rate(links, numbers, BASE.w, nu)
 
 
 @compiled
-def gravity_in_base(tree: Tree, position: Array) -> Vector:
-    """Gravity in O."""
-    x, y, z = tree.gravity[0], tree.gravity[1], tree.gravity[2]
-    if not tree.level:
-        phi = position[2] - tree.frame[2]
-        c, s = math.cos(phi), math.sin(phi)
-        x, y = c * x + s * y, c * y - s * x
-    return x, y, z
-
-
-@compiled
-def locate(tree: Tree, position: Array, i: int, scratch: Array) -> None:
-    """Rotation and origin of body i in O; its parent's are known."""
-    j = tree.parent[i]
-    rx, ry, rz = get(tree.rotation, i, 0), get(tree.rotation, i, 3), get(tree.rotation, i, 6)
-    origin = get(tree.offset, i, 0)
-    q = position[tree.coordinate[i]]
-    turning = tree.kind[i] == REVOLUTE
-    c, s = (math.cos(q), math.sin(q)) if turning else (1.0, 0.0)
-    if not turning:
-        origin = along(origin, (rx[2], ry[2], rz[2]), q)
+def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Array) -> None:
+    """Rotation and origin of body i; its parent's are known."""
+    j, q, k = links[i, LINK.parent], position[links[i, LINK.coordinate]], NUMBER.rotation
+    rx, ry, rz = get(numbers, i, k), get(numbers, i, k + 3), get(numbers, i, k + 6)
+    lever, c, s = get(numbers, i, NUMBER.origin), 1.0, 0.0
+    if links[i, LINK.kind] == REVOLUTE:
+        c, s = math.cos(q), math.sin(q)
+    else:
+        lever = along(lever, (rx[2], ry[2], rz[2]), q)
     for row in range(3):
-        if j == 0:
-            a = rx if row == 0 else (ry if row == 1 else rz)
-            scratch[i, ORIGIN + row] = origin[row]
+        if j == BASE.w:
+            a, x = (rx if row == 0 else (ry if row == 1 else rz)), lever[row]
         else:
-            b = get(scratch, j, ROTATION + 3 * row)
-            a = along(along(along((0.0, 0.0, 0.0), rx, b[0]), ry, b[1]), rz, b[2])
-            scratch[i, ORIGIN + row] = scratch[j, ORIGIN + row] + dot(b, origin)
-        put(scratch, i, ROTATION + 3 * row, (c * a[0] + s * a[1], c * a[1] - s * a[0], a[2]))
+            b = get(scratch, j, AT.rotation + 3 * row)
+            a, x = along(along(along(ZERO, rx, b[0]), ry, b[1]), rz, b[2]), dot(b, lever)
+        put(scratch, i, AT.rotation + 3 * row, (c * a[0] + s * a[1], c * a[1] - s * a[0], a[2]))
+        scratch[i, AT.lever + row] = x
+        scratch[i, AT.origin + row] = scratch[j, AT.origin + row] + x
 
 
 @compiled
-def first_moment(tree: Tree, i: int, scratch: Array) -> Vector:
-    """First moment of body i about its own origin, along the axes of O."""
-    mc = get(tree.inertia, i, 1)
-    rx, ry, rz = get(scratch, i, 0), get(scratch, i, 3), get(scratch, i, 6)
+def first_moment(numbers: Array, i: int, scratch: Array) -> Vector:
+    """First moment of body i."""
+    mc = get(numbers, i, NUMBER.moment)
+    rx, ry, rz = get(scratch, i, AT.rotation), get(scratch, i, AT.rotation + 3), get(scratch, i, AT.rotation + 6)
     return dot(rx, mc), dot(ry, mc), dot(rz, mc)
 
 
 @compiled
-def _weigh(tree: Tree, i: int, scratch: Array) -> None:
-    """Moments of body i about O: `Sigma_O = R Sigma R' + p mc' + mc p' + m p p'`."""
-    m, p = tree.inertia[i, 0], get(scratch, i, ORIGIN)
-    mc = first_moment(tree, i, scratch)
-    h = along(mc, p, 0.5 * m)
-    rx, ry, rz = get(scratch, i, 0), get(scratch, i, 3), get(scratch, i, 6)
-    yx, yy, yz = times(tree.inertia, i, 4, rx), times(tree.inertia, i, 4, ry), times(tree.inertia, i, 4, rz)
-    scratch[i, BODY] = m
-    put(scratch, i, BODY + 1, along(mc, p, m))
-    scratch[i, BODY + 4] = dot(rx, yx) + 2.0 * p[0] * h[0]
-    scratch[i, BODY + 5] = dot(rx, yy) + p[0] * h[1] + p[1] * h[0]
-    scratch[i, BODY + 6] = dot(rx, yz) + p[0] * h[2] + p[2] * h[0]
-    scratch[i, BODY + 7] = dot(ry, yy) + 2.0 * p[1] * h[1]
-    scratch[i, BODY + 8] = dot(ry, yz) + p[1] * h[2] + p[2] * h[1]
-    scratch[i, BODY + 9] = dot(rz, yz) + 2.0 * p[2] * h[2]
+def _weigh(numbers: Array, i: int, scratch: Array) -> None:
+    """Moments of body i: `R mc`, `R Sigma R'`."""
+    k = NUMBER.second
+    rx, ry, rz = get(scratch, i, AT.rotation), get(scratch, i, AT.rotation + 3), get(scratch, i, AT.rotation + 6)
+    x, y, z = times(numbers, i, k, rx), times(numbers, i, k, ry), times(numbers, i, k, rz)
+    scratch[i, AT.mass] = numbers[i, NUMBER.mass]
+    put(scratch, i, AT.moment, first_moment(numbers, i, scratch))
+    put(scratch, i, AT.second, (dot(rx, x), dot(rx, y), dot(rx, z)))
+    put(scratch, i, AT.second + 3, (dot(ry, y), dot(ry, z), dot(rz, z)))
 
 
 @compiled
-def _move(tree: Tree, nu: Array, i: int, scratch: Array) -> None:
-    """Axis of joint i, the axis' rate and the twist of the body, in O."""
-    j = tree.parent[i]
-    z = (scratch[i, 2], scratch[i, 5], scratch[i, 8])
-    omega, u = get(scratch, j, OMEGA), get(scratch, j, SPEED)
-    rate = joint_rate(tree, i, nu)
-    if tree.kind[i] == REVOLUTE:
-        s = cross(get(scratch, i, ORIGIN), z)
-        put(scratch, i, AXIS, z)
-        put(scratch, i, AXIS_RATE, cross(omega, z))
-        put(scratch, i, AXIS_RATE + 3, add(cross(omega, s), cross(u, z)))
-        omega = along(omega, z, rate)
-    else:
-        s = z
-        put(scratch, i, AXIS, (0.0, 0.0, 0.0))
-        put(scratch, i, AXIS_RATE, (0.0, 0.0, 0.0))
-        put(scratch, i, AXIS_RATE + 3, cross(omega, s))
-    put(scratch, i, AXIS + 3, s)
-    put(scratch, i, OMEGA, omega)
-    put(scratch, i, SPEED, along(u, s, rate))
-    put(scratch, i, WHIRL, cross(omega, get(scratch, i, BODY + 1)))
+def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
+    """Axis and lever of joint i, their rates, and the angular velocity of the body."""
+    omega = get(scratch, links[i, LINK.parent], AT.omega)
+    z = (scratch[i, AT.rotation + 2], scratch[i, AT.rotation + 5], scratch[i, AT.rotation + 8])
+    w, s = (z, ZERO) if links[i, LINK.kind] == REVOLUTE else (ZERO, z)
+    put(scratch, i, AT.w, w)
+    put(scratch, i, AT.s, s)
+    put(scratch, i, AT.w_rate, cross(omega, w))
+    put(scratch, i, AT.s_rate, cross(omega, s))
+    put(scratch, i, AT.lever_rate, along(cross(omega, get(scratch, i, AT.lever)), s, speed))
+    omega = along(omega, w, speed)
+    put(scratch, i, AT.omega, omega)
+    put(scratch, i, AT.whirl, cross(omega, get(scratch, i, AT.moment)))
 
 
 @compiled
-def place(tree: Tree, position: Array, nu: Array, scratch: Array) -> None:
-    """Where all bodies are and how they move, into `scratch`: what the other functions start from.
-
-    Args:
-        tree: The robot.
-        position: (nv,) pose of the control frame and joint coordinates [m, rad].
-        nu: (p,) independent velocities.
-        scratch: Memory of `new_scratch`.
-    """
-    vx, vy, w = base_rate(tree, nu)
-    put(scratch, 0, OMEGA, (0.0, 0.0, w))
-    put(scratch, 0, SPEED, (vx, vy, 0.0))
-    for i in range(1, len(tree.parent)):
-        locate(tree, position, i, scratch)
-        _weigh(tree, i, scratch)
-        _move(tree, nu, i, scratch)
+def place(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
+    """Where all bodies are and how they move, into `scratch`: what the dynamics start from."""
+    put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, numbers, BASE.w, nu)))
+    for i in range(BASE.w + 1, len(links)):
+        locate(links, numbers, position, i, scratch)
+        _weigh(numbers, i, scratch)
+        _move(links, i, rate(links, numbers, i, nu), scratch)

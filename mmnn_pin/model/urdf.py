@@ -270,10 +270,11 @@ def parse_xml(data: bytes, path: Path) -> etree._Element:
     try:
         root = etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
-        if "prefix xacro" in str(error.msg):
+        reason = str(error.msg).split(", line ")[0]
+        if "prefix xacro" in reason:
             raise RobotError("this is xacro, not yet a URDF", fix=XACRO_FIX, file=path, line=error.lineno) from None
         raise RobotError(
-            f"not well-formed XML ({error.msg})", why="cut off or damaged?", file=path, line=error.lineno
+            f"not well-formed XML ({reason})", why="cut off or damaged?", file=path, line=error.lineno
         ) from None
     if root.getroottree().docinfo.doctype:
         why = "entities could pull in other files or blow up"

@@ -55,7 +55,7 @@ class IdealPlant:
         """Advance by dt under a held torque, (p,); `refresh` must have been called at this state."""
         self._derivative(self.y, tau)
         if self.method == integrators.SEMI_IMPLICIT:
-            dynamics, T, base = self.dynamics, self.robot.T, self.robot.layout.base
+            dynamics, T, base = self.dynamics, self.dynamics.T, self.robot.layout.base
             integrators.semi_implicit(self.dt, T, dynamics.F, tau, base, self.y, dynamics.v, self.ydot, self.trial)
         else:
             integrators.rk4_stage(0, self.dt, self.y, self.ydot, self.total, self.trial)

@@ -8,7 +8,7 @@ memory.
 from __future__ import annotations
 
 from ..compiled import compiled
-from ..signals import INDEX, Array, part
+from ..signals import INDEX, Array
 from .network import (
     frobenius,
     hidden_input,
@@ -44,20 +44,21 @@ def step(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory
         memory: The controller's memory, updated in place.
     """
     gain, psi_hat, robust, torque = (
-        part(row, at, EFFECTIVE_GAIN),
-        part(row, at, PSI_HAT),
-        part(row, at, ROBUST),
-        part(row, at, TORQUE),
+        row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]],
+        row[at[PSI_HAT] : at[PSI_HAT + 1]],
+        row[at[ROBUST] : at[ROBUST + 1]],
+        row[at[TORQUE] : at[TORQUE + 1]],
     )
     if kind == CONSTANT_GAIN:
         gain[:] = settings
     elif kind == SCHEDULED_GAIN:
-        start = 1 + int(memory[0]) * gain.size
+        last = (memory.size - 1) // gain.size - 1
+        start = 1 + min(int(memory[0]), last) * gain.size
         gain[:] = memory[start : start + gain.size]
         memory[0] += 1.0
     else:
         networks(kind, row, at, sizes, settings, memory)
-    z, r = part(row, at, Z), part(row, at, R)
+    z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(torque.size):
         s = z[i] if i < z.size else r[i - z.size]
         torque[i] = gain[i] * s + psi_hat[i]
@@ -68,14 +69,14 @@ def step(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory
 @compiled
 def networks(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory: Array) -> None:
     """Outputs, effective gain and updates of the base's and the arm's network; arguments as in `step`."""
-    nx, p = sizes[NX], part(row, at, PSI_HAT).size
+    nx, p = sizes[NX], row[at[PSI_HAT] : at[PSI_HAT + 1]].size
     x = memory[:nx]
     inputs = settings[GAINS + 2 * p :]
     for i in range(nx):
         x[i] = inputs[i] * row[sizes[ROWS + i]] + inputs[nx + i]
     start, first = nx, 0
     for which in range(2):
-        s = part(row, at, Z) if which == 0 else part(row, at, R)
+        s = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
         if s.size == 0:
             continue
         h, m = sizes[HIDDEN + which], s.size
@@ -85,10 +86,10 @@ def networks(kind: int, row: Array, at: Array, sizes: Array, settings: Array, me
         sigma = memory[start + h * (m + nx) : start + h * (m + nx + 1)]
         net = memory[start + h * (m + nx + 1) : start + h * (m + nx + 2)]
         start += h * (m + nx + 2)
-        psi_hat = part(row, at, PSI_HAT)[first : first + m]
+        psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]][first : first + m]
         norm = one_network(kind, sizes, settings[DT], rates, W, V, x, net, sigma, s, psi_hat)
-        part(row, at, WEIGHT_NORM)[which] = norm
-        gain = part(row, at, EFFECTIVE_GAIN)
+        row[at[WEIGHT_NORM] : at[WEIGHT_NORM + 1]][which] = norm
+        gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
         for i in range(first, first + m):
             gain[i] = settings[GAINS + i] + settings[GAINS + p + i] * (norm + rates[3])
         first += m

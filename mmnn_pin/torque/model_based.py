@@ -88,7 +88,7 @@ class ScheduledPD(CompiledController):
         return Law(law.SCHEDULED_GAIN, np.zeros(0, np.int64), np.zeros(0))
 
     def init(self, wiring: Wiring) -> Memory:
-        """The counter and the gains; a short table (of a run that ended early) keeps its last gain.
+        """The counter and the gains; after the end of a table (of a run that ended early) its last gain stays.
 
         Raises:
             ConfigError: The table has no rows or not p columns.
@@ -96,9 +96,8 @@ class ScheduledPD(CompiledController):
         p = wiring.layout.dof
         if self.gains.ndim != 2 or self.gains.shape[1] != p or not len(self.gains):
             raise ConfigError(f"gains of shape {self.gains.shape}", fix=f"give (samples, {p})", key="gains")
-        memory = Memory.of(counter=(1,), gains=(wiring.samples, p))
-        rows = np.minimum(np.arange(wiring.samples), len(self.gains) - 1)
-        memory["gains"][:] = self.gains[rows]
+        memory = Memory.of(counter=(1,), gains=self.gains.shape)
+        memory["gains"][:] = self.gains
         return memory
 
     def feedback_gain(self, layout: Layout) -> Array:

@@ -1,0 +1,36 @@
+"""A torque controller of your own, in plain Python: PD with an integral of the error, beside PD alone."""
+
+import numpy as np
+
+from mmnn_pin import PD, Feedback, Hold, Line, Loop, Sine, Start, Timing, TorqueController, Trajectory, load
+
+
+class PID(TorqueController):
+    """`tau = k (s + ki * integral of s)`, `s = [z; r]`."""
+
+    name = "pid"
+
+    def __init__(self, feedback, ki):
+        self.feedback, self.ki = feedback, ki
+
+    def init(self, wiring):
+        """What is remembered: the integral."""
+        self.k, self.h = self.feedback.vector(wiring.layout), wiring.control_period
+        return np.zeros(wiring.layout.dof)
+
+    def step(self, time, reference, measurement, command, memory):
+        """Torque of one control sample."""
+        s = np.concatenate((command.z, command.r))
+        memory += self.h * s
+        return self.k * (s + self.ki * memory)
+
+
+robot = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])  # [N s/m, N m s, N m s, N m s]
+trajectory = Trajectory(Line(speed=0.3), (Sine(amplitude=0.8, period=4.0), Hold(0.8)))
+feedback = Feedback(base=500.0, arm=30.0)
+
+for controller in (PD(feedback), PID(feedback, ki=4.0)):
+    run = Loop(robot, trajectory, controller, timing=Timing(duration=2.0), start=Start(moving=True)).run()
+    x, y, phi = np.sqrt(np.mean(run["pose_error"] ** 2, axis=0))
+    joints = np.degrees(np.sqrt(np.mean(run["e"] ** 2, axis=0)))
+    print(f"{controller.name:4} rms: x {1e3 * x:.3f} mm, y {1e3 * y:.3f} mm, joints {joints[0]:.3f} {joints[1]:.3f} deg")

@@ -1,0 +1,111 @@
+"""The command line: parsing, exit codes, one line per problem. One module per command.
+
+Exit codes: 0 done, 1 a run failed or diverged (its recording says where), 2 bad input, 130 stopped by Ctrl-C (what was
+recorded is kept). Whatever is slow to import is imported inside the commands.
+"""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+
+import click
+
+from .. import __version__
+from ..errors import InputError, MmnnError, UnknownName
+from .catalogue import list_
+from .model import model
+from .options import examples
+from .output import BAD_INPUT, DONE, FAILED, STOPPED, say, say_json
+from .plot import plot
+from .run import run
+
+
+class Commands(click.Group):
+    """The commands by name."""
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+        """A command.
+
+        Raises:
+            UnknownName: There is none of that name.
+        """
+        if cmd_name not in self.commands:
+            raise UnknownName("command", cmd_name, self.commands)
+        return self.commands[cmd_name]
+
+
+@click.group(
+    cls=Commands,
+    invoke_without_command=True,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    epilog=examples(
+        "mmnn run chapter4                           the thesis's main comparison",
+        "mmnn run chapter4 --set time.duration=2     the same, 2 s long",
+        "mmnn plot runs/chapter4 --what psi          what was to be learned, and what was",
+        "mmnn model platform_arm --json              mass matrix and all that, at rest",
+        "mmnn list                                   what there is to run",
+    ),
+)
+@click.version_option(__version__, prog_name="mmnn")
+@click.pass_context
+def mmnn(context: click.Context) -> None:
+    """Controllers that learn the dynamics of mobile manipulators, checked against Pinocchio.
+
+    Every command takes --json, --debug and --help. Exit codes: 0 done, 1 a run failed or diverged, 2 bad input,
+    130 stopped by Ctrl-C.
+    """
+    if context.invoked_subcommand is None:
+        say(context.get_help())
+
+
+for command in (run, model, plot, list_):
+    mmnn.add_command(command)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        arguments: What follows the program's name; None takes it from the system.
+
+    Returns:
+        The exit code.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return int(mmnn.main(given, prog_name="mmnn", standalone_mode=False) or DONE)
+    except (click.Abort, KeyboardInterrupt):
+        return complain(STOPPED, InputError("stopped by Ctrl-C"), given)
+    except click.ClickException as error:
+        return complain(BAD_INPUT, usage_error(error), given)
+    except InputError as error:
+        return complain(BAD_INPUT, error, given)
+    except MmnnError as error:
+        return complain(FAILED, InputError(str(error)), given)
+    except Exception as error:
+        why = f"{type(error).__name__}: {error}"
+        found = InputError("this should not happen", why=why, fix="--debug shows where; please report it")
+        return complain(FAILED, found, given)
+
+
+def usage_error(error: click.ClickException) -> InputError:
+    """The complaint of click in our form."""
+    context = getattr(error, "ctx", None)
+    if context and isinstance(error, click.NoSuchOption):
+        options = [name for parameter in context.command.params for name in parameter.opts if name.startswith("--")]
+        return UnknownName("option", error.option_name, [*options, "--help"])
+    what = error.format_message().rstrip(".")
+    return InputError(what, fix=f"see '{context.command_path} --help'" if context else "")
+
+
+def complain(code: int, error: InputError, given: Sequence[str]) -> int:
+    """One line on standard error; with --debug the traceback, with --json one object on standard output."""
+    if "--debug" in given:
+        traceback.print_exc()
+    click.echo(" ".join(str(error).split()), err=True)
+    if "--json" in given:
+        file = None if error.file is None else str(error.file)
+        say_json({"error": {**{k: getattr(error, k) for k in ("what", "why", "fix", "line", "key")}, "file": file}})
+    return code

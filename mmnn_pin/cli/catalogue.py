@@ -1,0 +1,43 @@
+"""`mmnn list`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from .options import examples, shared
+from .output import DONE, say, say_json
+
+
+@click.command(
+    "list",
+    short_help="List experiments, robots, controllers, references.",
+    epilog=examples("mmnn list", "mmnn list --json"),
+)
+@shared
+def list_(as_json: bool) -> int:
+    """List the bundled experiments and robots, the controllers and the references."""
+    from ..experiments.config import bundled, read_toml
+    from ..experiments.experiment import ARM_PROFILES, BASE_PATHS, CONTROLLERS
+    from ..model.robot import bundled as robots
+
+    there_is: dict[str, dict[str, Any]] = {
+        "experiments": {name: read_toml(path).get("title", "") for name, path in bundled().items()},
+        "robots": {name: str(path) for name, path in robots().items()},
+        "controllers": CONTROLLERS,
+        "references": {"base": about(BASE_PATHS), "arm": about(ARM_PROFILES)},
+    }
+    if as_json:
+        say_json(there_is)
+        return DONE
+    references = there_is.pop("references")
+    there_is |= {f"references of the {part}": kinds for part, kinds in references.items()}
+    for kind, entries in there_is.items():
+        say("\n".join([kind, *(f"  {name:24}{text}" for name, text in entries.items())]))
+    return DONE
+
+
+def about(kinds: dict[str, Any]) -> dict[str, str]:
+    """First line of the docstring of every class."""
+    return {name: (kind.__doc__ or "").partition("\n")[0] for name, kind in kinds.items()}

@@ -1,0 +1,55 @@
+"""What a command says: results on standard output, the rest on standard error, and its exit code."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import click
+
+DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
+
+
+def say(text: str) -> None:
+    """Print on standard output; a reader that has left (`| head`) is no error."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def say_json(content: dict[str, Any]) -> None:
+    """Print one JSON object, without the NaN that JSON does not know."""
+    say(json.dumps(content, allow_nan=False))
+
+
+def say_if_cold() -> None:
+    """Tell, on standard error, that the first run compiles."""
+    from ..compiled import is_warm
+
+    if not is_warm():
+        click.echo("first run of this version: compiling takes about 20 seconds, later runs start at once", err=True)
+
+
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None] | None]:
+    """Shows how far each controller's run is, on standard error and only where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import Progress, TaskID
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, TaskID] = {}
+
+        def show(controller: str, fraction: float) -> None:
+            if controller not in tasks:
+                tasks[controller] = bar.add_task(controller, total=1.0)
+            bar.update(tasks[controller], completed=fraction)
+
+        yield show

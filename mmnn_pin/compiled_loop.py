@@ -1,0 +1,250 @@
+"""The compiled loop: the ordinary loop's blocks without Python between the steps.
+
+The dynamics come from the flattened tree, which is checked against Pinocchio when it is built; everything else is
+the same functions that the ordinary loop calls. The two agree to rounding.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from . import sensor
+from .compiled import compiled
+from .model.dynamics import Dynamics
+from .model.reduction import friction, quadratic, spread
+from .model.robot import Robot
+from .model.tree import flatten
+from .model.tree_dynamics import potential_energy, psi_again, terms
+from .model.tree_motion import Tree, new_scratch
+from .plant.integrators import METHODS, SEMI_IMPLICIT, derivative, rk4_stage, semi_implicit
+from .sample import after_torque, before_torque
+from .signals import INDEX, Array
+from .torque import law
+from .torque.controller import CompiledController
+
+if TYPE_CHECKING:
+    from .loop import Loop
+
+NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi", "psi_hat", "torque"))
+POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
+
+
+class Body(NamedTuple):
+    """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and base (p,)."""
+
+    tree: Tree
+    T: Array
+    damping: Array
+    coulomb: Array
+    viscous: Array
+    arm: Array
+    base: int
+    feels_gravity: bool
+
+
+class Work(NamedTuple):
+    """Scratch memory for one robot in one thread."""
+
+    scratch: Array
+    v: Array
+    M: Array
+    h: Array
+    F: Array
+    L: Array
+    rest: Array
+    ydot: Array
+    total: Array
+    trial: Array
+
+
+class Plan(NamedTuple):
+    """The numbers of a run: control period, plant step, steps per control and measurement, integrator, law."""
+
+    h: float
+    dt: float
+    steps: int
+    per_measurement: int
+    method: int
+    kind: int
+    uses_model: bool
+    start_energy: float
+
+
+class Blocks(NamedTuple):
+    """Settings of the blocks as arrays."""
+
+    at: Array
+    table: Array
+    gains: Array
+    K: Array
+    sizes: Array
+    settings: Array
+    E_inv: Array
+    bounds: Array
+
+
+def new_body(robot: Robot) -> Body:
+    """Robot as arrays.
+
+    Raises:
+        RobotError: It has a joint that cannot be flattened.
+    """
+    frame = robot.frame if robot.layout.base else np.zeros(3)
+    tree = flatten(robot.model, robot.T, robot.neutral_position(), tuple(frame))
+    arrays = (np.array(a) for a in (robot.T, robot.damping, robot.coulomb, robot.viscous, robot.arm_index))
+    return Body(tree, *arrays, robot.layout.base, Dynamics(robot).feels_gravity)
+
+
+def new_work(body: Body) -> Work:
+    """Scratch memory for a robot."""
+    nv, p = body.T.shape
+    size = nv + p + 1
+    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (size,), (size,), (size,))
+    return Work(new_scratch(body.tree), *(np.zeros(shape) for shape in shapes))
+
+
+@compiled
+def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
+    """M, `h = C nu + gravity + friction`, friction F and `v = T nu` at a state."""
+    terms(body.tree, position, nu, work.scratch, work.M, work.h)
+    spread(body.T, nu, work.v)
+    friction(body.T, work.v, nu, body.damping, body.coulomb, body.viscous, work.F)
+    for i in range(nu.size):
+        work.h[i] += work.F[i]
+
+
+@compiled
+def as_measured(row: Array, at: Array, arm: Array, base: int, y: Array) -> None:
+    """Measured position and velocity into y (nv + p + 1,), other joints as they are there."""
+    pose, velocity = row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
+    q, qdot = row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]]
+    nu = y[y.size - 1 - base - q.size :]
+    for i in range(pose.size):
+        y[i] = pose[i]
+    for i in range(base):
+        nu[i] = velocity[i]
+    for i in range(q.size):
+        y[arm[i]], nu[base + i] = q[i], qdot[i]
+
+
+@compiled
+def advance(
+    first: int,
+    last: int,
+    counter: Array,
+    rows: Array,
+    row: Array,
+    blocks: Blocks,
+    plan: Plan,
+    memory: Array,
+    body: Body,
+    work: Work,
+    nominal: Body,
+    nominal_work: Work,
+    nominal_y: Array,
+    y: Array,
+) -> int:
+    """Control samples first ... last - 1 into rows; -1, or the column of row that went bad.
+
+    One function on purpose: compiled code is optimised anew at every level of calls, seconds of a first run.
+    """
+    nv, p = body.T.shape
+    at, position, nu = blocks.at, y[:nv], y[nv : nv + p]
+    nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
+    psi, psi_hat = row[at[PSI] : at[PSI + 1]], row[at[PSI_HAT] : at[PSI_HAT + 1]]
+    tau = row[at[TORQUE] : at[TORQUE + 1]]
+    for k in range(first, last):
+        measure = k == 0 or k * plan.steps % plan.per_measurement == 0
+        before_torque(row, at, k * plan.h, y, blocks.table[k], measure, body.arm, blocks.gains, blocks.K)
+        if plan.uses_model:
+            as_measured(row, at, nominal.arm, nominal.base, nominal_y)
+            evaluate(nominal, nominal_work, nominal_y[:nv], nominal_y[nv : nv + p])
+            psi_again(nominal.tree, nominal_y[:nv], nu_ref, nudot_ref, nominal_work.scratch, psi_hat)
+            for i in range(p):
+                psi_hat[i] += nominal_work.F[i]
+        law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
+        evaluate(body, work, position, nu)
+        psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
+        for i in range(p):
+            psi[i] += work.F[i]
+        potential = potential_energy(body.tree, position, work.scratch) if body.feels_gravity else 0.0
+        work_done = y[nv + p]
+        bad = after_torque(row, at, work.M, blocks.E_inv, potential, work_done, plan.start_energy, blocks.bounds)
+        if bad >= 0:
+            return bad
+        rows[k - first] = row
+        counter[0] = k - first + 1
+        for i in range(plan.steps):
+            if i > 0 and (k * plan.steps + i) % plan.per_measurement == 0:
+                sensor.ideal(row, at, position, nu, body.arm)
+            work.trial[:] = y
+            for stage in range(1 if plan.method == SEMI_IMPLICIT else 4):
+                if i > 0 or stage > 0:
+                    evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
+                v, F = work.v, work.F
+                derivative(work.trial, v, work.M, work.h, F, tau, body.base, work.L, work.rest, work.ydot)
+                if plan.method == SEMI_IMPLICIT:
+                    semi_implicit(plan.dt, body.T, F, tau, body.base, y, v, work.ydot, work.trial)
+                else:
+                    rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
+            y[:] = work.trial
+    return -1
+
+
+class CompiledLoop:
+    """A loop without Python between the steps; attributes and arguments as in `OrdinaryLoop`.
+
+    Raises:
+        RobotError: The robot has a joint that cannot be flattened.
+    """
+
+    name = "compiled"
+
+    def __init__(self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, block: int) -> None:
+        assert isinstance(loop.controller, CompiledController)
+        robot, layout, timing = loop.robot, loop.robot.layout, loop.timing
+        self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
+        self.counter, self.memory = np.zeros(1, np.int64), memory
+        self.y = np.concatenate((position, nu, [0.0]))
+        self.body = new_body(robot)
+        self.work = new_work(self.body)
+        uses_model = loop.controller.uses_model
+        nominal = loop.nominal or robot
+        self.nominal = new_body(nominal) if uses_model and nominal is not robot else self.body
+        self.nominal_work = new_work(self.nominal)
+        self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
+        numbers = loop.controller.law(loop.wiring())
+        self.blocks = Blocks(
+            at=layout.offsets,
+            table=table,
+            gains=loop.kinematic.base_gains(),
+            K=loop.kinematic.arm_gains(layout),
+            sizes=numbers.sizes,
+            settings=numbers.settings,
+            E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
+            bounds=loop.bounds.vector(layout),
+        )
+        self.plan = Plan(
+            h=timing.control_period,
+            dt=timing.plant_step,
+            steps=timing.steps_per_control,
+            per_measurement=timing.steps_per_measurement,
+            method=METHODS[timing.integrator],
+            kind=numbers.kind,
+            uses_model=uses_model,
+            start_energy=self._energy(position, nu),
+        )
+
+    def advance(self, first: int, last: int) -> int:
+        """Run control samples first ... last - 1; -1, or the column of `row` that went bad."""
+        return advance(
+            first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values,
+            self.body, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y,
+        )  # fmt: skip
+
+    def _energy(self, position: Array, nu: Array) -> float:
+        evaluate(self.body, self.work, position, nu)
+        potential = potential_energy(self.body.tree, position, self.work.scratch) if self.body.feels_gravity else 0.0
+        return 0.5 * quadratic(self.work.M, nu) + potential

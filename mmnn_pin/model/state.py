@@ -1,0 +1,116 @@
+"""The reduced model at one state, with names: what `mmnn model` reads and prints."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ..errors import ConfigError, InputError, UnknownName
+from ..settings import Settings
+from ..signals import Array
+from .dynamics import Dynamics
+from .robot import Robot
+
+
+class NamedState(Settings, frozen=True):
+    """A state by names; what is left out is at rest (a position of 0 clipped into the limits) and standing still.
+
+    Args:
+        pose: `(x, y, phi)` of the control frame [m, m, rad].
+        base_velocity: One number per base velocity, `(v, w)` for a differential drive [m/s, rad/s].
+        joints: Position of joints, of the arm or not [rad or m].
+        joint_velocities: Velocity of arm joints [rad/s or m/s]; wheels follow from the base velocity.
+    """
+
+    pose: tuple[float, float, float] | None = None
+    base_velocity: tuple[float, ...] | None = None
+    joints: Mapping[str, float] = {}
+    joint_velocities: Mapping[str, float] = {}
+
+    def of(self, robot: Robot) -> tuple[Array, Array]:
+        """Position (nv,) and nu (p,) of a robot.
+
+        Raises:
+            UnknownName: A joint that the robot does not have.
+            ConfigError: A pose or base velocity that its base does not have, or a number that is not finite.
+        """
+        base, position, nu = robot.layout.base, robot.neutral_position(), np.zeros(robot.layout.dof)
+        for key, given, size in (("pose", self.pose, robot.layout.pose), ("base_velocity", self.base_velocity, base)):
+            if given is not None and len(given) != size:
+                fix = f"give {', '.join(robot.base.velocity_names)}" if base else "leave it out: the arm is fixed"
+                raise ConfigError(f"{len(given)} numbers where the base has {size}", fix=fix, key=key)
+        if self.pose is not None:
+            position[: robot.layout.pose] = self.pose
+        if self.base_velocity is not None:
+            nu[:base] = self.base_velocity
+        joints = robot.position_names[robot.layout.pose :]
+        fill(position[robot.layout.pose :], self.joints, joints, "joints")
+        fill(nu[base:], self.joint_velocities, robot.joint_names, "joint_velocities")
+        if not (np.isfinite(position).all() and np.isfinite(nu).all()):
+            raise ConfigError("a number is not finite", fix="give finite numbers in SI units")
+        return position, nu
+
+
+def fill(values: Array, given: Mapping[str, float], names: tuple[str, ...], key: str) -> None:
+    """Put named numbers in their places.
+
+    Raises:
+        UnknownName: A name without a place.
+    """
+    for name, value in given.items():
+        if name not in names:
+            kind = "joint" if key == "joints" else "arm joint"
+            raise UnknownName(kind, name, names, key=key)
+        values[names.index(name)] = value
+
+
+def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
+    """Position (nv,) and nu (p,) from a JSON file with the keys of `NamedState`.
+
+    Raises:
+        ConfigError: The file cannot be read, is not JSON, or a value is of the wrong type.
+        UnknownName: A key or a joint that does not exist.
+    """
+    path = Path(path)
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=NamedState).of(robot)
+    except OSError as error:
+        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from error
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).partition(" - at ")
+        key = where.strip("`").removeprefix("$").removeprefix(".") or None
+        if unknown := re.search(r"unknown field `(.*)`", message):
+            raise UnknownName("key", unknown[1], NamedState.__struct_fields__, file=path) from error
+        raise ConfigError(message, file=path, key=key) from error
+    except msgspec.DecodeError as error:
+        raise ConfigError("not valid JSON", why=str(error), file=path) from error
+    except InputError as error:
+        error.file = error.file or path
+        raise
+
+
+def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:
+    """Reduced model at a state, `M nudot + C nu + gravity + friction = E u`, as lists and names for JSON.
+
+    Rows of M, C, E are in the order of velocity_names; T maps them to full_velocity_names, and `A T = 0`.
+    """
+    dynamics = Dynamics(robot)
+    return {
+        "robot": robot.name,
+        "base": robot.base.kind,
+        "velocity_names": list(robot.velocity_names),
+        "M": dynamics.mass_matrix(position).tolist(),
+        "C": dynamics.coriolis_matrix(position, nu).tolist(),
+        "gravity": dynamics.gravity(position).tolist(),
+        "friction": dynamics.friction(nu).tolist(),
+        "T": robot.T.tolist(),
+        "full_velocity_names": list(robot.full_velocity_names),
+        "A": robot.A.tolist(),
+        "E": robot.E.tolist(),
+        "actuator_names": list(robot.actuator_names),
+    }

@@ -1,0 +1,61 @@
+"""One control sample around the controller, compiled: what comes before the torque and what is known after it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from . import kinematic, sensor
+from .compiled import compiled
+from .signals import INDEX, Array
+
+TIME, POSITION, NU, FIRST_REFERENCE, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
+TORQUE, MOTOR_TORQUE = INDEX["torque"], INDEX["motor_torque"]
+ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"))
+
+
+@compiled
+def before_torque(
+    row: Array, at: Array, time: float, y: Array, reference: Array, measure: bool, arm: Array, gains: Array, K: Array
+) -> None:
+    """Everything of a sample up to the controller: time, true state, reference, measurement, velocity command."""
+    row[at[TIME]] = time
+    nv, p = at[POSITION + 1] - at[POSITION], at[NU + 1] - at[NU]
+    position, nu = y[:nv], y[nv : nv + p]
+    row[at[POSITION] : at[POSITION + 1]][:] = position
+    row[at[NU] : at[NU + 1]][:] = nu
+    row[at[FIRST_REFERENCE] : at[POSE]] = reference
+    if measure:
+        sensor.ideal(row, at, position, nu, arm)
+    kinematic.command(row, at, gains, K)
+
+
+@compiled
+def after_torque(
+    row: Array, at: Array, M: Array, E_inv: Array, potential: float, work: float, start: float, bounds: Array
+) -> int:
+    """Motor torques, energy balance and the guard of a sample.
+
+    Returns:
+        -1, or the first column that is not finite or a velocity that is out of bounds.
+    """
+    nu, torque, motors = (
+        row[at[NU] : at[NU + 1]],
+        row[at[TORQUE] : at[TORQUE + 1]],
+        row[at[MOTOR_TORQUE] : at[MOTOR_TORQUE + 1]],
+    )
+    for i in range(motors.size):
+        motors[i] = 0.0
+        for j in range(torque.size):
+            motors[i] += E_inv[i, j] * torque[j]
+    energy = potential
+    for i in range(nu.size):
+        for j in range(nu.size):
+            energy += 0.5 * nu[i] * M[i, j] * nu[j]
+    row[at[ENERGY]], row[at[WORK]], row[at[RESIDUAL]] = energy, work, energy - start - work
+    for i in range(nu.size):
+        if abs(nu[i]) > bounds[i]:
+            return int(at[NU] + i)
+    for i in range(row.size):
+        if not np.isfinite(row[i]):
+            return i
+    return -1

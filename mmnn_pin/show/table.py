@@ -1,0 +1,136 @@
+"""One table that compares the controllers of an experiment, for a terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ..experiments.experiment import ORACLES
+from ..experiments.metrics import ERRORS, halves
+from ..experiments.runner import Result
+from ..recording import Recording
+from .units import column_units, milli
+
+WIDTH = 100
+TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
+CAPTION = (
+    "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
+    "effective gain: mean of all that multiplies z (base) or r (arm)."
+)
+
+
+def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
+    """The table with its caption, as text of at most `width` columns."""
+    console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
+    with console.capture() as capture:
+        console.print(comparison(result))
+    return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+
+def comparison(result: Result) -> Table:
+    """Rows: errors, effort, learned share, effective gain, outcome. Columns: controllers."""
+    experiment = result.experiment
+    about = f"({experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed})"
+    table = Table(title=f"{experiment.title or result.name} {about}", box=SIMPLE_HEAD, padding=0)
+    table.title_justify = table.caption_justify = "left"
+    table.caption = caption(result)
+    table.add_column("", overflow="fold")
+    table.add_column("", no_wrap=True)
+    for name in result.recordings:
+        table.add_column(heading(name), justify="right", no_wrap=True)
+    for group in (errors(result), others(result)):
+        for row in group:
+            table.add_row(*row)
+        table.add_section()
+    return table
+
+
+def caption(result: Result) -> str:
+    """What the marks and the words of the table mean."""
+    oracles = [name for name in result.recordings if name in ORACLES]
+    marks = "* best of the row"
+    if oracles:
+        marks += f" but for {', '.join(oracles)}, which knows the true model (in brackets: that model's share)"
+    return f"{marks}. {CAPTION}"
+
+
+def heading(controller: str, width: int = 9) -> str:
+    """Name of a controller in lines of at most `width` letters, where its words allow."""
+    lines = [""]
+    for word in controller.split("_"):
+        longer = f"{lines[-1]}_{word}" if lines[-1] else word
+        lines = [*lines[:-1], longer] if len(longer) <= width or not lines[-1] else [*lines, word]
+    return "\n".join(lines)
+
+
+def errors(result: Result) -> Iterator[list[str | Text]]:
+    """Peak and RMS of every error; the best value of a row is marked."""
+    recording = next(iter(result.recordings.values()))
+    statistics = {"peak": "peak"} | {f"rms_{a:g}_{b:g}": f"RMS {a:g}-{b:g} s" for a, b in result.experiment.windows}
+    for name in ERRORS:
+        if name not in recording:
+            continue
+        for label, unit in zip(recording.labels(name), column_units(recording, name), strict=True):
+            first = f"{TITLES[name]} {label} [{milli(unit)}]"
+            for key, words in statistics.items():
+                values = {c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()}
+                yield [Text(first), Text(words), *marked(values)]
+                first = ""
+
+
+def marked(values: dict[str, float]) -> list[Text]:
+    """Values with a star at the smallest one of the controllers without the true model."""
+    fair = [v for c, v in values.items() if c not in ORACLES and math.isfinite(v)]
+    best = min(fair) if len(fair) > 1 else None
+    cells = []
+    for controller, value in values.items():
+        wins = value == best and controller not in ORACLES
+        cells.append(Text(f"{number(value)} {'*' if wins else ' '}", style="bold" if wins else ""))
+    return cells
+
+
+def others(result: Result) -> Iterator[list[str | Text]]:
+    """Effort, learned share, effective gain and outcome."""
+    recording, metrics = next(iter(result.recordings.values())), result.metrics
+    yield ["torque effort [N^2 m^2 s]", "", *(f"{number(m['effort'])}  " for m in metrics.values())]
+    for part in halves(recording):
+        shares = {c: number(m[f"learned_share.{part}"]) for c, m in metrics.items()}
+        yield ["learned share", part, *(f"({s}) " if c in ORACLES else f"{s}  " for c, s in shares.items())]
+    for part in halves(recording):
+        gains = (m[f"effective_gain.{part}"] for m in metrics.values())
+        yield ["mean effective gain", part, *(f"{number(gain)}  " for gain in gains)]
+    yield ["outcome", "", *(outcome(r) for r in result.recordings.values())]
+
+
+def outcome(recording: Recording) -> Text:
+    """How a run ended, in red unless it was completed."""
+    status = recording.outcome.status
+    if status == "completed":
+        return Text("done  ", style="green")
+    return Text(f"{status}\nat {recording.outcome.time:.3g} s", style="bold red")
+
+
+def number(value: float) -> str:
+    """Three significant digits; a dash where there is no number."""
+    if not math.isfinite(value):
+        return "-"
+    if value == 0:
+        return "0"
+    if not 1e-3 <= abs(value) < 1e5:
+        return f"{value:.1e}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
+
+
+def notes(result: Result) -> list[str]:
+    """What the user should know: how runs ended, what their weights show, and notes on the settings."""
+    found = [
+        recording.outcome.message if controller in recording.outcome.message else f"{controller}: {message}"
+        for controller, recording in result.recordings.items()
+        if (message := recording.outcome.message)
+    ]
+    return [*found, *result.notes]

@@ -1,0 +1,474 @@
+"""Torque controllers: the law, what they may see, what they remember."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import config
+from scipy.special import expit
+
+from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.loop import Loop
+from mmnn_pin.model import load
+from mmnn_pin.recording import Recording
+from mmnn_pin.reference import Hold, Line, Sine, Trajectory
+from mmnn_pin.signals import Array, Layout
+from mmnn_pin.start import Start
+from mmnn_pin.timing import Timing
+from mmnn_pin.torque import law
+from mmnn_pin.torque.controller import CompiledController, Feedback, Memory, Wiring, per_velocity
+from mmnn_pin.torque.model_based import PD, ComputedTorque, ScheduledPD
+from mmnn_pin.torque.neural import MEASURED, Inputs, Neural, OneLayer, Robust, TwoLayer
+
+LAYOUT = Layout(base=2, arm=2, full=7, motors=4)
+H, SAMPLES = 0.002, 40
+GAINS = Feedback((500.0, 120.0), (30.0, 20.0))
+ROBUST = Robust((10.0, 6.0), (0.3, 0.2), (5.0, 3.0))
+SMALL = TwoLayer(hidden=5, F=(0.9, 0.2), G=(0.7, 0.1), kappa=0.3)
+NEURAL = Neural(SMALL, GAINS, ROBUST)
+SEEN = {*MEASURED, "time"}
+
+
+class Bench:
+    """A controller on a bench: rows of our own go in, and what it writes can be read by name."""
+
+    def __init__(self, controller: CompiledController, layout: Layout = LAYOUT, seed: int = 1) -> None:
+        self.layout, self.row = layout, layout.new_row()
+        wiring = Wiring(layout, H, SAMPLES, np.random.default_rng(seed))
+        self.law, self.memory = controller.law(wiring), controller.init(wiring)
+
+    def step(self, seed: int, **signals: Any) -> Bench:
+        """One sample of random signals, some of them given."""
+        self.row[:] = np.random.default_rng(seed).uniform(-1, 1, self.row.size)
+        for name, value in signals.items():
+            self.row[self.layout.where(name)] = value
+        law.step(self.law.kind, self.row, self.layout.offsets, self.law.sizes, self.law.settings, self.memory.values)
+        return self
+
+    def __getitem__(self, name: str) -> Array:
+        return self.row[self.layout.where(name)].copy()
+
+    @property
+    def s(self) -> Array:
+        return np.concatenate((self["z"], self["r"]))
+
+    def weights(self) -> dict[str, Array]:
+        return {name: self.memory[name].copy() for name in self.memory.shapes if name[0] in "WV"}
+
+
+# --- the law
+
+
+@pytest.mark.parametrize("controller", [PD(GAINS), ComputedTorque(GAINS)], ids=lambda c: c.name)
+def test_constant_gain(controller: CompiledController) -> None:
+    bench = Bench(controller).step(2, psi_hat=[1.0, 2.0, 3.0, 4.0])
+    k = np.array([500.0, 120.0, 30.0, 20.0])
+    np.testing.assert_allclose(bench["torque"], k * bench.s + [1, 2, 3, 4])
+    np.testing.assert_array_equal(bench["effective_gain"], k)
+
+
+def test_scheduled_gain_takes_one_row_per_sample() -> None:
+    gains = np.random.default_rng(0).uniform(1, 9, (SAMPLES, 4))
+    bench = Bench(ScheduledPD(gains))
+    for k in range(4):
+        bench.step(k, psi_hat=0.0)
+        np.testing.assert_allclose(bench["torque"], gains[k] * bench.s)
+        np.testing.assert_array_equal(bench["effective_gain"], gains[k])
+
+
+def test_schedule_of_a_run_that_ended_early_keeps_its_last_gain() -> None:
+    gains = np.array([[1.0, 2, 3, 4], [5, 6, 7, 8]])
+    bench = Bench(ScheduledPD(gains))
+    seen = [bench.step(k)["effective_gain"] for k in range(4)]
+    np.testing.assert_array_equal(seen, gains[[0, 1, 1, 1]])
+
+
+@pytest.mark.parametrize("shape", [(SAMPLES, 3), (SAMPLES,), (0, 4)])
+def test_schedule_of_another_robot_is_refused(shape: tuple[int, ...]) -> None:
+    with pytest.raises(ConfigError, match=r"gains: error: gains of shape .*\(samples, 4\)"):
+        Bench(ScheduledPD(np.ones(shape)))
+
+
+def network_answer(kind: str, W: Array, V: Array, x: Array, width: float) -> tuple[Array, float]:
+    """Output and norm of a network by matrices."""
+    if kind == "one_layer":
+        return W.T @ np.exp(-np.sum((x[:, None] - V) ** 2, axis=0) / (2 * width**2)), float(np.linalg.norm(W))
+    return W.T @ expit(V.T @ x), float(np.sqrt(np.sum(W**2) + np.sum(V**2)))
+
+
+@pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5, width=4.0, centre_range=2.0)], ids=lambda n: n.name)
+@pytest.mark.parametrize("layout", [LAYOUT, Layout(2, 1, 6, 3), Layout(0, 2, 2, 2), Layout(2, 0, 5, 2)])
+def test_network_law(network: TwoLayer | OneLayer, layout: Layout) -> None:
+    """tau = k s + Psi_hat + Kz (|Z| + ZB) s, each network with its own error, weights and numbers."""
+    feedback, robust = Feedback(500.0, 30.0), Robust(10.0, 0.3, (5.0, 3.0))
+    bench = Bench(Neural(network, feedback, robust), layout)
+    for k in range(3):
+        bench.step(k)
+    old = bench.weights()
+    bench.step(9)
+    outputs, norms, Kz, ZB = [], [], [], []
+    for i, size in ((1, layout.base), (2, layout.arm)):
+        if size:
+            x = bench.memory["x"]
+            psi_hat, norm = network_answer(network.name, old[f"W{i}"], old[f"V{i}"], x, getattr(network, "width", 0))
+            outputs.append(psi_hat)
+            norms += [norm] * size
+            Kz += [(10.0, 0.3)[i - 1]] * size
+            ZB += [(5.0, 3.0)[i - 1]] * size
+            assert bench["weight_norm"][i - 1] == pytest.approx(norm)
+    k, s, extra = feedback.vector(layout), bench.s, np.array(Kz) * (np.array(norms) + ZB)
+    assert np.abs(np.concatenate(outputs)).min() > 1e-3
+    np.testing.assert_allclose(bench["psi_hat"], np.concatenate(outputs), rtol=1e-12)
+    np.testing.assert_allclose(bench["effective_gain"], k + extra, rtol=1e-12)
+    np.testing.assert_allclose(bench["robust"], extra * s, rtol=1e-9)
+    np.testing.assert_allclose(bench["torque"], (k + extra) * s + np.concatenate(outputs), rtol=1e-12)
+
+
+def test_gains_of_each_velocity() -> None:
+    bench = Bench(NEURAL).step(1)
+    k, Kz = np.array([500.0, 120.0, 30.0, 20.0]), np.array([10.0, 6.0, 0.3, 0.2])
+    norm = bench["weight_norm"][[0, 0, 1, 1]]
+    np.testing.assert_allclose(bench["effective_gain"], k + Kz * (norm + [5, 5, 3, 3]))
+    np.testing.assert_allclose(NEURAL.feedback_gain(LAYOUT), k + Kz * [5, 5, 3, 3])
+
+
+# --- what a network sees
+
+
+def test_network_input_is_that_of_the_thesis() -> None:
+    """(3.24): pose_ref, alpha, alphadot, e_p, z, e, r, q_ref, qdot_ref, qddot_ref; 22 numbers for two joints."""
+    codes = {
+        "pose_ref": [1, 2, 3],
+        "alpha": [4, 5],
+        "alphadot": [6, 7],
+        "pose_error": [8, 9, 10],
+        "z": [11, 12],
+        "e": [13, 14],
+        "r": [15, 16],
+        "q_ref": [17, 18],
+        "qdot_ref": [19, 20],
+        "qddot_ref": [21, 22],
+    }
+    bench = Bench(Neural(learning=False)).step(0, **codes)
+    np.testing.assert_array_equal(bench.memory["x"], np.arange(1, 23))
+
+
+def test_chosen_input_scaled() -> None:
+    inputs = Inputs(("edot", "velocity", "e"), scale=180 / np.pi)
+    bench = Bench(Neural(inputs=inputs)).step(0, edot=[1, 2], velocity=[3, 4], e=[5, 6])
+    np.testing.assert_allclose(bench.memory["x"], np.rad2deg([1, 2, 3, 4, 5, 6]))
+
+
+def test_slip_of_appendix_b_puts_a_constant_for_the_yaw_rate() -> None:
+    thesis, slip = Bench(Neural()).step(3), Bench(Neural(inputs=Inputs(constant_yaw_rate=5.0))).step(3)
+    expected = thesis.memory["x"].copy()
+    expected[4] = 5.0
+    np.testing.assert_array_equal(slip.memory["x"], expected)
+    assert thesis.memory["x"][4] == thesis["alpha"][1]
+
+
+@pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5)], ids=lambda n: n.name)
+def test_networks_never_read_the_true_state(network: TwoLayer | OneLayer) -> None:
+    sighted, blind = Bench(Neural(network)), Bench(Neural(network))
+    hidden = [name for name in ("position", "nu", "psi", "energy", "work", "energy_residual") if name not in SEEN]
+    assert len(hidden) == 6
+    for k in range(3):
+        sighted.step(k)
+        blind.step(k, **dict.fromkeys(hidden, np.nan), psi_hat=np.nan, robust=np.nan, torque=np.nan)
+        for name in ("torque", "psi_hat", "robust", "effective_gain"):
+            assert np.isfinite(blind[name]).all()
+            np.testing.assert_array_equal(blind[name], sighted[name])
+    np.testing.assert_array_equal(blind.memory.values, sighted.memory.values)
+
+
+@pytest.mark.parametrize("name", ["psi", "nu", "position", "torque", "energy", "nonsense"])
+def test_inputs_that_no_controller_may_know_are_refused(name: str) -> None:
+    with pytest.raises(UnknownName, match=f"inputs.signals: error: unknown network input '{name}'"):
+        Inputs(("z", name))
+
+
+# --- learning
+
+
+def two_layer_dot(W: Array, V: Array, x: Array, s: Array, sigma: Array, rates: tuple[float, ...]) -> list[Array]:
+    F, G, kappa = rates
+    slope, leak = np.diag(sigma * (1 - sigma)), kappa * np.linalg.norm(s)
+    Wdot = F * (np.outer(sigma - slope @ V.T @ x, s) - leak * W)
+    return [Wdot, G * (np.outer(x, slope @ W @ s) - leak * V)]
+
+
+@pytest.mark.parametrize("update", ["after_output", "before_output"])
+@pytest.mark.parametrize(("rates", "dt"), [("per_sample", 1.0), ("per_second", H)])
+def test_sequence_of_updates(update: Any, rates: Any, dt: float) -> None:
+    """Three samples by matrices. Appendix B's order moves the weights first, with the previous hidden outputs."""
+    bench = Bench(replace(NEURAL, update=update, rates=rates))
+    parts: dict[int, Any] = {1: (0.9, 0.7, 0.3), 2: (0.2, 0.1, 0.3)}
+    W, V = ({i: bench.memory[f"{letter}{i}"].copy() for i in parts} for letter in "WV")
+    for i in parts:
+        W[i][:] = bench.memory[f"W{i}"][:] = np.random.default_rng(i).normal(size=W[i].shape)
+    sigma = {i: np.zeros(5) for i in parts}
+    for k in range(3):
+        bench.step(k)
+        x, outputs = bench.memory["x"], []
+        for i, rates_of_it in parts.items():
+            s = bench["z"] if i == 1 else bench["r"]
+            if update == "after_output":
+                sigma[i] = expit(V[i].T @ x)
+                outputs.append(W[i].T @ sigma[i])
+            Wdot, Vdot = two_layer_dot(W[i], V[i], x, s, sigma[i], rates_of_it)
+            W[i], V[i] = W[i] + dt * Wdot, V[i] + dt * Vdot
+            if update == "before_output":
+                sigma[i] = expit(V[i].T @ x)
+                outputs.append(W[i].T @ sigma[i])
+            np.testing.assert_allclose(bench.memory[f"W{i}"], W[i], atol=1e-12)
+            np.testing.assert_allclose(bench.memory[f"V{i}"], V[i], atol=1e-12)
+        np.testing.assert_allclose(bench["psi_hat"], np.concatenate(outputs), atol=1e-12)
+
+
+@pytest.mark.parametrize("update", ["after_output", "before_output"])
+def test_sequence_of_one_layer_updates(update: Any) -> None:
+    network = OneLayer(hidden=4, beta=(0.5, 0.2), mu=0.35, width=3.0, centre_range=2.0)
+    bench = Bench(Neural(network, update=update))
+    W, phi = {1: np.zeros((4, 2)), 2: np.zeros((4, 2))}, {1: np.zeros(4), 2: np.zeros(4)}
+    for k in range(3):
+        bench.step(k)
+        x, outputs = bench.memory["x"], []
+        for i, beta in ((1, 0.5), (2, 0.2)):
+            s = bench["z"] if i == 1 else bench["r"]
+            now = np.exp(-np.sum((x[:, None] - bench.memory[f"V{i}"]) ** 2, axis=0) / 18)
+            if update == "after_output":
+                outputs.append(W[i].T @ now)
+            used = now if update == "after_output" else phi[i]
+            W[i] = W[i] + beta * (np.outer(used, s) - 0.35 * np.linalg.norm(s) * W[i])
+            if update == "before_output":
+                outputs.append(W[i].T @ now)
+            phi[i] = now
+            np.testing.assert_allclose(bench.memory[f"W{i}"], W[i], atol=1e-12)
+        np.testing.assert_allclose(bench["psi_hat"], np.concatenate(outputs), atol=1e-12)
+
+
+@pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5)], ids=lambda n: n.name)
+@pytest.mark.parametrize("update", ["after_output", "before_output"])
+def test_learning_off_keeps_the_weights(network: TwoLayer | OneLayer, update: Any) -> None:
+    off, on = (Bench(Neural(network, update=update, learning=learning)) for learning in (False, True))
+    before = off.weights()
+    for bench in (off, on):
+        bench.step(1).step(2)
+    for name, W in before.items():
+        np.testing.assert_array_equal(off.memory[name], W)
+    assert np.abs(on.memory["W1"]).max() > 0
+
+
+@pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5, mu=0.3)], ids=lambda n: n.name)
+def test_leakage_off_is_zero_leakage(network: TwoLayer | OneLayer) -> None:
+    none = TwoLayer(5, SMALL.F, SMALL.G, 0.0) if isinstance(network, TwoLayer) else OneLayer(hidden=5, mu=0.0)
+    off, zero, on = Bench(Neural(network, leakage=False)), Bench(Neural(none)), Bench(Neural(network))
+    for k in range(3):
+        for bench in (off, zero, on):
+            bench.step(k)
+    np.testing.assert_array_equal(off.memory.values, zero.memory.values)
+    assert np.abs(off.memory["W1"] - on.memory["W1"]).max() > 1e-3
+
+
+def test_robust_term_off_leaves_the_constant_gain() -> None:
+    bench = Bench(replace(NEURAL, robust=None)).step(1).step(2)
+    np.testing.assert_array_equal(bench["effective_gain"], GAINS.vector(LAYOUT))
+    np.testing.assert_array_equal(bench["robust"], np.zeros(4))
+    np.testing.assert_allclose(bench["torque"], GAINS.vector(LAYOUT) * bench.s + bench["psi_hat"])
+    np.testing.assert_array_equal(replace(NEURAL, robust=None).feedback_gain(LAYOUT), GAINS.vector(LAYOUT))
+
+
+@pytest.mark.parametrize(("still", "moves"), [("z", "2"), ("r", "1")])
+def test_each_network_learns_from_its_own_error(still: str, moves: str) -> None:
+    bench = Bench(NEURAL)
+    before = bench.weights()
+    bench.step(1, **{still: 0.0}).step(2, **{still: 0.0})
+    for name, W in before.items():
+        assert np.array_equal(bench.memory[name], W) == (name[1] != moves)
+
+
+# --- initial weights
+
+
+def test_initial_weights() -> None:
+    random, zero = Bench(NEURAL), Bench(Neural(TwoLayer(hidden=5, initial="zero")))
+    assert all(not W.any() for W in zero.weights().values())
+    for i in "12":
+        assert not random.memory[f"W{i}"].any()
+        assert random.memory[f"V{i}"].shape == (22, 5)
+        assert 0.5 < np.abs(random.memory[f"V{i}"]).max() <= 1.0
+    assert not np.array_equal(random.memory["V1"], random.memory["V2"])
+    half = Bench(Neural(TwoLayer(hidden=5, v_range=0.5)))
+    np.testing.assert_allclose(half.memory["V1"], 0.5 * random.memory["V1"])
+
+
+def test_centres_of_the_gaussians() -> None:
+    diagonal = Bench(Neural(OneLayer(hidden=3, centre_range=10.0))).memory["V1"]
+    np.testing.assert_array_equal(diagonal, np.tile([-10.0, 0.0, 10.0], (22, 1)))
+    random = Bench(Neural(OneLayer(hidden=3, centre_range=10.0, centres="random"))).memory["V1"]
+    assert 5 < np.abs(random).max() <= 10
+    assert "V1" not in Neural(OneLayer()).weights(Bench(Neural(OneLayer())).memory)  # they are not learned
+
+
+def test_user_is_told_of_zero_weights_and_of_what_they_do() -> None:
+    zero = Neural(TwoLayer(hidden=5, initial="zero"))
+    assert "keep rank one" in zero.notes[0]
+    assert not NEURAL.notes
+    assert not Neural(TwoLayer(hidden=1, initial="zero")).notes
+    assert not Neural(OneLayer()).notes
+    bench = Bench(zero)
+    assert not zero.findings(bench.memory)
+    for k in range(5):
+        bench.step(k)
+    assert zero.findings(bench.memory) == ["two_layer: W1, V1, W2, V2 ended at rank one: the hidden units act as one"]
+    learner = Bench(Neural(replace_leakage(SMALL)))
+    for k in range(5):
+        learner.step(k)
+    assert not NEURAL.findings(learner.memory)
+
+
+def replace_leakage(network: TwoLayer) -> TwoLayer:
+    return TwoLayer(network.hidden, network.F, network.G, 0.0)
+
+
+# --- memory
+
+
+def test_memory_is_one_array_with_views() -> None:
+    memory = Memory.of(a=(2, 3), b=(4,))
+    assert memory.values.shape == (10,)
+    memory["a"][1, 2] = 7.0
+    memory["b"][:] = 1.0
+    np.testing.assert_array_equal(memory.values, [0, 0, 0, 0, 0, 7, 1, 1, 1, 1])
+    copy = memory.snapshot()
+    memory["b"][:] = 2.0
+    np.testing.assert_array_equal(copy["b"], np.ones(4))
+    assert copy.shapes == memory.shapes
+    with pytest.raises(KeyError):
+        memory["c"]
+
+
+def test_weights_are_views_into_the_memory_that_learns() -> None:
+    bench = Bench(NEURAL)
+    views = NEURAL.weights(bench.memory)
+    assert list(views) == ["W1", "V1", "W2", "V2"]
+    bench.step(1)
+    assert all(np.shares_memory(view, bench.memory.values) for view in views.values())
+    assert np.abs(views["W1"]).max() > 0
+
+
+# --- bad input
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: TwoLayer(hidden=0), "two_layer.hidden"),
+        (lambda: TwoLayer(F=(1.0, -1.0)), "two_layer.F"),
+        (lambda: TwoLayer(G=(float("nan"), 1.0)), "two_layer.G"),
+        (lambda: TwoLayer(kappa=-1.0), "two_layer.kappa"),
+        (lambda: TwoLayer(v_range=float("inf")), "two_layer.v_range"),
+        (lambda: OneLayer(hidden=-1), "one_layer.hidden"),
+        (lambda: OneLayer(width=0.0), "one_layer.width"),
+        (lambda: OneLayer(width=-1.0), "one_layer.width"),
+        (lambda: OneLayer(beta=(-0.5, 0.5)), "one_layer.beta"),
+        (lambda: OneLayer(mu=float("nan")), "one_layer.mu"),
+        (lambda: Robust(-1.0), "robust.base"),
+        (lambda: Robust(ZB=(1.0, -1.0)), "robust.ZB"),
+        (lambda: Feedback(-500.0), "feedback.base"),
+        (lambda: Feedback(arm=(1.0, float("inf"))), "feedback.arm"),
+        (lambda: Feedback((1.0, 2.0, 3.0)).vector(LAYOUT), "feedback.base"),
+        (lambda: Neural(robust=Robust(arm=(1.0,))).feedback_gain(LAYOUT), "robust.arm"),
+    ],
+)
+def test_impossible_settings_are_refused_with_their_key(make: Callable[[], object], key: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        make()
+    assert refused.value.key == key
+
+
+def test_numbers_of_the_base_come_before_those_of_the_arm() -> None:
+    np.testing.assert_array_equal(per_velocity((1.0, 2.0), 3.0, LAYOUT, "x"), [1, 2, 3, 3])
+    np.testing.assert_array_equal(per_velocity(9.0, (3.0, 4.0), Layout(0, 2, 2, 2), "x"), [3, 4])
+
+
+# --- in the loop
+
+
+def closed_loop(controller: CompiledController, samples: int, engine: Any = "ordinary", seed: int = 1) -> Loop:
+    return Loop(
+        load("platform_arm"),
+        Trajectory(Line(0.3), (Sine(0.78, 4.0), Hold(0.78))),
+        controller,
+        timing=Timing(samples * H, H, 0.001),
+        start=Start((-0.01, 0.0, 0.0)),
+        seed=seed,
+        engine=engine,
+    )
+
+
+def same(one: Recording, other: Recording, rows: slice = slice(None)) -> None:
+    for name in one.names:
+        if name not in ("work", "energy_residual"):  # counted from the start of a run
+            np.testing.assert_array_equal(one[name][rows], other[name], err_msg=name)
+
+
+N = 6 if config.DISABLE_JIT else 60
+
+
+def scheduled() -> ScheduledPD:
+    return ScheduledPD(np.linspace(1, 2, N)[:, None] * [500.0, 500.0, 30.0, 30.0])
+
+
+@pytest.mark.parametrize("engine", ["ordinary", "compiled"])
+@pytest.mark.parametrize(
+    "controller",
+    [Neural(), Neural(update="before_output"), Neural(OneLayer()), scheduled(), ComputedTorque()],
+    ids=["two_layer", "before_output", "one_layer", "pd_effective", "computed_torque"],
+)
+def test_a_resumed_run_equals_the_uninterrupted_one(controller: CompiledController, engine: Any) -> None:
+    whole, half = closed_loop(controller, N, engine), closed_loop(controller, N // 2, engine)
+    straight, first = whole.run(), half.run()
+    memory = controller.init(half.wiring())
+    memory.values[:] = first.final["memory"]
+    kept = memory.snapshot()
+    second = whole.run(memory=memory, state=(first.final["position"], first.final["nu"]), first=N // 2)
+    same(straight, first, slice(0, N // 2))
+    same(straight, second, slice(N // 2, None))
+    assert second.outcome == straight.outcome
+    np.testing.assert_array_equal(second.final["memory"], straight.final["memory"])
+    np.testing.assert_array_equal(memory.values, kept.values)  # the caller's memory stays as it was
+
+
+def test_learning_goes_on_only_where_it_is_on() -> None:
+    """Trained weights, frozen: the same for the whole run, and not those of an untrained network."""
+    trained = closed_loop(Neural(), N).run()
+    loop = closed_loop(Neural(learning=False), N)
+    memory = loop.controller.init(loop.wiring())
+    memory.values[:] = trained.final["memory"]
+    frozen = loop.run(memory=memory)
+    for name in ("W1", "V1", "W2", "V2"):
+        np.testing.assert_array_equal(frozen.weights[name][0], frozen.weights[name][-1])
+        np.testing.assert_array_equal(frozen.weights[name][0], trained.weights[name][-1])
+    assert np.abs(frozen["psi_hat"][0]).max() > 0
+
+
+def test_the_seed_decides() -> None:
+    one, again, other = (closed_loop(Neural(), N, seed=seed).run() for seed in (1, 1, 2))
+    same(one, again)
+    np.testing.assert_array_equal(one.weights["V1"], again.weights["V1"])
+    assert np.abs(one.weights["V1"][0] - other.weights["V1"][0]).max() > 0.1
+    assert np.abs(one["torque"][1:] - other["torque"][1:]).max() > 1e-3
+
+
+def test_oracle_knows_psi_and_what_it_knows_helps() -> None:
+    """Computed torque with the true model: psi_hat is Psi; without friction or noise the errors decay."""
+    oracle, pd = (closed_loop(controller, N).run() for controller in (ComputedTorque(), PD()))
+    np.testing.assert_allclose(oracle["psi_hat"], oracle["psi"], atol=1e-9)
+    np.testing.assert_array_equal(pd["psi_hat"], 0 * pd["psi_hat"])
+    if not config.DISABLE_JIT:
+        assert np.linalg.norm(oracle["r"][-1]) < np.linalg.norm(pd["r"][-1])

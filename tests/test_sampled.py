@@ -1,0 +1,225 @@
+"""The verdict on the sampled PD loop, against simulation of the held loop: linear here, nonlinear in the run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import config
+from scipy.signal import cont2discrete
+
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop import Loop
+from mmnn_pin.model import Robot, load
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.reference import Hold, Line, Trajectory
+from mmnn_pin.sampled import SampledLoop, require_stable, sampled_loop
+from mmnn_pin.signals import Array
+from mmnn_pin.start import Start
+from mmnn_pin.timing import Timing
+from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.model_based import PD
+
+NONE = np.zeros(0)
+
+
+def held_loop(
+    M: Array, gains: Array, v_ref: Array, base_gains: Array, K: Array, h: float, friction: Array
+) -> tuple[Array, Array, Array]:
+    """Deviations `[ex, ey, ephi; e; nu]` over one period, written down equation by equation: Phi, Gamma, feedback."""
+    n, nb = K.size, v_ref.size
+    p, poses = n + nb, 3 if nb else 0
+
+    def rate(d: Array, torque: Array) -> Array:
+        pose, nu = d[:poses], d[poses + n :]
+        edot = -nu[nb:]
+        posedot = np.zeros(0)
+        if nb:
+            (vr, wr), (ex, ey, ephi), (v, w) = v_ref, pose, nu[:2]
+            posedot = np.array([wr * ey - v, -wr * ex + vr * ephi, -w])
+        return np.concatenate((posedot, edot, np.linalg.solve(M, torque - friction * nu)))
+
+    def torque(d: Array) -> Array:
+        pose, e, nu = d[:poses], d[poses : poses + n], d[poses + n :]
+        alpha = np.zeros(0)
+        if nb:
+            (kx, ky, kth), (vr, _), (ex, ey, ephi) = base_gains, v_ref, pose
+            alpha = np.array([kx * ex, vr * ky * ey + abs(vr) * kth * ephi])
+        return gains * (np.concatenate((alpha, K * e)) - nu)
+
+    size = poses + n + p
+    columns = np.eye(size)
+    A = np.stack([rate(d, np.zeros(p)) for d in columns], axis=1)
+    B = np.stack([rate(np.zeros(size), u) for u in np.eye(p)], axis=1)
+    Phi, Gamma, *_ = cont2discrete((A, B, np.eye(size), np.zeros((size, p))), h, "zoh")
+    return Phi, Gamma, np.stack([torque(d) for d in columns], axis=1)
+
+
+def random_loop(seed: int, nb: int) -> dict[str, Array | float]:
+    rng = np.random.default_rng(seed)
+    p = nb + 2
+    root = rng.normal(size=(p, p))
+    return {
+        "M": root @ root.T + 2 * np.eye(p),
+        "gains": rng.uniform(1, 100, p),
+        "v_ref": rng.uniform(-1, 1, nb),
+        "base_gains": rng.uniform(1, 20, 3),
+        "K": rng.uniform(1, 10, 2),
+        "h": rng.uniform(0.001, 0.1),
+        "friction": rng.uniform(0, 3, p),
+    }
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**31), st.sampled_from([0, 2]))
+def test_radius_is_the_growth_of_the_held_loop(seed: int, nb: int) -> None:
+    """Growth over many periods of the loop, simulated from a random deviation."""
+    loop = random_loop(seed, nb)
+    Phi, Gamma, feedback = held_loop(**loop)  # type: ignore[arg-type]
+    closed, periods = Phi + Gamma @ feedback, 2**14
+    power, log_scale = closed.copy(), 0.0
+    for _ in range(14):  # squaring, rescaled so that nothing overflows
+        power = power @ power
+        scale = np.linalg.norm(power)
+        power, log_scale = power / scale, 2 * log_scale + np.log(scale)
+    verdict = sampled_loop(**loop)  # type: ignore[arg-type]
+    assert np.log(verdict.radius) == pytest.approx(log_scale / periods, abs=2e-3)
+
+
+@settings(deadline=None)
+@given(st.floats(0.1, 1e3), st.floats(1e-4, 0.1), st.floats(0.01, 3.0))
+def test_one_mass_is_stable_up_to_twice_its_mass_over_the_period(mass: float, h: float, fraction: float) -> None:
+    """`nu_next = (1 - h k / M) nu`: the limit is k = 2 M / h."""
+    gain = fraction * 2 * mass / h
+    verdict = sampled_loop(np.array([[mass]]), np.array([gain]), NONE, np.ones(3), np.zeros(1), h)
+    assert verdict.gain_limits == pytest.approx([2 * mass / h])
+    assert verdict.radius == pytest.approx(max(1.0, abs(1 - 2 * fraction)), rel=1e-9)  # 1: the position, without K
+    if abs(fraction - 1) > 1e-6:
+        assert verdict.stable == (fraction < 1)
+
+
+@settings(deadline=None)
+@given(st.floats(0.05, 1.5), st.floats(0.05, 1.5))
+def test_one_joint_with_position_gain(k: float, K: float) -> None:
+    """`z^2 - (2 - a - b) z + (1 - a + b)` with a = h k / M, b = h^2 k K / (2 M): stable while k < 2 M / h and K < 2 / h."""
+    M, h = 3.0, 0.02
+    a = 2 * k
+    b = a * K
+    verdict = sampled_loop(np.array([[M]]), np.array([a * M / h]), NONE, np.ones(3), np.array([2 * K / h]), h)
+    assert verdict.radius == pytest.approx(np.abs(np.roots([1, a + b - 2, 1 - a + b])).max(), rel=1e-7)
+    if min(abs(k - 1), abs(K - 1)) > 1e-6:
+        assert verdict.stable == (max(k, K) < 1)
+
+
+def test_friction_makes_a_held_mass_decay() -> None:
+    M, h, k, D = 2.0, 0.05, 90.0, 3.0
+    decay = np.exp(-h * D / M)
+    radius = {
+        friction: sampled_loop(np.array([[M]]), np.array([k]), NONE, np.ones(3), np.zeros(1), h, friction_vector).radius
+        for friction, friction_vector in ((True, np.array([D])), (False, None))
+    }
+    assert radius[True] == pytest.approx(abs(decay - k * (1 - decay) / D))
+    assert radius[False] == pytest.approx(abs(1 - h * k / M))
+
+
+def test_lateral_error_is_neither_stable_nor_unstable_at_rest_and_reverse_equals_forward() -> None:
+    M, gains, K = np.diag([100.0, 8.0, 1.0]), np.array([500.0, 300.0, 30.0]), np.array([7.0])
+    thesis = np.array([10.0, 64.0, 16.0])
+    radius = {vr: sampled_loop(M, gains, np.array([vr, 0.0]), thesis, K, 0.002).radius for vr in (-0.3, 0.0, 0.3)}
+    assert radius[0.0] == pytest.approx(1, abs=1e-9)
+    assert radius[0.3] < 1 - 1e-4
+    assert radius[-0.3] == pytest.approx(radius[0.3])
+
+
+def test_refusal_tells_the_numbers() -> None:
+    verdict, gains = SampledLoop(1.25, np.array([100.0, 400.0])), np.array([90.0, 20.0])
+    with pytest.raises(ConfigError, match=r"radius 1.25 > 1 at a control period of 0.01 s") as refused:
+        require_stable(verdict, gains, ("v", "w"), 0.01)
+    assert "v: 90 (limit alone 100)" in str(refused.value)
+    assert "w: 20" not in str(refused.value)
+    assert refused.value.key == "feedback"
+    with pytest.raises(ConfigError, match="none, the kinematic gains"):
+        require_stable(verdict, gains / 100, ("v", "w"), 0.01)
+    require_stable(SampledLoop(1.0, gains), gains, ("v", "w"), 0.01)
+
+
+# --- the real loop
+
+H = 0.02
+
+
+def standing(robot: Robot, feedback: Feedback, check_gains: bool, seconds: float) -> Loop:
+    """A robot whose arm should stay as it is: the mass matrix of the run is the one that is judged."""
+    seconds = 2 * H if config.DISABLE_JIT else seconds
+    return Loop(
+        robot,
+        Trajectory(Line(0.3) if robot.layout.base else None, (Hold(0.4),) * robot.layout.arm),
+        PD(feedback),
+        timing=Timing(duration=seconds, control_period=H, plant_step=H / 10),
+        start=Start(pose_offset=(-1e-6, 0.0, 0.0), joint_offset=1e-6, moving=True),
+        check_gains=check_gains,
+        engine="ordinary",
+    )
+
+
+def verdict(loop: Loop, gains: Array) -> SampledLoop:
+    robot = loop.robot
+    M = Dynamics(robot).mass_matrix(loop.start.state(robot, loop.table()[0])[0])
+    v_ref = np.array([0.3, 0.0]) if robot.layout.base else NONE
+    return sampled_loop(M, gains, v_ref, loop.kinematic.base_gains(), loop.kinematic.arm_gains(robot.layout), H)
+
+
+def limit(robot: Robot, feedback: Callable[[float], Feedback]) -> float:
+    """Scale of the gains at which the judged radius is 1, by bisection."""
+    loop, low, high = standing(robot, feedback(1.0), False, H), 1e-3, 1e3
+    for _ in range(60):
+        middle = np.sqrt(low * high)
+        stable = verdict(loop, feedback(middle).vector(robot.layout)).stable
+        low, high = (middle, high) if stable else (low, middle)
+    return low
+
+
+def all_gains(scale: float) -> Feedback:
+    return Feedback(500.0 * scale, 30.0 * scale)
+
+
+def forward_gain(scale: float) -> Feedback:
+    return Feedback((500.0 * scale, 200.0), 2.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "feedback"),
+    [("platform_arm", all_gains), ("two_axis_arm", all_gains), ("platform_arm", forward_gain)],
+    ids=["platform_arm", "two_axis_arm", "platform_forward"],
+)
+def test_deviations_grow_above_the_limit_at_the_judged_rate_and_shrink_below(
+    name: str, feedback: Callable[[float], Feedback]
+) -> None:
+    robot = load(name)
+    scale = limit(robot, feedback)
+    above = feedback(1.05 * scale)
+    with pytest.raises(ConfigError, match="the sampled PD loop is unstable: spectral radius 1[.]"):
+        standing(robot, above, True, 1.6).run()
+    calm, wild = standing(robot, feedback(0.95 * scale), True, 3.2).run(), standing(robot, above, False, 2.0).run()
+    assert calm.outcome.status == "completed"
+    if config.DISABLE_JIT:
+        return  # too short to tell
+    deviations = [np.linalg.norm(run["nu"] - run["nu_ref"], axis=1) for run in (calm, wild)]
+    assert deviations[0][-1] < 0.3 * deviations[0].max()
+    per_sample = (deviations[1][90] / deviations[1][50]) ** (1 / 40)
+    judged = verdict(standing(robot, above, False, H), above.vector(robot.layout)).radius
+    assert judged > 1.05
+    assert per_sample == pytest.approx(judged, rel=0.01)
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="too long a run for plain Python")
+def test_a_base_above_its_limit_leaves_its_bounds() -> None:
+    """The mass of the base does not depend on the arm, so nothing stops the growth."""
+    robot = load("platform_arm")
+    gains = forward_gain(1.05 * limit(robot, forward_gain))
+    run = standing(robot, gains, False, 8.0).run()
+    assert run.outcome.status == "diverged"
+    assert 0.5 < run.outcome.time < 8.0
