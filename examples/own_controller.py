@@ -14,23 +14,22 @@ class PID(TorqueController):
         self.feedback, self.ki = feedback, ki
 
     def init(self, wiring):
-        """What is remembered: the integral."""
-        self.k, self.h = self.feedback.vector(wiring.layout), wiring.control_period
-        return np.zeros(wiring.layout.dof)
+        """Memory of a new run: gains and period of this robot, and the integral."""
+        integral = np.zeros(wiring.layout.dof)
+        return {"k": self.feedback.vector(wiring.layout), "h": wiring.control_period, "integral": integral}
 
     def step(self, time, reference, measurement, command, memory):
         """Torque of one control sample."""
         s = np.concatenate((command.z, command.r))
-        memory += self.h * s
-        return self.k * (s + self.ki * memory)
+        memory["integral"] += memory["h"] * s
+        return memory["k"] * (s + self.ki * memory["integral"])
 
 
 robot = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])  # [N s/m, N m s, N m s, N m s]
 trajectory = Trajectory(Line(speed=0.3), (Sine(amplitude=0.8, period=4.0), Hold(0.8)))
 feedback = Feedback(base=500.0, arm=30.0)
-
 for controller in (PD(feedback), PID(feedback, ki=4.0)):
     run = Loop(robot, trajectory, controller, timing=Timing(duration=2.0), start=Start(moving=True)).run()
-    x, y, phi = np.sqrt(np.mean(run["pose_error"] ** 2, axis=0))
-    joints = np.degrees(np.sqrt(np.mean(run["e"] ** 2, axis=0)))
-    print(f"{controller.name:4} rms: x {1e3 * x:.3f} mm, y {1e3 * y:.3f} mm, joints {joints[0]:.3f} {joints[1]:.3f} deg")
+    x, y, _ = 1e3 * np.sqrt(np.mean(run["pose_error"] ** 2, axis=0))
+    arm = np.degrees(np.sqrt(np.mean(run["e"] ** 2, axis=0)))
+    print(f"{controller.name:4} rms: x {x:.3f} mm, y {y:.3f} mm, joints {arm[0]:.3f} deg, {arm[1]:.3f} deg")

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,16 +16,24 @@ import pytest
 from numba import config
 from scipy.special import expit
 
+import mmnn_pin
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.loop import Loop
 from mmnn_pin.model import load
 from mmnn_pin.recording import Recording
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
-from mmnn_pin.signals import Array, Layout
+from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
 from mmnn_pin.start import Start
 from mmnn_pin.timing import Timing
 from mmnn_pin.torque import law
-from mmnn_pin.torque.controller import CompiledController, Feedback, Memory, Wiring, per_velocity
+from mmnn_pin.torque.controller import (
+    CompiledController,
+    Feedback,
+    Memory,
+    TorqueController,
+    Wiring,
+    per_velocity,
+)
 from mmnn_pin.torque.model_based import PD, ComputedTorque, ScheduledPD
 from mmnn_pin.torque.neural import MEASURED, Inputs, Neural, OneLayer, Robust, TwoLayer
 
@@ -103,7 +116,7 @@ def network_answer(kind: str, W: Array, V: Array, x: Array, width: float) -> tup
 @pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5, width=4.0, centre_range=2.0)], ids=lambda n: n.name)
 @pytest.mark.parametrize("layout", [LAYOUT, Layout(2, 1, 6, 3), Layout(0, 2, 2, 2), Layout(2, 0, 5, 2)])
 def test_network_law(network: TwoLayer | OneLayer, layout: Layout) -> None:
-    """tau = k s + Psi_hat + Kz (|Z| + ZB) s, each network with its own error, weights and numbers."""
+    """Torque = k s + Psi_hat + Kz (|Z| + ZB) s, each network with its own error, weights and numbers."""
     feedback, robust = Feedback(500.0, 30.0), Robust(10.0, 0.3, (5.0, 3.0))
     bench = Bench(Neural(network, feedback, robust), layout)
     for k in range(3):
@@ -132,7 +145,7 @@ def test_gains_of_each_velocity() -> None:
     bench = Bench(NEURAL).step(1)
     k, Kz = np.array([500.0, 120.0, 30.0, 20.0]), np.array([10.0, 6.0, 0.3, 0.2])
     norm = bench["weight_norm"][[0, 0, 1, 1]]
-    np.testing.assert_allclose(bench["effective_gain"], k + Kz * (norm + [5, 5, 3, 3]))
+    np.testing.assert_allclose(bench["effective_gain"], k + Kz * (norm + np.array([5, 5, 3, 3])))
     np.testing.assert_allclose(NEURAL.feedback_gain(LAYOUT), k + Kz * [5, 5, 3, 3])
 
 
@@ -342,7 +355,7 @@ def test_memory_is_one_array_with_views() -> None:
     memory = Memory.of(a=(2, 3), b=(4,))
     assert memory.values.shape == (10,)
     memory["a"][1, 2] = 7.0
-    memory["b"][:] = 1.0
+    memory["b"] = 1.0
     np.testing.assert_array_equal(memory.values, [0, 0, 0, 0, 0, 7, 1, 1, 1, 1])
     copy = memory.snapshot()
     memory["b"][:] = 2.0
@@ -399,7 +412,9 @@ def test_numbers_of_the_base_come_before_those_of_the_arm() -> None:
 # --- in the loop
 
 
-def closed_loop(controller: CompiledController, samples: int, engine: Any = "ordinary", seed: int = 1) -> Loop:
+def closed_loop(
+    controller: CompiledController | TorqueController, samples: int, engine: Any = "ordinary", seed: int = 1
+) -> Loop:
     return Loop(
         load("platform_arm"),
         Trajectory(Line(0.3), (Sine(0.78, 4.0), Hold(0.78))),
@@ -409,6 +424,13 @@ def closed_loop(controller: CompiledController, samples: int, engine: Any = "ord
         seed=seed,
         engine=engine,
     )
+
+
+def memory_of(loop: Loop, run: Recording) -> Memory:
+    """The controller's memory as it was when a run ended."""
+    memory = loop.controller.init(loop.wiring())
+    memory.values[:] = run.final["memory"]
+    return memory
 
 
 def same(one: Recording, other: Recording, rows: slice = slice(None)) -> None:
@@ -433,8 +455,7 @@ def scheduled() -> ScheduledPD:
 def test_a_resumed_run_equals_the_uninterrupted_one(controller: CompiledController, engine: Any) -> None:
     whole, half = closed_loop(controller, N, engine), closed_loop(controller, N // 2, engine)
     straight, first = whole.run(), half.run()
-    memory = controller.init(half.wiring())
-    memory.values[:] = first.final["memory"]
+    memory = memory_of(half, first)
     kept = memory.snapshot()
     second = whole.run(memory=memory, state=(first.final["position"], first.final["nu"]), first=N // 2)
     same(straight, first, slice(0, N // 2))
@@ -448,9 +469,7 @@ def test_learning_goes_on_only_where_it_is_on() -> None:
     """Trained weights, frozen: the same for the whole run, and not those of an untrained network."""
     trained = closed_loop(Neural(), N).run()
     loop = closed_loop(Neural(learning=False), N)
-    memory = loop.controller.init(loop.wiring())
-    memory.values[:] = trained.final["memory"]
-    frozen = loop.run(memory=memory)
+    frozen = loop.run(memory=memory_of(loop, trained))
     for name in ("W1", "V1", "W2", "V2"):
         np.testing.assert_array_equal(frozen.weights[name][0], frozen.weights[name][-1])
         np.testing.assert_array_equal(frozen.weights[name][0], trained.weights[name][-1])
@@ -472,3 +491,163 @@ def test_oracle_knows_psi_and_what_it_knows_helps() -> None:
     np.testing.assert_array_equal(pd["psi_hat"], 0 * pd["psi_hat"])
     if not config.DISABLE_JIT:
         assert np.linalg.norm(oracle["r"][-1]) < np.linalg.norm(pd["r"][-1])
+
+
+def test_a_memory_of_another_controller_is_refused() -> None:
+    loop = closed_loop(NEURAL, 4)
+    others = [Neural(TwoLayer(hidden=6)), Neural(OneLayer(hidden=7)), PD()]
+    for memory in [*(other.init(loop.wiring()) for other in others), np.zeros(3)]:
+        with pytest.raises(ConfigError, match="memory: error: not a memory of two_layer with these settings"):
+            loop.run(memory=memory)
+
+
+@pytest.mark.parametrize(("first", "sensor_period"), [(-1, None), (4, None), (1, 0.004)])
+def test_a_first_sample_without_a_measurement_is_refused(first: int, sensor_period: float | None) -> None:
+    loop = closed_loop(PD(), 4)
+    loop = replace(loop, timing=Timing(4 * H, H, 0.001, sensor_period))
+    with pytest.raises(ConfigError, match=f"first: error: cannot start at control sample {first}"):
+        loop.run(first=first)
+    assert len(loop.run(first=2)) == 2
+
+
+def test_a_run_that_begins_later_begins_at_the_reference_of_that_time() -> None:
+    loop = replace(closed_loop(PD(), 4), start=Start())
+    run = loop.run(first=2)
+    np.testing.assert_array_equal(run.time, [2 * H, 3 * H])
+    np.testing.assert_allclose(run["pose_error"][0], 0, atol=1e-12)
+    assert run["pose"][0, 0] == pytest.approx(0.3 * 2 * H)
+
+
+# --- a controller in plain Python
+
+
+class Recital(TorqueController):
+    """PD that counts its samples, and keeps what it was handed."""
+
+    name = "recital"
+
+    def init(self, wiring: Wiring) -> Memory:
+        return Memory.of(count=(1,))
+
+    def step(
+        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, memory: Memory
+    ) -> Array:
+        memory["count"] += 1
+        assert np.array_equal(command.e, reference.q_ref - measurement.q)
+        assert np.array_equal(command.z, command.alpha - measurement.velocity)
+        return Feedback().vector(LAYOUT) * np.concatenate((command.z, command.r))
+
+    def weights(self, memory: Memory) -> dict[str, Array]:
+        return {"count": memory["count"]}
+
+
+def test_a_controller_in_plain_python_equals_the_compiled_one() -> None:
+    python, compiled = closed_loop(Recital(), N).run(), closed_loop(PD(), N).run()
+    np.testing.assert_allclose(python["torque"], compiled["torque"], rtol=1e-12)
+    np.testing.assert_allclose(python["position"], compiled["position"], atol=1e-14)
+    assert python.final["memory"] == [N]
+    assert python.weights["count"][-1] == [N]
+    with pytest.raises(ConfigError, match="plain Python cannot be compiled"):
+        closed_loop(Recital(), N, "compiled").run()
+
+
+def test_a_controller_in_plain_python_resumes() -> None:
+    half = closed_loop(Recital(), N // 2)
+    first = half.run()
+    state = (first.final["position"], first.final["nu"])
+    second = closed_loop(Recital(), N).run(memory=memory_of(half, first), state=state, first=N // 2)
+    assert second.final["memory"] == [N]
+    same(closed_loop(Recital(), N).run(), second, slice(N // 2, None))
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="runs compiled")
+def test_the_example_runs_and_its_controller_is_the_better_one() -> None:
+    example = Path(__file__).parents[1] / "examples" / "own_controller.py"
+    assert len(example.read_text().splitlines()) < 40
+    done = subprocess.run([sys.executable, example], capture_output=True, text=True, timeout=300, check=True)
+    rows = {line.split()[0]: [float(n) for n in re.findall(r"\d+[.]\d+", line)] for line in done.stdout.splitlines()}
+    assert list(rows) == ["pd", "pid"]
+    assert np.isfinite([*rows.values()]).all()
+    assert all(ours < pd for ours, pd in zip(rows["pid"], rows["pd"], strict=True))
+
+
+# --- what a module imports is what it may know
+
+PACKAGE = Path(mmnn_pin.__file__).parent
+FEET = {"errors", "compiled", "settings", "signals", "timing"}  # what every block may stand on
+BLOCKS = {"reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensor", "sampled"}
+RECORDS = {"recorder", "recording", "run_file"}
+LOOPS = {"start", "loop", "ordinary_loop", "compiled_loop", "sample"}
+USES = {"experiments", "proof", "study", "show"}
+
+
+def imported(module: Path) -> Iterator[str]:
+    """Modules of ours that a module names in an import, as `torque.law`; those for type checking only are left out."""
+    name = module.relative_to(PACKAGE).with_suffix("").parts
+    tree = ast.parse(module.read_text())
+    only_types = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    for node in ast.walk(tree):
+        if id(node) in only_types:
+            continue
+        if isinstance(node, ast.Import):
+            yield from (alias.name.removeprefix("mmnn_pin.") for alias in node.names if "mmnn_pin." in alias.name)
+        elif isinstance(node, ast.ImportFrom):
+            up = list(name[: len(name) - node.level]) if node.level else []
+            source = [*up, *(node.module or "").split(".")] if node.level else (node.module or "").split(".")[1:]
+            if node.level or (node.module or "").split(".")[0] == "mmnn_pin":
+                for alias in node.names:
+                    whole = [part for part in (*source, alias.name) if part]
+                    path = PACKAGE.joinpath(*whole)
+                    yield ".".join(whole if path.is_dir() or path.with_suffix(".py").exists() else whole[:-1])
+
+
+def graph() -> dict[str, set[str]]:
+    """Every module and the modules of ours that it imports."""
+    edges = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        name = ".".join(path.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__")
+        edges[name] = {target for target in imported(path) if target}
+    return edges
+
+
+def known(edges: dict[str, set[str]], module: str) -> set[str]:
+    """All that a module imports, directly or not."""
+    seen: set[str] = set()
+    left = [module]
+    while left:
+        new = edges.get(left.pop(), set()) - seen
+        seen |= new
+        left += new
+    return seen
+
+
+def test_networks_know_no_robot_and_learners_no_model() -> None:
+    edges = graph()
+    assert edges["torque.network"] == {"compiled", "signals"}
+    assert "torque.law" in edges["torque.neural"]  # the reading works
+    for module in ("torque.neural", "torque.law", "torque.controller", "kinematic", "sensor"):
+        assert not [name for name in known(edges, module) if name.split(".")[0] in {"model", "plant"}], module
+
+
+def test_imports_run_one_way() -> None:
+    """errors, signals <- model <- blocks <- loop <- experiments, proof, study, show <- cli; blocks are siblings."""
+    for module, targets in graph().items():
+        place, others = module.split(".")[0], {target.split(".")[0] for target in targets} - {module.split(".")[0]}
+        if place in FEET:
+            allowed = FEET
+        elif place in RECORDS:
+            allowed = FEET | RECORDS
+        elif place == "model" or place in BLOCKS:
+            allowed = FEET | {"model"}
+        elif place in LOOPS:
+            allowed = FEET | {"model"} | BLOCKS | LOOPS | RECORDS
+        elif place in USES:
+            allowed = FEET | {"model"} | BLOCKS | LOOPS | RECORDS | USES
+        else:
+            continue  # the command line and the public names
+        assert others <= allowed, f"{module} imports {others - allowed}"

@@ -159,7 +159,8 @@ def test_signals_of_a_row_belong_together(controller, engine):
         position, nu = run["position"][k], run["nu"][k]
         psi = dynamics.psi(position, nu, run["nu_ref"][k], run["nudot_ref"][k])
         np.testing.assert_allclose(run["psi"][k], psi, rtol=1e-9, atol=1e-9)
-        assert run["energy"][k] == pytest.approx(dynamics.energy(position, nu), abs=1e-10)
+        kinetic = dynamics.energy(position, nu) - dynamics.energy(position, 0 * nu)
+        assert run["energy"][k] == pytest.approx(kinetic, abs=1e-9)  # this robot does not feel gravity
     balance = run["energy"] - run["energy"][0] - run["work"]
     np.testing.assert_allclose(run["energy_residual"], balance, atol=1e-12)
     table = np.hstack([run[n] for n in ("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref")])
@@ -282,10 +283,8 @@ def test_learner_beats_pd_at_its_own_effective_gain():
 
 @engines
 def test_computed_torque_tracks_best_and_wrong_masses_cost(engine):
-    wrong = build(parse(ROBOT.urdf.replace('<mass value="94.0"/>', '<mass value="20.0"/>').encode(), "r.urdf"))
-    assert Dynamics(wrong).mass_matrix(np.zeros(7))[0, 0] == pytest.approx(
-        Dynamics(ROBOT).mass_matrix(np.zeros(7))[0, 0] - 74.0
-    )
+    wrong = build(parse(ROBOT.urdf.replace('<mass value="4.0"/>', '<mass value="12.0"/>').encode(), "r.urdf"))
+    assert sum(body.mass for body in wrong.model.inertias) == pytest.approx(112 + 2 * 8)
     oracle, mismatched, learning, pd = (
         loop(controller, LONG, engine=engine, nominal=nominal).run()
         for controller, nominal in (
@@ -298,19 +297,25 @@ def test_computed_torque_tracks_best_and_wrong_masses_cost(engine):
     half = LONG / 2
     assert rms(oracle, "z", "r", after=half) < 0.7 * min(rms(run, "z", "r", after=half) for run in (learning, pd))
     assert np.abs(mismatched["psi_hat"] - mismatched["psi"]).max() > 1.0
-    assert rms(mismatched, "z", after=half) > 1.2 * rms(oracle, "z", after=half)
+    np.testing.assert_allclose(oracle["psi_hat"], oracle["psi"], rtol=1e-9, atol=1e-9)
+    assert rms(mismatched, "r", after=half) > 1.5 * rms(oracle, "r", after=half)
 
 
 # --- Randomness and resuming ------------------------------------------------------------------------------------------
 
 
-def datasets(path) -> dict[str, np.ndarray]:
+def datasets(path) -> dict:
     """Everything in a file but how long its steps took and when it was made."""
-    found: dict[str, np.ndarray] = {}
+    found: dict = {}
     with h5py.File(path) as file:
         file.visititems(lambda name, item: found.update({name: item[()]}) if isinstance(item, h5py.Dataset) else None)
         found |= {f"@{name}": value for name, value in file.attrs.items() if name != "created"}
-    return {name: np.asarray(value) for name, value in found.items() if not name.startswith("timing")}
+    return {name: same_bits(np.asarray(value)) for name, value in found.items() if not name.startswith("timing")}
+
+
+def same_bits(value: np.ndarray):
+    """Bytes of numbers; texts as they are."""
+    return value.tolist() if value.dtype == object else value.tobytes()
 
 
 @engines
@@ -320,10 +325,8 @@ def test_equal_seeds_are_equal_on_disk_and_others_are_not(tmp_path, engine):
         loop(Neural(), seed=seed, engine=engine).run(tmp_path / f"{i}.h5")
         files.append(datasets(tmp_path / f"{i}.h5"))
     one, same, other = files
-    assert one.keys() == same.keys() and len(one) > 30
-    assert all(one[name].tobytes() == same[name].tobytes() for name in one)
-    assert one["signals/torque"].tobytes() != other["signals/torque"].tobytes()
-    assert one["weights/V1"].tobytes() != other["weights/V1"].tobytes()
+    assert len(one) > 30 and one == same
+    assert one["signals/torque"] != other["signals/torque"] and one["weights/V1"] != other["weights/V1"]
 
 
 @engines

@@ -1,5 +1,6 @@
 """A run comes back as it was written, whatever ended it."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -317,3 +318,34 @@ def test_wrong_use_is_told(tmp_path):
     assert "did you mean 'psi_hat'" in str(raised.value)
     with pytest.raises(UnknownName):
         rec.unit("nonsense")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="space is reserved on Linux only")
+@pytest.mark.parametrize("moment", ["rows", "weights", "finish"])
+def test_wherever_the_disk_fills_the_rows_before_are_kept(moment, tmp_path, monkeypatch):
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "no room")
+
+    with Recorder(LAYOUT, META, tmp_path / "run.h5") as recorder:
+        recorder.append_block(rows_of(BUFFER_ROWS))
+        monkeypatch.setattr("os.posix_fallocate", full)
+        with pytest.raises(RecordingError, match=r"No space left on device.*the first 1,024 rows can be read"):
+            if moment == "rows":
+                recorder.append_block(rows_of(BUFFER_ROWS))
+            elif moment == "weights":
+                recorder.weights(0.0, {"W": np.zeros(3)})
+            else:
+                recorder.finish(DONE, {"nu": np.zeros(4)})
+    rec = Recording.open(tmp_path / "run.h5")
+    assert len(rec) == BUFFER_ROWS and not rec.complete
+
+
+def test_a_file_is_replaced_only_by_one_with_a_header(tmp_path, monkeypatch):
+    def fail(*_: object) -> None:
+        raise OSError(errno.EIO, "broken")
+
+    record(rows_of(5), tmp_path / "run.h5")
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(RecordingError, match="cannot create the recording: Input/output error"):
+        Recorder(LAYOUT, META, tmp_path / "run.h5", force=True)
+    assert len(Recording.open(tmp_path / "run.h5")) == 5 and len(list(tmp_path.iterdir())) == 1

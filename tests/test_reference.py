@@ -13,6 +13,7 @@ from hypothesis.strategies import SearchStrategy
 from mmnn_pin.errors import TrajectoryError
 from mmnn_pin.reference import (
     BasePath,
+    BaseSamples,
     Circle,
     Eight,
     Hold,
@@ -345,3 +346,16 @@ def test_trajectory_must_fit_the_robot() -> None:
         Trajectory(None).table(t, Layout(base=2, arm=0, full=5, motors=2))
     with pytest.raises(TrajectoryError, match="1 arm profiles for 2"):
         Trajectory(Line(1), (Hold(0),)).table(t, Layout(base=2, arm=2, full=7, motors=4))
+
+
+class Sideways(BasePath):
+    """A user's own path: it slides along y while it looks along x."""
+
+    def sample(self, t: np.ndarray) -> BaseSamples:
+        zero = np.zeros_like(t)
+        return BaseSamples(t, np.stack([t, 0.2 * t, zero], 1), np.stack([zero + 1, zero], 1), np.zeros((len(t), 2)))
+
+
+def test_a_users_path_that_slides_sideways_is_refused_when_sampled() -> None:
+    with pytest.raises(TrajectoryError, match=r"sideways .* 0\.2 m/s"):
+        Trajectory(Sideways()).table(np.linspace(0, 1, 50), Layout(base=2, arm=0, full=5, motors=2))

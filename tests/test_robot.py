@@ -279,7 +279,8 @@ def test_meshes_that_are_missing_remote_damaged_or_outside_are_not_needed(tmp_pa
     folder = tmp_path / "a" / "b"
     folder.mkdir(parents=True)
     (folder / "broken.stl").write_bytes(b"solid nothing\xff")
-    (tmp_path.parent / "outside.stl").write_text("solid x")
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.cylinder(radius=0.08, height=0.03).export(tmp_path / "outside.stl")
     skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.01)))
     drive = Drive(shape=f'<mesh filename="{name}"/>')
     robot = robot_of(drive.urdf(skid + joint("weld", "fixed", "base", "skid")), folder / "r.urdf")
@@ -369,6 +370,13 @@ def test_wheels_in_the_air_are_told_and_not_taken_for_an_arm():
     keel = link("keel", shape='<box size="0.1 0.1 0.4"/>') + joint("weld", "fixed", "base", "keel")
     with pytest.raises(Undecided, match=r"0\.2 m above the robot's lowest point"):
         robot_of(Drive().urdf(keel))
+
+
+def test_what_carries_a_moving_body_is_no_wheel():
+    crank = link("crank") + joint("pin", "continuous", "left_link", "crank", p=(0.05, 0, 0))
+    with pytest.raises(Undecided) as error:
+        robot_of(Drive().urdf(crank))
+    assert [c.split("'")[1] for c in error.value.candidates] == ["right"]
 
 
 def test_continuous_arm_joints_are_no_wheels():

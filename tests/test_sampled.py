@@ -104,7 +104,7 @@ def test_one_mass_is_stable_up_to_twice_its_mass_over_the_period(mass: float, h:
 @settings(deadline=None)
 @given(st.floats(0.05, 1.5), st.floats(0.05, 1.5))
 def test_one_joint_with_position_gain(k: float, K: float) -> None:
-    """`z^2 - (2 - a - b) z + (1 - a + b)` with a = h k / M, b = h^2 k K / (2 M): stable while k < 2 M / h and K < 2 / h."""
+    """`z^2 + (a + b - 2) z + 1 - a + b`, a = h k / M, b = a h K / 2: stable while k < 2 M / h and K < 2 / h."""
     M, h = 3.0, 0.02
     a = 2 * k
     b = a * K
@@ -201,7 +201,7 @@ def test_deviations_grow_above_the_limit_at_the_judged_rate_and_shrink_below(
     robot = load(name)
     scale = limit(robot, feedback)
     above = feedback(1.05 * scale)
-    with pytest.raises(ConfigError, match="the sampled PD loop is unstable: spectral radius 1[.]"):
+    with pytest.raises(ConfigError, match=r"the sampled PD loop is unstable: spectral radius 1[.]"):
         standing(robot, above, True, 1.6).run()
     calm, wild = standing(robot, feedback(0.95 * scale), True, 3.2).run(), standing(robot, above, False, 2.0).run()
     assert calm.outcome.status == "completed"

@@ -125,13 +125,11 @@ def test_what_is_no_urdf_is_said_to_be_none(data, reason):
         parse(data, "x.urdf")
 
 
-def test_entities_are_never_expanded_or_opened(tmp_path):
-    secret = tmp_path / "secret"
-    secret.write_text("s3cret")
-    text = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "file://{secret}">]><robot name="a"><link name="&s;"/></robot>'
-    with pytest.raises(RobotError) as error:
+def test_entities_are_never_opened(tmp_path):
+    (tmp_path / "secret").write_text("<opened")
+    text = f'<!DOCTYPE robot [<!ENTITY s SYSTEM "{tmp_path}/secret">]><robot name="a">&s;</robot>'
+    with pytest.raises(RobotError, match="has a DOCTYPE"):  # opening it would fail with another message
         parse(text.encode(), "x.urdf")
-    assert "s3cret" not in str(error.value)
 
 
 def test_files_that_cannot_be_read(tmp_path):

@@ -32,7 +32,7 @@ def say_if_cold() -> None:
     from ..compiled import is_warm
 
     if not is_warm():
-        click.echo("first run of this version: compiling takes about 20 seconds, later runs start at once", err=True)
+        click.echo("first run of this version: compiling takes about a minute, later runs start at once", err=True)
 
 
 @contextmanager

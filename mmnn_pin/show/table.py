@@ -28,17 +28,15 @@ def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
     """The table with its caption, as text of at most `width` columns."""
     console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
     with console.capture() as capture:
+        console.print(title(result), style="bold", highlight=False)
         console.print(comparison(result))
+        console.print(caption(result), style="italic", highlight=False)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
 def comparison(result: Result) -> Table:
     """Rows: errors, effort, learned share, effective gain, outcome. Columns: controllers."""
-    experiment = result.experiment
-    about = f"({experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed})"
-    table = Table(title=f"{experiment.title or result.name} {about}", box=SIMPLE_HEAD, padding=0)
-    table.title_justify = table.caption_justify = "left"
-    table.caption = caption(result)
+    table = Table(box=SIMPLE_HEAD, padding=0)
     table.add_column("", overflow="fold")
     table.add_column("", no_wrap=True)
     for name in result.recordings:
@@ -50,13 +48,23 @@ def comparison(result: Result) -> Table:
     return table
 
 
+def title(result: Result) -> str:
+    """What was run, on what, for how long, from which seed."""
+    experiment = result.experiment
+    about = f"{experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed}"
+    return f"{experiment.title or result.name} ({about})"
+
+
 def caption(result: Result) -> str:
     """What the marks and the words of the table mean."""
     oracles = [name for name in result.recordings if name in ORACLES]
-    marks = "* best of the row"
+    marks = "* best of the row. " if len(result.recordings) - len(oracles) > 1 else ""
     if oracles:
-        marks += f" but for {', '.join(oracles)}, which knows the true model (in brackets: that model's share)"
-    return f"{marks}. {CAPTION}"
+        marks = (
+            marks.replace(".", f" but for {oracles[0]}.")
+            + f"{oracles[0]} knows the true model: its share in brackets. "
+        )
+    return marks + CAPTION
 
 
 def heading(controller: str, width: int = 9) -> str:

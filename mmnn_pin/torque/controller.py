@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
@@ -63,6 +63,10 @@ class Memory:
                 return self.values[start : start + size].reshape(shape)
             start += size
         raise KeyError(name)
+
+    def __setitem__(self, name: str, value: ArrayLike) -> None:
+        """Write one part in place."""
+        self[name][...] = value
 
     def snapshot(self) -> Memory:
         """Copy that later steps do not touch; hand it to a run to resume from here."""
@@ -189,11 +193,11 @@ def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...]
     """
     parts = []
     for name, value, size in (("base", base, layout.base), ("arm", arm, layout.arm)):
-        if np.ndim(value) and np.shape(value) != (size,):
+        if size and np.ndim(value) and np.shape(value) != (size,):
             raise ConfigError(
                 f"{np.size(value)} gains for {size} velocities",
                 fix="give one number or one per velocity",
                 key=f"{key}.{name}",
             )
-        parts.append(np.broadcast_to(np.asarray(value, float), (size,)))
+        parts.append(np.broadcast_to(np.asarray(value, float), (size,)) if size else np.zeros(0))
     return np.concatenate(parts)
