@@ -2,7 +2,7 @@
 
     reference -> kinematic -> torque -> plant -> sensor -> (back)        closed by `loop`
 
-- `model`: what the robot is. `load` a URDF: wheels found, M, C, gravity by Pinocchio, projected onto the rolling wheels.
+- `model`: what the robot is. `load` a URDF: wheels found, M, C, gravity by Pinocchio, projected onto rolling wheels.
 - `reference`: where it should be. `kinematic`: pose error to velocity command (Kanayama).
 - `torque`: velocity command to torque: the thesis's networks, PD, computed torque, or a controller of your own.
 - `plant`, `sensor`: the robot simulated and measured. `loop`: all of it, one row of signals per control sample.

@@ -20,7 +20,7 @@ from .model.tree_dynamics import potential_energy, psi_again, terms
 from .model.tree_motion import Tree, new_scratch
 from .plant.integrators import METHODS, SEMI_IMPLICIT, derivative, rk4_stage, semi_implicit
 from .sample import after_torque, before_torque
-from .signals import INDEX, Array
+from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.controller import CompiledController
 
@@ -39,7 +39,7 @@ class Body(NamedTuple):
     damping: Array
     coulomb: Array
     viscous: Array
-    arm: Array
+    arm: IntArray
     base: int
     feels_gravity: bool
 
@@ -75,11 +75,11 @@ class Plan(NamedTuple):
 class Blocks(NamedTuple):
     """Settings of the blocks as arrays."""
 
-    at: Array
+    at: IntArray
     table: Array
     gains: Array
     K: Array
-    sizes: Array
+    sizes: IntArray
     settings: Array
     E_inv: Array
     bounds: Array
@@ -93,8 +93,16 @@ def new_body(robot: Robot) -> Body:
     """
     frame = robot.frame if robot.layout.base else np.zeros(3)
     tree = flatten(robot.model, robot.T, robot.neutral_position(), tuple(frame))
-    arrays = (np.array(a) for a in (robot.T, robot.damping, robot.coulomb, robot.viscous, robot.arm_index))
-    return Body(tree, *arrays, robot.layout.base, Dynamics(robot).feels_gravity)
+    return Body(
+        tree=tree,
+        T=np.array(robot.T),
+        damping=np.array(robot.damping),
+        coulomb=np.array(robot.coulomb),
+        viscous=np.array(robot.viscous),
+        arm=np.array(robot.arm_index),
+        base=robot.layout.base,
+        feels_gravity=Dynamics(robot).feels_gravity,
+    )
 
 
 def new_work(body: Body) -> Work:
@@ -116,7 +124,7 @@ def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
 
 
 @compiled
-def as_measured(row: Array, at: Array, arm: Array, base: int, y: Array) -> None:
+def as_measured(row: Array, at: IntArray, arm: IntArray, base: int, y: Array) -> None:
     """Measured position and velocity into y (nv + p + 1,), other joints as they are there."""
     pose, velocity = row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
     q, qdot = row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]]
@@ -133,7 +141,7 @@ def as_measured(row: Array, at: Array, arm: Array, base: int, y: Array) -> None:
 def advance(
     first: int,
     last: int,
-    counter: Array,
+    counter: IntArray,
     rows: Array,
     row: Array,
     blocks: Blocks,

@@ -13,7 +13,7 @@ import numpy as np
 from .compiled import compiled
 from .errors import ConfigError
 from .settings import Settings, require_gains
-from .signals import INDEX, Array, Layout
+from .signals import INDEX, Array, IntArray, Layout
 
 POSE_REF, VELOCITY_REF, ACCELERATION_REF = INDEX["pose_ref"], INDEX["velocity_ref"], INDEX["acceleration_ref"]
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
@@ -69,7 +69,7 @@ def kanayama(
 
 
 @compiled
-def command(row: Array, at: Array, gains: Array, K: Array) -> None:
+def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
     """Velocity command of one sample: fills alpha ... nudot_ref of the row from its reference and measurement.
 
     Args:

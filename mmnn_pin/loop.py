@@ -136,6 +136,7 @@ class Loop:
             "velocity_names": robot.velocity_names,
             "position_names": robot.position_names,
             "actuator_names": robot.actuator_names,
+            "effort_limits": robot.effort_limits.tolist(),
             "control_period": self.timing.control_period,
         }
 

@@ -103,7 +103,7 @@ class OrdinaryLoop:
         self.y = self.plant.y
         self.gains, self.K = loop.kinematic.base_gains(), loop.kinematic.arm_gains(layout)
         self.bounds, self.E_inv = loop.bounds.vector(layout), np.ascontiguousarray(np.linalg.pinv(loop.robot.E))
-        self.start_energy = 0.5 * nu @ self.plant.dynamics.M @ nu + self.plant.dynamics.potential()
+        self.start_energy = float(0.5 * nu @ self.plant.dynamics.M @ nu) + self.plant.dynamics.potential()
         names = ("torque", "nu_ref", "nudot_ref", "psi")
         self.tau, self.nu_ref, self.nudot_ref, self.psi = (self.row[layout.where(name)] for name in names)
 
@@ -124,7 +124,7 @@ class OrdinaryLoop:
             self.torque.step(k * h)
             step_time = clock.perf_counter() - began
             dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
-            potential, work = dynamics.potential(), plant.y[-1]
+            potential, work = dynamics.potential(), float(plant.y[-1])
             bad = after_torque(row, self.at, dynamics.M, self.E_inv, potential, work, self.start_energy, self.bounds)
             if bad >= 0:
                 return bad

@@ -6,7 +6,7 @@ import numpy as np
 
 from . import kinematic, sensor
 from .compiled import compiled
-from .signals import INDEX, Array
+from .signals import INDEX, Array, IntArray
 
 TIME, POSITION, NU, FIRST_REFERENCE, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 TORQUE, MOTOR_TORQUE = INDEX["torque"], INDEX["motor_torque"]
@@ -15,7 +15,15 @@ ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"
 
 @compiled
 def before_torque(
-    row: Array, at: Array, time: float, y: Array, reference: Array, measure: bool, arm: Array, gains: Array, K: Array
+    row: Array,
+    at: IntArray,
+    time: float,
+    y: Array,
+    reference: Array,
+    measure: bool,
+    arm: IntArray,
+    gains: Array,
+    K: Array,
 ) -> None:
     """Everything of a sample up to the controller: time, true state, reference, measurement, velocity command."""
     row[at[TIME]] = time
@@ -31,7 +39,7 @@ def before_torque(
 
 @compiled
 def after_torque(
-    row: Array, at: Array, M: Array, E_inv: Array, potential: float, work: float, start: float, bounds: Array
+    row: Array, at: IntArray, M: Array, E_inv: Array, potential: float, work: float, start: float, bounds: Array
 ) -> int:
     """Motor torques, energy balance and the guard of a sample.
 

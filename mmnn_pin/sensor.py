@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from .compiled import compiled
-from .signals import INDEX, Array
+from .signals import INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
 
 
 @compiled
-def ideal(row: Array, at: Array, position: Array, nu: Array, arm: Array) -> None:
+def ideal(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
     """Exact measurement of pose, base velocity, arm joints and their rates.
 
     Args:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 # The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
 # Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .errors import ConfigError
 from .model.robot import Robot
 from .settings import Settings, require_gains
 from .signals import INDEX, Array, Layout
@@ -18,15 +19,30 @@ class Start(Settings, frozen=True):
         pose_offset: Start minus reference, in the reference's frame (x, y, phi) [m, m, rad].
         joint_offset: Start minus reference of every arm joint, one number or one per joint [rad or m].
         moving: Start with the reference's velocity instead of at rest.
+
+    Raises:
+        ConfigError: An offset is not finite.
     """
 
     pose_offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     joint_offset: float | tuple[float, ...] = 0.0
     moving: bool = False
 
+    def __post_init__(self) -> None:
+        for name in ("pose_offset", "joint_offset"):
+            if not np.all(np.isfinite(getattr(self, name))):
+                raise ConfigError(f"{getattr(self, name)} is not finite", fix="use finite numbers", key=f"start.{name}")
+
     def state(self, robot: Robot, first: Array) -> tuple[Array, Array]:
-        """Position (nv,) and nu (p,) for the first row of a reference table."""
+        """Position (nv,) and nu (p,) for the first row of a reference table.
+
+        Raises:
+            ConfigError: Neither one joint offset nor as many as arm joints.
+        """
         layout = robot.layout
+        if np.ndim(self.joint_offset) and np.size(self.joint_offset) != layout.arm:
+            what = f"{np.size(self.joint_offset)} offsets for {layout.arm} joints"
+            raise ConfigError(what, fix="give one number or one per joint", key="start.joint_offset")
         position, nu = robot.neutral_position(), np.zeros(layout.dof)
         at = layout.offsets - layout.offsets[FIRST_REFERENCE]
         values = {name: first[at[INDEX[name]] : at[INDEX[name] + 1]] for name in REFERENCE_NAMES}

@@ -58,7 +58,7 @@ def only_line(err: str) -> str:
     return err.strip()
 
 
-# -- help ----------------------------------------------------------------------------------------------------------------
+# -- help --------------------------------------------------------------------------------------------------------------
 
 
 def test_version(call: Call) -> None:
@@ -87,7 +87,7 @@ def test_help_imports_nothing_slow() -> None:
     assert not loaded & {"numpy", "numba", "pinocchio", "matplotlib", "rich", "h5py", "scipy", "lxml"}
 
 
-# -- run -----------------------------------------------------------------------------------------------------------------
+# -- run ---------------------------------------------------------------------------------------------------------------
 
 
 def test_run_writes_recordings_and_plot_and_prints_a_table(call: Call) -> None:
@@ -228,7 +228,7 @@ def test_rank_one_weights_are_told(call: Call) -> None:
     assert code == 0 and "rank one" in out.partition("note: ")[2]
 
 
-# -- the table -----------------------------------------------------------------------------------------------------------
+# -- the table ---------------------------------------------------------------------------------------------------------
 
 
 def test_best_of_a_row_is_marked_but_never_the_oracle() -> None:
@@ -254,7 +254,7 @@ def test_headings_are_short_and_keep_the_name(name: str) -> None:
     assert "_".join(lines) == name and max(map(len, lines)) <= 9
 
 
-# -- bad input: exit code 2, one line, nothing written -------------------------------------------------------------------
+# -- bad input: exit code 2, one line, nothing written -----------------------------------------------------------------
 
 BAD = {
     "unknown experiment": (["run", "chapter5"], ["unknown experiment 'chapter5'", "chapter4"]),
@@ -395,7 +395,7 @@ def test_output_in_a_folder_without_permission(call: Call) -> None:
     assert code == 2 and "locked" in only_line(err)
 
 
-# -- errors that should not happen ---------------------------------------------------------------------------------------
+# -- errors that should not happen -------------------------------------------------------------------------------------
 
 
 def test_unexpected_errors_are_one_line_unless_debug(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -438,7 +438,7 @@ def test_a_reader_that_leaves_is_no_error() -> None:
     assert run.returncode == 0 and err == b""
 
 
-# -- model ---------------------------------------------------------------------------------------------------------------
+# -- model -------------------------------------------------------------------------------------------------------------
 
 STATE = {
     "pose": [1.0, -2.0, 0.7],
@@ -517,7 +517,7 @@ def test_a_pose_for_a_fixed_arm_is_refused(call: Call) -> None:
     assert code == 2 and "fixed" in only_line(err)
 
 
-# -- plot ----------------------------------------------------------------------------------------------------------------
+# -- plot --------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
@@ -569,7 +569,7 @@ def test_equal_controllers_are_told_apart_by_file(call: Call, short_run: Path, t
     assert list(named(runs)) == [str(run.path) for run in runs]
 
 
-# -- list ----------------------------------------------------------------------------------------------------------------
+# -- list --------------------------------------------------------------------------------------------------------------
 
 
 def test_list_names_all_there_is(call: Call) -> None:

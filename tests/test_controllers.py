@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -13,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import config
 from scipy.special import expit
 
 import mmnn_pin
@@ -37,6 +37,7 @@ from mmnn_pin.torque.controller import (
 from mmnn_pin.torque.model_based import PD, ComputedTorque, ScheduledPD
 from mmnn_pin.torque.neural import MEASURED, Inputs, Neural, OneLayer, Robust, TwoLayer
 
+PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 LAYOUT = Layout(base=2, arm=2, full=7, motors=4)
 H, SAMPLES = 0.002, 40
 GAINS = Feedback((500.0, 120.0), (30.0, 20.0))
@@ -53,13 +54,14 @@ class Bench:
         self.layout, self.row = layout, layout.new_row()
         wiring = Wiring(layout, H, SAMPLES, np.random.default_rng(seed))
         self.law, self.memory = controller.law(wiring), controller.init(wiring)
+        self.integers: tuple[Any, Any] = (layout.offsets, self.law.sizes)
 
     def step(self, seed: int, **signals: Any) -> Bench:
         """One sample of random signals, some of them given."""
         self.row[:] = np.random.default_rng(seed).uniform(-1, 1, self.row.size)
         for name, value in signals.items():
             self.row[self.layout.where(name)] = value
-        law.step(self.law.kind, self.row, self.layout.offsets, self.law.sizes, self.law.settings, self.memory.values)
+        law.step(self.law.kind, self.row, *self.integers, self.law.settings, self.memory.values)
         return self
 
     def __getitem__(self, name: str) -> Array:
@@ -119,8 +121,8 @@ def test_network_law(network: TwoLayer | OneLayer, layout: Layout) -> None:
     """Torque = k s + Psi_hat + Kz (|Z| + ZB) s, each network with its own error, weights and numbers."""
     feedback, robust = Feedback(500.0, 30.0), Robust(10.0, 0.3, (5.0, 3.0))
     bench = Bench(Neural(network, feedback, robust), layout)
-    for k in range(3):
-        bench.step(k)
+    for seed in range(3):
+        bench.step(seed)
     old = bench.weights()
     bench.step(9)
     outputs, norms, Kz, ZB = [], [], [], []
@@ -439,7 +441,7 @@ def same(one: Recording, other: Recording, rows: slice = slice(None)) -> None:
             np.testing.assert_array_equal(one[name][rows], other[name], err_msg=name)
 
 
-N = 6 if config.DISABLE_JIT else 60
+N = 6 if PLAIN else 60
 
 
 def scheduled() -> ScheduledPD:
@@ -489,7 +491,7 @@ def test_oracle_knows_psi_and_what_it_knows_helps() -> None:
     oracle, pd = (closed_loop(controller, N).run() for controller in (ComputedTorque(), PD()))
     np.testing.assert_allclose(oracle["psi_hat"], oracle["psi"], atol=1e-9)
     np.testing.assert_array_equal(pd["psi_hat"], 0 * pd["psi_hat"])
-    if not config.DISABLE_JIT:
+    if not PLAIN:
         assert np.linalg.norm(oracle["r"][-1]) < np.linalg.norm(pd["r"][-1])
 
 
@@ -560,7 +562,7 @@ def test_a_controller_in_plain_python_resumes() -> None:
     same(closed_loop(Recital(), N).run(), second, slice(N // 2, None))
 
 
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="runs compiled")
+@pytest.mark.skipif(PLAIN, reason="runs compiled")
 def test_the_example_runs_and_its_controller_is_the_better_one() -> None:
     example = Path(__file__).parents[1] / "examples" / "own_controller.py"
     assert len(example.read_text().splitlines()) < 40

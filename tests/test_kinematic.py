@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import fields
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
-import sympy as sp
+import sympy as sp  # type: ignore[import-untyped]
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic, body_error, command, kanayama, wrap
-from mmnn_pin.signals import Array, Layout
+from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
 
 THESIS = np.array([10.0, 64.0, 16.0])
+VIEWS = (Reference, Measurement, VelocityCommand)
 patient = settings(deadline=None)  # the first call may compile
 
 
@@ -216,9 +219,13 @@ def test_pose_error_is_the_reference_seen_from_the_base(pose_ref: Array, pose: A
 def filled(layout: Layout, seed: int) -> tuple[Array, dict[str, Array]]:
     """A row of random signals, and views into it by name."""
     row = np.random.default_rng(seed).uniform(-1, 1, layout.width)
-    names = ("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref", "pose", "velocity")
-    names += ("q", "qdot", "alpha", "alphadot", "pose_error", "z", "e", "edot", "r", "nu_ref", "nudot_ref", "nu")
+    names = [*(field.name for view in VIEWS for field in fields(view)), "nu"]
     return row, {name: row[layout.where(name)] for name in names}
+
+
+def sample(row: Array, layout: Layout, K: Array) -> None:
+    offsets: Any = layout.offsets
+    command(row, offsets, THESIS, K)
 
 
 @pytest.mark.parametrize("layout", [Layout(2, 2, 7, 4), Layout(2, 3, 8, 5), Layout(2, 0, 5, 2), Layout(0, 2, 2, 2)])
@@ -228,7 +235,7 @@ def test_sample_has_the_errors_of_the_thesis(layout: Layout, seed: int) -> None:
     row, signal = filled(layout, seed)
     K = np.random.default_rng(seed + 1).uniform(1, 9, layout.arm)
     truth = signal["nu"].copy()
-    command(row, layout.offsets, THESIS, K)
+    sample(row, layout, K)
     nu = np.concatenate((signal["velocity"], signal["qdot"]))
     np.testing.assert_allclose(signal["e"], signal["q_ref"] - signal["q"])  # Eqn. 3.10
     np.testing.assert_allclose(signal["edot"], signal["qdot_ref"] - signal["qdot"])
@@ -255,7 +262,7 @@ def test_sample_uses_the_measurement_only() -> None:
     for name in ("position", "nu", "psi", "energy"):
         blind[layout.where(name)] = np.nan
     for one in (row, blind):
-        command(one, layout.offsets, THESIS, np.array([7.0, 7.0]))
+        sample(one, layout, np.array([7.0, 7.0]))
     commanded = slice(layout.where("alpha").start, layout.where("nudot_ref").stop)
     np.testing.assert_array_equal(blind[commanded], row[commanded])
     assert np.isfinite(signal["nudot_ref"]).all()

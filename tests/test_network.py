@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-import sympy as sp
+import sympy as sp  # type: ignore[import-untyped]
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.distance import cdist
@@ -275,8 +275,8 @@ def test_huge_inputs_saturate(size: float) -> None:
 def trained(W: Array, V: Array, kappa: float) -> tuple[Array, Array]:
     rng = np.random.default_rng(11)
     for _ in range(60):
-        x, s = rng.normal(size=V.shape[0]), rng.normal(size=W.shape[1])
-        W, V = updated(Network(W, V, x, s), 0.3, 0.3, kappa)
+        now = Network(W, V, rng.normal(size=len(V)), rng.normal(size=W.shape[1:]))
+        W, V = updated(now, 0.3, 0.3, kappa)
     return W, V
 
 

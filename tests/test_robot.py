@@ -274,11 +274,11 @@ def test_radius_of_a_mesh_is_that_of_its_vertices(tmp_path, name):
     assert [w.radius for w in robot.base.wheels] == pytest.approx([0.08, 0.08])
 
 
-@pytest.mark.parametrize("name", ["http://127.0.0.1:9/w.stl", "missing.stl", "broken.stl", "../../outside.stl"])
+@pytest.mark.parametrize("name", ["http://127.0.0.1:9/w.stl", "missing.stl", "broken.ply", "../../outside.stl"])
 def test_meshes_that_are_missing_remote_damaged_or_outside_are_not_needed(tmp_path, name):
     folder = tmp_path / "a" / "b"
     folder.mkdir(parents=True)
-    (folder / "broken.stl").write_bytes(b"solid nothing\xff")
+    (folder / "broken.ply").write_bytes(b"ply\nnothing\xff")
     trimesh = pytest.importorskip("trimesh")
     trimesh.creation.cylinder(radius=0.08, height=0.03).export(tmp_path / "outside.stl")
     skid = link("skid", 0, 0, SPHERE.format(r=0.01), origin(p=(-0.2, 0, 0.01)))

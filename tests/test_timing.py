@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import hypothesis
 import pytest
-from hypothesis import given
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import ConfigError
@@ -18,13 +20,13 @@ def test_accepted_pairs(whole: float, period: float, count: int) -> None:
     assert divide(whole, period, "plant_step") == count
 
 
-@given(st.integers(1, 100_000), st.floats(1e-5, 1.0))
+@hypothesis.given(st.integers(1, 100_000), st.floats(1e-5, 1.0))
 def test_multiples_divide_whatever_their_rounding(count: int, period: float) -> None:
     assert divide(count * period, period, "plant_step") == count
     assert divide(count * period * (1 + 1e-15), period, "plant_step") == count
 
 
-@given(st.integers(1, 1000), st.floats(1e-3, 1.0), st.floats(0.001, 0.999))
+@hypothesis.given(st.integers(1, 1000), st.floats(1e-3, 1.0), st.floats(0.001, 0.999))
 def test_what_lies_between_does_not(count: int, period: float, more: float) -> None:
     with pytest.raises(ConfigError):
         divide((count + more) * period, period, "plant_step")
@@ -46,7 +48,7 @@ def test_counts_of_a_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "key"),
+    ("given", "key"),
     [
         ({"duration": 1.0, "control_period": 0.3}, "control_period"),
         ({"control_period": 0.002, "plant_step": 0.0015}, "plant_step"),
@@ -59,7 +61,7 @@ def test_counts_of_a_run() -> None:
         ({"duration": float("inf")}, "duration"),
     ],
 )
-def test_periods_that_do_not_fit_are_refused(settings: dict[str, float], key: str) -> None:
+def test_periods_that_do_not_fit_are_refused(given: dict[str, Any], key: str) -> None:
     with pytest.raises(ConfigError) as refused:
-        Timing(**settings)
+        Timing(**given)
     assert refused.value.key == f"time.{key}"

@@ -11,11 +11,11 @@ import numpy as np
 from ..errors import ConfigError, UnknownName
 from ..kinematic import Kinematic
 from ..loop import Loop
-from ..start import Bounds, Start
 from ..model.robot import Robot, load
 from ..reference import Circle, Eight, Hold, Line, MinimumJerk, Sine, Trajectory, Waypoints
 from ..settings import Settings, require_gains
 from ..signals import Array, Layout
+from ..start import Bounds, Start
 from ..timing import Timing
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
@@ -131,7 +131,7 @@ class Experiment(Settings, frozen=True):
                 raise UnknownName("controller", name, CONTROLLERS, key="controllers")
         if len(set(self.controllers)) < len(self.controllers):
             raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
-        if any(not 0 <= start < end for start, end in self.windows):
+        if any(not 0 <= start < end < np.inf for start, end in self.windows):
             raise ConfigError(f"{self.windows}", fix="give intervals [start, end] in seconds", key="windows")
         if self.seed < 0:
             raise ConfigError(f"{self.seed}", fix="use an integer >= 0", key="seed")

@@ -31,11 +31,11 @@ def metrics(recording: Recording, windows: Sequence[tuple[float, float]]) -> dic
                 result[f"{name}.{label}.rms_{start:g}_{end:g}"] = rms(column[inside])
     h = float(recording.meta["control_period"])
     result["effort"] = float(np.sum(as_columns(recording["motor_torque"]) ** 2) * h)
-    for part, columns in halves(recording).items():
-        torque, psi_hat = (as_columns(recording[name])[:, columns] for name in ("torque", "psi_hat"))
+    for part, where in halves(recording).items():
+        torque, psi_hat = (as_columns(recording[name])[:, where] for name in ("torque", "psi_hat"))
         total = rms(torque)
         result[f"learned_share.{part}"] = rms(psi_hat) / total if total > 0 else 0.0
-        gain = as_columns(recording["effective_gain"])[:, columns]
+        gain = as_columns(recording["effective_gain"])[:, where]
         result[f"effective_gain.{part}"] = float(gain.mean()) if gain.size else float("nan")
     if len(recording):
         result["energy_residual"] = float(np.abs(recording["energy_residual"]).max())

@@ -134,10 +134,11 @@ def run_experiment(
     wanted = experiment.controllers
     files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}
     robot = experiment.load_robot()
-    for controller in wanted:
+    for controller in in_order(wanted):
         if controller not in EFFECTIVE:
             loop = experiment.loop(robot, experiment.controller(controller))
             loop.require_stable_gains()
+            loop.start.state(robot, loop.table()[0])
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
     notes = reference_notes(experiment, robot)

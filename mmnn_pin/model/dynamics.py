@@ -30,8 +30,8 @@ class Dynamics:
         self.frame = np.array(robot.frame, float) if robot.layout.base else np.zeros(0)
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
         # Writable copies: compiled code exists once for these, not again for read-only arrays.
-        self.T, self.q_index, self.is_continuous = (np.array(a) for a in (robot.T, robot.q_index, robot.is_continuous))
-        self.coefficients = tuple(np.array(a) for a in (robot.damping, robot.coulomb, robot.viscous))
+        self.T, self.q_index, self.is_continuous = robot.T.copy(), robot.q_index.copy(), robot.is_continuous.copy()
+        self.damping, self.coulomb, self.viscous = robot.damping.copy(), robot.coulomb.copy(), robot.viscous.copy()
         # Views of Pinocchio's own memory; M is symmetric, its transpose is contiguous row by row.
         self.M_full, self.C_full, self.h_full, self.g_full = self.data.M.T, self.data.C, self.data.nle, self.data.g
         self.M, self.L, self.half = np.zeros((p, p)), np.zeros((p, p)), np.zeros((model.nv, p))
@@ -79,7 +79,7 @@ class Dynamics:
     def acceleration(self, position: Array, nu: Array, tau: Array) -> Array:
         """Acceleration nudot under the generalized torque tau, (p,)."""
         rest = tau - self.coriolis_matrix(position, nu) @ nu - self.gravity(position) - self.friction(nu)
-        return np.linalg.solve(self.mass_matrix(position), rest)
+        return np.asarray(np.linalg.solve(self.mass_matrix(position), rest), float)
 
     def energy(self, position: Array, nu: Array) -> float:
         """Kinetic and potential energy [J]."""
@@ -112,8 +112,9 @@ class Dynamics:
         pin.crba(self.model, self.data, self.q)
         pin.nonLinearEffects(self.model, self.data, self.q, self.v)
         reduction.reduced_terms(
-            self.T, self.M_full, self.h_full, self.v, nu, *self.coefficients, self.half, self.M, self.h, self.F
-        )
+            self.T, self.M_full, self.h_full, self.v, nu, self.damping, self.coulomb, self.viscous, self.half,
+            self.M, self.h, self.F,
+        )  # fmt: skip
 
     def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
         """True Psi at the place and velocity last refreshed, written to psi (p,)."""

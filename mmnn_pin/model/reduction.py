@@ -9,9 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiled import compiled
-from ..signals import Array
+from ..signals import Array, IntArray
 
 # Coulomb friction is `coulomb tanh(speed / COULOMB_SPEED)`: smooth, no sticking. [rad/s or m/s]
 COULOMB_SPEED = 0.01
@@ -19,7 +20,14 @@ COULOMB_SPEED = 0.01
 
 @compiled
 def configuration(
-    position: Array, nu: Array, T: Array, frame: Array, q_index: Array, continuous: Array, q: Array, v: Array
+    position: Array,
+    nu: Array,
+    T: Array,
+    frame: Array,
+    q_index: IntArray,
+    continuous: NDArray[np.uint8],
+    q: Array,
+    v: Array,
 ) -> None:
     """Pinocchio's configuration and velocity.
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -47,7 +48,7 @@ class BasePath(ABC):
     """
 
     nb: int = 2
-    followable: bool = False
+    followable: ClassVar[bool] = False
 
     @abstractmethod
     def sample(self, t: ArrayLike) -> BaseSamples:

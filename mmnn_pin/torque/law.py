@@ -8,7 +8,7 @@ memory.
 from __future__ import annotations
 
 from ..compiled import compiled
-from ..signals import INDEX, Array
+from ..signals import INDEX, Array, IntArray
 from .network import (
     frobenius,
     hidden_input,
@@ -18,7 +18,7 @@ from .network import (
     two_layer_update,
 )
 
-Z, R, ALPHA, PSI_HAT, ROBUST = INDEX["z"], INDEX["r"], INDEX["alpha"], INDEX["psi_hat"], INDEX["robust"]
+Z, R, PSI_HAT, ROBUST = INDEX["z"], INDEX["r"], INDEX["psi_hat"], INDEX["robust"]
 EFFECTIVE_GAIN, TORQUE, WEIGHT_NORM = INDEX["effective_gain"], INDEX["torque"], INDEX["weight_norm"]
 
 CONSTANT_GAIN, SCHEDULED_GAIN, TWO_LAYER, ONE_LAYER = 0, 1, 2, 3  # kinds of law
@@ -32,7 +32,7 @@ DT, RATES, PER_NETWORK, GAINS = 0, 1, 4, 9
 
 
 @compiled
-def step(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory: Array) -> None:
+def step(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, memory: Array) -> None:
     """Torque of one sample, `tau = (k + Kz (|Z| + ZB)) s + Psi_hat` (3.39), (3.50), and the update of the weights.
 
     Args:
@@ -67,7 +67,7 @@ def step(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory
 
 
 @compiled
-def networks(kind: int, row: Array, at: Array, sizes: Array, settings: Array, memory: Array) -> None:
+def networks(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, memory: Array) -> None:
     """Outputs, effective gain and updates of the base's and the arm's network; arguments as in `step`."""
     nx, p = sizes[NX], row[at[PSI_HAT] : at[PSI_HAT + 1]].size
     x = memory[:nx]
@@ -98,7 +98,7 @@ def networks(kind: int, row: Array, at: Array, sizes: Array, settings: Array, me
 @compiled
 def one_network(
     kind: int,
-    sizes: Array,
+    sizes: IntArray,
     dt: float,
     rates: Array,
     W: Array,

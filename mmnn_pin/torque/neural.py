@@ -141,6 +141,7 @@ class Inputs(Settings, frozen=True):
 
     Raises:
         UnknownName: A signal that does not exist or that a controller may not know.
+        ConfigError: A number is not finite.
     """
 
     signals: tuple[str, ...] = THESIS_INPUT
@@ -151,6 +152,10 @@ class Inputs(Settings, frozen=True):
         for name in self.signals:
             if name not in MEASURED:
                 raise UnknownName("network input", name, MEASURED, key="inputs.signals")
+        for name in ("scale", "constant_yaw_rate"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise ConfigError(f"{value} is not finite", fix="use a finite number", key=f"inputs.{name}")
 
     def rows(self, layout: Layout) -> np.ndarray:
         """Places of the inputs in a row, (nx,) int64."""
@@ -244,7 +249,8 @@ class Neural(CompiledController):
 
     def findings(self, memory: Memory) -> list[str]:
         """What the weights show after a run: layers that have collapsed to rank one."""
-        ranks = {name: numerical_rank(W) for name, W in self.weights(memory).items() if min(W.shape) > 1}
+        layers = {name: W for name, W in self.weights(memory).items() if min(W.shape) > 1 and np.isfinite(W).all()}
+        ranks = {name: numerical_rank(W) for name, W in layers.items()}
         collapsed = [name for name, rank in ranks.items() if rank == 1]
         if not collapsed:
             return []
