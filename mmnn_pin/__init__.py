@@ -6,7 +6,7 @@
 - `reference`: where it should be. `kinematic`: pose error to velocity command (Kanayama).
 - `torque`: velocity command to torque: the thesis's networks, PD, computed torque, or a controller of your own.
 - `plant`, `sensor`: the robot simulated and measured. `loop`: all of it, one row of signals per control sample.
-- `recording`: one run. `experiments`: the thesis's studies as data. `show`: plots.
+- `batch`: many runs on all cores. `recording`: one run. `experiments`: the thesis's studies as data. `show`: plots.
 
 The public names are loaded when first used.
 """
@@ -29,6 +29,7 @@ _HOME = {
     "timing": ("Timing",),
     "loop": ("Loop",),
     "start": ("Bounds", "Start"),
+    "batch": ("Run", "simulate_many"),
     "recording": ("Outcome", "Recording"),
     "experiments.config": ("load_experiment",),
     "experiments.runner": ("run_experiment",),

@@ -7,6 +7,7 @@ the same functions that the ordinary loop calls. The two agree to rounding.
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -85,8 +86,22 @@ class Blocks(NamedTuple):
     bounds: Array
 
 
+BODIES: WeakKeyDictionary[Robot, Body] = WeakKeyDictionary()
+
+
+def body_of(robot: Robot) -> Body:
+    """Robot as arrays, made once per robot.
+
+    Raises:
+        RobotError: It has a joint that cannot be flattened.
+    """
+    if robot not in BODIES:
+        BODIES[robot] = new_body(robot)
+    return BODIES[robot]
+
+
 def new_body(robot: Robot) -> Body:
-    """Robot as arrays.
+    """Robot as arrays; its tree is checked against Pinocchio.
 
     Raises:
         RobotError: It has a joint that cannot be flattened.
@@ -216,11 +231,11 @@ class CompiledLoop:
         self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
         self.counter, self.memory = np.zeros(1, np.int64), memory
         self.y = np.concatenate((position, nu, [0.0]))
-        self.body = new_body(robot)
+        self.body = body_of(robot)
         self.work = new_work(self.body)
         uses_model = loop.controller.uses_model
         nominal = loop.nominal or robot
-        self.nominal = new_body(nominal) if uses_model and nominal is not robot else self.body
+        self.nominal = body_of(nominal) if uses_model else self.body
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         numbers = loop.controller.law(loop.wiring())

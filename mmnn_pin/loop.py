@@ -10,7 +10,7 @@ import copy
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -31,6 +31,16 @@ from .torque.controller import CompiledController, Memory, TorqueController, Wir
 from .torque.neural import Neural
 
 Engine = CompiledLoop | OrdinaryLoop
+
+
+class Sink(Protocol):
+    """What takes the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
+
+    def append_block(self, rows: Array, step_times: Array) -> None:
+        """Take rows (k, width) and the wall-clock time of each (k,) [s]."""
+
+    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
+        """Take a snapshot of the weights at a time [s]."""
 
 
 @dataclass(frozen=True)
@@ -95,20 +105,34 @@ class Loop:
             RecordingError: The recording cannot be written.
         """
         self.require_stable_gains()
-        self._require_first(first)
-        table, memory = self.table(), self._memory(memory)
-        position, nu = self.start.state(self.robot, table[first]) if state is None else state
-        engine = self._engine(table, np.array(position, float), np.array(nu, float), memory)
+        engine = self.engine_at(memory, state, first)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
         with Recorder(self.robot.layout, facts, path, force) as recorder:
-            outcome = self._advance(engine, memory, first, recorder, progress)
-            nv, p = self.robot.layout.full, self.robot.layout.dof
-            final = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p]}
-            if isinstance(memory, Memory):
-                final["memory"] = memory.values
-            findings = self.controller.findings(memory) if isinstance(self.controller, Neural) else []
+            outcome = self.stream(engine, recorder, first=first, progress=progress)
+            findings = self.controller.findings(engine.memory) if isinstance(self.controller, Neural) else []
             message = "; ".join(text for text in (outcome.message, *findings) if text)
-            return recorder.finish(replace(outcome, message=message), final)
+            return recorder.finish(replace(outcome, message=message), self.final(engine))
+
+    def engine_at(self, memory: Any = None, state: tuple[Array, Array] | None = None, first: int = 0) -> Engine:
+        """The engine that steps this loop, at its start; arguments as in `run`.
+
+        Raises:
+            ConfigError: The engine cannot run this controller; a memory of another controller, a state of wrong shape
+                or not finite, a first sample outside the run or between two measurements.
+            RobotError: The compiled engine is asked for and the robot cannot be flattened.
+            TrajectoryError: A reference that the base cannot follow.
+        """
+        self._require_first(first)
+        table, layout, memory = self.table(), self.robot.layout, self._memory(memory)
+        position, nu = self.start.state(self.robot, table[first]) if state is None else state
+        position, nu = finite("state", position, (layout.full,)), finite("state", nu, (layout.dof,))
+        return self._engine(table, position, nu, memory)
+
+    def final(self, engine: Engine) -> dict[str, Array]:
+        """Position, nu and the controller's memory where an engine stands."""
+        nv, p = self.robot.layout.full, self.robot.layout.dof
+        state = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p]}
+        return state | ({"memory": engine.memory.values} if isinstance(engine.memory, Memory) else {})
 
     def wiring(self) -> Wiring:
         """What the controller is told before the run."""
@@ -180,6 +204,8 @@ class Loop:
                 fix="use one made by its init",
                 key="memory",
             )
+        if isinstance(given, Memory):
+            finite("memory", given.values, given.values.shape)
         return copy.deepcopy(given)
 
     def _engine(self, table: Array, position: Array, nu: Array, memory: Any) -> Engine:
@@ -198,44 +224,68 @@ class Loop:
                     raise
         return OrdinaryLoop(self, table, position, nu, memory, block)
 
-    def _advance(
+    def stream(
         self,
         engine: Engine,
-        memory: Any,
-        first: int,
-        recorder: Recorder,
-        progress: Callable[[float], None] | None,
+        sink: Sink,
+        *,
+        first: int = 0,
+        progress: Callable[[float], None] | None = None,
+        cancelled: Callable[[], bool] = bool,
     ) -> Outcome:
-        """Block after block of samples, each handed to the recorder whatever ends it."""
-        k, h, samples = first, self.timing.control_period, self.timing.samples
+        """Run to the end, block after block of samples, each handed to a sink whatever ends it.
+
+        Args:
+            engine: Made by `engine_at`.
+            sink: Takes the rows and the weights.
+            first: Control sample to start at.
+            progress: Called after every block with the simulated time [s].
+            cancelled: Asked after every block; true ends the run as interrupted.
+        """
+        memory, k, h, samples = engine.memory, first, self.timing.control_period, self.timing.samples
         every = max(1, round(self.weights_interval / h))
         try:
             while k < samples:
                 if k % every == 0 and (weights := self.controller.weights(memory)):
-                    recorder.weights(k * h, weights)
+                    sink.weights(k * h, weights)
                 engine.counter[0] = 0
                 try:
                     bad = engine.advance(k, min(k + len(engine.rows), (k // every + 1) * every, samples))
                 finally:
                     done = int(engine.counter[0])
-                    recorder.append_block(engine.rows[:done], engine.step_times[:done])
+                    sink.append_block(engine.rows[:done], engine.step_times[:done])
                     k += done
                 if bad >= 0:
-                    return diverged(engine.row, self.robot.layout, bad, k * h, recorder)
+                    return diverged(engine.row, self.robot.layout, bad, k * h, sink)
                 if progress is not None:
                     progress(k * h)
+                if cancelled():
+                    return Outcome("interrupted", k * h, message=f"stopped at t = {k * h:g} s")
         except KeyboardInterrupt:
             return Outcome("interrupted", k * h, message=f"stopped by Ctrl-C at t = {k * h:g} s")
         if weights := self.controller.weights(memory):
-            recorder.weights(samples * h, weights)
+            sink.weights(samples * h, weights)
         return Outcome("completed", samples * h)
 
 
-def diverged(row: Array, layout: Layout, column: int, time: float, recorder: Recorder) -> Outcome:
+def finite(key: str, values: Any, shape: tuple[int, ...]) -> Array:
+    """Copy of an array that must be finite and of a shape.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    array = np.array(values, float)
+    if array.shape != shape or not np.isfinite(array).all():
+        what = f"of shape {array.shape}" if array.shape != shape else "not finite"
+        raise ConfigError(f"an array that is {what}", fix=f"give finite numbers of shape {shape}", key=key)
+    return array
+
+
+def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:
     """Outcome of a run whose row went bad at a column; a row that is still finite is kept."""
     i = int(np.searchsorted(layout.offsets, column, side="right") - 1)
     signal, value = f"{SIGNALS[i][0]}[{column - layout.offsets[i]}]", row[column]
     if np.isfinite(row).all():
-        recorder.append(row)
+        sink.append_block(row[None], np.zeros(1))
     why = "left its bounds" if np.isfinite(value) else "is not finite"
     return Outcome("diverged", time, signal, f"{signal} {why} ({value:.3g}) at t = {time:g} s")

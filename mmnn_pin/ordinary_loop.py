@@ -97,6 +97,7 @@ class OrdinaryLoop:
         self.loop, self.table, self.at = loop, table, layout.offsets
         self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
         self.counter = np.zeros(1, np.int64)
+        self.memory = memory
         self.torque = Torque(loop.controller, loop.wiring(), self.row, loop.nominal or loop.robot, memory)
         self.plant = IdealPlant(loop.robot, loop.timing.plant_step, loop.timing.integrator)
         self.plant.start(position, nu)

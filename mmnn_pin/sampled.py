@@ -16,6 +16,7 @@ from .errors import ConfigError
 from .signals import Array
 
 TOLERANCE = 1e-9
+LARGEST = 700.0  # exponents up to here have an exponential
 
 
 @dataclass(frozen=True)
@@ -69,10 +70,13 @@ def sampled_loop(
     A[poses : poses + n, poses + n + nb :] = -np.eye(n)
     feedback[nb:, poses : poses + n] = np.diag(K)
     feedback[:, nu] = -np.eye(p)
+    limits = 2.0 / (h * np.diag(M_inv))
+    if not (np.isfinite(A).all() and np.linalg.norm(A, 1) * h < LARGEST):
+        return SampledLoop(np.inf, limits)
     held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
     closed = held[:size, :size] + held[:size, size:] @ (gains[:, None] * feedback)
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
-    return SampledLoop(radius, 2.0 / (h * np.diag(M_inv)))
+    return SampledLoop(radius, limits)
 
 
 def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float) -> None:

@@ -8,6 +8,8 @@ from typing import Literal
 from .errors import ConfigError
 from .settings import Settings
 
+MOST = 1e9  # periods in one another
+
 
 class Timing(Settings, frozen=True):
     """Periods of a run. Torque is held between control samples, a measurement between sensor samples.
@@ -58,8 +60,10 @@ def divide(whole: float, period: float, name: str) -> int:
     """How many periods make the whole.
 
     Raises:
-        ConfigError: It is not a whole number of them.
+        ConfigError: It is not a whole number of them, or more than can be handled.
     """
+    if whole / period > MOST:
+        raise ConfigError(f"{whole} s hold more than {MOST:.0e} periods of {period} s", key=f"time.{name}")
     count = round(whole / period)
     if count < 1 or abs(count * period - whole) > 1e-9 * whole:
         raise ConfigError(

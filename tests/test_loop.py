@@ -291,7 +291,7 @@ def test_computed_torque_tracks_best_and_wrong_masses_cost(engine):
     wrong = build(parse(ROBOT.urdf.replace('<mass value="4.0"/>', '<mass value="12.0"/>').encode(), "r.urdf"))
     assert sum(body.mass for body in wrong.model.inertias) == pytest.approx(112 + 2 * 8)
     oracle, mismatched, learning, pd = (
-        loop(controller, LONG, engine=engine, nominal=nominal).run()
+        loop(controller, LONG, engine=engine, nominal=nominal, start=Start(moving=True)).run()
         for controller, nominal in (
             (ComputedTorque(), None),
             (ComputedTorque(), wrong),
@@ -484,7 +484,8 @@ def test_existing_recording_is_left_alone_unless_forced(tmp_path):
 @engines
 @pytest.mark.parametrize("controller", [PD(Feedback(arm=1.0)), ComputedTorque(Feedback(arm=1.0))], ids=lambda c: c.name)
 def test_fixed_arm_runs(controller, engine):
-    run = loop(controller, LONG, robot=ARM, trajectory=SWING, start=Start(joint_offset=0.05), engine=engine).run()
+    start = Start(joint_offset=0.05, moving=True)
+    run = loop(controller, LONG, robot=ARM, trajectory=SWING, start=start, engine=engine).run()
     assert run.outcome.status == "completed"
     assert "pose" not in run and "z" not in run and run.labels("nu") == ("arm_1_joint", "arm_2_joint")
     np.testing.assert_allclose(run["torque"], 1.0 * run["r"] + run["psi_hat"], atol=1e-12)

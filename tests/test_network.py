@@ -295,6 +295,13 @@ def test_weights_from_random_V_keep_full_rank() -> None:
     assert (numerical_rank(W), numerical_rank(V)) == (2, 4)
 
 
+def test_leakage_forgets_that_V_was_random() -> None:
+    """Every update shrinks the differences between the units by 1 - kappa G |s|: in the end they are equal again."""
+    V = np.random.default_rng(1).uniform(-1, 1, (5, 4))
+    spread = {kappa: np.ptp(trained(np.zeros((4, 2)), V, kappa)[1], axis=1).max() for kappa in (0.0, 0.1, 1.0)}
+    assert spread[1.0] < 1e-3 * spread[0.1] < 1e-3 * spread[0.0]
+
+
 @pytest.mark.parametrize("rank", [0, 1, 2, 3])
 def test_numerical_rank(rank: int) -> None:
     rng = np.random.default_rng(rank)

@@ -196,6 +196,22 @@ def test_only_wheels_alike_all_around_cost_nothing(wheel, moving):
     assert residual(tree, model, T, np.zeros(model.nv)).max() < RELATIVE
 
 
+@given(seeds)
+@settings(max_examples=10, deadline=None)
+def test_a_body_alike_all_around_its_axis_costs_nothing_at_any_tilt(seed):
+    rng = np.random.default_rng(seed)
+    pin.seed(seed % 2**31)
+    model, T = wheeled(body(3, (0, 0.02, 0), (0.02, 0.03, 0.02)))
+    placement = pin.SE3.Random()
+    placement.rotation = pin.utils.rotate("x", rng.choice([0, np.pi / 2, np.pi]))  # exact enough to stay alike
+    model.addJoint(1, pin.JointModelRUBZ(), placement, "top")
+    model.appendBodyToJoint(5, body(1, (0, 0, 0.3), (0.2, 0.2, 0.1)), pin.SE3.Identity())
+    T = np.vstack((T, [0.5, 2.0, -1.0]))
+    tree = flatten(model, T)
+    assert len(tree.links) == BASE.w + 2
+    assert residual(tree, model, T, np.zeros(model.nv)).max() < RELATIVE
+
+
 def test_joints_that_stand_still_cost_nothing_and_stand_where_they_are_told():
     model, T = wheeled(body(3, (0, 0.02, 0), (0.02, 0.03, 0.02)))
     T = T[:, :2]

@@ -84,6 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return complain(BAD_INPUT, error, given)
     except MmnnError as error:
         return complain(FAILED, InputError(str(error)), given)
+    except MemoryError as error:
+        fix = "use a shorter duration, longer periods or fewer hidden units"
+        return complain(BAD_INPUT, InputError("not enough memory", why=str(error), fix=fix), given)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
         found = InputError("this should not happen", why=why, fix="--debug shows where; please report it")

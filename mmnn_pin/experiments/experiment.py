@@ -133,8 +133,8 @@ class Experiment(Settings, frozen=True):
             raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
         if any(not 0 <= start < end < np.inf for start, end in self.windows):
             raise ConfigError(f"{self.windows}", fix="give intervals [start, end] in seconds", key="windows")
-        if self.seed < 0:
-            raise ConfigError(f"{self.seed}", fix="use an integer >= 0", key="seed")
+        if not 0 <= self.seed < 2**63:
+            raise ConfigError(f"{self.seed}", fix="use an integer from 0 to 2^63 - 1", key="seed")
         if not (np.isfinite(self.weights_interval) and self.weights_interval > 0):
             raise ConfigError(f"{self.weights_interval} s", fix="use a number > 0", key="weights_interval")
 

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import RecordingError
+from ..metrics import as_columns, metrics
 from ..model.robot import Robot
 from ..recording import Recording
 from ..reference import warnings
 from .experiment import EFFECTIVE, Experiment
-from .metrics import as_columns, metrics
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,11 @@ def run_experiment(
     notes = reference_notes(experiment, robot)
     duration = experiment.time.duration
     for controller in in_order(wanted):
-        gains = as_columns(runs[EFFECTIVE[controller]]["effective_gain"]) if controller in EFFECTIVE else None
+        learner = runs.get(EFFECTIVE.get(controller, ""))
+        if learner is not None and not len(learner):
+            notes.append(f"{controller} was not run: {EFFECTIVE[controller]} ended before its first sample")
+            continue
+        gains = None if learner is None else as_columns(learner["effective_gain"])
         loop = experiment.loop(robot, experiment.controller(controller, gains))
         notes += [note for note in loop.controller.notes if note not in notes]
         runs[controller] = loop.run(

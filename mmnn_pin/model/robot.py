@@ -14,7 +14,7 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -131,6 +131,28 @@ class Robot:
         """Position at rest, (nv,): 0 clipped into the limits."""
         return np.clip(0.0, self.lower, self.upper)
 
+    def with_masses(self, factors: float | Mapping[str, float]) -> Robot:
+        """The same robot with the inertias of its moving bodies scaled (mass and rotational inertia alike).
+
+        Args:
+            factors: One factor for all bodies, or a factor per joint that carries the body (`root` for a mobile base).
+
+        Raises:
+            ConfigError: A factor that is not positive and finite.
+            UnknownName: A joint that the robot does not have.
+        """
+        model = self.model.copy()
+        names = dict(zip(bodies_of(model), range(1, model.njoints), strict=True))
+        table = factors if isinstance(factors, Mapping) else dict.fromkeys(names, factors)
+        for name, factor in table.items():
+            if name not in names:
+                raise UnknownName("body", name, names)
+            if not (np.isfinite(factor) and factor > 0):
+                raise ConfigError(f"factor {factor} for the mass at '{name}'", fix="give a finite number > 0")
+            body = model.inertias[names[name]]
+            model.inertias[names[name]] = pin.Inertia(body.mass * factor, body.lever, body.inertia * factor)
+        return replace(self, model=model)
+
     def with_friction(self, viscous: ArrayLike) -> Robot:
         """The same robot with viscous friction on nu besides that of its joints.
 
@@ -148,6 +170,12 @@ class Robot:
                 fix=f"give {p} finite coefficients >= 0, for {', '.join(self.velocity_names)}",
             )
         return replace(self, viscous=read_only(np.broadcast_to(given, p).copy()))
+
+
+def bodies_of(model: pin.Model) -> list[str]:
+    """Joint that carries each moving body, `root` for a planar base."""
+    names = list(model.names)[1:]
+    return ["root", *names[1:]] if names and model.joints[1].shortname() == "JointModelPlanar" else names
 
 
 def bundled() -> dict[str, Path]:

@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from ..experiments.experiment import ORACLES
-from ..experiments.metrics import ERRORS, halves
 from ..experiments.runner import Result
+from ..metrics import ERRORS, halves
 from ..recording import Recording
 from .units import column_units, milli
 
@@ -137,7 +137,7 @@ def number(value: float) -> str:
 def notes(result: Result) -> list[str]:
     """What the user should know: how runs ended, what their weights show, and notes on the settings."""
     found = [
-        recording.outcome.message if controller in recording.outcome.message else f"{controller}: {message}"
+        message if message.startswith(controller) else f"{controller}: {message}"
         for controller, recording in result.recordings.items()
         if (message := recording.outcome.message)
     ]

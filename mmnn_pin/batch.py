@@ -1,0 +1,148 @@
+"""Many runs on all cores: threads that share nothing but the compiled code, which runs without the interpreter lock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from threading import Event
+from typing import Any
+
+from .errors import ConfigError
+from .loop import Loop
+from .metrics import Reducer, Windows
+from .recorder import Recorder
+from .recording import Outcome, Recording
+from .signals import Array
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a batch.
+
+    Attributes:
+        outcome: How it ended; `interrupted` at 0 s for a run that was not started before Ctrl-C.
+        metrics: Numbers of the run, see `Reducer.result`; empty if it was not started.
+        final: Position, nu and the controller's memory at the end.
+        recording: All signals, where they were asked for.
+    """
+
+    outcome: Outcome
+    metrics: dict[str, float]
+    final: dict[str, Array]
+    recording: Recording | None = None
+
+
+def simulate_many(
+    loops: Sequence[Loop],
+    *,
+    memories: Sequence[Any] | None = None,
+    windows: Windows = ((0.0, 1.0), (1.0, 5.0)),
+    keep: bool = False,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Run]:
+    """Run many loops, each with its own robot, gains, seed, reference or weights, on all cores.
+
+    Vary a loop with `dataclasses.replace(loop, seed=...)`, a robot with `robot.with_masses` and `robot.with_friction`.
+    Signals are reduced to metrics as they come. A run that diverges is a result; gains are not judged beforehand.
+    Ctrl-C ends the runs in flight and gives back what is done.
+
+    Args:
+        loops: What to run.
+        memories: Controllers' memories to start from, one per loop; None for new ones.
+        windows: Intervals for the RMS errors [s].
+        keep: Keep all signals of all runs in memory.
+        workers: Threads; by default one per core.
+        progress: Called with the number of runs done and of all runs.
+
+    Raises:
+        ConfigError: No runs, not one memory per run, less than one worker, or more memory needed than there is.
+    """
+    if not loops:
+        raise ConfigError("no runs", fix="give at least one loop")
+    if memories is not None and len(memories) != len(loops):
+        raise ConfigError(f"{len(memories)} memories for {len(loops)} runs", fix="give one per run")
+    workers = (os.cpu_count() or 1) if workers is None else workers
+    if workers < 1:
+        raise ConfigError(f"{workers} workers", fix="use at least one")
+    require_memory(needed_bytes(loops, keep, workers))
+    starts = memories if memories is not None else [None] * len(loops)
+    stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
+
+    def one(i: int) -> None:
+        if not stop.is_set():
+            results[i] = simulate(loops[i], starts[i], windows, keep, stop.is_set)
+
+    # The first run compiles, or loads the compiled code, before threads compete for it.
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            one(0)
+            pending, done = {pool.submit(one, i) for i in range(1, len(loops))}, 1
+            while True:
+                if progress is not None:
+                    progress(done, len(loops))
+                if not pending:
+                    return results
+                finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                done += len(finished)
+        except KeyboardInterrupt:
+            return results
+        finally:
+            stop.set()
+
+
+def simulate(loop: Loop, memory: Any, windows: Windows, keep: bool, cancelled: Callable[[], bool]) -> Run:
+    """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
+    engine, layout = loop.engine_at(memory), loop.robot.layout
+    facts = loop.facts() | {"loop": engine.name}
+    reducer = Reducer.of(layout, facts, windows)
+    if not keep:
+        outcome = loop.stream(engine, reducer, cancelled=cancelled)
+        return Run(outcome, reducer.result(), loop.final(engine))
+    with Recorder(layout, facts) as recorder:
+        outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
+        recording = recorder.finish(outcome, loop.final(engine))
+    return Run(outcome, reducer.result(), loop.final(engine), recording)
+
+
+@dataclass(frozen=True)
+class Both:
+    """A sink that feeds two others."""
+
+    reducer: Reducer
+    recorder: Recorder
+
+    def append_block(self, rows: Array, step_times: Array) -> None:
+        """Rows to both."""
+        self.reducer.append_block(rows)
+        self.recorder.append_block(rows, step_times)
+
+    def weights(self, time: float, arrays: Any) -> None:
+        """Weights to the recorder."""
+        self.recorder.weights(time, arrays)
+
+
+def needed_bytes(loops: Sequence[Loop], keep: bool, workers: int) -> int:
+    """Memory that the runs' signals and references take [bytes]."""
+    sizes = sorted(8 * loop.timing.samples * loop.robot.layout.width for loop in loops)
+    return sum(sizes) if keep else sum(sizes[-workers:])
+
+
+def require_memory(needed: int) -> None:
+    """Refuse what does not fit into the machine's free memory.
+
+    Raises:
+        ConfigError: With both numbers.
+    """
+    if not hasattr(os, "sysconf") or "SC_AVPHYS_PAGES" not in os.sysconf_names:
+        return
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    if needed > free:
+        raise ConfigError(
+            f"the runs need {needed / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free",
+            fix="run fewer at a time, shorten them, or do not keep their signals",
+        )

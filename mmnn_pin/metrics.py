@@ -1,0 +1,129 @@
+"""What a run is judged by: peak and RMS of every error, torque effort, learned share, effective gain.
+
+A `Reducer` takes rows as they come, so that a run in a batch needs no memory for its signals; `metrics` puts a whole
+recording through the same reducer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from .recording import Recording
+from .signals import Array, Layout
+
+ERRORS = ("pose_error", "z", "e")
+TRACKED = (*ERRORS, "motor_torque", "torque", "psi_hat", "effective_gain", "energy_residual")
+Windows = Sequence[tuple[float, float]]
+
+
+class Reducer:
+    """Sums over the samples of one run; a sink for `Loop.stream`.
+
+    Args:
+        labels: Labels of the columns of every tracked signal that the robot has.
+        windows: Intervals [a, b) for the RMS errors [s].
+        control_period: Time between two samples [s].
+        columns: Places of the tracked columns in a row; not needed when columns are given to `add` directly.
+    """
+
+    def __init__(
+        self, labels: Mapping[str, Sequence[str]], windows: Windows, control_period: float, columns: Array | None = None
+    ) -> None:
+        self.labels, self.windows, self.h, self.columns = labels, windows, control_period, columns
+        size = sum(len(names) for names in labels.values())
+        self.count, self.inside = 0, np.zeros(len(windows))
+        self.peak, self.total, self.squares = np.zeros(size), np.zeros(size), np.zeros(size)
+        self.window_squares = np.zeros((len(windows), size))
+
+    @classmethod
+    def of(cls, layout: Layout, facts: Mapping[str, Any], windows: Windows) -> Reducer:
+        """Reducer for the rows of a robot; facts as in `Loop.facts`."""
+        velocities, nb = tuple(facts["velocity_names"]), layout.base
+        labels = {
+            "pose_error": ("x", "y", "phi")[: layout.pose],
+            "z": velocities[:nb],
+            "e": velocities[nb:],
+            "motor_torque": tuple(facts["actuator_names"]),
+            **dict.fromkeys(("torque", "psi_hat", "effective_gain"), velocities),
+            "energy_residual": ("energy_residual",),
+        }
+        labels = {name: names for name, names in labels.items() if names}
+        places = [np.arange(layout.width)[layout.where(name)] for name in labels]
+        return cls(labels, windows, facts["control_period"], np.concatenate(places))
+
+    def append_block(self, rows: Array, step_times: ArrayLike = 0.0) -> None:
+        """Take rows (k, width); the first column is the time."""
+        self.add(rows[:, 0], rows[:, self.columns])
+
+    def weights(self, time: float, arrays: Mapping[str, ArrayLike]) -> None:
+        """Weights are not reduced."""
+
+    def add(self, time: Array, values: Array) -> None:
+        """Take k samples: time (k,) and the tracked columns (k, c)."""
+        if not len(time):
+            return
+        squares = values**2
+        self.count += len(time)
+        self.peak = np.maximum(self.peak, np.abs(values).max(axis=0))
+        self.total += values.sum(axis=0)
+        self.squares += squares.sum(axis=0)
+        for i, (start, end) in enumerate(self.windows):
+            inside = (time >= start) & (time < end)
+            self.inside[i] += inside.sum()
+            self.window_squares[i] += squares[inside].sum(axis=0)
+
+    def result(self) -> dict[str, float]:
+        """Flat table of numbers in SI units, keyed `signal.label.statistic`.
+
+        Statistics: `peak` (largest magnitude), `rms_a_b` over each window [a, b) that the run reached (nan otherwise);
+        `effort` is the time integral of the squared motor torques [N^2 m^2 s]; `learned_share` the RMS of Psi_hat over
+        the RMS of the applied torque (base and arm apart), `effective_gain` its mean.
+        """
+        numbers, where = {}, self._places()
+        for name in ERRORS:
+            for i, label in zip(where.get(name, ()), self.labels.get(name, ()), strict=True):
+                numbers[f"{name}.{label}.peak"] = float(self.peak[i]) if self.count else np.nan
+                for w, (start, end) in enumerate(self.windows):
+                    squares = self.window_squares[w, i] / self.inside[w] if self.inside[w] else np.nan
+                    numbers[f"{name}.{label}.rms_{start:g}_{end:g}"] = float(np.sqrt(squares))
+        numbers["effort"] = float(self.squares[where["motor_torque"]].sum() * self.h)
+        nb = len(self.labels.get("z", ()))
+        for part, half in (("base", slice(0, nb)), ("arm", slice(nb, None))):
+            torque = self.squares[where["torque"][half]].sum()
+            if not len(where["torque"][half]):
+                continue
+            learned = self.squares[where["psi_hat"][half]].sum()
+            numbers[f"learned_share.{part}"] = float(np.sqrt(learned / torque)) if torque > 0 else 0.0
+            gain = self.total[where["effective_gain"][half]]
+            numbers[f"effective_gain.{part}"] = float(gain.mean() / self.count) if self.count else np.nan
+        numbers["energy_residual"] = float(self.peak[where["energy_residual"]][0])
+        return numbers
+
+    def _places(self) -> dict[str, Array]:
+        """Columns of every tracked signal."""
+        ends = np.cumsum([0, *(len(names) for names in self.labels.values())])
+        return {name: np.arange(ends[i], ends[i + 1]) for i, name in enumerate(self.labels)}
+
+
+def metrics(recording: Recording, windows: Windows) -> dict[str, float]:
+    """Numbers of a recording; see `Reducer.result`."""
+    names = [name for name in TRACKED if name in recording]
+    reducer = Reducer({n: recording.labels(n) for n in names}, windows, float(recording.meta["control_period"]))
+    reducer.add(recording.time, np.hstack([as_columns(recording[name]) for name in names]))
+    return reducer.result()
+
+
+def halves(recording: Recording) -> dict[str, slice]:
+    """Columns of the base and of the arm in signals of all p velocities."""
+    base, total = len(recording.labels("z")) if "z" in recording else 0, len(recording.labels("nu"))
+    parts = {"base": slice(0, base), "arm": slice(base, total)}
+    return {name: part for name, part in parts.items() if part.stop > part.start}
+
+
+def as_columns(signal: Array) -> Array:
+    """Signal as (N, size), also where a recording holds (N,)."""
+    return signal if signal.ndim == 2 else signal[:, None]
