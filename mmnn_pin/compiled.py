@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+from numpy.typing import NDArray
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -62,3 +64,10 @@ def compiled(function: F) -> F:
         return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
     finally:
         config.CACHE_DIR = before
+
+
+@compiled
+def copy_to(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
+    """Copy a vector; an assignment of slices would drag numba's texts for shape errors into every caller."""
+    for i in range(target.size):
+        target[i] = source[i]

@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from . import sensor
-from .compiled import compiled
+from .compiled import compiled, copy_to
 from .model.dynamics import Dynamics
 from .model.reduction import friction, quadratic, spread
 from .model.robot import Robot
@@ -197,12 +197,12 @@ def advance(
         bad = after_torque(row, at, work.M, blocks.E_inv, potential, work_done, plan.start_energy, blocks.bounds)
         if bad >= 0:
             return bad
-        rows[k - first] = row
+        copy_to(row, rows[k - first])
         counter[0] = k - first + 1
         for i in range(plan.steps):
             if i > 0 and (k * plan.steps + i) % plan.per_measurement == 0:
                 sensor.ideal(row, at, position, nu, body.arm)
-            work.trial[:] = y
+            copy_to(y, work.trial)
             for stage in range(1 if plan.method == SEMI_IMPLICIT else 4):
                 if i > 0 or stage > 0:
                     evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
@@ -212,7 +212,7 @@ def advance(
                     semi_implicit(plan.dt, body.T, F, tau, body.base, y, v, work.ydot, work.trial)
                 else:
                     rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
-            y[:] = work.trial
+            copy_to(work.trial, y)
     return -1
 
 

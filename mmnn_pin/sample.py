@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from . import kinematic, sensor
-from .compiled import compiled
+from .compiled import compiled, copy_to
 from .signals import INDEX, Array, IntArray
 
 TIME, POSITION, NU, FIRST_REFERENCE, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
@@ -29,9 +29,9 @@ def before_torque(
     row[at[TIME]] = time
     nv, p = at[POSITION + 1] - at[POSITION], at[NU + 1] - at[NU]
     position, nu = y[:nv], y[nv : nv + p]
-    row[at[POSITION] : at[POSITION + 1]][:] = position
-    row[at[NU] : at[NU + 1]][:] = nu
-    row[at[FIRST_REFERENCE] : at[POSE]] = reference
+    copy_to(position, row[at[POSITION] : at[POSITION + 1]])
+    copy_to(nu, row[at[NU] : at[NU + 1]])
+    copy_to(reference, row[at[FIRST_REFERENCE] : at[POSE]])
     if measure:
         sensor.ideal(row, at, position, nu, arm)
     kinematic.command(row, at, gains, K)

@@ -7,7 +7,7 @@ memory.
 
 from __future__ import annotations
 
-from ..compiled import compiled
+from ..compiled import compiled, copy_to
 from ..signals import INDEX, Array, IntArray
 from .network import (
     frobenius,
@@ -50,11 +50,11 @@ def step(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, 
         row[at[TORQUE] : at[TORQUE + 1]],
     )
     if kind == CONSTANT_GAIN:
-        gain[:] = settings
+        copy_to(settings, gain)
     elif kind == SCHEDULED_GAIN:
         last = (memory.size - 1) // gain.size - 1
         start = 1 + min(int(memory[0]), last) * gain.size
-        gain[:] = memory[start : start + gain.size]
+        copy_to(memory[start:], gain)
         memory[0] += 1.0
     else:
         networks(kind, row, at, sizes, settings, memory)

@@ -1,0 +1,214 @@
+"""The package as a whole: names, versions, true documents, robots found wherever it is installed, import direction."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import inspect
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import mmnn_pin
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "mmnn_pin"
+README = (ROOT / "README.md").read_text()
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+# Examples and wheels are slow, and say nothing more when coverage is measured on uncompiled code.
+compiled_only = pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="slow in plain Python")
+
+
+def python(*arguments: str | Path, cwd: Path, **environment: str) -> str:
+    """Standard output of a Python program in another folder."""
+    command = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, env=os.environ | environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+# -- names and versions -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", mmnn_pin.__all__)
+def test_every_public_name_resolves_and_is_documented(name: str) -> None:
+    thing = getattr(mmnn_pin, name)
+    assert name in dir(mmnn_pin)
+    if not name.startswith("__"):
+        assert inspect.getdoc(thing)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no_such_thing"):
+        _ = mmnn_pin.no_such_thing
+
+
+def test_versions_agree() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.M)
+    assert project["version"] == mmnn_pin.__version__ == (cited and cited[1])
+
+
+def public_definitions() -> list[tuple[str, ast.AST]]:
+    """Modules, public classes, functions and methods of the package, with their places."""
+    found: list[tuple[str, ast.AST]] = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        where = str(file.relative_to(ROOT))
+        tree = ast.parse(file.read_text())
+        found.append((where, tree))
+        for node in tree.body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
+                found.append((f"{where}:{node.name}", node))
+                inner = node.body if isinstance(node, ast.ClassDef) else []
+                found += [
+                    (f"{where}:{node.name}.{method.name}", method)
+                    for method in inner
+                    if isinstance(method, ast.FunctionDef) and not method.name.startswith("_")
+                ]
+    return found
+
+
+def test_public_things_have_docstrings() -> None:
+    without = [where for where, node in public_definitions() if not ast.get_docstring(node)]  # type: ignore[arg-type]
+    assert [where for where in without if "Protocol" not in where] == []
+
+
+# -- what imports what ------------------------------------------------------------------------------------------------
+
+RANK = {
+    **dict.fromkeys(("errors", "compiled", "settings", "timing", "signals", "run_file", "recording", "recorder"), 0),
+    "model": 1,
+    **dict.fromkeys(("reference", "kinematic", "torque", "plant", "sensor", "sampled", "sample", "start"), 2),
+    **dict.fromkeys(("loop", "compiled_loop", "ordinary_loop", "metrics", "batch"), 3),
+    "experiments": 4,
+    "show": 5,
+    "cli": 6,
+}
+
+
+def own_imports(file: Path) -> set[str]:
+    """Modules of the package that a file imports, as dotted names without `mmnn_pin`; under TYPE_CHECKING too."""
+    parts = ("mmnn_pin", *file.relative_to(PACKAGE).with_suffix("").parts)
+    package = parts[:-1]
+    names = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            module = ".".join((*base, *filter(None, [node.module])))
+            names |= {f"{module}.{alias.name}" for alias in node.names}
+        elif isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+    return {name.removeprefix("mmnn_pin.") for name in names if name.startswith("mmnn_pin.")}
+
+
+def test_imports_run_one_way() -> None:
+    wrong = []
+    for file in sorted(PACKAGE.rglob("*.py")):
+        where = file.relative_to(PACKAGE)
+        own = where.parts[0].removesuffix(".py")
+        if own == "__init__":
+            continue
+        for name in own_imports(file):
+            other = name.partition(".")[0]
+            if other != "__version__" and RANK[other] > RANK[own]:
+                wrong.append(f"{where} imports {name}")
+    assert wrong == []
+
+
+def test_a_controller_knows_what_it_imports() -> None:
+    network = {name.partition(".")[0] for name in own_imports(PACKAGE / "torque/network.py")}
+    assert network <= {"compiled", "signals"}
+    for module in ("torque/neural.py", "torque/law.py", "torque/controller.py", "kinematic.py"):
+        assert not any(name.startswith(("model", "plant", "loop")) for name in own_imports(PACKAGE / module)), module
+
+
+# -- README, examples, docs -------------------------------------------------------------------------------------------
+
+
+def blocks(language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.M | re.S)
+
+
+def test_readme_shows_the_quickstart_as_it_is() -> None:
+    source = (ROOT / "examples/quickstart.py").read_text()
+    code = source[source.index("import numpy") :]
+    assert code in blocks("python")
+
+
+@compiled_only
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
+def test_examples_run_and_print_what_the_readme_says(example: Path, tmp_path: Path) -> None:
+    printed = python(example, cwd=tmp_path)
+    assert printed.strip()
+    if example.stem == "quickstart":
+        assert printed in blocks("text")
+
+
+@compiled_only
+def test_readme_shows_the_table_that_chapter4_prints(tmp_path: Path) -> None:
+    program = "from mmnn_pin.cli import main; import sys; sys.exit(main(['run', 'chapter4']))"
+    printed, _, _ = python("-c", program, cwd=tmp_path).partition("\nwrote ")
+    shown = next(block for block in blocks("text") if "pose x [mm]" in block)
+    for real, told in zip(printed.rstrip().splitlines(), shown.rstrip().splitlines(), strict=True):
+        for one, other in zip(real.split(), told.split(), strict=True):
+            numbers = [word.strip("()") for word in (one, other)]
+            if all(re.fullmatch(r"[\d.]+", number) for number in numbers):
+                assert float(numbers[0]) == pytest.approx(float(numbers[1]), rel=0.02), real
+            else:
+                assert one == other, real
+
+
+def test_examples_are_short() -> None:
+    assert [file.name for file in EXAMPLES if len(file.read_text().splitlines()) > 40] == []
+
+
+def test_documents_link_to_what_exists() -> None:
+    for document in (ROOT / "README.md", ROOT / "docs/architecture.md"):
+        for target in re.findall(r"\]\(([^)#]+)[^)]*\)", document.read_text()):
+            if "://" not in target:
+                assert (document.parent / target).exists(), f"{document.name} links to {target}"
+
+
+def test_documents_name_modules_and_commands_that_exist() -> None:
+    from mmnn_pin.cli import mmnn
+
+    for document in (README, (ROOT / "docs/architecture.md").read_text()):
+        for module in re.findall(r"`(?:mmnn_pin/)?((?:[a-z_]+/)*[a-z_]+\.(?:py|toml))`", document):
+            assert list(PACKAGE.rglob(module)) or (ROOT / module).exists(), module
+        for command in re.findall(r"\bmmnn ([a-z]+)\b", document):
+            assert command in mmnn.commands, command
+
+
+# -- where the robots are found ---------------------------------------------------------------------------------------
+
+FIND = "import mmnn_pin; from mmnn_pin.model import bundled; print(mmnn_pin.__file__, *bundled().values(), sep='\\n')"
+
+
+def test_robots_are_found_from_another_folder(tmp_path: Path) -> None:
+    _, *robots = python("-c", FIND, cwd=tmp_path).split()
+    assert [Path(robot).name for robot in robots] == ["platform_arm.urdf", "two_axis_arm.urdf"]
+    assert all(Path(robot).is_file() for robot in robots)
+
+
+@compiled_only
+def test_a_wheel_brings_robots_experiments_and_types(tmp_path: Path) -> None:
+    isolation = ["--no-build-isolation"] if importlib.util.find_spec("hatchling") else []
+    python("-m", "pip", "wheel", ROOT, "--no-deps", *isolation, "-q", "-w", tmp_path / "wheels", cwd=tmp_path)
+    (wheel,) = (tmp_path / "wheels").glob("*.whl")
+    python("-m", "pip", "install", wheel, "--no-deps", "-q", "--target", tmp_path / "site", cwd=tmp_path)
+    site = tmp_path / "site"
+    here, *robots = python("-c", FIND, cwd=tmp_path, PYTHONPATH=str(site)).split()
+    assert Path(here).is_relative_to(site)
+    assert [Path(robot).name for robot in robots] == ["platform_arm.urdf", "two_axis_arm.urdf"]
+    assert all(Path(robot).is_relative_to(site) for robot in robots)
+    assert (site / "mmnn_pin/py.typed").exists() and (site / "mmnn_pin/experiments/chapter4.toml").exists()
+    assert not (site / "tests").exists()
+    load = "from mmnn_pin import load, load_experiment; print(load(load_experiment('chapter4').robot).layout.dof)"
+    assert python("-c", load, cwd=tmp_path, PYTHONPATH=str(site)).strip() == "4"
+    names = python("-c", "from mmnn_pin.cli import main; main(['list'])", cwd=tmp_path, PYTHONPATH=str(site))
+    assert "platform_arm" in names and "chapter4" in names
