@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from pathlib import Path
 from threading import Event
 from typing import Any
 
@@ -58,7 +59,8 @@ def simulate_many(
         progress: Called with the number of runs done and of all runs.
 
     Raises:
-        ConfigError: No runs, not one memory per run, less than one worker, or more memory needed than there is.
+        ConfigError: No runs, not one memory per run or one of another controller, less than one worker, or more memory
+            needed than there is; before anything runs.
     """
     if not loops:
         raise ConfigError("no runs", fix="give at least one loop")
@@ -69,6 +71,7 @@ def simulate_many(
         raise ConfigError(f"{workers} workers", fix="use at least one")
     require_memory(needed_bytes(loops, keep, workers))
     starts = memories if memories is not None else [None] * len(loops)
+    require_fit(loops, starts)
     stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
 
     def one(i: int) -> None:
@@ -79,6 +82,8 @@ def simulate_many(
     with ThreadPoolExecutor(workers) as pool:
         try:
             one(0)
+            if results[0].outcome.status == "interrupted":
+                return results
             pending, done = {pool.submit(one, i) for i in range(1, len(loops))}, 1
             while True:
                 if progress is not None:
@@ -126,10 +131,26 @@ class Both:
         self.recorder.weights(time, arrays)
 
 
+def require_fit(loops: Sequence[Loop], memories: Sequence[Any]) -> None:
+    """Refuse memories that do not belong to their loop's controller.
+
+    Raises:
+        ConfigError: With the place of the memory.
+    """
+    for i, (loop, memory) in enumerate(zip(loops, memories, strict=True)):
+        if memory is not None:
+            try:
+                loop.memory_from(memory)
+            except ConfigError as error:
+                error.key = f"memories[{i}]"
+                raise
+
+
 def needed_bytes(loops: Sequence[Loop], keep: bool, workers: int) -> int:
-    """Memory that the runs' signals and references take [bytes]."""
+    """Memory that the runs' signals and references take [bytes]; a recording takes two more copies as it is closed."""
     sizes = sorted(8 * loop.timing.samples * loop.robot.layout.width for loop in loops)
-    return sum(sizes) if keep else sum(sizes[-workers:])
+    in_flight = sum(sizes[-workers:])
+    return sum(sizes) + 2 * in_flight if keep else in_flight
 
 
 def require_memory(needed: int) -> None:
@@ -138,11 +159,20 @@ def require_memory(needed: int) -> None:
     Raises:
         ConfigError: With both numbers.
     """
-    if not hasattr(os, "sysconf") or "SC_AVPHYS_PAGES" not in os.sysconf_names:
-        return
-    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    free = free_bytes()
     if needed > free:
         raise ConfigError(
             f"the runs need {needed / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free",
             fix="run fewer at a time, shorten them, or do not keep their signals",
         )
+
+
+def free_bytes() -> float:
+    """Memory that programs can have, caches included; all the machine has, or inf, where that is not known [bytes]."""
+    meminfo = Path("/proc/meminfo")
+    for line in meminfo.read_text().splitlines() if meminfo.exists() else ():
+        if line.startswith("MemAvailable:"):
+            return 1024.0 * int(line.split()[1])
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return float("inf")

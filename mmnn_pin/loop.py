@@ -117,13 +117,15 @@ class Loop:
         """The engine that steps this loop, at its start; arguments as in `run`.
 
         Raises:
-            ConfigError: The engine cannot run this controller; a memory of another controller, a state of wrong shape
-                or not finite, a first sample outside the run or between two measurements.
+            ConfigError: The engine cannot run this controller; a nominal robot of another shape; a memory of another
+                controller, a state of wrong shape or not finite, a first sample outside the run or between two
+                measurements.
             RobotError: The compiled engine is asked for and the robot cannot be flattened.
             TrajectoryError: A reference that the base cannot follow.
         """
         self._require_first(first)
-        table, layout, memory = self.table(), self.robot.layout, self._memory(memory)
+        self._require_nominal()
+        table, layout, memory = self.table(), self.robot.layout, self.memory_from(memory)
         position, nu = self.start.state(self.robot, table[first]) if state is None else state
         position, nu = finite("state", position, (layout.full,)), finite("state", nu, (layout.dof,))
         return self._engine(table, position, nu, memory)
@@ -193,20 +195,35 @@ class Loop:
                 key="first",
             )
 
-    def _memory(self, given: Any) -> Any:
-        """A copy of a memory given, or a new one."""
+    def _require_nominal(self) -> None:
+        if self.nominal is not None and self.nominal.layout != self.robot.layout:
+            raise ConfigError(
+                f"the nominal robot has {self.nominal.layout}, the robot {self.robot.layout}",
+                fix="use one with the same base and the same joints",
+                key="nominal",
+            )
+
+    def memory_from(self, given: Any = None) -> Any:
+        """A copy of a controller's memory that fits this loop; a new one for None.
+
+        Raises:
+            ConfigError: It is of another controller or of other settings, or not finite.
+        """
         new = self.controller.init(self.wiring())
         if given is None:
             return new
-        if isinstance(new, Memory) and (not isinstance(given, Memory) or given.shapes != new.shapes):
+        if not isinstance(new, Memory):
+            return copy.deepcopy(given)
+        if not isinstance(given, Memory) or given.shapes != new.shapes:
+            is_of = given.shapes if isinstance(given, Memory) else type(given).__name__
             raise ConfigError(
                 f"not a memory of {self.controller.name} with these settings",
+                why=f"it is {is_of}, not {new.shapes}",
                 fix="use one made by its init",
                 key="memory",
             )
-        if isinstance(given, Memory):
-            finite("memory", given.values, given.values.shape)
-        return copy.deepcopy(given)
+        new.values[:] = finite("memory", given.values, new.values.shape)
+        return new
 
     def _engine(self, table: Array, position: Array, nu: Array, memory: Any) -> Engine:
         block = max(1, min(1000, round(self.weights_interval / self.timing.control_period)))

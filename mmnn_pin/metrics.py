@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .compiled import compiled
 from .recording import Recording
-from .signals import Array, Layout
+from .signals import Array, IntArray, Layout
 
 ERRORS = ("pose_error", "z", "e")
 TRACKED = (*ERRORS, "motor_torque", "torque", "psi_hat", "effective_gain", "energy_residual")
@@ -27,14 +28,15 @@ class Reducer:
         labels: Labels of the columns of every tracked signal that the robot has.
         windows: Intervals [a, b) for the RMS errors [s].
         control_period: Time between two samples [s].
-        columns: Places of the tracked columns in a row; not needed when columns are given to `add` directly.
+        columns: Places of the tracked columns in a row.
     """
 
     def __init__(
-        self, labels: Mapping[str, Sequence[str]], windows: Windows, control_period: float, columns: Array | None = None
+        self, labels: Mapping[str, Sequence[str]], windows: Windows, control_period: float, columns: IntArray
     ) -> None:
         self.labels, self.windows, self.h, self.columns = labels, windows, control_period, columns
-        size = sum(len(names) for names in labels.values())
+        size = columns.size
+        self.bounds = np.array(windows, float).reshape(len(windows), 2)
         self.count, self.inside = 0, np.zeros(len(windows))
         self.peak, self.total, self.squares = np.zeros(size), np.zeros(size), np.zeros(size)
         self.window_squares = np.zeros((len(windows), size))
@@ -57,24 +59,13 @@ class Reducer:
 
     def append_block(self, rows: Array, step_times: ArrayLike = 0.0) -> None:
         """Take rows (k, width); the first column is the time."""
-        self.add(rows[:, 0], rows[:, self.columns])
+        self.count += len(rows)
+        accumulate(
+            rows, self.columns, self.bounds, self.peak, self.total, self.squares, self.inside, self.window_squares
+        )
 
     def weights(self, time: float, arrays: Mapping[str, ArrayLike]) -> None:
         """Weights are not reduced."""
-
-    def add(self, time: Array, values: Array) -> None:
-        """Take k samples: time (k,) and the tracked columns (k, c)."""
-        if not len(time):
-            return
-        squares = values**2
-        self.count += len(time)
-        self.peak = np.maximum(self.peak, np.abs(values).max(axis=0))
-        self.total += values.sum(axis=0)
-        self.squares += squares.sum(axis=0)
-        for i, (start, end) in enumerate(self.windows):
-            inside = (time >= start) & (time < end)
-            self.inside[i] += inside.sum()
-            self.window_squares[i] += squares[inside].sum(axis=0)
 
     def result(self) -> dict[str, float]:
         """Flat table of numbers in SI units, keyed `signal.label.statistic`.
@@ -109,11 +100,48 @@ class Reducer:
         return {name: np.arange(ends[i], ends[i + 1]) for i, name in enumerate(self.labels)}
 
 
+@compiled
+def accumulate(
+    rows: Array,
+    columns: IntArray,
+    windows: Array,
+    peak: Array,
+    total: Array,
+    squares: Array,
+    inside: Array,
+    window_squares: Array,
+) -> None:
+    """Take rows into the sums, one after the other, so that blocks of any size give the same bits.
+
+    Args:
+        rows: (k, width), the first column is the time.
+        columns: (c,) places of what is summed.
+        windows: (w, 2) intervals [a, b).
+        peak: (c,) largest magnitudes.
+        total: (c,) sums.
+        squares: (c,) sums of squares.
+        inside: (w,) samples in each window.
+        window_squares: (w, c) sums of squares in each window.
+    """
+    for k in range(rows.shape[0]):
+        for i in range(columns.size):
+            value = rows[k, columns[i]]
+            peak[i] = max(peak[i], abs(value))
+            total[i] += value
+            squares[i] += value * value
+        for w in range(windows.shape[0]):
+            if windows[w, 0] <= rows[k, 0] < windows[w, 1]:
+                inside[w] += 1.0
+                for i in range(columns.size):
+                    window_squares[w, i] += rows[k, columns[i]] * rows[k, columns[i]]
+
+
 def metrics(recording: Recording, windows: Windows) -> dict[str, float]:
     """Numbers of a recording; see `Reducer.result`."""
-    names = [name for name in TRACKED if name in recording]
-    reducer = Reducer({n: recording.labels(n) for n in names}, windows, float(recording.meta["control_period"]))
-    reducer.add(recording.time, np.hstack([as_columns(recording[name]) for name in names]))
+    labels = {name: recording.labels(name) for name in TRACKED if name in recording}
+    rows = np.hstack([as_columns(recording[name]) for name in ("time", *labels)])
+    reducer = Reducer(labels, windows, float(recording.meta["control_period"]), np.arange(1, rows.shape[1]))
+    reducer.append_block(rows)
     return reducer.result()
 
 

@@ -211,6 +211,7 @@ def test_pose_error_is_the_reference_seen_from_the_base(pose_ref: Array, pose: A
     error = error_between(pose_ref, pose)
     np.testing.assert_allclose(error[:2], seen[:2, 2], atol=1e-12)
     assert math.remainder(error[2] - np.arctan2(seen[1, 0], seen[0, 0]), 2 * np.pi) == pytest.approx(0, abs=1e-12)
+    assert abs(error[2]) <= np.pi  # the poses are unwrapped, the error is not
 
 
 # --- a whole sample

@@ -351,6 +351,21 @@ def test_run_in_two_halves_is_the_run(engine):
     assert np.abs(fresh["psi_hat"] - second["psi_hat"]).max() > 1e-3
 
 
+@pytest.mark.parametrize(("key", "nominal", "arguments"), [
+    ("nominal", ARM, {}),
+    ("state", None, {"state": (np.full(7, np.nan), np.zeros(4))}),
+    ("state", None, {"state": (np.zeros(7), np.zeros(5))}),
+    ("memory", None, {"memory": PD().init(loop().wiring())}),
+    ("first", None, {"first": 10_000}),
+    ("first", None, {"first": 1}),
+])  # fmt: skip
+def test_starts_that_do_not_fit_are_refused_before_a_file_is_written(tmp_path, key, nominal, arguments):
+    closed = loop(Neural(), timing=Timing(duration=SHORT, sensor_period=0.004), nominal=nominal)
+    with pytest.raises(ConfigError) as error:
+        closed.run(tmp_path / "run.h5", **arguments)
+    assert error.value.key == key and not any(tmp_path.iterdir())
+
+
 @engines
 def test_weights_are_recorded_at_intervals_and_at_the_end(tmp_path, engine):
     run = loop(Neural(), weights_interval=0.02, engine=engine).run(tmp_path / "run.h5")

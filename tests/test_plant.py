@@ -121,6 +121,16 @@ def test_order_under_continuous_feedback_that_depends_on_time():
     assert measured_order(errors) == pytest.approx([4, 4], abs=0.3)
 
 
+def test_semi_implicit_euler_moves_with_the_new_velocity():
+    plant = IdealPlant(ROBOT, 0.002, "semi_implicit_euler")
+    plant.start(START, NU)
+    plant.step(TAU)
+    np.testing.assert_allclose(plant.nu, NU + 0.002 * plant.dynamics.acceleration(START, NU, TAU), rtol=1e-12)
+    np.testing.assert_allclose((plant.position - START)[3:], 0.002 * (ROBOT.T @ plant.nu)[3:], rtol=1e-9)
+    assert plant.position[2] - START[2] == pytest.approx(0.002 * plant.nu[1])
+    assert np.abs(plant.nu - NU).min() > 1e-3
+
+
 # --- The independent integration --------------------------------------------------------------------------------------
 
 

@@ -1,0 +1,92 @@
+"""Processes that run routes on request, so that routes can be measured in turn without sharing a process.
+
+A worker reads one request a line, runs the route with its set-up outside the clock, and answers with one JSON object:
+`wall` and `cpu` seconds, and what the route said of itself.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Self
+
+HERE = Path(__file__).parent
+Prepare = Callable[[], Callable[[], dict[str, Any]]]
+
+
+class Worker:
+    """The caller's end of a worker.
+
+    Args:
+        script: File of this folder that calls `serve`.
+        arguments: Its arguments.
+        python: Interpreter.
+        environment: Added to this process's.
+    """
+
+    def __init__(
+        self, script: str, *arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None
+    ) -> None:
+        self.process = subprocess.Popen(
+            [python, str(HERE / script), *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"NUMBA_DISABLE_JIT": "0"} | dict(environment or {}),
+        )
+
+    def ask(self, request: str) -> dict[str, Any]:
+        """Have a route run once; `{"skipped": reason}` where it cannot.
+
+        Raises:
+            RuntimeError: The worker has ended, with what it wrote last.
+        """
+        assert self.process.stdin and self.process.stdout and self.process.stderr
+        try:
+            self.process.stdin.write(request + "\n")
+            self.process.stdin.flush()
+            answer = self.process.stdout.readline()
+        except BrokenPipeError:
+            answer = ""
+        if not answer:
+            raise RuntimeError(f"'{request}' ended its process: {self.process.stderr.read()[-2000:]}")
+        return dict(json.loads(answer))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.communicate()
+
+
+def serve(routes: Callable[[str], Prepare]) -> None:
+    """Run routes by name until the input ends. What libraries print goes nowhere."""
+    out = os.fdopen(os.dup(1), "w")
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    built: dict[str, Prepare] = {}
+    for line in sys.stdin:
+        name = line.strip()
+        try:
+            if name not in built:
+                built[name] = routes(name)
+            answer = timed(built[name]())
+        except ImportError as error:
+            answer = {"skipped": str(error)}
+        print(json.dumps(answer), file=out, flush=True)
+
+
+def timed(run: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """Run once: seconds of wall clock and of processor time, and the most memory of the process so far [MB]."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    said = run()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    return {"wall": wall, "cpu": cpu, "peak_mb": largest, **said}
