@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
-from peers import prepared
+from peers import Timed, prepared
 from worker import Prepare, serve
 
 with np.load(sys.argv[1]) as file:
@@ -16,7 +16,7 @@ def route(name: str) -> Prepare:
     """A peer's run; it says the version."""
     prepare, version = prepared(name, WORK)
 
-    def with_version():  # type: ignore[no-untyped-def]
+    def with_version() -> Timed:
         run = prepare()
         return lambda: run() | {"version": version}
 

@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any, Self
 
 HERE = Path(__file__).parent
@@ -33,11 +34,12 @@ class Worker:
     def __init__(
         self, script: str, *arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None
     ) -> None:
+        self.errors = TemporaryFile()
         self.process = subprocess.Popen(
             [python, str(HERE / script), *arguments],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
+            stderr=self.errors,
             text=True,
             env=os.environ | {"NUMBA_DISABLE_JIT": "0"} | dict(environment or {}),
         )
@@ -48,7 +50,7 @@ class Worker:
         Raises:
             RuntimeError: The worker has ended, with what it wrote last.
         """
-        assert self.process.stdin and self.process.stdout and self.process.stderr
+        assert self.process.stdin and self.process.stdout
         try:
             self.process.stdin.write(request + "\n")
             self.process.stdin.flush()
@@ -56,7 +58,8 @@ class Worker:
         except BrokenPipeError:
             answer = ""
         if not answer:
-            raise RuntimeError(f"'{request}' ended its process: {self.process.stderr.read()[-2000:]}")
+            self.errors.seek(0)
+            raise RuntimeError(f"'{request}' ended its process: {self.errors.read().decode()[-2000:]}")
         return dict(json.loads(answer))
 
     def __enter__(self) -> Self:
@@ -64,6 +67,7 @@ class Worker:
 
     def __exit__(self, *_: object) -> None:
         self.process.communicate()
+        self.errors.close()
 
 
 def serve(routes: Callable[[str], Prepare]) -> None:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 # Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
 # less time. One that does allocate fails to compile, loudly.
-LEAN = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
+LEAN: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
 F = TypeVar("F", bound=Callable[..., Any])
 
