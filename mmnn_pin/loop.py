@@ -176,7 +176,8 @@ class Loop:
             return
         layout, dynamics, table = self.robot.layout, Dynamics(self.robot), self.table()
         gains = self.controller.feedback_gain(layout)
-        K, h = self.kinematic.arm_gains(layout), self.timing.control_period
+        K = self.kinematic.arm_gains(layout)
+        h = max(self.timing.control_period, self.timing.sensor_period or 0.0)  # a slow sensor holds the torque, too
         start = layout.offsets[FIRST_REFERENCE]
         velocity = slice(*(layout.offsets[INDEX["velocity_ref"] + i] - start for i in (0, 1)))
         for i in np.unique(np.linspace(0, len(table) - 1, 10).astype(int)):

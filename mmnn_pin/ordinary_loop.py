@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import sensor
+from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
 from .plant.ideal import IdealPlant
@@ -56,7 +57,13 @@ class Torque:
     def step(self, time: float) -> None:
         """Write psi_hat, robust, effective_gain and torque of this sample into the row."""
         if isinstance(self.controller, TorqueController):
-            self.torque[:] = self.controller.step(time, self.reference, self.measurement, self.command, self.memory)
+            torque = self.controller.step(time, self.reference, self.measurement, self.command, self.memory)
+            if np.shape(torque) != self.torque.shape:
+                raise ConfigError(
+                    f"controller '{self.controller.name}' returned a torque of shape {np.shape(torque)}",
+                    fix=f"return an array of shape {self.torque.shape}",
+                )
+            self.torque[:] = torque
             return
         if self.model is not None:
             self._model_psi(self.model)

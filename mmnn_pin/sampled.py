@@ -93,8 +93,8 @@ def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h
         if gain > 0.5 * limit
     ]
     raise ConfigError(
-        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1 at a control period of {h:g} s",
+        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
         why="gains near or above their limit 2 / (h (M^-1)_ii): " + ("; ".join(over) or "none, the kinematic gains"),
-        fix="lower the gains or shorten the control period",
+        fix="lower the gains, or shorten the control or sensor period",
         key="feedback",
     )

@@ -472,3 +472,15 @@ def test_gravity_is_felt_by_an_arm_with_a_horizontal_axis(axis, feels):
 def test_thesis_robots_do_not_feel_gravity_and_the_tower_does():
     flags = {name: Dynamics(robot).feels_gravity for name, robot in (ROBOTS | ARMS).items()}
     assert flags == {"platform_arm": False, "two_axis_arm": False, "offset": False, "tower": True}
+
+
+def test_friction_declared_on_the_base_leaves_the_lateral_force_alone_at_the_axle() -> None:
+    free = load("platform_arm")
+    braked = free.with_friction([30.0, 5.0, 0.5, 0.5])
+    rng = np.random.default_rng(3)
+    position, nu, motors = rng.standard_normal(7), rng.standard_normal(4), np.zeros(4)
+    rows = slice(0, 1)  # the force that keeps the wheels from sliding sideways
+    coasting = Dynamics(free).constraint_forces(position, nu, motors)[rows]
+    # The same motion with the friction's work put back by the motors needs the same lateral force.
+    pushed = np.linalg.solve(braked.E, braked.viscous * nu)
+    assert Dynamics(braked).constraint_forces(position, nu, pushed)[rows] == pytest.approx(coasting, rel=1e-9)

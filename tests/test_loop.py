@@ -115,7 +115,7 @@ def test_torque_is_held_over_the_control_period(engine, integrator):
 @pytest.mark.parametrize("sensor_period", [None, 0.001, 0.002, 0.003, 0.008, 0.009])
 def test_measurement_is_held_over_the_sensor_period(engine, sensor_period):
     timing = Timing(duration=SHORT, control_period=0.002, plant_step=0.001, sensor_period=sensor_period)
-    run = loop(timing=timing, engine=engine).run()
+    run = loop(PD(SLOW), timing=timing, engine=engine).run()
     position, nu = plant_states(run, ROBOT, timing)
     step = 2 * np.arange(len(run))
     measured = step - step % round(1000 * (sensor_period or 0.002))
@@ -209,7 +209,7 @@ def test_controller_sees_the_measurement_and_not_the_state():
 @engines
 def test_model_based_controller_computes_with_what_is_measured(engine):
     fresh, stale = (
-        loop(ComputedTorque(), engine=engine, timing=Timing(duration=SHORT, sensor_period=period)).run()
+        loop(ComputedTorque(SLOW), engine=engine, timing=Timing(duration=SHORT, sensor_period=period)).run()
         for period in (None, 0.01)
     )
     np.testing.assert_allclose(fresh["psi_hat"], fresh["psi"], rtol=1e-9, atol=1e-9)
@@ -516,3 +516,20 @@ def test_fixed_arm_learns():
     )
     assert set(learning.weights) == {"time", "W2", "V2"}
     assert rms(learning, "r", after=LONG / 2) < rms(pd, "r", after=LONG / 2)
+
+
+def test_gains_are_judged_by_the_slower_of_control_and_sensor(tmp_path):
+    timing = Timing(duration=SHORT, control_period=0.002, sensor_period=0.01)
+    with pytest.raises(ConfigError, match=r"held for 0\.01 s.*arm_2_joint: 30"):
+        loop(timing=timing).run(tmp_path / "run.h5")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("wrong", [0.0, [1.0, 2.0], np.zeros((1, 4))])
+def test_a_torque_of_wrong_shape_is_refused(wrong):
+    class Wrong(TorqueController):
+        def step(self, time, reference, measurement, command, memory):
+            return wrong
+
+    with pytest.raises(ConfigError, match=r"custom.*shape"):
+        loop(Wrong()).run()

@@ -137,7 +137,7 @@ def test_lateral_error_is_neither_stable_nor_unstable_at_rest_and_reverse_equals
 
 def test_refusal_tells_the_numbers() -> None:
     verdict, gains = SampledLoop(1.25, np.array([100.0, 400.0])), np.array([90.0, 20.0])
-    with pytest.raises(ConfigError, match=r"radius 1.25 > 1 at a control period of 0.01 s") as refused:
+    with pytest.raises(ConfigError, match=r"radius 1.25 > 1, the torque held for 0.01 s") as refused:
         require_stable(verdict, gains, ("v", "w"), 0.01)
     assert "v: 90 (limit alone 100)" in str(refused.value)
     assert "w: 20" not in str(refused.value)

@@ -82,10 +82,9 @@ class Dynamics:
         return np.asarray(np.linalg.solve(self.mass_matrix(position), rest), float)
 
     def energy(self, position: Array, nu: Array) -> float:
-        """Kinetic and potential energy [J]."""
-        q = self.robot.configuration(position)
-        potential = pin.computePotentialEnergy(self.model, self.data, q)
-        return float(0.5 * nu @ self.mass_matrix(position) @ nu + potential)
+        """Kinetic and potential energy [J]; the latter counts as 0 for a robot that does not feel gravity."""
+        self.q[:] = self.robot.configuration(position)
+        return float(0.5 * nu @ self.mass_matrix(position) @ nu) + self.potential()
 
     def constraint_forces(self, position: Array, nu: Array, motors: Array) -> Array:
         """Lagrange multipliers of `M_full a + h + A' lambda + F = E_full motors` (2.11), (nc,), rows as in `robot.A`.
@@ -96,10 +95,19 @@ class Dynamics:
         robot, T = self.robot, self.robot.T
         q, v = robot.configuration(position), T @ nu
         a = T @ self.acceleration(position, nu, robot.E @ motors)
-        # Friction declared on nu acts through the velocities that carry nu: T (T'T)^-1 maps it to the full model.
-        friction = self._joint_friction(v) + T @ np.linalg.solve(T.T @ T, robot.viscous * nu)
+        friction = self._joint_friction(v) + self._declared_friction(robot.viscous * nu)
         rest = robot.E_full @ motors - pin.rnea(self.model, self.data, q, v, a) - friction
         return np.linalg.solve(robot.A @ robot.A.T, robot.A @ rest)
+
+    def _declared_friction(self, force: Array) -> Array:
+        """Friction declared on nu as a force on the full model, (nv,): on the base at its control frame, on the joints."""
+        robot, out = self.robot, np.zeros(self.model.nv)
+        nb = robot.layout.base
+        if nb:
+            wrench = np.insert(force[:nb], 1, 0.0) if nb == 2 else force[:nb]
+            out[:3] = robot.base.to_control.T @ wrench
+        out[robot.arm_index] = force[nb:]
+        return out
 
     def _joint_friction(self, v: Array) -> Array:
         return self.robot.damping * v + self.robot.coulomb * np.tanh(v / reduction.COULOMB_SPEED)
