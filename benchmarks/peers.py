@@ -130,7 +130,6 @@ def drake(work: Work) -> Callable[[], Timed]:
         builder = DiagramBuilder()
         plant, _ = AddMultibodyPlantSceneGraph(builder, period)
         Parser(plant).AddModels(str(URDF))
-        plant.WeldFrames(plant.world_frame(), plant.GetFrameByName("world", plant.GetModelInstanceByName("planar_arm")))
         plant.Finalize()
         control = builder.AddSystem(Control(plant.num_velocities()))
         builder.Connect(plant.get_state_output_port(), control.get_input_port())

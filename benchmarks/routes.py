@@ -1,7 +1,8 @@
 """A worker for our own routes: `routes.py SECONDS FOLDER [TIAGO.urdf]`.
 
 A request is `loop`, `compiled`, `whole_loop`, `whole_compiled`, `tiago_compiled`, `chain N` (arm joints),
-`batch KIND RUNS THREADS` (KIND `same` or `masses`), or a name of `profile.PARTS`.
+`batch KIND RUNS THREADS` (KIND `same` or `masses`), `parts ENGINE` (microseconds of each part of a step), or
+`work FILE` (what the peers need).
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ import sys
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
 from worker import Prepare, serve
-from workload import arm_loop, chain, find_tiago, thesis_loop
+from workload import arm_loop, chain, find_tiago, peer_work, thesis_loop
 
 from mmnn_pin import Loop, load, simulate_many
 from mmnn_pin.recorder import Recorder
@@ -67,11 +69,40 @@ def batch(kind: str, runs: int, threads: int) -> Prepare:
     return lambda: run
 
 
+def parts(kind: str) -> Prepare:
+    """The parts of one step, each repeated; the first call compiles."""
+    from parts import PARTS, REPEAT
+
+    calls = PARTS[kind]()
+    for call in calls.values():
+        call(1)
+
+    def run() -> dict[str, Any]:
+        spent = {}
+        for name, call in calls.items():
+            began = process_time()
+            call(REPEAT)
+            spent[name] = 1e6 * (process_time() - began) / REPEAT
+        return {"steps": REPEAT, "parts": spent}
+
+    return lambda: run
+
+
+def peer_file(file: str) -> Prepare:
+    """Writes what the peers need."""
+
+    def run() -> dict[str, Any]:
+        np.savez(file, **peer_work(SECONDS))
+        return {"file": file}
+
+    return lambda: run
+
+
 def route(name: str) -> Prepare:
     """A route by name.
 
     Raises:
-        ImportError: TIAGo is asked for and not installed.
+        ValueError: There is none of that name.
     """
     kind, *rest = name.split()
     if kind in ("loop", "whole_loop"):
@@ -88,6 +119,10 @@ def route(name: str) -> Prepare:
         return steps(replace(arm_loop(chain(int(rest[0]), FOLDER), min(SECONDS, 1.0)), engine="compiled"))
     if kind == "batch":
         return batch(rest[0], int(rest[1]), int(rest[2]))
+    if kind == "parts":
+        return parts(rest[0])
+    if kind == "work":
+        return peer_file(rest[0])
     raise ValueError(name)
 
 

@@ -33,7 +33,13 @@ def thesis_loop(duration: float, **changes: Any) -> Loop:
 
 
 def arm_loop(robot: Robot, duration: float) -> Loop:
-    """A differential drive with any arm on a line, the arm swinging a little; gains a twentieth of their limits."""
+    """A differential drive with any arm on a line, the arm swinging a little; gains a twentieth of their limits.
+
+    Without the friction that the URDF declares: that of TIAGo's wrist (1 N m s on some 1e-4 kg m^2) is too stiff for an
+    explicit step of 1 ms.
+    """
+    still = np.zeros_like(robot.damping)
+    robot = replace(robot, damping=still, coulomb=still)
     position, limit = robot.neutral_position(), 2.0 / PERIOD
     gains = 0.05 * limit / np.diag(np.linalg.inv(Dynamics(robot).mass_matrix(position)))
     nb, rest = robot.layout.base, position[robot.arm_index]
@@ -57,7 +63,7 @@ def find_tiago(given: Path | None) -> Path | None:
 
 
 def chain(joints: int, folder: Path) -> Robot:
-    """A differential drive with an arm of many joints, which hangs below it like a crane's rope.
+    """A differential drive with an arm of many joints, which hangs from a mast like a crane's rope.
 
     Axes point in turn along z, y and oblique, so that no joint is a special case. Links are 0.1 m long.
     """
@@ -81,18 +87,18 @@ def chain_urdf(joints: int) -> str:
         '<link name="base"><inertial><origin xyz="0 0 0.1"/><mass value="400"/>'
         '<inertia ixx="20" ixy="0" ixz="0" iyy="20" iyz="0" izz="30"/></inertial></link>'
     )
-    return f'<robot name="chain_{joints}">{base}{wheels}{"".join(map(link_urdf, range(joints)))}</robot>'
+    return f'<robot name="chain_{joints}">{base}{wheels}{"".join(link_urdf(i, joints) for i in range(joints))}</robot>'
 
 
-def link_urdf(i: int) -> str:
-    """Link i of the arm and the joint that carries it."""
+def link_urdf(i: int, joints: int) -> str:
+    """Link i of an arm and the joint that carries it."""
     axis = ("0 0 1", "0 1 0", "0.6 0.8 0")[i % 3]
-    parent, length = ("base", 0.0) if i == 0 else (f"link_{i - 1}", 0.1)
+    parent, height = ("base", 0.1 * joints + 0.5) if i == 0 else (f"link_{i - 1}", -0.1)
     return (
         f'<link name="link_{i}"><inertial><origin xyz="0.01 0 -0.05"/><mass value="{0.1 * DENSITY}"/>'
         '<inertia ixx="0.05" ixy="0.001" ixz="0" iyy="0.05" iyz="0.001" izz="0.04"/></inertial></link>'
         f'<joint name="joint_{i}" type="revolute"><parent link="{parent}"/><child link="link_{i}"/>'
-        f'<origin xyz="0 0 {-length}"/><axis xyz="{axis}"/><dynamics damping="0.5"/>'
+        f'<origin xyz="0 0 {height}"/><axis xyz="{axis}"/>'
         '<limit lower="-3" upper="3" effort="1000" velocity="10"/></joint>'
     )
 
@@ -107,8 +113,10 @@ def peer_work(duration: float) -> dict[str, Array]:
     assert isinstance(controller, Neural) and isinstance(controller.network, TwoLayer) and controller.robust
     memory, network, nb = controller.init(loop.wiring()), controller.network, layout.base
     run = loop.run()
+    position = run.final["position"]
+    end = np.concatenate((position[:3], position[loop.robot.arm_index]))
     references = ("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref")
-    measured = {"pose": run["pose"], "q": run["q"], "nu": run["nu"], "torque": run["torque"]}
+    measured = {"pose": run["pose"], "q": run["q"], "nu": run["nu"], "torque": run["torque"], "end": end}
     weights = {name: memory[name] for name in ("W1", "V1", "W2", "V2")}
     robust = np.array([controller.robust.base] * nb + [controller.robust.arm] * layout.arm, float)
     numbers = {

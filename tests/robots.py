@@ -43,7 +43,7 @@ def arm(joints: int, seed: int, height: float, sliding: bool = True) -> str:
     for i in range(joints):
         mass, length = 4.0 * 0.75**i, rng.uniform(0.15, 0.35)
         moments = tuple((mass * length**2 * rng.uniform(0.1, 0.15, 3)).round(6).tolist())
-        centre = place(rng.uniform(-0.1, 0.1, 3) + (0, 0, length / 2), rng.uniform(-1, 1, 3))
+        centre = place(rng.uniform(-0.1, 0.1, 3) + np.array([0, 0, length / 2]), rng.uniform(-1, 1, 3))
         text += f'<link name="link_{i}">{inertial(mass, moments, centre)}</link>'
         axis = rng.standard_normal(3)
         at = place((0.05, -0.02, height) if i == 0 else (0.02, 0.0, length), rng.uniform(-1, 1, 3))

@@ -39,11 +39,23 @@ def call(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
     return run
 
 
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The plot of a run is only a file: drawing takes longer than all the rest."""
+
+    def draw_errors(result: object, file: Path) -> bool:
+        file.write_text("plot")
+        return True
+
+    monkeypatch.setattr(sys.modules["mmnn_pin.cli.run"], "draw_errors", draw_errors)
+
+
 @pytest.fixture(scope="module")
 def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a short chapter 4 run with all controllers."""
+    """Folder of a short run of chapter 4."""
     folder = tmp_path_factory.mktemp("runs") / "short"
-    assert main(["run", "chapter4", *SHORT, "--out", str(folder)]) == 0
+    chosen = ("--controller", "pd", "--controller", "two_layer")
+    assert main(["run", "chapter4", *SHORT, *chosen, "--out", str(folder)]) == 0
     return folder
 
 
@@ -108,6 +120,7 @@ def test_run_writes_recordings_and_plot_and_prints_a_table(call: Call) -> None:
     assert rest.count("errors.png") == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_run_json_is_one_object_and_agrees_with_the_recordings(call: Call) -> None:
     code, out, _ = call("run", "chapter4", *SHORT, "--json")
     assert code == 0
@@ -123,6 +136,7 @@ def test_run_json_is_one_object_and_agrees_with_the_recordings(call: Call) -> No
         assert run["metrics"]["pose_error.x.rms_1_5"] is None  # the window was not reached
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_options_change_the_run(call: Call) -> None:
     done = call("run", "chapter4", *SHORT, "--controller", "pd", "--seed", "7", "--set", "feedback.base=123", "--json")
     runs = json.loads(done[1])["runs"]
@@ -132,17 +146,20 @@ def test_options_change_the_run(call: Call) -> None:
     assert json.loads(recording.config_text)["feedback"]["base"] == 123
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_robot_option_runs_another_robot(call: Call) -> None:
     code, out, _ = call("run", "chapter4", *SHORT, *ARM, "--json")
     assert code == 0 and json.loads(out)["robot"] == "two_axis_arm"
     assert "z" not in Recording.open("runs/chapter4/pd.h5")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_table_of_a_fixed_arm_has_no_base_rows(call: Call) -> None:
     code, out, _ = call("run", "chapter4", *SHORT, *ARM)
     assert code == 0 and "joint arm_1_joint [mrad]" in out and "pose" not in out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_own_toml_and_own_folder(call: Call) -> None:
     Path("mine.toml").write_text(bundled()["chapter4"].read_text())
     code, out, _ = call("run", "mine.toml", *SHORT, "--controller", "pd", "--out", "there", "--json")
@@ -150,6 +167,7 @@ def test_own_toml_and_own_folder(call: Call) -> None:
     assert Path("there/pd.h5").exists() and Path("there/errors.png").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_diverged_run_is_exit_code_1_and_says_where(call: Call) -> None:
     code, out, err = call("run", "chapter4", "--controller", "pd", *SHORT, "--set", "bounds.joint_speed=0.02")
     assert code == 1 and err == ""
@@ -159,6 +177,7 @@ def test_diverged_run_is_exit_code_1_and_says_where(call: Call) -> None:
     assert 0 < recording.outcome.time < 0.02
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_second_run_is_refused_and_leaves_the_first_as_it_was(call: Call) -> None:
     assert call("run", "chapter4", "--controller", "pd", *SHORT)[0] == 0
     before = {file: file.read_bytes() for file in files_here() if file.is_file()}
@@ -205,6 +224,7 @@ def has_rows(file: Path) -> bool:
         return False
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_first_run_says_that_it_compiles(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     import mmnn_pin.compiled
 
@@ -213,6 +233,7 @@ def test_first_run_says_that_it_compiles(call: Call, monkeypatch: pytest.MonkeyP
     assert "compiling" in err and json.loads(out)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_progress_is_shown_on_a_terminal_only(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     assert call("run", "chapter4", "--controller", "pd", *SHORT)[2] == ""
     monkeypatch.setenv("TERM", "xterm")
@@ -222,6 +243,7 @@ def test_progress_is_shown_on_a_terminal_only(call: Call, monkeypatch: pytest.Mo
     assert code == 0 and "pd" in err and json.loads(out)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_rank_one_weights_are_told(call: Call) -> None:
     zero = ("--set", "two_layer.initial=zero")
     code, out, _ = call("run", "chapter4", "--controller", "two_layer", *zero, *SHORT)
@@ -520,19 +542,17 @@ def test_a_pose_for_a_fixed_arm_is_refused(call: Call) -> None:
 # -- plot --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
-def test_plot_of_a_folder_in_every_format(call: Call, short_run: Path, suffix: str) -> None:
-    magic = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix]
-    code, out, err = call("plot", short_run / "pd.h5", short_run / "two_layer.h5", "--out", f"there/x.{suffix}")
-    assert code == 0 and err == "" and f"wrote there/x.{suffix}" in out
-    assert Path(f"there/x.{suffix}").read_bytes().startswith(magic)
+def test_the_suffix_is_the_format(call: Call, short_run: Path) -> None:
+    code, out, err = call("plot", short_run / "pd.h5", short_run / "two_layer.h5", "--out", "there/x.svg")
+    assert code == 0 and err == "" and "wrote there/x.svg" in out
+    assert Path("there/x.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_several_plots_go_into_a_folder(call: Call, short_run: Path) -> None:
     whats = [word for what in ("errors", "torque", "psi", "path") for word in ("--what", what)]
     code, out, _ = call("plot", short_run, *whats, "--out", "there", "--json")
     got = json.loads(out)
-    assert code == 0 and len(got["runs"]) == 6
+    assert code == 0 and [Path(run).stem for run in got["runs"]] == ["pd", "two_layer"]
     assert got["files"] == {what: f"there/{what}.png" for what in ("errors", "torque", "psi", "path")}
     assert sorted(str(file) for file in Path("there").iterdir()) == sorted(got["files"].values())
 
@@ -544,6 +564,7 @@ def test_a_picture_is_not_overwritten_unasked(call: Call, short_run: Path) -> No
     assert call("plot", short_run, "--force")[0] == 0 and Path("errors.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_bad_plots_are_refused(call: Call, short_run: Path, tmp_path: Path) -> None:
     Path("empty").mkdir()
     arm = tmp_path / "arm"
