@@ -19,7 +19,16 @@ from .model.robot import Robot
 from .model.tree import flatten
 from .model.tree_dynamics import potential_energy, psi_again, terms
 from .model.tree_motion import Tree, new_scratch
-from .plant.integrators import METHODS, SEMI_IMPLICIT, derivative, rk4_stage, semi_implicit
+from .plant.integrators import (
+    IMPLICIT_FRICTION,
+    METHODS,
+    RK4,
+    derivative,
+    friction_ahead,
+    rk4_stage,
+    semi_implicit,
+    stiffen,
+)
 from .sample import after_torque, before_torque
 from .signals import INDEX, Array, IntArray
 from .torque import law
@@ -203,13 +212,18 @@ def advance(
             if i > 0 and (k * plan.steps + i) % plan.per_measurement == 0:
                 sensor.ideal(row, at, position, nu, body.arm)
             copy_to(y, work.trial)
-            for stage in range(1 if plan.method == SEMI_IMPLICIT else 4):
+            for stage in range(4 if plan.method == RK4 else 1):
                 if i > 0 or stage > 0:
                     evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
-                v, F = work.v, work.F
+                v, F, T = work.v, work.F, body.T
+                if plan.method == IMPLICIT_FRICTION:
+                    stiffen(plan.dt, T, v, body.damping, body.coulomb, body.viscous, work.M)
                 derivative(work.trial, v, work.M, work.h, F, tau, body.base, work.L, work.rest, work.ydot)
-                if plan.method == SEMI_IMPLICIT:
-                    semi_implicit(plan.dt, body.T, F, tau, body.base, y, v, work.ydot, work.trial)
+                if plan.method == IMPLICIT_FRICTION:
+                    nudot = work.ydot[nv : nv + p]
+                    friction_ahead(plan.dt, T, v, body.damping, body.coulomb, body.viscous, nudot, F)
+                if plan.method != RK4:
+                    semi_implicit(plan.dt, T, F, tau, body.base, y, v, work.ydot, work.trial)
                 else:
                     rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
             copy_to(work.trial, y)
@@ -242,7 +256,7 @@ class CompiledLoop:
         self.blocks = Blocks(
             at=layout.offsets,
             table=table,
-            gains=loop.kinematic.base_gains(),
+            gains=loop.kinematic.base_gains(layout.base),
             K=loop.kinematic.arm_gains(layout),
             sizes=numbers.sizes,
             settings=numbers.settings,

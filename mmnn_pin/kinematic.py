@@ -1,7 +1,8 @@
-"""From pose error to velocity command: Kanayama's law (3.1)-(3.3) and the arm's filtered error (3.10), (3.11).
+"""From pose error to velocity command: Kanayama's law (3.1)-(3.3), its like for a holonomic base, the arm's error.
 
-Everything is computed from the reference and the Measurement; the derivative of the command is analytic, taken
-along the error kinematics with the measured velocities.
+The arm's part is the filtered error (3.10), (3.11); a fixed arm has nothing else. Everything is computed from the
+reference and the Measurement; the derivative of the command is analytic, taken along the error kinematics with the
+measured velocities.
 """
 
 from __future__ import annotations
@@ -71,18 +72,54 @@ def kanayama(
 
 
 @compiled
+def holonomic(
+    error: Array, v_ref: Array, a_ref: Array, velocity: Array, gains: Array, alpha: Array, alphadot: Array
+) -> None:
+    """Velocity command of a holonomic base and its derivative along the error kinematics.
+
+    `alpha = [R(ephi) (vxr, vyr) + (kx ex, ky ey); wr + kphi sin ephi]`, along which
+
+        exdot = w ey - vx + vxr cos ephi - vyr sin ephi      eydot = -w ex - vy + vxr sin ephi + vyr cos ephi
+        ephidot = wr - w
+
+    With `V = (ex^2 + ey^2)/2 + 1 - cos ephi` and `velocity = alpha`, `Vdot = -kx ex^2 - ky ey^2 - kphi sin^2 ephi`:
+    strict but for the heading turned by pi, whatever the reference does; `velocity = alpha - z` adds
+    `ex z1 + ey z2 + sin(ephi) z3`.
+
+    Args:
+        error: (3,) pose error in the base frame [m, m, rad].
+        v_ref: (3,) reference velocity (vxr, vyr, wr), in the reference's own frame [m/s, m/s, rad/s].
+        a_ref: (3,) its derivative [m/s^2, m/s^2, rad/s^2].
+        velocity: (3,) measured velocity (vx, vy, w) [m/s, m/s, rad/s].
+        gains: (3,) kx, ky, kphi [1/s].
+        alpha: (3,) written: command [m/s, m/s, rad/s].
+        alphadot: (3,) written: its derivative [m/s^2, m/s^2, rad/s^2].
+    """
+    ex, ey, ephi = error[0], error[1], error[2]
+    c, s, w = math.cos(ephi), math.sin(ephi), velocity[2]
+    ux, uy = c * v_ref[0] - s * v_ref[1], s * v_ref[0] + c * v_ref[1]
+    exdot, eydot, ephidot = w * ey - velocity[0] + ux, -w * ex - velocity[1] + uy, v_ref[2] - w
+    alpha[0] = ux + gains[0] * ex
+    alpha[1] = uy + gains[1] * ey
+    alpha[2] = v_ref[2] + gains[2] * s
+    alphadot[0] = c * a_ref[0] - s * a_ref[1] - uy * ephidot + gains[0] * exdot
+    alphadot[1] = s * a_ref[0] + c * a_ref[1] + ux * ephidot + gains[1] * eydot
+    alphadot[2] = a_ref[2] + gains[2] * c * ephidot
+
+
+@compiled
 def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
     """Velocity command of one sample: fills alpha ... nudot_ref of the row from its reference and measurement.
 
     Args:
         row: (width,) row of signals.
         at: offsets of the signals (`Layout.offsets`).
-        gains: (3,) kx, ky, kth; unused for a fixed arm.
+        gains: (3,) of the law that fits the base (`Kinematic.base_gains`); unused for a fixed arm.
         K: (n,) gain of the filtered error [1/s].
     """
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     nb, n = at[ALPHA + 1] - at[ALPHA], at[E + 1] - at[E]
-    if nb == 2:
+    if nb:
         error, velocity = row[at[POSE_ERROR] : at[POSE_ERROR + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
         alpha, alphadot, z = (
             row[at[ALPHA] : at[ALPHA + 1]],
@@ -94,7 +131,10 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
             row[at[VELOCITY_REF] : at[VELOCITY_REF + 1]],
             row[at[ACCELERATION_REF] : at[ACCELERATION_REF + 1]],
         )
-        kanayama(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
+        if nb == 3:
+            holonomic(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
+        else:
+            kanayama(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
         for i in range(nb):
             z[i] = alpha[i] - velocity[i]  # Eqn. 3.6
             nu_ref[i], nudot_ref[i] = alpha[i], alphadot[i]
@@ -110,10 +150,11 @@ class Kinematic(Settings, frozen=True):
     """Gains of the kinematic layer.
 
     Args:
-        kx: Gain of the error along the heading [1/s].
-        ky: Gain of the lateral error [1/m^2].
-        kth: Gain of the heading error [1/m].
+        kx: Differential drive: gain of the error along the heading [1/s].
+        ky: Differential drive: gain of the lateral error [1/m^2].
+        kth: Differential drive: gain of the heading error [1/m].
         K: Gain of the arm's filtered error `r = edot + K e`, one number or one per joint [1/s].
+        holonomic: Holonomic base: gains of the errors along x, along y and of the heading [1/s].
 
     Raises:
         ConfigError: A gain is negative or not finite.
@@ -123,13 +164,14 @@ class Kinematic(Settings, frozen=True):
     ky: float = 64.0
     kth: float = 16.0
     K: float | tuple[float, ...] = 7.0
+    holonomic: tuple[float, float, float] = (5.0, 5.0, 5.0)
 
     def __post_init__(self) -> None:
         require_gains(self, "kinematic")
 
-    def base_gains(self) -> Array:
-        """(kx, ky, kth), shape (3,)."""
-        return np.array([self.kx, self.ky, self.kth])
+    def base_gains(self, base: int = 2) -> Array:
+        """Gains of a base with this many velocities: (kx, ky, kth), or those of a holonomic base for 3; shape (3,)."""
+        return np.array(self.holonomic if base == 3 else (self.kx, self.ky, self.kth), float)
 
     def arm_gains(self, layout: Layout) -> Array:
         """K for every joint, shape (n,).

@@ -23,7 +23,7 @@ from .ordinary_loop import OrdinaryLoop
 from .recorder import Recorder
 from .recording import Outcome, Recording
 from .reference import Trajectory
-from .sampled import require_stable, sampled_loop
+from .sampled import require_stable, sampled_loop, viscous_friction
 from .signals import INDEX, SIGNALS, Array, Layout
 from .start import FIRST_REFERENCE, Bounds, Start
 from .timing import Timing
@@ -176,14 +176,15 @@ class Loop:
             return
         layout, dynamics, table = self.robot.layout, Dynamics(self.robot), self.table()
         gains = self.controller.feedback_gain(layout)
-        K = self.kinematic.arm_gains(layout)
+        base_gains, K = self.kinematic.base_gains(layout.base), self.kinematic.arm_gains(layout)
         h = max(self.timing.control_period, self.timing.sensor_period or 0.0)  # a slow sensor holds the torque, too
         start = layout.offsets[FIRST_REFERENCE]
         velocity = slice(*(layout.offsets[INDEX["velocity_ref"] + i] - start for i in (0, 1)))
+        friction = viscous_friction(self.robot)
         for i in np.unique(np.linspace(0, len(table) - 1, 10).astype(int)):
             position, _ = Start().state(self.robot, table[i])
             M = dynamics.mass_matrix(position)
-            verdict = sampled_loop(M, gains, table[i, velocity], self.kinematic.base_gains(), K, h, self.robot.viscous)
+            verdict = sampled_loop(M, gains, table[i, velocity], base_gains, K, h, friction)
             require_stable(verdict, gains, self.robot.velocity_names, h)
 
     def _require_first(self, first: int) -> None:

@@ -109,7 +109,7 @@ class OrdinaryLoop:
         self.plant = IdealPlant(loop.robot, loop.timing.plant_step, loop.timing.integrator)
         self.plant.start(position, nu)
         self.y = self.plant.y
-        self.gains, self.K = loop.kinematic.base_gains(), loop.kinematic.arm_gains(layout)
+        self.gains, self.K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
         self.bounds, self.E_inv = loop.bounds.vector(layout), np.ascontiguousarray(np.linalg.pinv(loop.robot.E))
         self.start_energy = float(0.5 * nu @ self.plant.dynamics.M @ nu) + self.plant.dynamics.potential()
         names = ("torque", "nu_ref", "nudot_ref", "psi")

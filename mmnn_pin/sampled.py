@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from .errors import ConfigError
+from .model.robot import Robot
 from .signals import Array
 
 TOLERANCE = 1e-9
@@ -26,7 +27,8 @@ class SampledLoop:
     Attributes:
         radius: Spectral radius of one control period; up to 1 is stable (exactly 1: something is not stabilised, such
             as the lateral error at vr = 0).
-        gain_limits: (p,) gain on each velocity alone at which `nu_next = (1 - h k (M^-1)_ii) nu` reaches -1.
+        gain_limits: (p,) gain on each velocity alone at which `nu_next = (Phi_ii - Gamma_ii k) nu` reaches -1, where
+            without friction `Phi_ii = 1` and `Gamma_ii = h (M^-1)_ii`.
     """
 
     radius: float
@@ -46,11 +48,11 @@ def sampled_loop(
     Args:
         M: (p, p) reduced mass matrix.
         gains: (p,) gain on `[z; r]`.
-        v_ref: (nb,) reference velocity (vr, wr).
-        base_gains: (3,) kx, ky, kth.
+        v_ref: (nb,) reference velocity, (vr, wr) or (vxr, vyr, wr).
+        base_gains: (3,) kx, ky, kth; of a holonomic base kx, ky, kphi.
         K: (n,) gain of the filtered arm error.
         h: Control period [s].
-        friction: (p,) viscous friction on nu; None for none.
+        friction: Viscous friction on nu, (p,) or a matrix (p, p); None for none.
     """
     p, nb = len(M), len(v_ref)
     poses, n = (3 if nb else 0), len(M) - len(v_ref)
@@ -59,24 +61,35 @@ def sampled_loop(
     nu = slice(poses + n, size)
     M_inv = np.linalg.inv(M)
     B[nu] = M_inv
-    if friction is not None:
-        A[nu, nu] = -M_inv @ np.diag(friction)
     if nb == 2:
         vr, wr = v_ref
         kx, ky, kth = base_gains
         A[0, 1], A[1, 0], A[1, 2] = wr, -wr, vr  # Eqn. 3.2, linear in the errors
         A[0, poses + n], A[2, poses + n + 1] = -1.0, -1.0
         feedback[0, 0], feedback[1, 1], feedback[1, 2] = kx, vr * ky, abs(vr) * kth
+    elif nb == 3:
+        vx, vy, wr = v_ref
+        A[0, 1], A[1, 0], A[0, 2], A[1, 2] = wr, -wr, -vy, vx
+        A[:3, poses + n : poses + n + 3] = -np.eye(3)
+        feedback[:3, :3] = np.diag(base_gains)
+        feedback[0, 2], feedback[1, 2] = -vy, vx
     A[poses : poses + n, poses + n + nb :] = -np.eye(n)
     feedback[nb:, poses : poses + n] = np.diag(K)
     feedback[:, nu] = -np.eye(p)
-    limits = 2.0 / (h * np.diag(M_inv))
     if not (np.isfinite(A).all() and np.linalg.norm(A, 1) * h < LARGEST):
-        return SampledLoop(np.inf, limits)
+        return SampledLoop(np.inf, 2.0 / (h * np.diag(M_inv)))
+    if friction is not None:  # it damps: however large, its exponential is small
+        A[nu, nu] = -M_inv @ (np.diag(friction) if np.ndim(friction) == 1 else friction)
     held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
     closed = held[:size, :size] + held[:size, size:] @ (gains[:, None] * feedback)
     radius = float(np.abs(np.linalg.eigvals(closed)).max())
+    limits = (1.0 + np.diag(held)[nu]) / np.diag(held[nu, size:])
     return SampledLoop(radius, limits)
+
+
+def viscous_friction(robot: Robot) -> Array:
+    """Viscous friction of a robot's joints and base on nu, (p, p); Coulomb friction has none once it slides."""
+    return robot.T.T @ (robot.damping[:, None] * robot.T) + np.diag(robot.viscous)
 
 
 def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float) -> None:
@@ -94,7 +107,8 @@ def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h
     ]
     raise ConfigError(
         f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
-        why="gains near or above their limit 2 / (h (M^-1)_ii): " + ("; ".join(over) or "none, the kinematic gains"),
+        why="gains near or above their limit, 2 / (h (M^-1)_ii) without friction: "
+        + ("; ".join(over) or "none, the kinematic gains"),
         fix="lower the gains, or shorten the control or sensor period",
         key="feedback",
     )

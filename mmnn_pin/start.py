@@ -54,7 +54,7 @@ class Start(Settings, frozen=True):
         position[robot.arm_index] = values["q_ref"] + self.joint_offset
         if self.moving:
             nu[: layout.base], nu[layout.base :] = values["velocity_ref"], values["qdot_ref"]
-        return position, nu
+        return robot.follow(position), nu
 
 
 REFERENCE_NAMES = ("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref")

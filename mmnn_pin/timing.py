@@ -19,7 +19,7 @@ class Timing(Settings, frozen=True):
         control_period: Time between control samples [s].
         plant_step: Integration step of the plant [s].
         sensor_period: Time between measurements [s]; None measures at every control sample.
-        integrator: "rk4" or "semi_implicit_euler".
+        integrator: "rk4", "semi_implicit_euler", or "implicit_friction" for friction too stiff for the others.
 
     Raises:
         ConfigError: A period is not positive and finite, or the plant step does not divide the others.
@@ -29,7 +29,7 @@ class Timing(Settings, frozen=True):
     control_period: float = 0.002
     plant_step: float = 0.001
     sensor_period: float | None = None
-    integrator: Literal["rk4", "semi_implicit_euler"] = "rk4"
+    integrator: Literal["rk4", "semi_implicit_euler", "implicit_friction"] = "rk4"
 
     def __post_init__(self) -> None:
         for name in ("duration", "control_period", "plant_step", "sensor_period"):

@@ -84,7 +84,7 @@ def test_without_arguments_the_help_is_shown(call: Call) -> None:
     assert call() == call("--help")
 
 
-@pytest.mark.parametrize("command", ["run", "model", "plot", "list"])
+@pytest.mark.parametrize("command", ["run", "model", "plot", "inspect", "check", "list"])
 def test_help_of_every_command_has_examples(call: Call, command: str) -> None:
     code, out, err = call(command, "--help")
     assert code == 0 and err == ""
@@ -288,7 +288,7 @@ BAD = {
     "unknown path": (["run", "chapter4", "--set", "reference.base.type=loop"], ["unknown type 'loop'", "line, circle"]),
     "unknown argument": (["run", "chapter4", "--set", "reference.base.sped=1"], ["unknown key 'sped'", "speed"]),
     "unknown input": (["run", "chapter4", "--set", "inputs.signals=['psi']"], ["unknown network input", "pose_ref"]),
-    "unknown command": (["fly"], ["unknown command 'fly'", "run, model, plot, list"]),
+    "unknown command": (["fly"], ["unknown command 'fly'", "run, model, plot, inspect, check, list"]),
     "unknown option": (["run", "chapter4", "--robt", "x"], ["unknown option '--robt'", "--robot"]),
     "unknown plot": (["plot", "x.h5", "--what", "weights"], ["weights", "errors", "psi"]),
     "missing argument": (["run"], ["EXPERIMENT", "--help"]),
@@ -388,7 +388,7 @@ def test_unreadable_files_are_told(call: Call, tmp_path: Path) -> None:
         text.write_bytes(content)
         code, _, err = call("run", text)
         assert code == 2 and words in only_line(err) and "text.toml" in err
-    for content, words in ((b"<robot>", "XML"), (b"not a robot", "XML"), (b"<sdf/>", "SDF"), (b"", "XML")):
+    for content, words in ((b"<robot>", "XML"), (b"not a robot", "XML"), (b"<sdf/>", "SDF"), (b"", "empty")):
         (tmp_path / "robot.urdf").write_bytes(content)
         code, _, err = call("model", tmp_path / "robot.urdf")
         assert code == 2 and words in only_line(err) and "robot.urdf" in err
@@ -421,7 +421,7 @@ def test_output_in_a_folder_without_permission(call: Call) -> None:
 
 
 def test_unexpected_errors_are_one_line_unless_debug(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object) -> None:
+    def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")
 
     monkeypatch.setattr("mmnn_pin.model.robot.load", broken)
@@ -434,7 +434,7 @@ def test_unexpected_errors_are_one_line_unless_debug(call: Call, monkeypatch: py
 def test_other_errors_of_the_package_are_failures(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     from mmnn_pin import MmnnError
 
-    def failing(*_: object) -> None:
+    def failing(*_: object, **__: object) -> None:
         raise MmnnError("the simulation failed")
 
     monkeypatch.setattr("mmnn_pin.model.robot.load", failing)
@@ -443,7 +443,7 @@ def test_other_errors_of_the_package_are_failures(call: Call, monkeypatch: pytes
 
 
 def test_ctrl_c_outside_of_a_run(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stopped(*_: object) -> None:
+    def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("mmnn_pin.model.robot.load", stopped)

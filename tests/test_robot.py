@@ -8,109 +8,30 @@ from __future__ import annotations
 
 import os
 import pickle
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from drives import (
+    ARM,
+    CYLINDER,
+    LIMIT,
+    SPHERE,
+    UP,
+    Drive,
+    joint,
+    link,
+    moving,
+    origin,
+    random_state,
+    robot_of,
+    rotation,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import ConfigError, RobotError, UnknownName
-from mmnn_pin.model import Robot, Undecided, bundled, load
-from mmnn_pin.model.robot import build
-from mmnn_pin.model.urdf import parse
-
-UP = np.array([0.0, 0.0, 1.0])
-SPHERE = '<sphere radius="{r!r}"/>'
-CYLINDER = '<cylinder radius="{r!r}" length="0.03"/>'
-
-
-# --- Robots of our own ------------------------------------------------------------------------------------------------
-
-
-def words(values) -> str:
-    return " ".join(repr(float(v)) for v in np.atleast_1d(values))
-
-
-def origin(R=None, p=(0, 0, 0)) -> str:
-    return f'<origin xyz="{words(p)}" rpy="{words(pin.rpy.matrixToRpy(np.eye(3) if R is None else R))}"/>'
-
-
-def link(name: str, mass: float = 1.0, inertia: float = 0.02, shape: str = "", at: str = "", tag="collision") -> str:
-    body = f"<{tag}>{at}<geometry>{shape}</geometry></{tag}>" if shape else ""
-    tensor = f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" iyz="0"/>'
-    inertial = f'<inertial><mass value="{mass}"/>{tensor}</inertial>' if mass else ""
-    return f'<link name="{name}">{inertial}{body}</link>\n'
-
-
-def joint(name, kind, parent, child, R=None, p=(0, 0, 0), axis=(0, 1, 0), more="") -> str:
-    ends = f'<parent link="{parent}"/><child link="{child}"/>'
-    return f'<joint name="{name}" type="{kind}">{ends}{origin(R, p)}<axis xyz="{words(axis)}"/>{more}</joint>\n'
-
-
-LIMIT = '<limit lower="{}" upper="{}" effort="9" velocity="2"/>'
-ARM = (
-    link("upper", 2.0)
-    + link("fore", 1.0)
-    + joint("shoulder", "continuous", "base", "upper", p=(0.1, 0, 1), axis=(0, 0, 1))
-    + joint("elbow", "revolute", "upper", "fore", p=(0.3, 0, 0), more=LIMIT.format(0.2, 2))
-)
-
-
-@dataclass
-class Drive:
-    """A differential drive: the control frame in the root frame, wheels (left, right), and how each is written."""
-
-    frame: tuple = (0.0, 0.0, 0.0)  # x, y, heading
-    floor: float = 0.0
-    track: float = 0.4
-    radii: tuple = (0.1, 0.1)
-    flips: tuple = (1, 1)
-    frames: tuple = (np.eye(3), np.eye(3))  # orientation of the joints' frames in the control frame
-    inset: float = 0.0  # how far inside its wheel each joint sits on the axle
-    shape: str = CYLINDER
-    names: tuple = ("left", "right")
-    tag: str = "collision"
-
-    @property
-    def R(self) -> np.ndarray:
-        return pin.rpy.rpyToMatrix(0.0, 0.0, self.frame[2])
-
-    def hub(self, i: int) -> np.ndarray:
-        side = (self.track / 2 - self.inset) * (1, -1)[i]
-        return np.array([self.frame[0], self.frame[1], self.floor + self.radii[i]]) + self.R @ [0, side, 0]
-
-    def centre(self, i: int) -> np.ndarray:
-        """Of a wheel, in the joint's frame."""
-        return self.frames[i].T @ [0, self.inset * (1, -1)[i], 0]
-
-    def centres(self, robot: Robot, data) -> list[np.ndarray]:
-        """Of both wheels, in the world."""
-        frames = [robot.model.getFrameId(f"{name}_link", pin.FrameType.BODY) for name in self.names]
-        return [data.oMf[frame].act(self.centre(i)) for i, frame in enumerate(frames)]
-
-    def urdf(self, more: str = ARM) -> str:
-        text = link("base", 20.0, 0.8, '<box size="0.3 0.2 0.1"/>', origin(p=(0, 0, self.floor + 0.2)))
-        for i, name in enumerate(self.names):
-            axle = self.frames[i].T @ np.array([0, self.flips[i], 0])  # the axle in the joint's frame
-            lying = pin.Quaternion.FromTwoVectors(UP, axle).matrix()  # a cylinder stands along z
-            text += link(
-                f"{name}_link", 1.5, 0.02, self.shape.format(r=self.radii[i]), origin(lying, self.centre(i)), self.tag
-            )
-            R = self.R @ self.frames[i]
-            text += joint(name, "continuous", "base", f"{name}_link", R, self.hub(i), axle)
-        return f'<robot name="r">{text}{more}</robot>'
-
-
-def robot_of(text: str, path: str | Path = "robot.urdf") -> Robot:
-    return build(parse(text.encode(), path))
-
-
-def rotation(roll: float, pitch: float, yaw: float) -> np.ndarray:
-    return pin.rpy.rpyToMatrix(roll, pitch, yaw)
-
+from mmnn_pin.model import Undecided, bundled, load
 
 angles = st.floats(-3.1, 3.1)
 rotations = st.builds(rotation, angles, st.floats(-1.5, 1.5), angles)
@@ -127,19 +48,6 @@ drives = st.builds(
     shape=st.sampled_from([CYLINDER, SPHERE]),
     names=st.sampled_from([("left", "right"), ("z", "a"), ("elbow_2", "arm")]),
 )
-
-
-def moving(robot: Robot, position, nu):
-    """Pinocchio's data at a state that T permits."""
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, robot.configuration(position), robot.T @ nu)
-    pin.updateFramePlacements(robot.model, data)
-    return data
-
-
-def random_state(robot: Robot, seed: int = 0):
-    rng = np.random.default_rng(seed)
-    return rng.uniform(-2, 2, robot.model.nv), rng.uniform(-2, 2, robot.layout.dof)
 
 
 # --- The wheels roll --------------------------------------------------------------------------------------------------
@@ -344,17 +252,9 @@ def one_wheel() -> str:
     return text.replace('"right" type="continuous"', '"right" type="fixed"')
 
 
-def steered() -> str:
-    turn = joint("steer", "revolute", "base", "knuckle", axis=(0, 0, 1), more=LIMIT.format(-0.5, 0.5))
-    return one_wheel().replace(
-        '<parent link="base"/><child link="left_link"/>', '<parent link="knuckle"/><child link="left_link"/>'
-    ).replace("</robot>", link("knuckle") + turn + "</robot>")  # fmt: skip
-
-
 @pytest.mark.parametrize(("text", "candidates"), [
     (four_wheels(), ["left", "right", "left_rear", "right_rear"]),
     (one_wheel(), ["left"]),
-    (steered(), ["left"]),
     (Drive().urdf(more="").replace('xyz="0.0 -0.2 0.1"', 'xyz="0.1 -0.2 0.1"'),
      ["left", "right"]),
 ])  # fmt: skip
@@ -363,7 +263,6 @@ def test_undecided_base_lists_its_candidates(text, candidates):
         robot_of(text)
     assert [c.split("'")[1] for c in error.value.candidates] == candidates
     assert all(name in str(error.value) for name in candidates)
-    assert ("steered" in str(error.value)) == ("steer" in text)
 
 
 def test_wheels_in_the_air_are_told_and_not_taken_for_an_arm():
@@ -458,14 +357,16 @@ def test_joints_may_have_the_names_that_pinocchio_uses_itself():
     assert np.abs(robot.A @ robot.T).max() < 1e-12
 
 
-@pytest.mark.parametrize("more", [
-    joint("slave", "continuous", "fore", "tip", more='<mimic joint="elbow"/>'),
-    joint("free", "floating", "fore", "tip"),
-    joint("slide", "planar", "fore", "tip"),
-])  # fmt: skip
-def test_joints_not_supported_are_named(more):
-    with pytest.raises(RobotError, match=r"'(slave|free|slide)' is a (mimic|floating|planar) joint"):
-        robot_of(Drive().urdf(ARM + link("tip") + more))
+@pytest.mark.parametrize("kind", ["floating", "planar"])
+def test_planar_and_floating_joints_are_welded_with_a_warning(kind):
+    free = joint("free", kind, "world", "base", p=(0, 0, 1))
+    text = f'<robot name="a"><link name="world"/>{link("base")}{free}{ARM}</robot>'
+    robot = robot_of(text)
+    assert robot.full_velocity_names == ("shoulder", "elbow") and robot.base.kind == "fixed"
+    assert [(f.severity, f.element) for f in robot.findings if f.code == "welded"] == [("warning", "joint 'free'")]
+    same = robot_of(text.replace(kind, "fixed"))
+    M = [pin.crba(r.model, r.model.createData(), r.configuration([0.3, 0.4])) for r in (robot, same)]
+    np.testing.assert_array_equal(*M)
 
 
 def test_what_pinocchio_prints_is_in_the_error_and_not_on_the_terminal(capfd):

@@ -15,6 +15,8 @@ import click
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
 from .catalogue import list_
+from .check import check
+from .inspect import inspect
 from .model import model
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, say, say_json
@@ -60,7 +62,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-for command in (run, model, plot, list_):
+for command in (run, model, plot, inspect, check, list_):
     mmnn.add_command(command)
 
 

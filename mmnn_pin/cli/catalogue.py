@@ -20,11 +20,12 @@ def list_(as_json: bool) -> int:
     """List the bundled experiments and robots, the controllers and the references."""
     from ..experiments.config import bundled, read_toml
     from ..experiments.experiment import ARM_PROFILES, BASE_PATHS, CONTROLLERS
-    from ..model.robot import bundled as robots
+    from ..model.robots import bundled as robots
+    from ..model.robots import extra
 
     there_is: dict[str, dict[str, Any]] = {
         "experiments": {name: read_toml(path).get("title", "") for name, path in bundled().items()},
-        "robots": {name: str(path) for name, path in robots().items()},
+        "robots": {name: str(path) for name, path in (robots() | extra()).items()},
         "controllers": CONTROLLERS,
         "references": {"base": about(BASE_PATHS), "arm": about(ARM_PROFILES)},
     }

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from .options import examples, shared
+from .options import examples, shared, understanding
 from .output import DONE, say, say_json
 
 
@@ -20,8 +21,9 @@ from .output import DONE, say, say_json
 )
 @click.argument("robot")
 @click.option("--at", "state", metavar="STATE.json", type=click.Path(path_type=Path), help="The state; else at rest.")
+@understanding
 @shared
-def model(robot: str, state: Path | None, as_json: bool) -> int:
+def model(robot: str, state: Path | None, said: dict[str, Any], as_json: bool) -> int:
     """Print the reduced model of ROBOT at one state: M, C, gravity, friction, T, A, E with names.
 
     ROBOT is a bundled name or the path of a URDF file. STATE.json has the keys pose [x, y, phi], base_velocity [v, w],
@@ -30,7 +32,7 @@ def model(robot: str, state: Path | None, as_json: bool) -> int:
     from ..model.robot import load
     from ..model.state import NamedState, model_at, read_state
 
-    loaded = load(robot)
+    loaded = load(robot, **said)
     position, nu = read_state(state, loaded) if state else NamedState().of(loaded)
     at = model_at(loaded, position, nu)
     if as_json:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -15,6 +16,38 @@ def shared(function: F) -> F:
     debug = click.option("--debug", is_flag=True, expose_value=False, help="Show the traceback of an error.")
     as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, nothing else.")
     return as_json(debug(function))
+
+
+def understanding(function: F) -> F:
+    """Add the options that say what a robot is; the command gets them as `said`, arguments of `model.robot.load`."""
+
+    @functools.wraps(function)
+    def gathered(*args: Any, **kwargs: Any) -> Any:
+        said = {name: kwargs.pop(name) for name in SAID}
+        if said["wheels"] is not None:
+            said["wheels"] = [name.strip() for name in said["wheels"].split(",")]
+        return function(*args, said=said, **kwargs)
+
+    for option in reversed(ROBOT_OPTIONS):
+        gathered = option(gathered)
+    return gathered  # type: ignore[return-value]
+
+
+SAID = ("base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "strict")
+ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
+    click.option("--base", metavar="KIND", help="What the base is: differential_drive, holonomic or fixed."),
+    click.option("--wheels", metavar="LEFT,RIGHT", help="Joints of the drive wheels, separated by commas."),
+    click.option("--radius", type=float, metavar="M", help="Radius of the drive wheels."),
+    click.option("--track", type=float, metavar="M", help="Lateral distance of the drive wheels."),
+    click.option("--roller", type=float, metavar="RAD", help="Angle of a holonomic base's rollers: 0 for omni wheels."),
+    click.option("--lock", metavar="JOINT[=AT]", multiple=True, help="A joint that stands still; repeatable."),
+    click.option("--free", metavar="JOINT", multiple=True, help="A head or finger that moves, or 'all'; repeatable."),
+    click.option("--arm-tip", metavar="LINK", help="End of the arm; joints that do not lead to it are locked."),
+    click.option(
+        "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
+    ),
+    click.option("--strict", is_flag=True, help="Refuse impossible inertias and implausible sizes."),
+)
 
 
 def examples(*lines: str) -> str:

@@ -12,7 +12,8 @@ from ..errors import ConfigError, UnknownName
 from ..kinematic import Kinematic
 from ..loop import Loop
 from ..model.robot import Robot, load
-from ..reference import Circle, Eight, Hold, Line, MinimumJerk, Sine, Trajectory, Waypoints
+from ..reference import BasePath, Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Trajectory, Waypoints
+from ..reference.arm import JointProfile
 from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from ..start import Bounds, Start
@@ -20,6 +21,7 @@ from ..timing import Timing
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
+from .inertia import effective_inertia
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
 ARM_PROFILES = {"sine": Sine, "hold": Hold, "minimum_jerk": MinimumJerk}
@@ -52,10 +54,43 @@ class Friction(Settings, frozen=True):
 
 
 class ReferenceTables(Settings, frozen=True):
-    """The reference: a table with `type` and its arguments for the base, and one for every arm joint."""
+    """The reference: tables with `type` and its arguments.
+
+    Args:
+        base: The base's path.
+        heading: Profile of a holonomic base's heading [rad]; None turns it along the path.
+        arm: One profile per arm joint, or one table for all of them (type "swing", see `Swing`).
+    """
 
     base: dict[str, Any] | None = None
-    arm: tuple[dict[str, Any], ...] = ()
+    heading: dict[str, Any] | None = None
+    arm: tuple[dict[str, Any], ...] | dict[str, Any] = ()
+
+
+@dataclasses.dataclass(frozen=True)
+class Swing:
+    """A sine around the middle of each joint's range, from rest; around 0 for a joint without limits.
+
+    Args:
+        amplitude: Largest amplitude [rad or m].
+        share: Largest amplitude as a share of half the joint's range.
+        period: [s].
+    """
+
+    amplitude: float
+    period: float
+    share: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.share <= 1:
+            raise ConfigError(f"share {self.share}", fix="use a number from 0 to 1", key="reference.arm.share")
+
+    def of(self, lower: float, upper: float) -> Sine:
+        """The profile of one joint with these limits."""
+        if not np.isfinite(upper - lower):
+            return Sine(self.amplitude, self.period, float(np.clip(0.0, lower, upper)), np.pi / 2)
+        amplitude = min(self.amplitude, self.share * (upper - lower) / 2)
+        return Sine(amplitude, self.period, (lower + upper) / 2, np.pi / 2)
 
 
 class Learning(Settings, frozen=True):
@@ -148,40 +183,91 @@ class Experiment(Settings, frozen=True):
         robot = load(self.robot)
         return robot.with_friction(per_velocity(self.friction.base, self.friction.arm, robot.layout, "friction"))
 
-    def trajectory(self, layout: Layout) -> Trajectory:
+    def trajectory(self, layout: Layout, limits: tuple[Array, Array] | None = None) -> Trajectory:
         """The reference for a robot.
+
+        Args:
+            layout: Sizes of the robot.
+            limits: Lower and upper limits of its arm joints, (n,) each; None for none.
 
         Raises:
             ConfigError: Unknown type or argument, or not one profile per arm joint.
             TrajectoryError: A path that the base cannot follow, or an argument out of range.
         """
-        base = self.reference.base
-        if layout.base and base is None:
+        if layout.base and self.reference.base is None:
             raise ConfigError("no path for the base", fix="add [reference.base] with a type", key="reference.base")
-        if len(self.reference.arm) != layout.arm:
+        return Trajectory(self._path(layout.base), self._arm(layout, limits))
+
+    def _path(self, nb: int) -> BasePath | None:
+        tables = self.reference
+        if not nb or tables.base is None:
+            return None
+        path = make(BASE_PATHS, tables.base, "reference.base")
+        if nb == 3:
+            heading = tables.heading
+            return Holonomic(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
+        if tables.heading is not None:
             raise ConfigError(
-                f"{len(self.reference.arm)} profiles for {layout.arm} arm joints",
-                fix="add one [[reference.arm]] per joint",
+                "a heading for a differential drive",
+                why="it looks along its path",
+                fix="leave the table out",
+                key="reference.heading",
+            )
+        return path
+
+    def _arm(self, layout: Layout, limits: tuple[Array, Array] | None) -> tuple[JointProfile, ...]:
+        tables, n = self.reference.arm, layout.arm
+        if isinstance(tables, dict):
+            common = make({"swing": Swing, **ARM_PROFILES}, tables, "reference.arm")
+            lower, upper = limits or (np.full(n, -np.inf), np.full(n, np.inf))
+            if not isinstance(common, Swing):
+                return (common,) * n
+            return tuple(common.of(float(a), float(b)) for a, b in zip(lower, upper, strict=True))
+        if len(tables) != n:
+            raise ConfigError(
+                f"{len(tables)} profiles for {n} arm joints",
+                fix="add one [[reference.arm]] per joint, or one [reference.arm] for all",
                 key="reference.arm",
             )
-        path = make(BASE_PATHS, base, "reference.base") if base is not None and layout.base else None
-        arm = [make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(self.reference.arm)]
-        return Trajectory(path, tuple(arm))
+        return tuple(make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(tables))
 
-    def controller(self, name: str, gains: Array | None = None) -> CompiledController:
-        """A controller by name; `gains` (samples, p) are the schedule of a PD at an effective gain."""
+    def trajectory_of(self, robot: Robot) -> Trajectory:
+        """The reference for a robot, within the limits of its joints; errors as in `trajectory`."""
+        return self.trajectory(robot.layout, (robot.lower[robot.arm_index], robot.upper[robot.arm_index]))
+
+    def inertia(self, robot: Robot) -> Array | None:
+        """Effective inertias along the reference, (p,); None when nothing is scaled by them."""
+        if self.feedback.scaling == "none":
+            return None
+        return effective_inertia(robot, self.trajectory_of(robot), self.time.duration, self.time.control_period)
+
+    def controller(self, name: str, gains: Array | None = None, robot: Robot | None = None) -> CompiledController:
+        """A controller by name.
+
+        Args:
+            name: One of `CONTROLLERS`.
+            gains: (samples, p) schedule of a PD at an effective gain.
+            robot: The robot whose effective inertias scale the gains; needed when `feedback.scaling` is "inertia".
+
+        Raises:
+            ConfigError: Gains that are to be scaled, and no robot.
+        """
+        feedback, robust, inertia = self.feedback, self.robust, None if robot is None else self.inertia(robot)
+        if robot is not None and inertia is not None:
+            feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
         if name == "pd":
-            return PD(self.feedback)
+            return PD(feedback)
         if name == "computed_torque":
-            return ComputedTorque(self.feedback)
+            return ComputedTorque(feedback)
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)
         switches = self.learning
         return Neural(
             network=self.two_layer if name == "two_layer" else self.one_layer,
-            feedback=self.feedback,
-            robust=self.robust if switches.robust_term else None,
+            feedback=feedback,
+            robust=robust if switches.robust_term else None,
+            inertia=None if inertia is None else tuple(inertia.tolist()),
             inputs=self.inputs,
             rates=switches.rates,
             learning=switches.learning,
@@ -193,7 +279,7 @@ class Experiment(Settings, frozen=True):
         """The closed loop of this experiment around one controller."""
         return Loop(
             robot=robot,
-            trajectory=self.trajectory(robot.layout),
+            trajectory=self.trajectory_of(robot),
             controller=controller,
             kinematic=self.kinematic,
             timing=self.time,

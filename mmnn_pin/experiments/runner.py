@@ -52,8 +52,28 @@ class Result:
             }
             for name, recording in self.recordings.items()
         }
-        comparison = {"relative_to_pd": self.relative_to("pd"), "notes": list(self.notes)}
+        comparison = {
+            "relative_to_pd": self.relative_to("pd"),
+            "torque_limits": self.torque_limits(),
+            "notes": list(self.notes),
+        }
         return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
+
+    def torque_limits(self) -> list[dict[str, Any]]:
+        """Per actuator its effort limit (None without one) and every controller's peak torque [N m or N]."""
+        if not self.recordings:
+            return []
+        first = next(iter(self.recordings.values()))
+        limits = first.meta["effort_limits"]
+        peaks = {name: as_columns(r["motor_torque"]) for name, r in self.recordings.items() if len(r)}
+        return [
+            {
+                "actuator": actuator,
+                "limit": finite(limit),
+                "peak": {name: finite(abs(torque[:, i]).max()) for name, torque in peaks.items()},
+            }
+            for i, (actuator, limit) in enumerate(zip(first.meta["actuator_names"], limits, strict=True))
+        ]
 
     def relative_to(self, other: str) -> dict[str, dict[str, float | None]]:
         """Every error metric of every controller divided by that of another one; empty without it."""
@@ -78,7 +98,7 @@ def finite(value: float) -> float | None:
 
 def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     """What to know of the reference, such as stretches without stabilisation."""
-    path = experiment.trajectory(robot.layout).base
+    path = experiment.trajectory_of(robot).base
     times = np.arange(experiment.time.samples) * experiment.time.control_period
     return warnings(path.sample(times)) if path is not None else []
 
@@ -136,7 +156,7 @@ def run_experiment(
     robot = experiment.load_robot()
     for controller in in_order(wanted):
         if controller not in EFFECTIVE:
-            loop = experiment.loop(robot, experiment.controller(controller))
+            loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
             loop.require_stable_gains()
             loop.start.state(robot, loop.table()[0])
     require_free([file for file in files.values() if file], force)
@@ -149,7 +169,7 @@ def run_experiment(
             notes.append(f"{controller} was not run: {EFFECTIVE[controller]} ended before its first sample")
             continue
         gains = None if learner is None else as_columns(learner["effective_gain"])
-        loop = experiment.loop(robot, experiment.controller(controller, gains))
+        loop = experiment.loop(robot, experiment.controller(controller, gains, robot))
         notes += [note for note in loop.controller.notes if note not in notes]
         runs[controller] = loop.run(
             files.get(controller),

@@ -10,13 +10,8 @@ torques u act on the joints as `E_full u` and on nu as `E u`, `E = T' E_full` (2
 
 from __future__ import annotations
 
-import os
-import sys
-import tempfile
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -24,14 +19,23 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-import mmnn_pin
-from mmnn_pin.errors import ConfigError, RobotError, UnknownName
-from mmnn_pin.model.base import Base, find_base
-from mmnn_pin.model.urdf import Document, read
+from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.model.arm import Arm, choose_arm
+from mmnn_pin.model.base import Base
+from mmnn_pin.model.build import pinocchio_model, welded
+from mmnn_pin.model.maps import constraint_rows, is_pushed, motion_map, motor_map, root_size
+from mmnn_pin.model.overrides import Overrides, beside, read_overrides
+from mmnn_pin.model.robots import bundled, find, package_dirs_of
+from mmnn_pin.model.sanity import require_sane
+from mmnn_pin.model.shapes import AtRest
+from mmnn_pin.model.understanding import find_base, remark
+from mmnn_pin.model.urdf import Document, Finding, read
 from mmnn_pin.signals import Array, Layout
 
+__all__ = ["Robot", "build", "bundled", "load"]
+
 ROOT_NAMES = ("root_vx", "root_vy", "root_w")
-_stderr_lock = threading.Lock()
+PUSHES = ("base_x", "base_y", "base_turn")  # motors of a base without wheels
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +52,7 @@ class Robot:
         model: Full Pinocchio model, nothing locked away; planar root joint for a mobile base.
         base: The mobile base.
         layout: Sizes of all signals.
+        arm: The manipulator: its joints, what is locked and where, and what follows.
         joint_names: The n arm joints in the model's order.
         velocity_names: Names of nu, p of them.
         full_velocity_names: Names of the model's velocities, nv of them.
@@ -65,6 +70,8 @@ class Robot:
         damping: (nv,) viscous friction of the joints [N m s or N s/m].
         coulomb: (nv,) Coulomb friction of the joints [N m or N].
         viscous: (p,) further viscous friction, on nu, declared by the user.
+        rest: (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits.
+        findings: What the audit and the understanding have to say, warnings and notes.
     """
 
     name: str
@@ -73,6 +80,7 @@ class Robot:
     sha256: str
     model: pin.Model
     base: Base
+    arm: Arm
     layout: Layout
     joint_names: tuple[str, ...]
     velocity_names: tuple[str, ...]
@@ -91,6 +99,8 @@ class Robot:
     damping: Array
     coulomb: Array
     viscous: Array
+    rest: Array
+    findings: tuple[Finding, ...] = field(default=())
 
     @property
     def position_names(self) -> tuple[str, ...]:
@@ -128,8 +138,15 @@ class Robot:
         return q
 
     def neutral_position(self) -> Array:
-        """Position at rest, (nv,): 0 clipped into the limits."""
-        return np.clip(0.0, self.lower, self.upper)
+        """Position at rest, (nv,): locked joints where they are locked, the others at 0 clipped into their limits."""
+        return self.rest.copy()
+
+    def follow(self, position: Array) -> Array:
+        """The position with its slaves (mimic joints) where their masters have them, (nv,), changed in place."""
+        names = self.full_velocity_names
+        for name, slave in self.arm.slaves.items():
+            position[names.index(name)] = slave.at(position[names.index(slave.master)])
+        return position
 
     def with_masses(self, factors: float | Mapping[str, float]) -> Robot:
         """The same robot with the inertias of its moving bodies scaled (mass and rotational inertia alike).
@@ -178,149 +195,139 @@ def bodies_of(model: pin.Model) -> list[str]:
     return ["root", *names[1:]] if names and model.joints[1].shortname() == "JointModelPlanar" else names
 
 
-def bundled() -> dict[str, Path]:
-    """The robots that come with the package: name to URDF file."""
-    package = Path(mmnn_pin.__file__).parent
-    folder = next((f for f in (package / "urdf", package.parent / "urdf") if f.is_dir()), package / "urdf")
-    return {file.stem: file for file in sorted(folder.glob("*.urdf"))}
-
-
-def load(robot: str | Path) -> Robot:
-    """Load a robot.
+def load(
+    robot: str | Path,
+    *,
+    base: str | None = None,
+    wheels: Sequence[str] | None = None,
+    radius: float | None = None,
+    track: float | None = None,
+    roller: float | None = None,
+    lock: Sequence[str] = (),
+    free: Sequence[str] = (),
+    arm_tip: str | None = None,
+    package_dirs: Sequence[str | Path] = (),
+    strict: bool = False,
+) -> Robot:
+    """Load a robot. What is not said is found in the file, after `NAME.mmnn.toml` beside it (see docs/robots.md).
 
     Args:
-        robot: Name of a bundled robot, or path of a URDF file.
+        robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF file.
+        base: `differential_drive`, `holonomic` or `fixed`.
+        wheels: Joints of the drive wheels; left, right for a differential drive.
+        radius: Radius of the drive wheels [m].
+        track: Lateral distance of the drive wheels [m].
+        roller: Angle of the rollers of a holonomic base [rad], see `Overrides`.
+        lock: Joints that stand still: `joint` where it rests, or `joint=position` [rad or m].
+        free: Joints that are not locked though heads and fingers are by default; `all` for all.
+        arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
+        package_dirs: Folders that hold the packages of `package://` meshes.
+        strict: Whether impossible inertias and implausible sizes are errors.
 
     Raises:
-        UnknownName: Neither a bundled robot nor a path.
-        RobotError: The file cannot be used; says why, with the line.
+        UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
+        ConfigError: Something said that does not suit the robot, or a file of overrides that cannot be read.
+        RobotError: The file cannot be used, the base is undecided or of a kind not supported; with the line.
     """
-    if isinstance(robot, str) and robot in bundled():
-        return build(read(bundled()[robot]))
-    path = Path(robot)
-    if isinstance(robot, str) and not (path.suffix or os.sep in robot or path.exists()):
-        raise UnknownName("robot", robot, bundled())
-    return build(read(path))
+    said = Overrides(
+        base=base,
+        wheels=None if wheels is None else tuple(wheels),
+        radius=radius,
+        track=track,
+        roller=roller,
+        lock=tuple(lock),
+        free=tuple(free),
+        arm_tip=arm_tip,
+    )
+    path = find(robot)
+    folders = (*package_dirs, *package_dirs_of(path))
+    document = read(path, strict, folders)
+    notes: tuple[Finding, ...] = ()
+    if (file := beside(path)).is_file():
+        said = said.over(read_overrides(file))
+        text = "it says what the loader does not look for"
+        notes = (Finding("note", "overrides", str(file), 1, "", f"overrides of {path.name} are read from here", text),)
+    built = build(document, said, folders)
+    return replace(built, findings=(*built.findings, *notes))
 
 
-def build(document: Document) -> Robot:
+def build(document: Document, said: Overrides | None = None, package_dirs: Sequence[str | Path] = ()) -> Robot:
     """Robot of an audited URDF.
 
-    Raises:
-        RobotError: The base is undecided, a joint is of a kind not supported, or the dynamics are singular.
-    """
-    base = find_base(document)
-    refuse_unsupported(document)
-    model = pinocchio_model(document, mobile=base.kind != "fixed")
-    check_dynamics(document, model)
-    return assemble(document, base, model)
-
-
-def refuse_unsupported(document: Document) -> None:
-    """Refuse joints that this version cannot drive.
+    Args:
+        document: The URDF.
+        said: What the user says about it.
+        package_dirs: Folders that hold the packages of `package://` meshes.
 
     Raises:
-        RobotError: A mimic, floating or planar joint.
+        UnknownName: A joint or link that does not exist.
+        ConfigError: Something said that does not suit the robot.
+        RobotError: The base is undecided or of a kind not supported, or the dynamics are singular.
     """
-    for joint in document.joints.values():
-        if joint.type in ("floating", "planar") or (joint.mimics is not None and joint.moves):
-            kind = "mimic" if joint.mimics is not None else joint.type
-            raise RobotError(
-                f"joint '{joint.name}' is a {kind} joint, which is not supported",
-                fix="make it fixed" if kind == "mimic" else "make it fixed, a mobile base needs no joint to the world",
-                file=document.path,
-                line=joint.line,
+    said = said or Overrides()
+    document, welds = welded(document)
+    rest = AtRest(document, tuple(Path(folder) for folder in package_dirs))
+    found = find_base(rest, said)
+    arm = choose_arm(rest, found.base, said)
+    model = pinocchio_model(document, mobile=found.base.kind != "fixed")
+    require_sane(document, model)
+    findings = (*document.findings, *found.findings, *arm_notes(rest, arm), *weld_notes(rest, welds))
+    return replace(assemble(document, found.base, arm, model), findings=findings)
+
+
+def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
+    """What was locked without being asked to, one note per reason."""
+    notes = []
+    for reason in dict.fromkeys(arm.reasons.values()):
+        names = [name for name, why in arm.reasons.items() if why == reason]
+        if "short branch" in reason:
+            text = f"locked: {', '.join(names)}"
+            line = rest.document.joints[names[0]].line
+            notes.append(
+                remark(rest, "note", "arm-locked", line, "arm", text, reason, "--free JOINT moves one, all all")
             )
+    return notes
 
 
-def pinocchio_model(document: Document, mobile: bool) -> pin.Model:
-    """Full Pinocchio model, on a planar root joint for a mobile base.
-
-    Raises:
-        RobotError: Pinocchio refuses the file; what it printed is attached.
-    """
-    root_name = "root_joint"
-    while root_name in document.joints:
-        root_name += "_"
-    root = (pin.JointModelPlanar(), root_name) if mobile else ()
-    try:
-        with captured_stderr() as printed:
-            model = pin.buildModelFromXML(document.text, *root)
-    except (ValueError, RuntimeError) as error:
-        why = " ".join(" ".join([*printed, str(error)]).split())
-        raise RobotError("Pinocchio cannot build the model", why=why, file=document.path) from None
-    model.name = document.path.stem
-    return model
+def weld_notes(rest: AtRest, names: Sequence[str]) -> list[Finding]:
+    """Planar and floating joints that were welded."""
+    why, fix = "the loader places the robot in the world itself", "none needed, unless it should move in the arm"
+    text = "a planar or floating joint is taken as fixed"
+    lines = {name: rest.document.joints[name].line for name in names}
+    return [remark(rest, "warning", "welded", lines[n], f"joint '{n}'", text, why, fix) for n in names]
 
 
-@contextmanager
-def captured_stderr() -> Iterator[list[str]]:
-    """What C++ code prints on standard error meanwhile; the list is filled on leaving."""
-    lines: list[str] = []
-    with _stderr_lock, tempfile.TemporaryFile() as file:
-        sys.stderr.flush()
-        kept = os.dup(2)
-        os.dup2(file.fileno(), 2)
-        try:
-            yield lines
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
-            file.seek(0)
-            lines += file.read().decode(errors="replace").splitlines()
-
-
-def check_dynamics(document: Document, model: pin.Model) -> None:
-    """Hold the mass matrix at rest against non-finite entries and singularity.
-
-    Raises:
-        RobotError: It is not finite or not positive definite.
-    """
-    M = pin.crba(model, model.createData(), pin.neutral(model))
-    M = np.triu(M) + np.triu(M, 1).T
-    smallest = -np.inf
-    if np.all(np.isfinite(M)) and np.all(np.diag(M) > 0):
-        scale = 1 / np.sqrt(np.diag(M))  # kilograms and gram metres squared alike become 1
-        smallest = np.linalg.eigvalsh(M * np.outer(scale, scale)).min(initial=1.0)
-    if smallest < 1e-12:
-        raise RobotError(
-            "the mass matrix is not positive definite",
-            why="an inertia is zero, negative or impossible",
-            fix="check the inertials",
-            file=document.path,
-        )
-
-
-def assemble(document: Document, base: Base, model: pin.Model) -> Robot:
+def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robot:
     """Robot of its parts: names, indices, limits and the maps T, A and E."""
-    root = 0 if base.kind == "fixed" else 3
+    root = root_size(base)
     joints = [document.joints[name] for name in model.names[2 if root else 1 :]]
     names = [joint.name for joint in joints]
-    standing = {*base.locked, *(wheel.joint for wheel in base.wheels)}
-    arm = tuple(name for name in names if name not in standing)
-    motors = (*(wheel.joint for wheel in base.wheels), *arm)
+    arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
+    motors = (*(wheel.joint for wheel in base.wheels), *arm.joints)
+    pushes = PUSHES if is_pushed(base) else ()
     rows = {name: root + i for i, name in enumerate(names)}
-    T, A = motion_map(base, rows, arm), constraint_rows(base, rows)
-    E_full = np.eye(model.nv)[:, [rows[name] for name in motors]]
+    T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
     q_index, is_continuous = configuration_indices(model, root)
 
     def per_velocity(attribute: str, of_root: float) -> Array:
         return read_only(np.array([of_root] * root + [getattr(joint, attribute) for joint in joints]))
 
-    return Robot(
+    effort = [np.inf] * len(pushes) + [document.joints[name].effort for name in motors]
+    robot = Robot(
         name=document.path.stem,
         path=document.path,
         urdf=document.text,
         sha256=document.sha256,
         model=model,
         base=base,
-        layout=Layout(base=len(base.velocity_names), arm=len(arm), full=model.nv, motors=len(motors)),
-        joint_names=arm,
-        velocity_names=base.velocity_names + arm,
+        arm=arm,
+        layout=Layout(base=len(base.velocity_names), arm=len(arm.joints), full=model.nv, motors=E_full.shape[1]),
+        joint_names=arm.joints,
+        velocity_names=base.velocity_names + arm.joints,
         full_velocity_names=ROOT_NAMES[:root] + tuple(names),
-        actuator_names=motors,
+        actuator_names=pushes + motors,
         T=read_only(T),
-        A=read_only(A),
+        A=read_only(constraint_rows(base, rows, arm)),
         E_full=read_only(E_full),
         E=read_only(T.T @ E_full),
         q_index=q_index,
@@ -328,48 +335,14 @@ def assemble(document: Document, base: Base, model: pin.Model) -> Robot:
         frame=read_only(base.frame.copy()),
         lower=per_velocity("lower", -np.inf),
         upper=per_velocity("upper", np.inf),
-        effort_limits=read_only(np.array([document.joints[name].effort for name in motors])),
+        effort_limits=read_only(np.array(effort, dtype=float)),
         damping=per_velocity("damping", 0.0),
         coulomb=per_velocity("friction", 0.0),
         viscous=read_only(np.zeros(T.shape[1])),
+        rest=np.zeros(model.nv),
     )
-
-
-def motion_map(base: Base, rows: dict[str, int], arm: tuple[str, ...]) -> Array:
-    """T, (nv, p): the root moves with the control frame, wheels roll, arm joints move freely, the rest stands still.
-
-    Args:
-        base: The mobile base.
-        rows: Velocity index of every joint in the full model.
-        arm: The arm joints.
-    """
-    nb, root = len(base.velocity_names), 0 if base.kind == "fixed" else 3
-    T = np.zeros((root + len(rows), nb + len(arm)))
-    T[:root, :nb] = base.root_map[:root]
-    for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
-        T[rows[wheel.joint], :nb] = rates
-    for i, name in enumerate(arm):
-        T[rows[name], nb + i] = 1.0
-    return T
-
-
-def constraint_rows(base: Base, rows: dict[str, int]) -> Array:
-    """A, (nc, nv): no lateral slip of the control frame (2.6), no slip under each drive wheel, locked joints stand.
-
-    Args:
-        base: The mobile base.
-        rows: Velocity index of every joint in the full model.
-    """
-    root = 0 if base.kind == "fixed" else 3
-    lateral, rolling, still = len(base.slip_rows), len(base.wheels), len(base.locked)
-    A = np.zeros((lateral + rolling + still, root + len(rows)))
-    A[:lateral, :root] = base.slip_rows[:, :root]
-    for i, (wheel, forward) in enumerate(zip(base.wheels, base.rolling_rows, strict=True), start=lateral):
-        A[i, :root] = forward
-        A[i, rows[wheel.joint]] = -wheel.sign * wheel.radius
-    for i, name in enumerate(base.locked, start=lateral + rolling):
-        A[i, rows[name]] = 1.0
-    return A
+    at_rest = [0.0] * root + [arm.locked.get(joint.name, joint.rest) for joint in joints]
+    return replace(robot, rest=read_only(robot.follow(np.array(at_rest, dtype=float))))
 
 
 def configuration_indices(model: pin.Model, root: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:

@@ -53,7 +53,7 @@ class NamedState(Settings, frozen=True):
         fill(nu[base:], self.joint_velocities, robot.joint_names, "joint_velocities")
         if not (np.isfinite(position).all() and np.isfinite(nu).all()):
             raise ConfigError("a number is not finite", fix="give finite numbers in SI units")
-        return position, nu
+        return robot.follow(position), nu
 
 
 def fill(values: Array, given: Mapping[str, float], names: tuple[str, ...], key: str) -> None:

@@ -21,7 +21,7 @@ class IdealPlant:
     Args:
         robot: The true robot.
         dt: Step [s].
-        method: "rk4" or "semi_implicit_euler".
+        method: "rk4", "semi_implicit_euler" or "implicit_friction".
 
     Attributes:
         y: (nv + p + 1,) position, nu and the work done on the robot since the start.
@@ -53,9 +53,16 @@ class IdealPlant:
 
     def step(self, tau: Array) -> None:
         """Advance by dt under a held torque, (p,); `refresh` must have been called at this state."""
+        dynamics, T, base = self.dynamics, self.dynamics.T, self.robot.layout.base
+        stiff = self.method == integrators.IMPLICIT_FRICTION
+        friction = (dynamics.v, dynamics.damping, dynamics.coulomb, dynamics.viscous)
+        if stiff:
+            integrators.stiffen(self.dt, T, *friction, dynamics.M)
         self._derivative(self.y, tau)
-        if self.method == integrators.SEMI_IMPLICIT:
-            dynamics, T, base = self.dynamics, self.dynamics.T, self.robot.layout.base
+        if stiff:
+            nv, p = self.position.size, self.nu.size
+            integrators.friction_ahead(self.dt, T, *friction, self.ydot[nv : nv + p], dynamics.F)
+        if self.method != integrators.RK4:
             integrators.semi_implicit(self.dt, T, dynamics.F, tau, base, self.y, dynamics.v, self.ydot, self.trial)
         else:
             integrators.rk4_stage(0, self.dt, self.y, self.ydot, self.total, self.trial)

@@ -1,18 +1,24 @@
-"""Fixed-step integration of the reduced dynamics, compiled: RK4 and semi-implicit Euler.
+"""Fixed-step integration of the reduced dynamics, compiled: RK4 and semi-implicit Euler, also with implicit friction.
 
 The integrated vector is `y = [position (nv), nu (p), work (1)]`; the work is what torques and friction have done, so
 that `energy - work` is conserved and its drift is the balance's residual.
+
+Motion of a link of 4e-6 kg m^2 against 1 N m s dies out in microseconds: an explicit method cannot follow it. With
+implicit friction the force is `F = S nu_new`, S the ratio of friction to velocity at the start of the step, stable at
+any step.
 """
 
 from __future__ import annotations
 
+import math
+
 from ..compiled import compiled
-from ..model.reduction import position_rate, solve, spread
+from ..model.reduction import COULOMB_SPEED, position_rate, solve, spread
 from ..signals import Array
 
-RK4, SEMI_IMPLICIT = 0, 1
-METHODS = {"rk4": RK4, "semi_implicit_euler": SEMI_IMPLICIT}
-ORDER = {"rk4": 4, "semi_implicit_euler": 1}
+RK4, SEMI_IMPLICIT, IMPLICIT_FRICTION = 0, 1, 2
+METHODS = {"rk4": RK4, "semi_implicit_euler": SEMI_IMPLICIT, "implicit_friction": IMPLICIT_FRICTION}
+ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 1}
 
 
 @compiled
@@ -84,3 +90,51 @@ def semi_implicit(
     for i in range(nv):
         out[i] = y[i] + dt * ydot[i]
     out[nv + p] = y[nv + p] + dt * work
+
+
+@compiled
+def friction_ratio(v: float, damping: float, coulomb: float) -> float:
+    """Friction of a joint divided by its velocity v."""
+    if abs(v) < 1e-6 * COULOMB_SPEED:
+        return damping + coulomb / COULOMB_SPEED
+    return damping + coulomb * math.tanh(v / COULOMB_SPEED) / v
+
+
+@compiled
+def stiffen(dt: float, T: Array, v: Array, damping: Array, coulomb: Array, viscous: Array, M: Array) -> None:
+    """Add `dt S` to M, so that `(M + dt S) nudot = tau - h` gives the velocity after a step with `F = S nu_new`.
+
+    Args:
+        dt: Step [s].
+        T: (nv, p) map to all velocities.
+        v: (nv,) `T nu`.
+        damping: (nv,) viscous friction of the joints.
+        coulomb: (nv,) Coulomb friction of the joints.
+        viscous: (p,) viscous friction on nu.
+        M: (p, p) changed.
+    """
+    for j in range(viscous.size):
+        M[j, j] += dt * viscous[j]
+    for i in range(v.size):
+        if damping[i] != 0.0 or coulomb[i] != 0.0:
+            ratio = dt * friction_ratio(v[i], damping[i], coulomb[i])
+            for j in range(viscous.size):
+                for k in range(viscous.size):
+                    M[j, k] += T[i, j] * ratio * T[i, k]
+
+
+@compiled
+def friction_ahead(
+    dt: float, T: Array, v: Array, damping: Array, coulomb: Array, viscous: Array, nudot: Array, F: Array
+) -> None:
+    """Friction F (p,) at the start of a step becomes that of its end, `F + dt S nudot`; arguments as in `stiffen`."""
+    for j in range(viscous.size):
+        F[j] += dt * viscous[j] * nudot[j]
+    for i in range(v.size):
+        if damping[i] != 0.0 or coulomb[i] != 0.0:
+            rate = 0.0
+            for j in range(viscous.size):
+                rate += T[i, j] * nudot[j]
+            force = dt * friction_ratio(v[i], damping[i], coulomb[i]) * rate
+            for j in range(viscous.size):
+                F[j] += T[i, j] * force

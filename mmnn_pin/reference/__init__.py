@@ -6,6 +6,7 @@ derivative, all of them analytic. `Trajectory.table` writes base and arm into ro
 
 from .arm import Hold, JointProfile, JointSamples, MinimumJerk, Sine
 from .curves import Circle, Eight, Line
+from .holonomic import Holonomic
 from .path import BasePath, BaseSamples
 from .samples import Table, check_followable, warnings
 from .trajectory import Trajectory
@@ -17,6 +18,7 @@ __all__ = [
     "Circle",
     "Eight",
     "Hold",
+    "Holonomic",
     "JointProfile",
     "JointSamples",
     "Line",

@@ -29,7 +29,8 @@ class BaseSamples:
     Attributes:
         t: (N,) time [s].
         pose: (N, 3) pose of the control frame in the world `(x, y, phi)`, phi unwrapped [m, m, rad].
-        velocity: (N, nb) base velocity in the reference's own frame, `(v, w)` [m/s, rad/s].
+        velocity: (N, nb) base velocity in the reference's own frame, `(v, w)`; `(vx, vy, w)` of a holonomic base
+            [m/s, rad/s].
         acceleration: (N, nb) its time derivative [m/s^2, rad/s^2].
     """
 
@@ -43,7 +44,7 @@ class BasePath(ABC):
     """A motion of the base.
 
     Attributes:
-        nb: Number of base velocities, 2 for a differential drive.
+        nb: Number of base velocities, 2 for a differential drive, 3 for a holonomic base.
         followable: True for a path that the base can follow by construction; others are checked when sampled.
     """
 

@@ -24,10 +24,11 @@ class Table(BasePath):
     Args:
         time: (N,) increasing times [s], the first 0.
         pose: (N, 3) poses `(x, y, phi)` [m, m, rad]; phi may be wrapped if it turns by less than pi per sample.
-        velocity: (N, 2) `(v, w)` [m/s, rad/s]; their derivatives are those of a cubic spline through them.
+        velocity: (N, 2) `(v, w)`, or (N, 3) `(vx, vy, w)` for a holonomic base [m/s, rad/s]; their derivatives are
+            those of a cubic spline through them.
 
     Raises:
-        TrajectoryError: The samples are malformed, or no differential drive can follow them (`check_followable`).
+        TrajectoryError: The samples are malformed, or no such base can follow them (`check_followable`).
     """
 
     followable: ClassVar[bool] = True
@@ -38,15 +39,17 @@ class Table(BasePath):
 
     def __post_init__(self) -> None:
         time, pose, velocity = (np.array(part, float) for part in (self.time, self.pose, self.velocity))
-        if time.ndim != 1 or pose.shape != (len(time), 3) or velocity.shape != (len(time), 2):
+        if time.ndim != 1 or pose.shape != (len(time), 3) or velocity.shape not in ((len(time), nb) for nb in (2, 3)):
             raise TrajectoryError(
-                f"samples of shapes {time.shape}, {pose.shape}, {velocity.shape}", fix="give (N,), (N, 3), (N, 2)"
+                f"samples of shapes {time.shape}, {pose.shape}, {velocity.shape}",
+                fix="give (N,), (N, 3), (N, 2) or (N, 3)",
             )
         require_finite(time=time, pose=pose, velocity=velocity)
         if len(time) < 4 or time[0] != 0 or (np.diff(time) <= 0).any():
             raise TrajectoryError("time does not increase from 0 over four or more samples", fix="sort it, start at 0")
         pose[:, 2] = np.unwrap(pose[:, 2])
         check_followable(time, pose, velocity)
+        object.__setattr__(self, "nb", velocity.shape[1])
         for name, part in (("time", time), ("pose", pose), ("velocity", velocity)):
             part.flags.writeable = False
             object.__setattr__(self, name, part)
@@ -55,19 +58,22 @@ class Table(BasePath):
     def read(cls, file: str | Path) -> Table:
         """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
 
+        A holonomic base has the columns `vx, vy` in place of `v`.
+
         Raises:
             TrajectoryError: A column is missing or a value is not a number (with the line), or as for the class.
         """
-        names = ("t", "x", "y", "phi", "v", "w")
         with open(file, newline="", encoding="utf-8-sig") as stream:
             rows = csv.DictReader(stream, skipinitialspace=True)
+            sideways = "vy" in (rows.fieldnames or ())
+            names = ("t", "x", "y", "phi", *(("vx", "vy") if sideways else ("v",)), "w")
             missing = [name for name in names if name not in (rows.fieldnames or ())]
             if missing:
                 raise TrajectoryError(
                     f"no column {', '.join(missing)}", fix=f"name them {', '.join(names)}", file=file, line=1
                 )
             values = [[_number(row[name], name, file, rows.line_num) for name in names] for row in rows]
-        data = np.array(values).reshape(-1, 6)
+        data = np.array(values).reshape(-1, len(names))
         try:
             return cls(data[:, 0], data[:, 1:4], data[:, 4:])
         except TrajectoryError as error:
@@ -75,8 +81,9 @@ class Table(BasePath):
 
     @cached_property
     def _splines(self) -> tuple[CubicHermiteSpline, CubicSpline]:
-        v, w, phi = self.velocity[:, 0], self.velocity[:, 1], self.pose[:, 2]
-        rate = np.stack([v * np.cos(phi), v * np.sin(phi), w], axis=1)
+        vx, vy, w = in_three(self.velocity)
+        c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
+        rate = np.stack([vx * c - vy * s, vx * s + vy * c, w], axis=1)
         return CubicHermiteSpline(self.time, self.pose, rate), CubicSpline(self.time, self.velocity)
 
     def sample(self, t: ArrayLike) -> BaseSamples:
@@ -95,6 +102,12 @@ class Table(BasePath):
         return BaseSamples(t, pose(at), velocity(at), velocity(at, 1))
 
 
+def in_three(velocity: Array) -> tuple[Array, Array, Array]:
+    """Columns vx, vy, w of base velocities (N, nb); vy = 0 for a differential drive."""
+    vx, w = velocity[:, 0], velocity[:, -1]
+    return vx, velocity[:, 1] if velocity.shape[1] == 3 else np.zeros_like(vx), w
+
+
 def _number(text: str | None, column: str, file: str | Path, line: int) -> float:
     try:
         return float(text or "")
@@ -103,15 +116,16 @@ def _number(text: str | None, column: str, file: str | Path, line: int) -> float
 
 
 def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float | None = None) -> None:
-    """Refuse samples that a differential drive cannot follow, thesis (2.6).
+    """Refuse samples that a base cannot follow, thesis (2.6).
 
     The poses are differentiated by a spline. In the frame of the pose the sideways speed
-    `-xdot sin phi + ydot cos phi` must vanish, and the forward speed and phidot must be the given `(v, w)`.
+    `-xdot sin phi + ydot cos phi` must vanish (a holonomic base: be the given vy), and the forward speed and phidot
+    must be the given `(v, w)`.
 
     Args:
         time: (N,) times [s].
         pose: (N, 3) poses, phi unwrapped.
-        velocity: (N, 2) `(v, w)`.
+        velocity: (N, 2) `(v, w)`, or (N, 3) `(vx, vy, w)` of a holonomic base.
         tolerance: Largest deviation [m/s, rad/s]; by default 2 % of the largest speed that occurs, at least 0.001.
 
     Raises:
@@ -122,17 +136,19 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin
     if tolerance is None:
         tolerance = max(1e-3, 0.02 * float(max(abs(rate).max(), abs(velocity).max())))
+    holonomic = velocity.shape[1] == 3
     worst = int(np.argmax(abs(sideways)))
-    if abs(sideways[worst]) > tolerance:
+    if not holonomic and abs(sideways[worst]) > tolerance:
         raise TrajectoryError(
             f"the reference moves sideways at t = {time[worst]:g} s, by {sideways[worst]:.3g} m/s",
             why=f"wheels that roll cannot (allowed {tolerance:.2g} m/s)",
             fix="give phi along the direction of travel (or opposite to it), in rad",
         )
-    for name, unit, given, moved in (
-        ("v", "m/s", velocity[:, 0], forward),
-        ("w", "rad/s", velocity[:, 1], rate[:, 2]),
-    ):
+    vx, vy, w = in_three(velocity)
+    compared = [("vx" if holonomic else "v", "m/s", vx, forward), ("w", "rad/s", w, rate[:, 2])]
+    if holonomic:
+        compared.insert(1, ("vy", "m/s", vy, sideways))
+    for name, unit, given, moved in compared:
         worst = int(np.argmax(abs(given - moved)))
         if abs(given - moved)[worst] > tolerance:
             raise TrajectoryError(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -35,13 +36,13 @@ def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
 
 
 def comparison(result: Result) -> Table:
-    """Rows: errors, effort, learned share, effective gain, outcome. Columns: controllers."""
+    """Rows: errors, torques of motors with a limit, effort, learned share, gain, outcome. Columns: controllers."""
     table = Table(box=SIMPLE_HEAD, padding=0)
     table.add_column("", overflow="fold")
     table.add_column("", no_wrap=True)
     for name in result.recordings:
         table.add_column(heading(name), justify="right", no_wrap=True)
-    for group in (errors(result), others(result)):
+    for group in (errors(result), torques(result), others(result)):
         for row in group:
             table.add_row(*row)
         table.add_section()
@@ -64,7 +65,14 @@ def caption(result: Result) -> str:
             marks.replace(".", f" but for {oracles[0]}.")
             + f"{oracles[0]} knows the true model: its share in brackets. "
         )
+    if any((peak or 0) > row["limit"] for row in limited(result) for peak in row["peak"].values()):
+        marks += "! above the motor's effort limit, which this plant does not enforce. "
     return marks + CAPTION
+
+
+def limited(result: Result) -> list[dict[str, Any]]:
+    """Peak torques of the motors that have an effort limit, see `Result.torque_limits`."""
+    return [row for row in result.torque_limits() if row["limit"] is not None]
 
 
 def heading(controller: str, width: int = 9) -> str:
@@ -100,6 +108,18 @@ def marked(values: dict[str, float]) -> list[Text]:
         wins = value == best and controller not in ORACLES
         cells.append(Text(f"{number(value)} {'*' if wins else ' '}", style="bold" if wins else ""))
     return cells
+
+
+def torques(result: Result) -> Iterator[list[str | Text]]:
+    """Peak torque of every motor that has an effort limit, marked where it is exceeded."""
+    for row in limited(result):
+        limit, cells = row["limit"], []
+        for controller in result.recordings:
+            peak = row["peak"].get(controller)
+            value = math.inf if peak is None else peak
+            over = value > limit
+            cells.append(Text(f"{number(value)} {'!' if over else ' '}", style="bold red" if over else ""))
+        yield [f"peak torque {row['actuator']}", f"of {number(limit)}", *cells]
 
 
 def others(result: Result) -> Iterator[list[str | Text]]:

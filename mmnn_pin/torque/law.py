@@ -26,8 +26,8 @@ CONSTANT_GAIN, SCHEDULED_GAIN, TWO_LAYER, ONE_LAYER = 0, 1, 2, 3  # kinds of law
 # sizes of a network controller: nx, learning, order, (hidden of the base network, of the arm network), nx rows of x
 NX, LEARNING, ORDER, HIDDEN, ROWS = 0, 1, 2, 3, 5
 OUTPUT_FIRST, UPDATE_FIRST = 0, 1
-# settings of a network controller: dt, per network (rate of W, rate of V or width, leakage, ZB), k (p), Kz (p), scale
-# of the input (nx), offset of the input (nx)
+# settings of a network controller: dt, per network (rate of W, rate of V or width, leakage, ZB), k (p), Kz (p), what
+# the networks' s and torque are multiplied with (p, p), scale of the input (nx), offset of the input (nx)
 DT, RATES, PER_NETWORK, GAINS = 0, 1, 4, 9
 
 
@@ -71,26 +71,30 @@ def networks(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Arr
     """Outputs, effective gain and updates of the base's and the arm's network; arguments as in `step`."""
     nx, p = sizes[NX], row[at[PSI_HAT] : at[PSI_HAT + 1]].size
     x = memory[:nx]
-    inputs = settings[GAINS + 2 * p :]
+    scales, inputs = settings[GAINS + 2 * p :], settings[GAINS + 4 * p :]
     for i in range(nx):
         x[i] = inputs[i] * row[sizes[ROWS + i]] + inputs[nx + i]
     start, first = nx, 0
     for which in range(2):
-        s = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
-        if s.size == 0:
+        error = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
+        if error.size == 0:
             continue
-        h, m = sizes[HIDDEN + which], s.size
+        h, m = sizes[HIDDEN + which], error.size
         rates = settings[RATES + which * PER_NETWORK : RATES + (which + 1) * PER_NETWORK]
         W = memory[start : start + h * m].reshape((h, m))
         V = memory[start + h * m : start + h * (m + nx)].reshape((nx, h))
         sigma = memory[start + h * (m + nx) : start + h * (m + nx + 1)]
         net = memory[start + h * (m + nx + 1) : start + h * (m + nx + 2)]
-        start += h * (m + nx + 2)
+        s = memory[start + h * (m + nx + 2) : start + h * (m + nx + 2) + m]
+        start += h * (m + nx + 2) + m
+        for i in range(m):
+            s[i] = scales[first + i] * error[i]
         psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]][first : first + m]
         norm = one_network(kind, sizes, settings[DT], rates, W, V, x, net, sigma, s, psi_hat)
         row[at[WEIGHT_NORM] : at[WEIGHT_NORM + 1]][which] = norm
         gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
         for i in range(first, first + m):
+            row[at[PSI_HAT] + i] *= scales[p + i]
             gain[i] = settings[GAINS + i] + settings[GAINS + p + i] * (norm + rates[3])
         first += m
 

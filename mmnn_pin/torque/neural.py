@@ -14,7 +14,7 @@ from ..errors import ConfigError, UnknownName
 from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from . import law
-from .controller import CompiledController, Feedback, Law, Memory, Wiring, per_velocity
+from .controller import CompiledController, Feedback, Law, Memory, Wiring, per_velocity, split
 from .network import numerical_rank
 
 # Input of the networks in the order of (3.24) and of Appendix B.
@@ -130,6 +130,11 @@ class Robust(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_gains(self, "robust")
 
+    def scaled(self, layout: Layout, inertia: Array) -> Robust:
+        """The term with every Kz multiplied with an effective inertia (p,), as `Feedback.scaled` does with k."""
+        Kz = per_velocity(self.base, self.arm, layout, "robust") * inertia
+        return Robust(*split(Kz, layout), self.ZB)
+
 
 class Inputs(Settings, frozen=True):
     """What the networks see.
@@ -185,6 +190,8 @@ class Neural(CompiledController):
         learning: Off keeps the weights as they are.
         leakage: Off drops the e-modification.
         update: "after_output" or "before_output" (Appendix B, with the hidden outputs of the previous call).
+        inertia: (p,) effective inertias that the networks are scaled by (see `network_scales`); None for the thesis's
+            form. The feedback and the robust term are scaled by themselves (`Feedback.scaled`, `Robust.scaled`).
     """
 
     network: TwoLayer | OneLayer = field(default_factory=TwoLayer)
@@ -195,6 +202,7 @@ class Neural(CompiledController):
     learning: bool = True
     leakage: bool = True
     update: Literal["after_output", "before_output"] = "after_output"
+    inertia: tuple[float, ...] | None = None
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -221,7 +229,8 @@ class Neural(CompiledController):
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
         per_network = [(*self.network.rates(i, self.leakage), robust.ZB[i]) for i in range(2)]
         Kz = per_velocity(robust.base, robust.arm, layout, "robust")
-        parts = [[dt], *per_network, self.feedback.vector(layout), Kz, *self.inputs.affine(layout)]
+        parts = [[dt], *per_network, self.feedback.vector(layout), Kz, *self.network_scales(layout)]
+        parts += self.inputs.affine(layout)
         settings = np.concatenate([np.asarray(part, float) for part in parts])
         return Law(self.network.kind, np.array(sizes, np.int64), settings)
 
@@ -230,11 +239,31 @@ class Neural(CompiledController):
         nx, h = self.inputs.rows(wiring.layout).size, self.network.hidden
         shapes: dict[str, tuple[int, ...]] = {"x": (nx,)}
         for i, size in channels(wiring.layout):
-            shapes |= {f"W{i}": (h, size), f"V{i}": (nx, h), f"sigma{i}": (h,), f"net{i}": (h,)}
+            shapes |= {f"W{i}": (h, size), f"V{i}": (nx, h), f"sigma{i}": (h,), f"net{i}": (h,), f"s{i}": (size,)}
         memory = Memory.of(**shapes)
         for i, _ in channels(wiring.layout):
             self.network.initialise(memory[f"W{i}"], memory[f"V{i}"], wiring.rng)
         return memory
+
+    def network_scales(self, layout: Layout) -> tuple[Array, Array]:
+        """Factors on the s that a network sees and on the torque that it gives, (p,) each; ones without `inertia`.
+
+        With the effective inertias m and their mean c over the network's velocities, `s_i sqrt(m_i / c)` goes in and
+        the output times `sqrt(m_i c)` comes out. This is a change of coordinates in which every velocity has the
+        inertia 1, the thesis's law (3.39), (3.48)-(3.50) untouched: `s' Psi` is only divided by c, so one set of
+        rates suits a joint of grams and a base of a hundred kilograms.
+
+        Raises:
+            ConfigError: Not p positive inertias.
+        """
+        if self.inertia is None:
+            return np.ones(layout.dof), np.ones(layout.dof)
+        m = np.array(self.inertia, float)
+        if m.shape != (layout.dof,) or not (np.isfinite(m) & (m > 0)).all():
+            raise ConfigError(f"{self.inertia}", fix=f"give {layout.dof} inertias > 0", key="inertia")
+        parts = (m[: layout.base], m[layout.base :])
+        c = np.concatenate([np.full(part.size, part.mean()) for part in parts if part.size])
+        return np.sqrt(m / c), np.sqrt(m * c)
 
     def feedback_gain(self, layout: Layout) -> Array:
         """Gain on `[z; r]` that is there from the first sample on: k + Kz ZB, (p,)."""

@@ -1,0 +1,207 @@
+"""Which joints are the manipulator, and where the others stand.
+
+By default the arm is every joint that moves by itself and is no part of the base, but heads and fingers are locked:
+short branches of the tree of joints. A branch is a joint beside another one on the same body (one that moves by
+itself, or follows it), and what it carries. It is short when it reaches less than a third as far as the robot's
+longest chain, and is either a head (fewer than four joints in a row) or sits at the end of an arm (three joints or
+more lead to it). Second arms reach as far as the first, so they stay. What the user locks, frees, or names as the
+arm's tip counts more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.model.base import Base
+from mmnn_pin.model.mimic import Slave, slaves_of
+from mmnn_pin.model.overrides import Overrides
+from mmnn_pin.model.shapes import AtRest
+from mmnn_pin.model.urdf import Joint
+
+SHORT = 1 / 3  # a branch is short below this fraction of the longest chain's reach
+HEAD_JOINTS, ARM_JOINTS = 4, 3  # a head has fewer joints than the first, fingers have at least the second before them
+WHY = {
+    "base": "part of the base",
+    "user": "locked as you said",
+    "tip": "it does not lead to the arm's tip",
+    "short": "taken as a head or finger: a short branch",
+}
+
+
+@dataclass(frozen=True)
+class Arm:
+    """The manipulator, and the joints that stand still.
+
+    Attributes:
+        joints: Joints that move by themselves, in the order of the file.
+        locked: Position of every joint that stands still [rad or m].
+        reasons: Why each of these stands still.
+        slaves: Mimic joints that move with a master.
+    """
+
+    joints: tuple[str, ...]
+    locked: dict[str, float]
+    reasons: dict[str, str]
+    slaves: dict[str, Slave]
+
+
+def choose_arm(rest: AtRest, base: Base, said: Overrides) -> Arm:
+    """The manipulator of a robot.
+
+    Args:
+        rest: The robot at rest.
+        base: Its base.
+        said: What the user says about it.
+
+    Raises:
+        UnknownName: A joint or link that the robot does not have.
+        ConfigError: A lock on a drive wheel or outside the limits, or a tip that no joint carries.
+    """
+    document, slaves, wheels = rest.document, slaves_of(rest.document), {wheel.joint for wheel in base.wheels}
+    moving = [joint for joint in document.joints.values() if joint.moves and joint.name not in wheels]
+    reasons = dict.fromkeys(base.locked, WHY["base"])
+    reasons |= dict.fromkeys(user_locks(rest, said, wheels), WHY["user"])
+    own = [j.name for j in moving if j.name not in reasons and j.name not in slaves]
+    reasons |= unwanted(rest, own, slaves, said)
+    locked = {}
+    for joint in moving:
+        if joint.name in reasons:
+            locked[joint.name] = position_of(joint, said)
+    for name, slave in slaves.items():  # a slave stands still with its master
+        if (name not in locked and not (slave.master in own or slave.master in wheels)) or slave.master in locked:
+            at = locked.get(slave.master, document.joints[slave.master].rest)
+            locked.setdefault(name, slave.at(at))
+            reasons.setdefault(name, f"follows '{slave.master}', which stands still")
+    arm = tuple(name for name in own if name not in locked)
+    following = {name: slave for name, slave in slaves.items() if name not in locked}
+    in_file = [name for name in document.joints if name in locked]
+    return Arm(arm, {name: locked[name] for name in in_file}, {name: reasons[name] for name in in_file}, following)
+
+
+def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str]) -> list[str]:
+    """Joints that the user locks.
+
+    Raises:
+        UnknownName: A joint that the robot does not have.
+        ConfigError: A drive wheel.
+    """
+    names = [joint.name for joint in rest.document.joints.values() if joint.moves]
+    for name in said.locks:
+        if name not in names:
+            raise UnknownName("joint", name, names, file=rest.document.path, key="lock")
+        if name in wheels:
+            fix = "use --base fixed to park the base"
+            raise ConfigError(f"'{name}' is a drive wheel and cannot be locked", fix=fix, key="lock")
+    for name in said.free:
+        if name not in names and name != "all":
+            raise UnknownName("joint", name, ["all", *names], file=rest.document.path, key="free")
+    return list(said.locks)
+
+
+def position_of(joint: Joint, said: Overrides) -> float:
+    """Where a locked joint stands.
+
+    Raises:
+        ConfigError: Outside its limits.
+    """
+    given = said.locks.get(joint.name)
+    if given is None:
+        return joint.rest
+    if not joint.lower <= given <= joint.upper:
+        what = f"'{joint.name}' cannot be locked at {given:g}"
+        raise ConfigError(what, fix=f"give a position within [{joint.lower:g}, {joint.upper:g}]", key="lock")
+    return given
+
+
+def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], said: Overrides) -> dict[str, str]:
+    """Joints that are not of the manipulator, and why.
+
+    Raises:
+        UnknownName: The tip is no link.
+        ConfigError: No joint leads to it.
+    """
+    if said.arm_tip is not None:
+        if said.arm_tip not in rest.document.links:
+            raise UnknownName("link", said.arm_tip, rest.document.links, file=rest.document.path, key="arm_tip")
+        leading = {j.name for j in rest.document.moving_ancestors(said.arm_tip)}
+        leading |= {slaves[name].master for name in leading & slaves.keys()}
+        if not leading & set(own):
+            fix = "name a link that the arm carries"
+            raise ConfigError(f"no joint leads to '{said.arm_tip}'", fix=fix, file=rest.document.path, key="arm_tip")
+        return {name: WHY["tip"] for name in own if name not in leading and not freed(name, said)}
+    return {name: WHY["short"] for name in short_branches(rest, set(own), slaves) if not freed(name, said)}
+
+
+def freed(name: str, said: Overrides) -> bool:
+    """Whether the user frees a joint."""
+    return name in said.free or "all" in said.free
+
+
+def short_branches(rest: AtRest, own: set[str], slaves: dict[str, Slave]) -> list[str]:
+    """Joints of heads and fingers."""
+    tree = tree_of(rest)
+    longest = max((tree[name].reach for name in own), default=0.0)
+    found: set[str] = set()
+    for name in own:
+        branch = tree[name]
+        led = {slave for slave, its in slaves.items() if its.master in branch.carried}
+        siblings = [other for other in branch.beside if other in own or other in led]
+        at_end = sum(above in own for above in branch.above) >= ARM_JOINTS
+        if siblings and branch.reach < SHORT * longest and (branch.in_row < HEAD_JOINTS or at_end):
+            found |= own & {*branch.carried}
+    return [name for name in rest.document.joints if name in found]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A joint and what it carries.
+
+    Attributes:
+        reach: How far it reaches from its joint, along the longest path of joints and links [m].
+        in_row: Most joints in a row, itself included.
+        carried: Itself and all joints on it.
+        above: Joints that lead to it.
+        beside: Other joints on the body that carries it.
+    """
+
+    reach: float
+    in_row: int
+    carried: tuple[str, ...]
+    above: tuple[str, ...]
+    beside: tuple[str, ...]
+
+
+def tree_of(rest: AtRest) -> dict[str, Branch]:
+    """The branch of every moving joint."""
+    tree: dict[str, Branch] = {}
+
+    def grow(joints: list[Joint], above: tuple[str, ...]) -> None:
+        names = [joint.name for joint in joints]
+        for joint in joints:
+            below = rest.document.moving_children(joint.child)
+            grow(below, (joint.name, *above))
+            branches = [tree[j.name] for j in below]
+            hub = rest.hub(joint)
+            ends = [own_reach(rest, joint)]
+            ends += [math.dist(rest.hub(j), hub) + b.reach for j, b in zip(below, branches, strict=True)]
+            tree[joint.name] = Branch(
+                reach=max(ends),
+                in_row=1 + max((b.in_row for b in branches), default=0),
+                carried=(joint.name, *(name for b in branches for name in b.carried)),
+                above=above,
+                beside=tuple(name for name in names if name != joint.name),
+            )
+
+    grow(rest.document.moving_children(rest.document.root_link), ())
+    return tree
+
+
+def own_reach(rest: AtRest, joint: Joint) -> float:
+    """How far the body on a joint reaches: to its farthest frame, or as a rod with that centre of mass would [m]."""
+    hub = rest.hub(joint)
+    frames = [math.dist(rest.placements[link][:3, 3], hub) for link in rest.document.body(joint.child)]
+    rod = 2 * math.dist(rest.centre(joint.child), hub) if rest.mass(joint.child) > 0 else 0.0
+    return max([*frames, rod])

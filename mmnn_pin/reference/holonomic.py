@@ -1,0 +1,67 @@
+"""Paths of a holonomic base: the way of any path, with a heading of its own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import TrajectoryError
+from .arm import JointProfile
+from .path import BasePath, BaseSamples, times
+
+
+@dataclass(frozen=True)
+class Holonomic(BasePath):
+    """A path driven while the base turns as it likes.
+
+    With the path's world velocity `p = (xdot, ydot)` and the heading `psi`, the velocity in the reference's own frame
+    is `b = R(-psi) p`, and its time derivative `R(-psi) pdot + psidot (b_y, -b_x)`.
+
+    Args:
+        path: Where the base goes: a path of a differential drive, or of a holonomic base whose heading is replaced.
+        heading: Heading of the base in the world over time [rad]; None keeps the path's own.
+
+    Raises:
+        TrajectoryError: The path is not one of a mobile base.
+    """
+
+    nb: ClassVar[int] = 3  # type: ignore[misc]
+    followable: ClassVar[bool] = True
+
+    path: BasePath
+    heading: JointProfile | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.path, BasePath) or self.path.nb not in (2, 3):
+            raise TrajectoryError(f"{self.path!r} is not a path of a base", fix="give a Line, an Eight, Waypoints, ...")
+
+    def sample(self, t: ArrayLike) -> BaseSamples:
+        """See `BasePath.sample`."""
+        t, along = times(t), self.path.sample(t)
+        w, wdot = along.velocity[:, -1], along.acceleration[:, -1]
+        # World velocity and acceleration as complex numbers, from those in the path's own frame.
+        turn, spin = np.exp(1j * along.pose[:, 2]), 1j * w
+        rate, change = planar(along.velocity), planar(along.acceleration)
+        rate, change = turn * rate, turn * (change + spin * rate)
+        psi = along.pose[:, 2]
+        if self.heading is not None:
+            profile = self.heading.sample(t)
+            psi, w, wdot = profile.q, profile.qdot, profile.qddot
+        back = np.exp(-1j * psi)
+        own = back * rate
+        own_dot = back * change - 1j * w * own
+        return BaseSamples(
+            t,
+            np.stack([along.pose[:, 0], along.pose[:, 1], psi], axis=1),
+            np.stack([own.real, own.imag, w], axis=1),
+            np.stack([own_dot.real, own_dot.imag, wdot], axis=1),
+        )
+
+
+def planar(velocity: np.ndarray) -> np.ndarray:
+    """Translation of base velocities (N, nb) as complex numbers (N,): forward real, sideways imaginary."""
+    sideways = velocity[:, 1] if velocity.shape[1] == 3 else 0.0
+    return velocity[:, 0] + 1j * sideways

@@ -1,0 +1,78 @@
+"""`mmnn check`: its JSON, its table, its exit codes, the progress bar only on a terminal."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+
+from mmnn_pin.cli import main
+from mmnn_pin.model import properties
+from mmnn_pin.signals import Array
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = main(["check", *arguments])
+    return code, *capsys.readouterr()
+
+
+def test_json_is_as_agreed(capsys):
+    code, out, err = run(capsys, "platform_arm", "--samples", "4", "--seed", "7", "--json")
+    found = json.loads(out)
+    assert (code, err) == (0, "")
+    assert (found["samples"], found["seed"]) == (4, 7)
+    assert all(
+        isinstance(p["worst"], float) and isinstance(p["tolerance"], float) and p["pass"] is True
+        for p in found["properties"].values()
+    )
+    assert {f"property_{i}" for i in range(1, 6)} <= set(found["properties"])
+    assert 0 < found["bounds"]["M_min"] < found["bounds"]["M_max"] and found["bounds"]["C_b"] > 0
+    assert "uniform" in found["bounds"]["sampling"]
+    tested = found["nonholonomic"]
+    assert (tested["distribution"], tested["closure"]) == (2, 3) and tested["verdict"].startswith("nonholonomic")
+    assert (tested["with_wheel_angles"]["closure"], tested["with_wheel_angles"]["coordinates"]) == (4, 5)
+
+
+def test_a_fixed_arm(capsys):
+    code, out, _ = run(capsys, "two_axis_arm", "--samples", "2", "--json")
+    tested = json.loads(out)["nonholonomic"]
+    assert code == 0 and (tested["distribution"], tested["closure"]) == (0, 0) and "fixed" in tested["verdict"]
+
+
+def test_table_says_seed_and_verdict(capsys):
+    code, out, err = run(capsys, "platform_arm", "--samples", "3", "--seed", "11")
+    assert (code, err) == (0, "")
+    assert "3 random states, seed 11" in out and "all properties hold" in out and "nonholonomic" in out
+    assert "rank 2 -> 3 -> 4 of 5" in out
+
+
+def test_same_seed_same_numbers(capsys):
+    first, second, other = (run(capsys, "platform_arm", "--samples", "3", "--seed", s, "--json")[1] for s in "112")
+    assert first == second != other
+
+
+def test_a_broken_property_exits_with_1(capsys, monkeypatch):
+    class Broken(properties.Terms):
+        def coriolis(self, q: Array, v: Array) -> Array:
+            return 0 * super().coriolis(q, v)
+
+    monkeypatch.setattr(properties, "Terms", Broken)
+    code, out, _ = run(capsys, "platform_arm", "--samples", "2", "--json")
+    assert code == 1 and json.loads(out)["properties"]["property_2"]["pass"] is False
+    code, out, _ = run(capsys, "platform_arm", "--samples", "2")
+    assert code == 1 and "FAIL" in out and "property_2" in out.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "arguments", [("no_such_robot",), ("platform_arm", "--samples", "0"), ("platform_arm", "--seed", "-1")]
+)
+def test_bad_input_exits_with_2(capsys, arguments):
+    code, out, err = run(capsys, *arguments)
+    assert code == 2 and out == "" and err.count("\n") == 1
+
+
+def test_progress_only_on_a_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    code, out, err = run(capsys, "platform_arm", "--samples", "2", "--json")
+    assert code == 0 and json.loads(out) and "checking" in err

@@ -1,0 +1,203 @@
+"""`mmnn inspect`: what it prints for people and for programs, its exit codes, and the robots of example-robot-data."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drives import ARM, Drive
+from test_base import MOVE, drone, four, welded
+
+from mmnn_pin.cli import main
+from mmnn_pin.errors import RobotError
+from mmnn_pin.model import Undecided, load
+from mmnn_pin.model.base import Unsupported
+from mmnn_pin.model.robots import FILES, extra, robot_data
+
+needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")
+
+
+@pytest.fixture
+def call(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        code = main(arguments)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def written(text: str) -> str:
+    Path("r.urdf").write_text(text)
+    return "r.urdf"
+
+
+# --- The contract -----------------------------------------------------------------------------------------------------
+
+
+def test_json_of_a_robot_that_was_understood(call):
+    code, out, err = call("inspect", written(Drive(track=0.5, frame=(0.1, 0, 0)).urdf()), "--json")
+    found = json.loads(out)
+    assert (code, err, out.count("\n")) == (0, "", 1)
+    assert set(found) >= {"file", "sha256", "ok", "findings", "base", "arm", "locked", "mass"}
+    assert found["ok"] and len(found["sha256"]) == 64 and found["mass"] == pytest.approx(20 + 2 * 1.5 + 3)
+    base = found["base"]
+    assert base["kind"] == "differential_drive" and base["track"] == pytest.approx(0.5)
+    assert base["axle_x"] == pytest.approx(0.1) and base["casters"] == []
+    assert [(w["joint"], w["radius"], w["sign"]) for w in base["wheels"]] == [("left", 0.1, 1), ("right", 0.1, 1)]
+    assert found["arm"]["joints"] == ["shoulder", "elbow"] and found["locked"] == []
+    assert found["arm"]["limits"]["elbow"] == {"lower": 0.2, "upper": 2.0, "effort": 9.0}
+
+
+def test_findings_have_all_their_fields(call):
+    _, out, _ = call("inspect", written(four(more=MOVE)), "--json")
+    findings = json.loads(out)["findings"]
+    assert {"base-evidence", "base-roller"} <= {finding["code"] for finding in findings}
+    for finding in findings:
+        assert set(finding) >= {"severity", "code", "file", "line", "element", "message", "fix"}
+
+
+def test_an_undecided_base_exits_2_with_the_candidates(call):
+    code, out, err = call("inspect", written(four()), "--json")
+    found = json.loads(out)
+    assert code == 2 and not found["ok"] and found["base"]["kind"] == "undecided"
+    assert [c["kind"] for c in found["base"]["candidates"]] == ["holonomic", "skid-steer", "differential_drive"]
+    assert all(c["for"] or c["against"] for c in found["base"]["candidates"])
+    assert [f["code"] for f in found["findings"] if f["severity"] == "error"] == ["base-undecided"]
+    assert err.count("\n") == 1 and "r.urdf:" in err and "--wheels" in err
+    code, out, _ = call("inspect", "r.urdf")
+    assert code == 2 and "candidate: skid-steer" in out and "against" in out
+
+
+def test_a_refused_machine_exits_2_with_its_name(call):
+    code, out, err = call("inspect", written(drone()), "--json")
+    found = json.loads(out)
+    assert code == 2 and found["base"] == {"kind": "unsupported", "machine": "drone"} and "drone" in err
+
+
+def test_all_errors_of_a_bad_file_are_told(call):
+    text = Drive().urdf().replace('value="1.0"', 'value="1,0"').replace('upper="2"', 'upper="x"')
+    code, out, err = call("inspect", written(text), "--json")
+    errors = [f for f in json.loads(out)["findings"] if f["severity"] == "error"]
+    assert code == 2 and len(errors) == err.count("\n") >= 2
+    assert all(f"r.urdf:{f['line']}: error: " in err for f in errors)
+
+
+@pytest.mark.parametrize(("options", "words"), [
+    (["--wheels", "fl,fr"], ["differential drive", "casters", "rl, rr"]),
+    (["--base", "holonomic", "--roller", "-0.7"], ["holonomic", "-40.1"]),
+    (["--base", "fixed", "--lock", "elbow=0.5"], ["fixed", "elbow", "0.5", "locked as you said"]),
+    (["--wheels", "fl,fr", "--radius", "0.2", "--track", "0.7"], ["0.2", "0.7 m", "0.35"]),
+    (["--wheels", "fl,fr", "--arm-tip", "upper"], ["shoulder", "it does not lead to the arm's tip"]),
+])  # fmt: skip
+def test_options_say_what_the_file_does_not(call, options, words):
+    code, out, err = call("inspect", written(four()), *options)
+    assert code == 0 and err == "", err
+    for word in words:
+        assert word in out
+
+
+def test_welded_wheels_say_how_to_go_on(call):
+    code, out, err = call("inspect", written(welded()))
+    assert code == 2 and "--base fixed" in err and "candidate: holonomic" in out
+    assert call("inspect", "r.urdf", "--base", "holonomic")[0] == 0
+
+
+@pytest.mark.parametrize("options", [["--wheels", "fl,nope"], ["--base", "omni"], ["--radius", "-1"],
+                                     ["--wheels", "fl,fr", "--lock", "x"]])  # fmt: skip
+def test_options_that_do_not_suit_exit_2_in_one_line(call, options):
+    code, out, err = call("inspect", written(four()), *options)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+
+
+def test_model_takes_the_same_options(call):
+    code, out, _ = call("model", written(four(more=MOVE)), "--lock", "elbow=0.3", "--json")
+    found = json.loads(out)
+    assert code == 0 and found["velocity_names"] == ["vx", "vy", "w", "shoulder"]
+    np.testing.assert_allclose(np.array(found["A"]) @ np.array(found["T"]), 0, atol=1e-12)
+    assert np.shape(found["E"]) == (4, 5)
+
+
+# --- Robots by name ---------------------------------------------------------------------------------------------------
+
+
+def test_without_the_extra_a_line_says_how_to_get_it(monkeypatch, tmp_path, call):
+    monkeypatch.setattr("mmnn_pin.model.robots.robot_data", lambda: None)
+    code, _, err = call("inspect", "tiago")
+    assert code == 2 and "mmnn_pin[robots]" in err and err.count("\n") == 1
+
+
+def test_names_of_the_extra_are_found_where_it_is_installed(monkeypatch, tmp_path):
+    folder = tmp_path / "cmeel.prefix/share/example-robot-data/robots"
+    file = folder / FILES["ur5"]
+    file.parent.mkdir(parents=True)
+    file.write_text(f'<robot name="a"><link name="base"/>{ARM}</robot>')
+    monkeypatch.delenv("EXAMPLE_ROBOT_DATA", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    assert extra() == {"ur5": file} or os.environ.get("EXAMPLE_ROBOT_DATA")
+    assert load("ur5").base.kind == "fixed"
+    monkeypatch.setenv("EXAMPLE_ROBOT_DATA", str(folder))
+    assert load("ur5").path == file
+
+
+@needs_data
+@pytest.mark.parametrize(("name", "kind", "wheels", "arm"), [
+    ("tiago", "differential_drive", 2, 8), ("tiago_no_hand", "differential_drive", 2, 8),
+    ("tiago_dual", "differential_drive", 2, 15), ("tiago_pro", "holonomic", 4, 15),
+])  # fmt: skip
+def test_four_mobile_robots_are_understood_without_a_hint(name, kind, wheels, arm):
+    robot = load(name)
+    assert (robot.base.kind, len(robot.base.wheels), robot.layout.arm) == (kind, wheels, arm)
+    radius, track = (0.0762, 0.44635) if name == "tiago_pro" else (0.0985, 0.4044)
+    assert {w.radius for w in robot.base.wheels} == {radius} and robot.base.track == pytest.approx(track)
+    assert np.abs(robot.A @ robot.T).max() < 1e-12
+    assert len(robot.A) == np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.layout.dof
+    if name == "tiago_dual":
+        assert len(robot.base.casters) == 8 and len(robot.base.suspensions) == 2
+
+
+@needs_data
+def test_the_mimic_joints_of_tiago_pro_follow_when_its_fingers_move():
+    robot = load("tiago_pro", free=("gripper_left_finger_joint",))
+    assert len(robot.arm.slaves) == 5 and np.abs(robot.A @ robot.T).max() < 1e-12
+
+
+@needs_data
+def test_pr2_is_undecided_and_the_message_says_how_to_go_on():
+    with pytest.raises(Undecided, match="--base fixed") as error:
+        load("pr2")
+    assert "caster" in str(error.value)
+    assert load("pr2", base="fixed").layout.base == 0
+    assert load("pr2", base="holonomic").velocity_names[:3] == ("vx", "vy", "w")
+
+
+MOBILE = {"tiago", "tiago_no_hand", "tiago_dual", "tiago_pro", "pr2"}
+
+
+@needs_data
+@pytest.mark.parametrize("name", sorted(FILES.keys() - MOBILE))
+def test_every_fixed_arm_is_fixed(name):
+    robot = load(name)
+    assert robot.base.kind == "fixed" and robot.layout.arm > 0
+
+
+@needs_data
+@pytest.mark.parametrize(("name", "machine"), [
+    ("a1_description/urdf/a1.urdf", "legged machine"), ("solo_description/robots/solo12.urdf", "legged machine"),
+    ("bolt_description/robots/bolt.urdf", "legged machine"),
+    ("centauro_description/urdf/centauro.urdf", "legged machine"),
+    ("anymal_c_simple_description/urdf/anymal.urdf", "legged machine"),
+    ("talos_data/robots/talos_reduced.urdf", "humanoid"), ("g1_description/urdf/g1_29dof_rev_1_0.urdf", "humanoid"),
+    ("simple_humanoid_description/urdf/simple_humanoid.urdf", "humanoid"),
+    ("iris_description/robots/iris.urdf", "drone"), ("iris_description/robots/iris_simple.urdf", "drone"),
+    ("hector_description/robots/quadrotor_base.urdf", "drone"),
+    ("borinot_description/urdf/borinot_flying_arm_2.urdf", "drone"),
+])  # fmt: skip
+def test_legged_machines_humanoids_and_drones_are_refused_by_that_name(name, machine):
+    with pytest.raises(RobotError) as error:
+        load(robot_data() / name)
+    assert isinstance(error.value, Unsupported) and error.value.machine == machine
