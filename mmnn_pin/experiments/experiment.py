@@ -121,6 +121,7 @@ class Experiment(Settings, frozen=True):
         seed: The one seed.
         windows: Intervals for the RMS errors [s].
         weights_interval: Time between two records of the weights [s].
+        torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.
         bounds: Where a run counts as diverged.
@@ -146,6 +147,7 @@ class Experiment(Settings, frozen=True):
     seed: int = 0
     windows: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 5.0))
     weights_interval: float = 0.1
+    torque_limits: bool = False
     time: Timing = Timing()
     start: Start = Start()
     bounds: Bounds = Bounds()

@@ -65,9 +65,14 @@ def caption(result: Result) -> str:
             marks.replace(".", f" but for {oracles[0]}.")
             + f"{oracles[0]} knows the true model: its share in brackets. "
         )
-    if any((peak or 0) > row["limit"] for row in limited(result) for peak in row["peak"].values()):
+    if any(map(exceeded, limited(result))):
         marks += "! above the motor's effort limit, which this plant does not enforce. "
     return marks + CAPTION
+
+
+def exceeded(row: dict[str, Any]) -> bool:
+    """Whether a peak torque is above its motor's effort limit."""
+    return any(peak is not None and peak > row["limit"] for peak in row["peak"].values())
 
 
 def limited(result: Result) -> list[dict[str, Any]]:
@@ -111,15 +116,15 @@ def marked(values: dict[str, float]) -> list[Text]:
 
 
 def torques(result: Result) -> Iterator[list[str | Text]]:
-    """Peak torque of every motor that has an effort limit, marked where it is exceeded."""
+    """Peak torques of motors with an effort limit: all if the experiment asks for it, else of those that exceed it."""
     for row in limited(result):
         limit, cells = row["limit"], []
         for controller in result.recordings:
             peak = row["peak"].get(controller)
             value = math.inf if peak is None else peak
-            over = value > limit
-            cells.append(Text(f"{number(value)} {'!' if over else ' '}", style="bold red" if over else ""))
-        yield [f"peak torque {row['actuator']}", f"of {number(limit)}", *cells]
+            cells.append(Text(f"{number(value)} {'!' if value > limit else ' '}", style="bold red" * (value > limit)))
+        if result.experiment.torque_limits or exceeded(row):
+            yield [f"peak torque {row['actuator']}", f"of {number(limit)}", *cells]
 
 
 def others(result: Result) -> Iterator[list[str | Text]]:
