@@ -56,13 +56,13 @@ def arm(joints: int, seed: int, height: float, sliding: bool = True) -> str:
 
 
 def mobile_arm(joints: int = 7, seed: int = 0, axle: float = AXLE) -> Robot:
-    """Differential drive whose axle is ahead of the root link, with an arm of any axes."""
+    """Differential drive whose axle is ahead of the root link, with an arm of any axes, high above the floor."""
     text = f'<link name="base">{inertial(40.0, (1.0, 1.5, 2.0), place((0.05, 0.02, 0.2)))}</link>'
     for side, y in (("left", HALF_TRACK), ("right", -HALF_TRACK)):
         shape = f'<collision><origin rpy="{np.pi / 2} 0 0"/><geometry><cylinder radius="{RADIUS}" length="0.03"/>'
         text += f'<link name="{side}">{inertial(2.0, (0.005, 0.01, 0.005))}{shape}</geometry></collision></link>'
         text += joint(f"{side}_wheel", "base", side, place((axle, y, RADIUS)), "0 1 0", dynamics(0.02, 0.05))
-    return robot_of(f'<robot name="mobile">{text}{arm(joints, seed, 0.4)}</robot>')
+    return robot_of(f'<robot name="mobile">{text}{arm(joints, seed, 3.0)}</robot>')
 
 
 def fixed_arm(joints: int = 7, seed: int = 0) -> Robot:

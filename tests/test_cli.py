@@ -216,6 +216,38 @@ def test_ctrl_c_keeps_what_is_recorded(tmp_path: Path) -> None:
     assert recording.complete and recording.outcome.status == "interrupted" and len(recording) > 0
 
 
+@pytest.mark.usefixtures("undrawn")
+def test_ctrl_c_that_python_swallows_is_not_lost(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Deaf:
+        def __del__(self) -> None:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(0.1)  # the KeyboardInterrupt is raised and ignored in here
+
+    from mmnn_pin.experiments import runner
+
+    order = runner.in_order
+
+    def in_order(wanted: list[str]) -> list[str]:
+        Deaf()
+        return order(wanted)
+
+    monkeypatch.setattr(runner, "in_order", in_order)
+    monkeypatch.setattr(sys, "unraisablehook", lambda _: None)
+    code, out, _ = call("run", "chapter4", "--controller", "pd", *SHORT)
+    assert code == 130 and "interrupted" in out
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_run_in_another_thread_works(call: Call) -> None:
+    from threading import Thread
+
+    codes: list[int] = []
+    thread = Thread(target=lambda: codes.append(main(["run", "chapter4", "--controller", "pd", *SHORT, "--json"])))
+    thread.start()
+    thread.join()
+    assert codes == [0]
+
+
 def has_rows(file: Path) -> bool:
     try:
         with h5py.File(file, "r", locking=False) as content:

@@ -36,10 +36,10 @@ def say_if_cold() -> None:
 
 
 @contextmanager
-def progress_bar() -> Iterator[Callable[[str, float], None] | None]:
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
     """Shows how far each controller's run is, on standard error and only where that is a terminal."""
     if not sys.stderr.isatty():
-        yield None
+        yield lambda controller, fraction: None
         return
     from rich.console import Console
     from rich.progress import Progress, TaskID

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
 import click
@@ -60,7 +65,12 @@ def run(
         fix = "choose another folder with --out, or replace it with --force"
         raise RecordingError("the plot exists", fix=fix, file=picture)
     say_if_cold()
-    with progress_bar() as progress:
+    with progress_bar() as show, remembered_interrupt() as stop_if_pressed:
+
+        def progress(controller: str, fraction: float) -> None:
+            stop_if_pressed()
+            show(controller, fraction)
+
         result = run_experiment(chosen, name, out=folder, force=force, progress=progress)
     drawn = draw_errors(result, picture)
     if as_json:
@@ -68,6 +78,32 @@ def run(
     else:
         tell(result, [picture] if drawn else [])
     return exit_code(result)
+
+
+@contextmanager
+def remembered_interrupt() -> Iterator[Callable[[], None]]:
+    """Ctrl-C as ever, and remembered: Python swallows a KeyboardInterrupt that happens to hit a destructor.
+
+    Yields a function that raises it again if it was pressed.
+    """
+    pressed = threading.Event()
+
+    def press(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        signal.default_int_handler(number, frame)
+
+    def stop_if_pressed() -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():  # elsewhere Python allows no handlers
+        yield stop_if_pressed
+        return
+    before = signal.signal(signal.SIGINT, press)
+    try:
+        yield stop_if_pressed
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def in_toml(**values: object) -> list[str]:

@@ -100,7 +100,7 @@ class Dynamics:
         return np.linalg.solve(robot.A @ robot.A.T, robot.A @ rest)
 
     def _declared_friction(self, force: Array) -> Array:
-        """Friction declared on nu as a force on the full model, (nv,): at the base's control frame and on the joints."""
+        """Friction declared on nu as forces of the full model, (nv,): at the control frame and on the joints."""
         robot, out = self.robot, np.zeros(self.model.nv)
         nb = robot.layout.base
         if nb:

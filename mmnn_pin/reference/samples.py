@@ -6,15 +6,17 @@ import csv
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ..errors import TrajectoryError
 from ..signals import Array
 from .path import BasePath, BaseSamples, require_finite, times
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +83,8 @@ class Table(BasePath):
 
     @cached_property
     def _splines(self) -> tuple[CubicHermiteSpline, CubicSpline]:
+        from scipy.interpolate import CubicHermiteSpline, CubicSpline  # slow to import, seldom needed
+
         vx, vy, w = in_three(self.velocity)
         c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
         rate = np.stack([vx * c - vy * s, vx * s + vy * c, w], axis=1)
@@ -131,6 +135,8 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     Raises:
         TrajectoryError: Naming the worst time and the speed there.
     """
+    from scipy.interpolate import CubicSpline  # slow to import, seldom needed
+
     rate = CubicSpline(time, pose)(time, 1)
     cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
     forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin

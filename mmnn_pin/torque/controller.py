@@ -8,6 +8,7 @@ for a compiled step. A user's own controller is a subclass of `TorqueController`
 from __future__ import annotations
 
 import copy
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -52,13 +53,13 @@ class Memory:
     @classmethod
     def of(cls, **shapes: tuple[int, ...]) -> Memory:
         """Zero memory with these parts."""
-        return cls(np.zeros(sum(int(np.prod(shape)) for shape in shapes.values())), shapes)
+        return cls(np.zeros(sum(math.prod(shape) for shape in shapes.values())), shapes)
 
     def __getitem__(self, name: str) -> Array:
         """View of one part."""
         start = 0
         for other, shape in self.shapes.items():
-            size = int(np.prod(shape))
+            size = math.prod(shape)
             if other == name:
                 return self.values[start : start + size].reshape(shape)
             start += size

@@ -1,0 +1,412 @@
+"""Batches: every run is the run it would have been alone, whatever its neighbours do; and robots with other masses."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import config
+from robots import fixed_arm, mobile_arm
+
+from mmnn_pin import (
+    PD,
+    Bounds,
+    Circle,
+    ComputedTorque,
+    Dynamics,
+    Feedback,
+    Hold,
+    Line,
+    Loop,
+    Memory,
+    Neural,
+    OneLayer,
+    Robot,
+    Run,
+    Sine,
+    Start,
+    Timing,
+    TorqueController,
+    Trajectory,
+    TwoLayer,
+    batch,
+    load,
+    simulate_many,
+)
+from mmnn_pin.errors import ConfigError, TrajectoryError, UnknownName
+from mmnn_pin.metrics import metrics
+
+ROBOT = load("platform_arm")
+GAINS = Feedback(base=500.0, arm=10.0)
+DURATION = 0.04 if config.DISABLE_JIT else 0.3  # [s]
+TIMING = Timing(duration=DURATION)
+WINDOWS = ((0.0, DURATION / 4), (DURATION / 2, DURATION))
+LINE = Trajectory(Line(0.3), (Sine(0.5, 2.0), Hold(0.4)))
+TURN = Trajectory(Circle(1.0, 0.4), (Hold(0.2), Sine(0.3, 1.0)))
+BASIC = Loop(ROBOT, LINE, Neural(TwoLayer(), GAINS), timing=TIMING, weights_interval=0.01)
+
+
+class Mine(TorqueController):
+    """PD in plain Python that counts its samples."""
+
+    name = "mine"
+
+    def init(self, wiring):
+        return {"count": np.zeros(1)}
+
+    def step(self, time, reference, measurement, command, memory):
+        memory["count"] += 1
+        return GAINS.vector(ROBOT.layout) * np.concatenate((command.z, command.r))
+
+    def weights(self, memory):
+        return memory
+
+
+def trained(seed: int) -> Memory:
+    """Memory with weights as after some training."""
+    memory = BASIC.memory_from()
+    memory.values += np.random.default_rng(seed).normal(0.0, 0.1, memory.values.size)
+    return memory
+
+
+def different() -> tuple[list[Loop], list[Memory | None]]:
+    """Runs that differ in all that a run may differ in; the last two diverge and run in plain Python."""
+    arm = Loop(
+        load("two_axis_arm"), Trajectory(None, (Sine(0.3, 2.0), Hold(0.1))), PD(Feedback(arm=1.0)), timing=TIMING
+    )
+    loops = {
+        "basic": (BASIC, None),
+        "masses": (replace(BASIC, robot=ROBOT.with_masses({"root": 1.5, "arm_2_joint": 0.5})), None),
+        "friction": (replace(BASIC, robot=ROBOT.with_friction([20.0, 3.0, 0.5, 0.4])), None),
+        "gains": (replace(BASIC, controller=Neural(TwoLayer(), Feedback(base=200.0, arm=(4.0, 3.0)))), None),
+        "seed": (replace(BASIC, seed=5), None),
+        "reference": (replace(BASIC, trajectory=TURN), None),
+        "start": (replace(BASIC, start=Start(pose_offset=(-0.05, 0.02, 0.1), joint_offset=(0.1, -0.1))), None),
+        "weights": (BASIC, trained(1)),
+        "nominal": (replace(BASIC, controller=ComputedTorque(GAINS), nominal=ROBOT.with_masses(0.6)), None),
+        "network": (replace(BASIC, controller=Neural(OneLayer(), GAINS), seed=3), None),
+        "arm": (arm, None),
+        "diverges": (replace(BASIC, controller=PD(Feedback(arm=500.0)), bounds=Bounds(joint_speed=3.0)), None),
+        "python": (replace(BASIC, controller=Mine()), None),
+    }
+    return [loop for loop, _ in loops.values()], [memory for _, memory in loops.values()]
+
+
+def alone(loop: Loop, memory: Memory | None) -> Run:
+    recording = replace(loop, check_gains=False).run(memory=memory)
+    return Run(recording.outcome, metrics(recording, WINDOWS), recording.final, recording)
+
+
+@pytest.fixture(scope="module")
+def singles() -> list[Run]:
+    return [alone(loop, memory) for loop, memory in zip(*different(), strict=True)]
+
+
+def assert_same_bits(run: Run, single: Run) -> None:
+    ends = [(o.status, o.time, o.signal) for o in (run.outcome, single.outcome)]
+    assert ends[0] == ends[1] and run.metrics.keys() == single.metrics.keys()
+    np.testing.assert_array_equal(list(run.metrics.values()), list(single.metrics.values()))
+    assert run.final.keys() == single.final.keys()
+    for name, array in single.final.items():
+        np.testing.assert_array_equal(run.final[name], array, err_msg=name)
+
+
+# --- Every run is the run it would have been alone --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5, None])
+def test_runs_of_a_batch_are_the_single_runs_bit_for_bit(singles, workers):
+    loops, memories = different()
+    for run, single in zip(
+        simulate_many(loops, memories=memories, windows=WINDOWS, workers=workers), singles, strict=True
+    ):
+        assert_same_bits(run, single)
+        assert run.recording is None
+
+
+def test_the_runs_differ(singles):
+    """Every parameter that is varied reaches its run."""
+    basic = singles[0].metrics["energy_residual"], singles[0].final["nu"].tolist()
+    for single in singles[1:]:
+        assert (single.metrics["energy_residual"], single.final["nu"].tolist()) != basic
+
+
+@settings(max_examples=2 if config.DISABLE_JIT else 6, deadline=None)
+@given(order=st.permutations(range(13)), workers=st.integers(1, 4))
+def test_order_and_workers_do_not_matter(singles, order, workers):
+    loops, memories = different()
+    runs = simulate_many(
+        [loops[i] for i in order], memories=[memories[i] for i in order], windows=WINDOWS, workers=workers
+    )
+    for i, run in zip(order, runs, strict=True):
+        assert_same_bits(run, singles[i])
+
+
+def test_memories_given_are_not_touched():
+    memory = trained(2)
+    before = memory.values.copy()
+    simulate_many([BASIC, BASIC], memories=[memory, memory], workers=2)
+    np.testing.assert_array_equal(memory.values, before)
+
+
+def test_recordings_are_kept_where_asked_for(singles):
+    loops, memories = different()
+    for run, single in zip(simulate_many(loops, memories=memories, windows=WINDOWS, keep=True), singles, strict=True):
+        kept, wanted = run.recording, single.recording
+        assert_same_bits(run, single)
+        assert kept.names == wanted.names and len(kept) == len(wanted)
+        assert {**kept.meta, "created": 0} == {**wanted.meta, "created": 0} and kept.urdf == wanted.urdf
+        for name in wanted.names:
+            np.testing.assert_array_equal(kept[name], wanted[name])
+        assert kept.weights.keys() == wanted.weights.keys()
+        for name, array in wanted.weights.items():
+            np.testing.assert_array_equal(kept.weights[name], array)
+
+
+def test_windows_are_honoured(singles):
+    run = simulate_many([BASIC], windows=((0.01, 0.02), (100.0, 200.0)))[0]
+    recording = singles[0].recording
+    inside = (recording.time >= 0.01) & (recording.time < 0.02)
+    assert run.metrics["z.v.rms_0.01_0.02"] == pytest.approx(
+        np.sqrt(np.mean(recording["z"][inside, 0] ** 2)), rel=1e-12
+    )
+    assert np.isnan(run.metrics["z.v.rms_100_200"]) and not any("rms_0_1" in name for name in run.metrics)
+
+
+def test_a_run_that_diverges_is_a_result_with_numbers():
+    wild = replace(BASIC, controller=PD(Feedback(arm=500.0)), bounds=Bounds(joint_speed=3.0))
+    runs = simulate_many([BASIC, wild, BASIC], windows=[(0.0, 0.002)])
+    assert [run.outcome.status for run in runs] == ["completed", "diverged", "completed"]
+    assert runs[1].outcome.signal in ("nu[2]", "nu[3]") and 0 < runs[1].outcome.time < DURATION
+    assert np.isfinite(list(runs[1].metrics.values())).all() and np.isfinite(runs[1].final["nu"]).all()
+    assert_same_bits(runs[0], runs[2])
+
+
+def test_python_controllers_run_beside_compiled_ones():
+    runs = simulate_many([replace(BASIC, controller=Mine()), BASIC], keep=True, workers=2)
+    assert [run.recording.meta["loop"] for run in runs] == ["ordinary", "compiled"]
+    assert runs[0].recording.weights["count"][-1] == TIMING.samples
+
+
+# --- Bad input, refused before anything runs --------------------------------------------------------------------------
+
+
+@pytest.fixture
+def nothing_runs(monkeypatch):
+    def simulate(*arguments):
+        raise AssertionError("something ran")
+
+    monkeypatch.setattr(batch, "simulate", simulate)
+
+
+def wrong_size() -> Memory:
+    memory = BASIC.memory_from()
+    return Memory(memory.values[:-3], memory.shapes)
+
+
+def not_finite() -> Memory:
+    memory = BASIC.memory_from()
+    memory.values[4] = np.nan
+    return memory
+
+
+@pytest.mark.usefixtures("nothing_runs")
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"loops": []}, "no runs"),
+        ({"workers": 0}, "0 workers"),
+        ({"workers": -2}, "-2 workers"),
+        ({"memories": [None]}, "1 memories for 2 runs"),
+        ({"memories": [None, wrong_size()]}, r"memories\[1\].*shape"),
+        ({"memories": [not_finite(), None]}, r"memories\[0\].*not finite"),
+        ({"memories": [None, Neural(TwoLayer(hidden=3)).init(BASIC.wiring())]}, r"memories\[1\].*two_layer.*22.*3"),
+        ({"memories": [None, np.zeros(5)]}, r"memories\[1\].*ndarray"),
+        ({"memories": [PD().init(BASIC.wiring()), None]}, r"memories\[0\].*two_layer"),
+    ],
+)
+def test_bad_arguments_are_refused_before_anything_runs(arguments, text):
+    with pytest.raises(ConfigError, match=text):
+        simulate_many(**{"loops": [BASIC, BASIC]} | arguments)
+
+
+@pytest.mark.usefixtures("nothing_runs")
+def test_more_memory_than_the_machine_has_is_refused_with_both_numbers():
+    endless = replace(BASIC, timing=Timing(duration=1e6))
+    with pytest.raises(ConfigError, match=r"need \d[\d.e+]* GiB, \d[\d.e+]* GiB are free"):
+        simulate_many([endless] * 100, keep=True)
+
+
+@pytest.mark.usefixtures("nothing_runs")
+def test_memory_is_counted_per_run_kept_and_per_worker_otherwise(monkeypatch):
+    size = 8 * TIMING.samples * ROBOT.layout.width
+    monkeypatch.setattr(batch, "free_bytes", lambda: 6 * size)
+    for keep, runs, workers, fits in (
+        (True, 4, 1, True),
+        (True, 5, 1, False),
+        (False, 50, 6, True),
+        (False, 50, 7, False),
+    ):
+        with pytest.raises(AssertionError if fits else ConfigError):
+            simulate_many([BASIC] * runs, keep=keep, workers=workers)
+
+
+def test_free_memory_is_some_of_the_machines():
+    assert 2**20 < batch.free_bytes() < 2**50
+
+
+@pytest.mark.parametrize(
+    ("bad", "error", "text"),
+    [
+        (replace(BASIC, controller=PD(Feedback(arm=(1.0, 2.0, 3.0)))), ConfigError, "3 gains for 2 velocities"),
+        (replace(BASIC, trajectory=Trajectory(Line(0.3), (Hold(0.0),))), TrajectoryError, "1 arm profiles"),
+        (replace(BASIC, start=Start(joint_offset=(0.1, 0.1, 0.1))), ConfigError, "3 offsets"),
+        (replace(BASIC, controller=Mine(), engine="compiled"), ConfigError, "plain Python"),
+        (replace(BASIC, controller=ComputedTorque(GAINS), nominal=load("two_axis_arm")), ConfigError, "nominal robot"),
+    ],
+)
+@pytest.mark.parametrize("place", [0, 2])
+def test_an_input_error_of_one_run_is_raised(bad, error, text, place):
+    loops = [BASIC] * 5
+    loops[place] = bad
+    with pytest.raises(error, match=text):
+        simulate_many(loops, workers=2)
+    assert not pool_threads()
+
+
+# --- Progress and Ctrl-C ----------------------------------------------------------------------------------------------
+
+
+def pool_threads() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")]
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_progress_counts_up_to_all(count):
+    told = []
+    simulate_many([BASIC] * count, workers=2, progress=lambda done, total: told.append((done, total)))
+    assert told[-1] == (count, count) and {total for _, total in told} == {count}
+    assert all(before < after for (before, _), (after, _) in pairwise(told))
+
+
+def stop_at(limit: int):
+    def progress(done: int, total: int) -> None:
+        if done >= limit:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.parametrize("limit", [1, 3])
+def test_ctrl_c_gives_back_what_is_done(limit):
+    longer = replace(BASIC, timing=Timing(duration=20 * DURATION))
+    loops = [BASIC] * 3 + [longer] * 30
+    runs = simulate_many(loops, workers=2, progress=stop_at(limit))
+    assert not pool_threads() and len(runs) == 33
+    done = [run for run in runs if run.outcome.status == "completed"]
+    assert limit <= len(done) < 10
+    assert_same_bits(runs[0], simulate_many([BASIC])[0])
+    for run in runs:
+        if run not in done:
+            assert run.outcome.status == "interrupted"
+            started = run.outcome.message != "not started"
+            assert bool(run.metrics) == bool(run.final) == started and (run.outcome.time > 0) == started
+    assert runs[-1].outcome.message == "not started"
+
+
+def test_ctrl_c_in_the_first_run_ends_the_batch(monkeypatch):
+    calls = []
+
+    def interrupted(self, memory):
+        calls.append(0)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Neural, "weights", interrupted)
+    runs = simulate_many([BASIC] * 4, workers=2)
+    assert [run.outcome.status for run in runs] == ["interrupted"] * 4 and len(calls) == 1
+    assert [run.outcome.message for run in runs[1:]] == ["not started"] * 3 and not pool_threads()
+
+
+def test_an_error_in_progress_is_raised_and_ends_the_threads():
+    def progress(done: int, total: int) -> None:
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        simulate_many([BASIC] * 20, workers=2, progress=progress)
+    assert not pool_threads()
+
+
+# --- Other masses -----------------------------------------------------------------------------------------------------
+
+ROBOTS = {"platform_arm": ROBOT, "mobile": mobile_arm(4, 1), "fixed": fixed_arm(4, 2)}
+robots = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+
+
+def mass_matrix(robot: Robot) -> np.ndarray:
+    return Dynamics(robot).mass_matrix(np.random.default_rng(0).uniform(-1, 1, robot.layout.full))
+
+
+@robots
+def test_one_factor_scales_the_mass_matrix_and_gravity(robot):
+    before, scaled = mass_matrix(robot), robot.with_masses(2.5)
+    np.testing.assert_allclose(mass_matrix(scaled), 2.5 * before, rtol=1e-12)
+    position = np.random.default_rng(0).uniform(-1, 1, robot.layout.full)
+    gravity = [Dynamics(r).gravity(position) for r in (robot, scaled)]
+    np.testing.assert_allclose(gravity[1], 2.5 * gravity[0], rtol=1e-12, atol=1e-9)
+    np.testing.assert_array_equal(scaled.damping, robot.damping)
+    np.testing.assert_array_equal(mass_matrix(robot), before)  # the original is left alone
+
+
+@robots
+def test_factors_per_body_add_up(robot):
+    """M is linear in the bodies: what each adds alone, all add together."""
+    names, before = batch_bodies(robot), mass_matrix(robot)
+    factors = dict(zip(names, np.random.default_rng(1).uniform(0.5, 2.0, len(names)), strict=True))
+    alone = [mass_matrix(robot.with_masses({name: factor})) - before for name, factor in factors.items()]
+    assert all(np.abs(change).max() > 0 for change in alone)
+    np.testing.assert_allclose(mass_matrix(robot.with_masses(factors)), before + sum(alone), rtol=0, atol=1e-9)
+
+
+def batch_bodies(robot: Robot) -> list[str]:
+    """Joints that carry bodies, as `with_masses` lists them."""
+    with pytest.raises(UnknownName) as error:
+        robot.with_masses({"nobody": 2.0})
+    return list(error.value.available)
+
+
+def test_bodies_are_scaled_about_their_own_centres():
+    body, other = (
+        robot.model.inertias[robot.model.getJointId("arm_1_joint")]
+        for robot in (ROBOT, ROBOT.with_masses({"arm_1_joint": 3.0}))
+    )
+    assert other.mass == pytest.approx(3 * body.mass)
+    np.testing.assert_array_equal(other.lever, body.lever)
+    np.testing.assert_allclose(other.inertia, 3 * body.inertia, rtol=1e-14)
+
+
+def test_unknown_bodies_are_refused_with_those_there_are():
+    with pytest.raises(UnknownName, match="did you mean 'arm_1_joint'") as error:
+        ROBOT.with_masses({"arm_1": 2.0})
+    assert set(error.value.available) == {"root", *ROBOT.actuator_names}
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, np.nan, np.inf])
+def test_bad_factors_are_refused(factor):
+    for factors in (factor, {"root": factor}):
+        with pytest.raises(ConfigError, match=f"factor {factor} for the mass at 'root'"):
+            ROBOT.with_masses(factors)
+
+
+def test_other_masses_move_otherwise_in_both_engines():
+    runs = [
+        replace(BASIC, robot=robot, engine=engine).run()
+        for robot in (ROBOT, ROBOT.with_masses(1.4))
+        for engine in ("ordinary", "compiled")
+    ]
+    np.testing.assert_allclose(runs[2]["nu"], runs[3]["nu"], rtol=0, atol=1e-9)
+    assert np.abs(runs[0]["nu"] - runs[2]["nu"]).max() > 1e-3

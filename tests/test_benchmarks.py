@@ -1,0 +1,87 @@
+"""The benchmark runs and says what it promises; what it gives to the peers is the thesis's robot and law."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from mmnn_pin import load
+from mmnn_pin.model.dynamics import Dynamics
+
+FOLDER = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.fixture
+def modules(monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import numpy_law
+    import report
+    import run
+    import workload
+
+    return {"numpy_law": numpy_law, "report": report, "run": run, "workload": workload}
+
+
+def test_quick_prints_the_keys_of_the_contract_as_json(modules):
+    command = [sys.executable, str(FOLDER / "run.py"), "--json", "--quick"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    result = json.loads(done.stdout)
+    assert {"loop", "compiled", "plain_python", "tiago_compiled"} <= set(result["us_per_step"])
+    assert all(us > 0 for us in result["us_per_step"].values())
+    assert result["robots"]["tiago_compiled"]["robot"]
+    assert all(rate > 0 for rate in result["rollouts_per_s"].values()) and result["rollouts_per_s"]
+    assert {"mujoco_numpy", "drake", "pybullet", "jiminy"} <= set(result["peers"])
+    assert all("us_per_step" in peer or peer["skipped"] for peer in result["peers"].values())
+    assert {"python", "numpy", "numba", "pin"} <= set(result["versions"])
+    assert "plain_python/loop" in result["ratios"]
+    text = modules["report"].table(result)
+    assert "plain_python" in text and "pybullet" in text
+
+
+def test_peers_robot_has_the_reduced_dynamics_of_the_thesis_robot():
+    robot, peer = load("platform_arm"), pin.buildModelFromUrdf(str(FOLDER / "planar_arm.urdf"))
+    data, dynamics = peer.createData(), Dynamics(robot)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        position, nu = rng.uniform(-2, 2, robot.layout.full), rng.uniform(-2, 2, robot.layout.dof)
+        q = np.concatenate((position[:3], position[robot.arm_index]))
+        c, s, w = np.cos(q[2]), np.sin(q[2]), nu[1]
+        T = np.array([[c, 0, 0, 0], [s, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], float)
+        Tdot = w * np.array([[-s, 0, 0, 0], [c, 0, 0, 0], *np.zeros((3, 4))])
+        M = pin.crba(peer, data, q)
+        C = pin.computeCoriolisMatrix(peer, data, q, T @ nu)
+        np.testing.assert_allclose(T.T @ M @ T, dynamics.mass_matrix(position), rtol=1e-6, atol=1e-5)
+        reduced = T.T @ (M @ Tdot + C @ T)
+        np.testing.assert_allclose(reduced @ nu, dynamics.coriolis_matrix(position, nu) @ nu, rtol=1e-5, atol=1e-5)
+
+
+def test_peers_law_gives_the_torques_of_ours(modules):
+    work = modules["workload"].peer_work(0.02)
+    law, worst = modules["numpy_law"].Controller(work), 0.0
+    for i, (pose, q, nu, torque) in enumerate(zip(work["pose"], work["q"], work["nu"], work["torque"], strict=True)):
+        worst = max(worst, np.abs(law.torque(i, pose, q, nu) - torque).max() / np.abs(torque).max())
+    assert worst < 1e-12
+
+
+def test_exponent_of_a_power_law(modules):
+    assert modules["run"].exponent({n: 0.3 * n**1.7 for n in (6, 20, 60)}) == pytest.approx(1.7)
+    assert modules["run"].exponent({6: 1.0}) is None
+
+
+def test_what_cannot_run_is_asked_once(modules):
+    calls = {"a": 0, "b": 0}
+
+    def ask(name, answer):
+        def once():
+            calls[name] += 1
+            return answer
+
+        return once
+
+    asks = {"a": ask("a", {"wall": 1.0}), "b": ask("b", {"skipped": "not installed"})}
+    samples = modules["run"].in_turn(asks, 3)
+    assert calls == {"a": 4, "b": 1} and len(samples["a"]) == 3 and samples["b"] == [{"skipped": "not installed"}]
