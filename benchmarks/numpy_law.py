@@ -42,7 +42,18 @@ class Controller:
         alphadot = np.array([along, a[1] + ky * (a[0] * error[1] + vr * rate[1]) + swing])
         e, edot = g["q_ref"][i] - q, g["qdot_ref"][i] - qdot
         z, r = alpha - v, edot + g["K"] * e
-        command = (g["pose_ref"][i], alpha, alphadot, error, z, e, r, g["q_ref"][i], g["qdot_ref"][i], g["qddot_ref"][i])
+        command = (
+            g["pose_ref"][i],
+            alpha,
+            alphadot,
+            error,
+            z,
+            e,
+            r,
+            g["q_ref"][i],
+            g["qdot_ref"][i],
+            g["qddot_ref"][i],
+        )
         x, both = np.concatenate(command), np.concatenate((z, r))
         psi_hat, norm = np.zeros(both.size), np.zeros(both.size)
         for j, part in ((0, slice(0, nb)), (1, slice(nb, None))):

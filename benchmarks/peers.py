@@ -8,9 +8,9 @@ None of them holds the rolling constraint exactly, none computes Psi.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ class Peer:
     lacks: str
 
 
-def closed(samples: int, final: Array) -> dict[str, Any]:
+def closed(samples: int, final: Sequence[float] | Array) -> dict[str, Any]:
     """Result of a run with the controller in the loop: its steps and where it ended, (x, y, phi, arm)."""
     return {"steps": samples, "final": np.asarray(final, float).tolist()}
 
@@ -56,8 +56,7 @@ def mujoco_model(mujoco: Any, period: float) -> Any:
 
 def mujoco_loop(work: Work) -> Callable[[], Timed]:
     """MuJoCo stepped from Python."""
-    import mujoco
-
+    mujoco: Any = import_module("mujoco")
     model = mujoco_model(mujoco, float(work["period"]))
 
     def prepare() -> Timed:
@@ -79,9 +78,8 @@ def mujoco_rollout(threads: int) -> Callable[[Work], Callable[[], Timed]]:
     """mujoco.rollout on some threads, open loop: forces given beforehand, nobody in the loop."""
 
     def build(work: Work) -> Callable[[], Timed]:
-        import mujoco
-        from mujoco import rollout
-
+        mujoco: Any = import_module("mujoco")
+        rollout: Any = import_module("mujoco.rollout")
         model, loop = mujoco_model(mujoco, float(work["period"])), PlanarLoop(work)
         full = mujoco.mjtState.mjSTATE_FULLPHYSICS
         state, data = np.zeros(mujoco.mj_stateSize(model, full)), [mujoco.MjData(model) for _ in range(threads)]
@@ -102,11 +100,8 @@ def mujoco_rollout(threads: int) -> Callable[[Work], Callable[[], Timed]]:
 
 def drake(work: Work) -> Callable[[], Timed]:
     """Drake's MultibodyPlant, stepped discretely, with a LeafSystem in Python."""
-    from pydrake.multibody.parsing import Parser
-    from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-    from pydrake.systems.analysis import Simulator
-    from pydrake.systems.framework import BasicVector, DiagramBuilder, LeafSystem
-
+    pydrake: Any = import_module("pydrake.all")
+    LeafSystem: Any = pydrake.LeafSystem
     period = float(work["period"])
 
     class Control(LeafSystem):
@@ -115,7 +110,7 @@ def drake(work: Work) -> Callable[[], Timed]:
         def __init__(self, n: int) -> None:
             super().__init__()
             self.n, self.loop = n, PlanarLoop(work)
-            self.state_in = self.DeclareVectorInputPort("state", BasicVector(2 * n))
+            self.state_in = self.DeclareVectorInputPort("state", pydrake.BasicVector(2 * n))
             held = self.DeclareDiscreteState(n)
             self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, self.update)
             self.DeclareStateOutputPort("force", held)
@@ -127,14 +122,14 @@ def drake(work: Work) -> Callable[[], Timed]:
             discrete.set_value(self.loop.force(i, state[: self.n], state[self.n :]))
 
     def prepare() -> Timed:
-        builder = DiagramBuilder()
-        plant, _ = AddMultibodyPlantSceneGraph(builder, period)
-        Parser(plant).AddModels(str(URDF))
+        builder = pydrake.DiagramBuilder()
+        plant, _ = pydrake.AddMultibodyPlantSceneGraph(builder, period)
+        pydrake.Parser(plant).AddModels(str(URDF))
         plant.Finalize()
         control = builder.AddSystem(Control(plant.num_velocities()))
         builder.Connect(plant.get_state_output_port(), control.get_input_port())
         builder.Connect(control.get_output_port(), plant.get_applied_generalized_force_input_port())
-        simulator = Simulator(builder.Build())
+        simulator = pydrake.Simulator(builder.Build())
         context = plant.GetMyContextFromRoot(simulator.get_mutable_context())
         plant.SetPositions(context, control.loop.start)
         simulator.Initialize()
@@ -150,8 +145,7 @@ def drake(work: Work) -> Callable[[], Timed]:
 
 def pybullet(work: Work) -> Callable[[], Timed]:
     """PyBullet without a window, joints in torque control."""
-    import pybullet as p
-
+    p: Any = import_module("pybullet")
     p.connect(p.DIRECT)
     period, free = float(work["period"]), {"linearDamping": 0.0, "angularDamping": 0.0, "jointDamping": 0.0}
 
@@ -182,8 +176,7 @@ def pybullet(work: Work) -> Callable[[], Timed]:
 
 def jiminy(work: Work) -> Callable[[], Timed]:
     """Jiminy with a controller in Python, explicit Euler."""
-    import jiminy_py.core as jiminy
-
+    jiminy: Any = import_module("jiminy_py.core")
     period = float(work["period"])
 
     def prepare() -> Timed:
@@ -225,7 +218,7 @@ PEERS = {
     "mujoco_rollout_all": Peer(
         "mujoco", mujoco_rollout(CORES), f"mujoco.rollout, {CORES} threads", "a controller, rolling, Psi"
     ),
-    "drake": Peer("drake", drake, "MultibodyPlant, controller a Python LeafSystem", SLIP),
+    "drake": Peer("drake", drake, "MultibodyPlant, controller a Python LeafSystem", SLIP + "; torque one sample late"),
     "pybullet": Peer("pybullet", pybullet, "torque control from Python, numpy controller", SLIP),
     "jiminy": Peer("jiminy-py", jiminy, "explicit Euler, numpy controller", SLIP),
 }

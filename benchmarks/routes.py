@@ -92,7 +92,8 @@ def peer_file(file: str) -> Prepare:
     """Writes what the peers need."""
 
     def run() -> dict[str, Any]:
-        np.savez(file, **peer_work(SECONDS))
+        work: dict[str, Any] = dict(peer_work(SECONDS))
+        np.savez(file, **work)
         return {"file": file}
 
     return lambda: run

@@ -34,7 +34,7 @@ class Worker:
     def __init__(
         self, script: str, *arguments: str, python: str = sys.executable, environment: Mapping[str, str] | None = None
     ) -> None:
-        self.errors = TemporaryFile()
+        self.errors = TemporaryFile()  # noqa: SIM115 (closed on leaving)
         self.process = subprocess.Popen(
             [python, str(HERE / script), *arguments],
             stdin=subprocess.PIPE,

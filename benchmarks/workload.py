@@ -50,9 +50,7 @@ def arm_loop(robot: Robot, duration: float) -> Loop:
         rates="per_second",
     )
     arm = [Sine(amplitude=0.02, period=4.0, offset=float(q)) for q in rest]
-    timing = Timing(
-        duration=duration, control_period=PERIOD, plant_step=PERIOD, integrator="semi_implicit_euler"
-    )
+    timing = Timing(duration=duration, control_period=PERIOD, plant_step=PERIOD, integrator="semi_implicit_euler")
     return Loop(robot, Trajectory(Line(speed=0.3), arm), controller, timing=timing, check_gains=False)
 
 

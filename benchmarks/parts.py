@@ -1,0 +1,143 @@
+"""The parts of one step by themselves, repeated on one state: where each microsecond goes.
+
+Parts of the compiled loop are repeated inside compiled code, parts of the ordinary loop from Python, as it calls them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+from workload import thesis_loop
+
+from mmnn_pin.compiled_loop import CompiledLoop
+from mmnn_pin.model.reduction import friction, spread
+from mmnn_pin.model.tree_dynamics import psi_again, terms
+from mmnn_pin.ordinary_loop import OrdinaryLoop
+from mmnn_pin.plant.integrators import derivative, semi_implicit
+from mmnn_pin.sample import after_torque, before_torque
+from mmnn_pin.torque import law
+
+REPEAT = 5000
+Part = Callable[[int], None]
+repeated = njit(nogil=True, error_model="numpy")
+
+
+@repeated
+def repeat_terms(n, tree, position, nu, scratch, M, h):  # type: ignore[no-untyped-def]
+    """Mass matrix and bias forces."""
+    for _ in range(n):
+        terms(tree, position, nu, scratch, M, h)
+
+
+@repeated
+def repeat_psi(n, tree, position, nu_ref, nudot_ref, scratch, psi):  # type: ignore[no-untyped-def]
+    """Psi at the same place."""
+    for _ in range(n):
+        psi_again(tree, position, nu_ref, nudot_ref, scratch, psi)
+
+
+@repeated
+def repeat_friction(n, T, v, nu, damping, coulomb, viscous, F):  # type: ignore[no-untyped-def]
+    """Joint rates and friction."""
+    for _ in range(n):
+        spread(T, nu, v)
+        friction(T, v, nu, damping, coulomb, viscous, F)
+
+
+@repeated
+def repeat_before(n, row, at, y, reference, arm, gains, K):  # type: ignore[no-untyped-def]
+    """Measurement and velocity command."""
+    for i in range(n):
+        before_torque(row, at, 0.001 * i, y, reference, True, arm, gains, K)
+
+
+@repeated
+def repeat_law(n, kind, row, at, sizes, settings, memory):  # type: ignore[no-untyped-def]
+    """Torque and update of the weights."""
+    for _ in range(n):
+        law.step(kind, row, at, sizes, settings, memory)
+
+
+@repeated
+def repeat_after(n, row, at, M, E_inv, bounds):  # type: ignore[no-untyped-def]
+    """Motor torques, energy balance, guard."""
+    for _ in range(n):
+        after_torque(row, at, M, E_inv, 0.0, 0.0, 0.0, bounds)
+
+
+@repeated
+def repeat_plant(n, dt, T, F, tau, base, y, v, M, h, L, rest, ydot, out):  # type: ignore[no-untyped-def]
+    """Acceleration and integration."""
+    for _ in range(n):
+        derivative(y, v, M, h, F, tau, base, L, rest, ydot)
+        semi_implicit(dt, T, F, tau, base, y, v, ydot, out)
+
+
+@repeated
+def repeat_row(n, rows, row):  # type: ignore[no-untyped-def]
+    """Copy of the row."""
+    for i in range(n):
+        rows[i % len(rows)] = row
+
+
+def compiled_parts() -> dict[str, Part]:
+    """Parts of the compiled step on the thesis robot after 0.1 s."""
+    loop = thesis_loop(0.2, engine="compiled")
+    engine = loop.engine_at()
+    assert isinstance(engine, CompiledLoop)
+    engine.advance(0, 100)
+    layout, b, w, e, y = loop.robot.layout, engine.body, engine.work, engine.blocks, engine.y
+    at, row, position, nu = e.at, engine.row, y[: layout.full], y[layout.full : -1]
+    nu_ref, nudot_ref, psi, tau = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi", "torque"))
+    settings, memory = e.settings, engine.memory.values
+    return {
+        "reference, measurement, velocity command": lambda n: repeat_before(
+            n, row, at, y, e.table[100], b.arm, e.gains, e.K
+        ),
+        "networks: torque and update of the weights": lambda n: repeat_law(
+            n, engine.plan.kind, row, at, e.sizes, settings, memory
+        ),
+        "tree: M, C nu + gravity": lambda n: repeat_terms(n, b.tree, position, nu, w.scratch, w.M, w.h),
+        "joint rates and friction": lambda n: repeat_friction(n, b.T, w.v, nu, b.damping, b.coulomb, b.viscous, w.F),
+        "tree: Psi": lambda n: repeat_psi(n, b.tree, position, nu_ref, nudot_ref, w.scratch, psi),
+        "motor torques, energy balance, guard": lambda n: repeat_after(n, row, at, w.M, e.E_inv, e.bounds),
+        "plant: solve and integrate": lambda n: repeat_plant(
+            n, 0.001, b.T, w.F, tau, b.base, y, w.v, w.M, w.h, w.L, w.rest, w.ydot, w.trial
+        ),
+        "copy of the row": lambda n: repeat_row(n, engine.rows, row),
+    }
+
+
+def ordinary_parts() -> dict[str, Part]:
+    """Parts of the ordinary step on the thesis robot after 0.1 s."""
+    loop = thesis_loop(0.2, engine="ordinary")
+    engine = loop.engine_at()
+    assert isinstance(engine, OrdinaryLoop)
+    engine.advance(0, 100)
+    e, plant, dynamics, arm = engine, engine.plant, engine.plant.dynamics, loop.robot.arm_index
+    calls: dict[str, Callable[[], Any]] = {
+        "reference, measurement, velocity command": lambda: before_torque(
+            e.row, e.at, 0.1, plant.y, e.table[100], True, arm, e.gains, e.K
+        ),
+        "networks: torque and update of the weights": lambda: e.torque.step(0.1),
+        "Pinocchio: M, C nu + gravity, reduced": plant.refresh,
+        "Pinocchio: Psi": lambda: dynamics.refresh_psi(e.nu_ref, e.nudot_ref, e.psi),
+        "motor torques, energy balance, guard": lambda: after_torque(
+            e.row, e.at, dynamics.M, e.E_inv, 0.0, 0.0, 0.0, e.bounds
+        ),
+        "plant: solve and integrate": lambda: plant.step(e.tau),
+    }
+
+    def repeat(call: Callable[[], Any]) -> Part:
+        def run(n: int) -> None:
+            for _ in range(n):
+                call()
+
+        return run
+
+    return {name: repeat(call) for name, call in calls.items()}
+
+
+PARTS = {"compiled": compiled_parts, "loop": ordinary_parts}
