@@ -288,6 +288,7 @@ def test_rank_one_weights_are_told(call: Call) -> None:
 def test_best_of_a_row_is_marked_but_never_the_oracle() -> None:
     cells = table.marked({"pd": 2.0, "two_layer": 1.0, "one_layer": float("nan"), "computed_torque": 0.1})
     assert [cell.plain.strip() for cell in cells] == ["2.00", "1.00 *", "-", "0.100"]
+    assert table.marked({"pd": 2.0, "two_layer": 1.0, "computed_torque": 1.0})[2].plain.strip() == "1.00"
 
 
 def test_a_single_controller_is_not_best_of_anything() -> None:

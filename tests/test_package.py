@@ -184,6 +184,13 @@ def test_documents_name_modules_and_commands_that_exist() -> None:
             assert command in mmnn.commands, command
 
 
+def test_the_architecture_names_every_module_or_its_folder() -> None:
+    text = (ROOT / "docs/architecture.md").read_text()
+    modules = [str(file.relative_to(PACKAGE)) for file in PACKAGE.rglob("*.py") if file.name != "__init__.py"]
+    untold = [m for m in modules if f"`{m}`" not in text and f"`{m.rpartition('/')[0]}/`" not in text]
+    assert untold == []
+
+
 # -- where the robots are found ---------------------------------------------------------------------------------------
 
 FIND = "import mmnn_pin; from mmnn_pin.model import bundled; print(mmnn_pin.__file__, *bundled().values(), sep='\\n')"

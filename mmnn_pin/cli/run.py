@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         "mmnn run chapter4",
         "mmnn run chapter4 --controller pd --controller two_layer --out runs/short --set time.duration=2",
         "mmnn run chapter4 --robot my_robot.urdf --set feedback.base=300 --set 'two_layer.F=[0.5, 0.1]'",
+        "mmnn run chapter4 --set 'reference.base={type = \"circle\", radius = 1.0, speed = 0.3}'",
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
