@@ -97,14 +97,15 @@ def remembered_interrupt() -> Iterator[Callable[[], None]]:
         if pressed.is_set():
             raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():  # elsewhere Python allows no handlers
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else someone's own, or ignored
+    if not usual or threading.current_thread() is not threading.main_thread():
         yield stop_if_pressed
         return
-    before = signal.signal(signal.SIGINT, press)
+    signal.signal(signal.SIGINT, press)
     try:
         yield stop_if_pressed
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def in_toml(**values: object) -> list[str]:
