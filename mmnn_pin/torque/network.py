@@ -126,8 +126,10 @@ def frobenius(W: Array) -> float:
     """Frobenius norm of a matrix."""
     total = 0.0
     for i in range(W.shape[0]):
+        row = 0.0  # one sum per row: the processor works on several at a time
         for j in range(W.shape[1]):
-            total += W[i, j] * W[i, j]
+            row += W[i, j] * W[i, j]
+        total += row
     return math.sqrt(total)
 
 
