@@ -15,7 +15,7 @@ from mmnn_pin.compiled_loop import CompiledLoop
 from mmnn_pin.model.reduction import friction, spread
 from mmnn_pin.model.tree_dynamics import psi_again, terms
 from mmnn_pin.ordinary_loop import OrdinaryLoop
-from mmnn_pin.plant.integrators import derivative, semi_implicit
+from mmnn_pin.plant.integrators import SEMI_IMPLICIT, euler
 from mmnn_pin.sample import after_torque, before_torque
 from mmnn_pin.torque import law
 
@@ -68,11 +68,10 @@ def repeat_after(n, row, at, M, E_inv, bounds):  # type: ignore[no-untyped-def]
 
 
 @repeated
-def repeat_plant(n, dt, T, F, tau, base, y, v, M, h, L, rest, ydot, out):  # type: ignore[no-untyped-def]
+def repeat_plant(n, dt, T, v, M, h, F, damping, coulomb, viscous, tau, base, L, rest, y, ydot):  # type: ignore[no-untyped-def]
     """Acceleration and integration."""
     for _ in range(n):
-        derivative(y, v, M, h, F, tau, base, L, rest, ydot)
-        semi_implicit(dt, T, F, tau, base, y, v, ydot, out)
+        euler(SEMI_IMPLICIT, dt, T, v, M, h, F, damping, coulomb, viscous, tau, base, L, rest, y, ydot)
 
 
 @repeated
@@ -104,7 +103,7 @@ def compiled_parts() -> dict[str, Part]:
         "tree: Psi": lambda n: repeat_psi(n, b.tree, position, nu_ref, nudot_ref, w.scratch, psi),
         "motor torques, energy balance, guard": lambda n: repeat_after(n, row, at, w.M, e.E_inv, e.bounds),
         "plant: solve and integrate": lambda n: repeat_plant(
-            n, 0.001, b.T, w.F, tau, b.base, y, w.v, w.M, w.h, w.L, w.rest, w.ydot, w.trial
+            n, 0.0, b.T, w.v, w.M, w.h, w.F, b.damping, b.coulomb, b.viscous, tau, b.base, w.L, w.rest, y, w.ydot
         ),
         "copy of the row": lambda n: repeat_row(n, engine.rows, row),
     }

@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from .errors import ConfigError
+import numpy as np
+
+from .errors import ConfigError, InputError
 from .loop import Loop
 from .metrics import Reducer, Windows
 from .recorder import Recorder
@@ -76,7 +78,11 @@ def simulate_many(
 
     def one(i: int) -> None:
         if not stop.is_set():
-            results[i] = simulate(loops[i], starts[i], windows, keep, stop.is_set)
+            try:
+                results[i] = simulate(loops[i], starts[i], windows, keep, stop.is_set)
+            except InputError as error:
+                error.key = ".".join(filter(None, (f"loops[{i}]", error.key)))
+                raise
 
     # The first run compiles, or loads the compiled code, before threads compete for it.
     with ThreadPoolExecutor(workers) as pool:
@@ -102,14 +108,16 @@ def simulate_many(
 
 def simulate(loop: Loop, memory: Any, windows: Windows, keep: bool, cancelled: Callable[[], bool]) -> Run:
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
+    if not keep:
+        loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
     engine, layout = loop.engine_at(memory), loop.robot.layout
     facts = loop.facts() | {"loop": engine.name}
     reducer = Reducer.of(layout, facts, windows)
     if not keep:
-        outcome = loop.stream(engine, reducer, cancelled=cancelled)
+        outcome = loop.judged(loop.stream(engine, reducer, cancelled=cancelled), engine)
         return Run(outcome, reducer.result(), loop.final(engine))
     with Recorder(layout, facts) as recorder:
-        outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
+        outcome = loop.judged(loop.stream(engine, Both(reducer, recorder), cancelled=cancelled), engine)
         recording = recorder.finish(outcome, loop.final(engine))
     return Run(outcome, reducer.result(), loop.final(engine), recording)
 
@@ -147,10 +155,19 @@ def require_fit(loops: Sequence[Loop], memories: Sequence[Any]) -> None:
 
 
 def needed_bytes(loops: Sequence[Loop], keep: bool, workers: int) -> int:
-    """Memory that the runs' signals and references take [bytes]; a recording takes two more copies as it is closed."""
-    sizes = sorted(8 * loop.timing.samples * loop.robot.layout.width for loop in loops)
+    """Memory that signals, weights and references take [bytes]; a recording takes two more copies as it is closed."""
+    weights = [recorded_weights(loop) if keep else 0 for loop in loops]
+    sizes = sorted(
+        8 * (loop.timing.samples * loop.robot.layout.width + w) for loop, w in zip(loops, weights, strict=True)
+    )
     in_flight = sum(sizes[-workers:])
     return sum(sizes) + 2 * in_flight if keep else in_flight
+
+
+def recorded_weights(loop: Loop) -> int:
+    """Number of weights that a recording of a run holds, over all its snapshots."""
+    weights = loop.controller.weights(loop.controller.init(loop.wiring()))
+    return (2 + int(loop.timing.duration / loop.weights_interval)) * sum(np.size(array) for array in weights.values())
 
 
 def require_memory(needed: int) -> None:

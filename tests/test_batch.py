@@ -246,6 +246,7 @@ def test_more_memory_than_the_machine_has_is_refused_with_both_numbers():
 def test_memory_is_counted_per_run_kept_and_per_worker_otherwise(monkeypatch):
     size = 8 * TIMING.samples * ROBOT.layout.width
     monkeypatch.setattr(batch, "free_bytes", lambda: 6 * size)
+    light = replace(BASIC, controller=PD(GAINS))  # no weights
     for keep, runs, workers, fits in (
         (True, 4, 1, True),
         (True, 5, 1, False),
@@ -253,7 +254,21 @@ def test_memory_is_counted_per_run_kept_and_per_worker_otherwise(monkeypatch):
         (False, 50, 7, False),
     ):
         with pytest.raises(AssertionError if fits else ConfigError):
-            simulate_many([BASIC] * runs, keep=keep, workers=workers)
+            simulate_many([light] * runs, keep=keep, workers=workers)
+
+
+@pytest.mark.usefixtures("nothing_runs")
+def test_memory_of_recorded_weights_is_counted(monkeypatch):
+    light, heavy = replace(BASIC, controller=PD(GAINS)), replace(BASIC, weights_interval=0.002)
+    monkeypatch.setattr(batch, "free_bytes", lambda: batch.needed_bytes([light], True, 1))
+    simulations = pytest.raises(AssertionError, match="something ran")
+    with simulations:
+        simulate_many([light], keep=True, workers=1)
+    with pytest.raises(ConfigError, match="GiB"):
+        simulate_many([heavy], keep=True, workers=1)
+    recording = heavy.run()
+    held = sum(array.size for array in recording.weights.values())
+    assert held == pytest.approx(batch.recorded_weights(heavy), rel=0.2)
 
 
 def test_free_memory_is_some_of_the_machines():
@@ -274,9 +289,16 @@ def test_free_memory_is_some_of_the_machines():
 def test_an_input_error_of_one_run_is_raised(bad, error, text, place):
     loops = [BASIC] * 5
     loops[place] = bad
-    with pytest.raises(error, match=text):
+    with pytest.raises(error, match=rf"loops\[{place}\].*{text}"):
         simulate_many(loops, workers=2)
     assert not pool_threads()
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="the horizon is too short")
+def test_a_network_that_ends_at_rank_one_is_told_as_in_a_single_run():
+    zero = replace(BASIC, controller=Neural(TwoLayer(initial="zero"), GAINS))
+    message = simulate_many([zero])[0].outcome.message
+    assert "rank one" in message and message == zero.run().outcome.message
 
 
 # --- Progress and Ctrl-C ----------------------------------------------------------------------------------------------

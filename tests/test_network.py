@@ -16,7 +16,6 @@ from scipy.special import expit
 
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.network import (
-    frobenius,
     numerical_rank,
     one_layer_output,
     one_layer_update,
@@ -245,7 +244,7 @@ def test_leakage_pulls_by_kappa_times_the_error_and_bounds_the_weights() -> None
         for _ in range(2000):
             W, V = updated(m, 0.05, 0.05, kappa)
             m = m._replace(W=W, V=V)
-        norms[kappa] = frobenius(m.W)
+        norms[kappa] = np.linalg.norm(m.W)
     assert norms[1.0] < 5
     assert norms[0.0] > 10 * norms[1.0]
 
@@ -283,8 +282,8 @@ def trained(W: Array, V: Array, kappa: float) -> tuple[Array, Array]:
 @pytest.mark.parametrize("kappa", [0.0, 0.1])
 def test_weights_from_zero_keep_rank_one(kappa: float) -> None:
     W, V = trained(np.zeros((4, 2)), np.zeros((5, 4)), kappa)
-    assert frobenius(W) > 0.1
-    assert frobenius(V) > 0.1
+    assert np.linalg.norm(W) > 0.1
+    assert np.linalg.norm(V) > 0.1
     assert (numerical_rank(W), numerical_rank(V)) == (1, 1)
     assert np.ptp(V, axis=1).max() < 1e-12  # all units see the same
     assert np.ptp(W, axis=0).max() < 1e-12  # and count the same
@@ -310,10 +309,14 @@ def test_numerical_rank(rank: int) -> None:
     assert numerical_rank(A + 1e-13 * rng.normal(size=A.shape)) in ((3,) if rank == 0 else (rank,))
 
 
-def test_frobenius() -> None:
-    A = np.random.default_rng(0).normal(size=(4, 3))
-    assert frobenius(A) == pytest.approx(np.linalg.norm(A))
-    assert frobenius(np.zeros((3, 0))) == 0
+@pytest.mark.parametrize("nx", [1, 2, 5, 6])
+def test_outputs_return_the_norm_of_the_weights(nx: int) -> None:
+    n, h, m = network(nx, nx), 4, 2
+    net, sigma, psi_hat = np.zeros(h), np.zeros(h), np.zeros(m)
+    norm = two_layer_output(n.W, n.V, n.x, net, sigma, psi_hat)
+    assert norm == pytest.approx(np.hypot(np.linalg.norm(n.W), np.linalg.norm(n.V)), rel=1e-14)
+    np.testing.assert_allclose(net, n.V.T @ n.x, atol=1e-13)
+    assert one_layer_output(n.W, n.V, 1.0, n.x, sigma, psi_hat) == pytest.approx(np.linalg.norm(n.W), rel=1e-14)
 
 
 # --- one layer

@@ -17,9 +17,14 @@ DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 def say(text: str) -> None:
     """Print on standard output; a reader that has left (`| head`) is no error."""
     try:
-        print(text, flush=True)
+        print(printable(text), flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def printable(text: str) -> str:
+    """Text without what would steer a terminal: control and direction characters, which names in a URDF may hold."""
+    return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t\x1b" else " " for c in text)
 
 
 def say_json(content: dict[str, Any]) -> None:
@@ -27,12 +32,15 @@ def say_json(content: dict[str, Any]) -> None:
     say(json.dumps(content, allow_nan=False))
 
 
-def say_if_cold() -> None:
-    """Tell, on standard error, that the first run compiles."""
+def compile_if_cold() -> None:
+    """Compile what a run needs, unless that was done, and tell so on standard error."""
     from ..compiled import is_warm
 
     if not is_warm():
-        click.echo("first run of this version: compiling takes about a minute, later runs start at once", err=True)
+        click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
+        from ..precompile import precompile
+
+        precompile()
 
 
 @contextmanager

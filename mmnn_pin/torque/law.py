@@ -10,7 +10,6 @@ from __future__ import annotations
 from ..compiled import compiled, copy_to
 from ..signals import INDEX, Array, IntArray
 from .network import (
-    frobenius,
     hidden_input,
     one_layer_output,
     one_layer_update,
@@ -121,16 +120,14 @@ def one_network(
     if kind == ONE_LAYER:
         if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
             one_layer_update(W, sigma, s, rates[0], rates[2], dt)
-        one_layer_output(W, V, rates[1], x, sigma, psi_hat)
-        norm = frobenius(W)
+        norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
         if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
             one_layer_update(W, sigma, s, rates[0], rates[2], dt)
         return norm
     if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
         hidden_input(V, x, net)
         two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
-    two_layer_output(W, V, x, net, sigma, psi_hat)
-    norm = (frobenius(W) ** 2 + frobenius(V) ** 2) ** 0.5
+    norm = two_layer_output(W, V, x, net, sigma, psi_hat)
     if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
         two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
     return norm

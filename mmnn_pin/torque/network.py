@@ -16,7 +16,7 @@ from ..signals import Array
 
 
 @compiled
-def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi_hat: Array) -> None:
+def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi_hat: Array) -> float:
     """Output `Psi_hat = W' sigma(V' x)`, `sigma(a) = 1 / (1 + exp(-a))` (3.25).
 
     Args:
@@ -26,29 +26,60 @@ def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi
         net: (h,) written: `V' x`.
         sigma: (h,) written: hidden outputs.
         psi_hat: (m,) written.
+
+    Returns:
+        The norm of the weights, `(|W|_F^2 + |V|_F^2)^(1/2)`.
     """
     hidden_input(V, x, net)
+    squares = sum_of_squares(V, sigma)
     for j in range(net.size):
         sigma[j] = 1.0 / (1.0 + np.exp(-net[j]))
-    weighted_sum(W, sigma, psi_hat)
+    return math.sqrt(squares + weighted_sum(W, sigma, psi_hat))
 
 
 @compiled
 def hidden_input(V: Array, x: Array, net: Array) -> None:
-    """`V' x` for V (nx, h), written to net (h,)."""
-    net[:] = 0.0
-    for i in range(x.size):
+    """`V' x` for V (nx, h), written to net (h,); two rows at a time, so that net is read and written half as often."""
+    for j in range(net.size):
+        net[j] = 0.0
+    paired = x.size - x.size % 2
+    for i in range(0, paired, 2):
+        for j in range(net.size):
+            net[j] += V[i, j] * x[i] + V[i + 1, j] * x[i + 1]
+    for i in range(paired, x.size):
         for j in range(net.size):
             net[j] += V[i, j] * x[i]
 
 
 @compiled
-def weighted_sum(W: Array, sigma: Array, psi_hat: Array) -> None:
-    """`W' sigma` for W (h, m), written to psi_hat (m,)."""
-    psi_hat[:] = 0.0
-    for j in range(sigma.size):
-        for i in range(psi_hat.size):
-            psi_hat[i] += W[j, i] * sigma[j]
+def sum_of_squares(V: Array, scratch: Array) -> float:
+    """`|V|_F^2` for V (nx, h); one sum per column in scratch (h,): the processor works on several at a time."""
+    for j in range(scratch.size):
+        scratch[j] = 0.0
+    paired = V.shape[0] - V.shape[0] % 2
+    for i in range(0, paired, 2):
+        for j in range(scratch.size):
+            scratch[j] += V[i, j] * V[i, j] + V[i + 1, j] * V[i + 1, j]
+    for i in range(paired, V.shape[0]):
+        for j in range(scratch.size):
+            scratch[j] += V[i, j] * V[i, j]
+    total = 0.0
+    for j in range(scratch.size):
+        total += scratch[j]
+    return total
+
+
+@compiled
+def weighted_sum(W: Array, sigma: Array, psi_hat: Array) -> float:
+    """`W' sigma` for W (h, m), written to psi_hat (m,), and the sum of the squares of W."""
+    squares = 0.0
+    for i in range(psi_hat.size):
+        total = 0.0
+        for j in range(sigma.size):
+            total += W[j, i] * sigma[j]
+            squares += W[j, i] * W[j, i]
+        psi_hat[i] = total
+    return squares
 
 
 @compiled
@@ -76,20 +107,22 @@ def two_layer_update(
     for i in range(s.size):
         norm += s[i] * s[i]
     leak = kappa * math.sqrt(norm)
+    keep_W, keep_V = 1.0 - dt * F * leak, 1.0 - dt * G * leak
     for j in range(sigma.size):
         slope = sigma[j] * (1.0 - sigma[j])
-        back = 0.0
+        gain, back = dt * F * (sigma[j] - slope * net[j]), 0.0
         for i in range(s.size):
             back += W[j, i] * s[i]
-            W[j, i] += dt * F * ((sigma[j] - slope * net[j]) * s[i] - leak * W[j, i])
+            W[j, i] = keep_W * W[j, i] + gain * s[i]
         net[j] = slope * back  # from here on sigma'' W s
     for i in range(x.size):
+        gain = dt * G * x[i]
         for j in range(sigma.size):
-            V[i, j] += dt * G * (x[i] * net[j] - leak * V[i, j])
+            V[i, j] = keep_V * V[i, j] + gain * net[j]
 
 
 @compiled
-def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Array, psi_hat: Array) -> None:
+def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Array, psi_hat: Array) -> float:
     """Output `Psi_hat = W' phi(x)`, `phi_j = exp(-|x - c_j|^2 / (2 width^2))`.
 
     Args:
@@ -99,6 +132,9 @@ def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Arra
         x: (nx,) input.
         phi: (h,) written: activations.
         psi_hat: (m,) written.
+
+    Returns:
+        The norm of the weights, `|W|_F`.
     """
     phi[:] = 0.0
     for i in range(x.size):
@@ -106,7 +142,7 @@ def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Arra
             phi[j] += (x[i] - centres[i, j]) ** 2
     for j in range(phi.size):
         phi[j] = np.exp(-phi[j] / (2.0 * width * width))
-    weighted_sum(W, phi, psi_hat)
+    return math.sqrt(weighted_sum(W, phi, psi_hat))
 
 
 @compiled
@@ -119,18 +155,6 @@ def one_layer_update(W: Array, phi: Array, s: Array, beta: float, mu: float, dt:
     for j in range(phi.size):
         for i in range(s.size):
             W[j, i] += dt * beta * (phi[j] * s[i] - leak * W[j, i])
-
-
-@compiled
-def frobenius(W: Array) -> float:
-    """Frobenius norm of a matrix."""
-    total = 0.0
-    for i in range(W.shape[0]):
-        row = 0.0  # one sum per row: the processor works on several at a time
-        for j in range(W.shape[1]):
-            row += W[i, j] * W[i, j]
-        total += row
-    return math.sqrt(total)
 
 
 def numerical_rank(W: Array, tolerance: float = 1e-9) -> int:

@@ -1,0 +1,84 @@
+"""Compiles the blocks in two processes before a first run.
+
+numba holds a lock while it compiles, so threads do not help; two processes meet in the cache on disk. Each block is
+called once on a small robot: what is compiled depends on the types of its arguments only.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+from .compiled import cache_folder, is_warm
+from .compiled_loop import as_measured, body_of, evaluate, new_work
+from .metrics import accumulate
+from .model.reduction import quadratic
+from .model.robot import load
+from .model.tree_dynamics import potential_energy, psi_again
+from .plant.integrators import derivative, euler, rk4_stage
+from .sample import after_torque, before_torque
+from .sensing import Sensor, measure
+from .signals import INDEX, Layout
+from .torque import law
+from .torque.controller import Wiring
+from .torque.neural import Neural
+
+
+def precompile() -> None:
+    """Compile the blocks on two cores, unless that was done, or cannot be kept.
+
+    What it leaves out, also where the second process fails, is compiled when it is first called.
+    """
+    if is_warm() or cache_folder() is None or (os.cpu_count() or 1) < 2:
+        return
+    quiet = subprocess.DEVNULL
+    other = subprocess.Popen([sys.executable, "-m", __name__], stdin=quiet, stdout=quiet, stderr=quiet)
+    try:
+        call_control_blocks()
+        other.wait()
+    finally:
+        other.kill()
+
+
+def call_control_blocks() -> None:
+    """Call what stands before the plant: reference, measurement, velocity command, torque, guard."""
+    layout = Layout(base=2, arm=1, full=4, motors=3)
+    row, at, p = layout.new_row(), layout.offsets, layout.dof
+    controller, wiring = Neural(), Wiring(layout, 0.001, 1)
+    numbers, memory = controller.law(wiring), controller.init(wiring)
+    reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
+    y, arm = np.zeros(layout.full + p + 1), np.array([3])
+    before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
+    law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values)
+    after_torque(row, at, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
+
+
+def call_plant_blocks() -> None:
+    """Call the dynamics, the integrators and what sums up the rows."""
+    robot = load("platform_arm")
+    layout, body = robot.layout, body_of(robot)
+    work, nv, p = new_work(body), layout.full, layout.dof
+    row, y, nu = layout.new_row(), np.concatenate((robot.neutral_position(), np.zeros(p + 1))), np.zeros(p)
+    as_measured(row, layout.offsets, body.arm, body.base, y)
+    evaluate(body, work, y[:nv], y[nv : nv + p])
+    psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
+    potential_energy(body.tree, y[:nv], work.scratch)
+    quadratic(work.M, nu)
+    sensing = Sensor(delay=1).on(robot, 0.001)
+    noise = sensing.noise(1, np.random.default_rng(0))[0]
+    measure(row, layout.offsets, y[:nv], nu, sensing.encoders, sensing.W, sensing.numbers, noise, sensing.init())
+    derivative(y, work.v, work.M, work.h, work.F, nu, body.base, work.L, work.rest, work.ydot)
+    euler(
+        0, 0.001, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry, body.viscous, nu, body.base,
+        work.L, work.rest, work.grip, y, work.ydot,
+    )  # fmt: skip
+    rk4_stage(0, 0.001, y, work.ydot, work.total, work.trial)
+    sums, windows = np.zeros(1), np.zeros((1, 2))
+    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
+
+
+if __name__ == "__main__":
+    call_plant_blocks()
