@@ -21,6 +21,7 @@ import numpy as np
 
 ROOT = Path(__file__).parent.parent
 WORDS = ["0", "-1", "1e400", "1e300", "1e-300", "nan", "inf", "1,5", "1.5kg", "${m}"]
+WORDS += ["2 ", " 2", "2\t", "&#160;2"]
 WORDS += ["0x10", "-0", "1e9", "1e-9", "90", "3.14159", "1_0"]
 TYPES = ["revolute", "continuous", "prismatic", "fixed", "floating", "planar", "spherical"]
 INERTIAL = '<inertial><mass value="1"/><inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial>'

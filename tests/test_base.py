@@ -96,7 +96,7 @@ def test_rims_slip_only_across_the_rollers(lx, ly, roller, seed):
 def test_omni_wheels_on_crossed_axles_need_no_hint(turn, distance, seed):
     angles = turn + np.arange(3) * 2 * np.pi / 3
     robot = robot_of(three(angles, distance))
-    assert robot.base.kind == "holonomic" and "base-roller" in [f.code for f in robot.findings]
+    assert robot.base.kind == "holonomic" and "base-omni" in [f.code for f in robot.findings]
     vx, vy, w = nu = np.random.default_rng(seed).normal(size=3)
     rates = dict(zip(robot.full_velocity_names, robot.T[:, :3] @ nu, strict=True))
     for i, a in enumerate(angles):  # the axle points outward: a positive turn rolls the wheel clockwise
@@ -116,9 +116,12 @@ def test_the_mass_of_a_holonomic_base_feels_its_wheels_spin():
 # --- Four parallel wheels: what decides -------------------------------------------------------------------------------
 
 
-def friction(mu1, mu2, fdir="") -> str:
-    tags = f"<mu1>{mu1}</mu1><mu2>{mu2}</mu2>" + (f"<fdir1>{fdir}</fdir1>" if fdir else "")
-    return "".join(f'<gazebo reference="{name}_link">{tags}</gazebo>' for name in CORNERS)
+def friction(mu1, mu2, fdirs=(), attribute="") -> str:
+    tags = f"<mu1>{mu1}</mu1><mu2>{mu2}</mu2>"
+    more = [f"<fdir1{attribute}>{fdir}</fdir1>" for fdir in fdirs] or [""] * 4
+    return "".join(
+        f'<gazebo reference="{name}_link">{tags}{fdir}</gazebo>' for name, fdir in zip(CORNERS, more, strict=True)
+    )
 
 
 def commanded(*names) -> str:
@@ -131,7 +134,7 @@ def commanded(*names) -> str:
     (MOVE, "planar_move"),
     ('<gazebo><plugin name="mecanum_controller" filename="x.so"/></gazebo>', "mecanum"),
     (friction(0, 0), "contact friction is 0"),
-    (friction(1, 0, "1 -1 0"), "oblique"),
+    (friction(1, 0, ["1 -1 0", "1 1 0", "1 1 0", "1 -1 0"]), "oblique"),
 ])  # fmt: skip
 def test_evidence_for_mecanum_wheels_is_cited(more, words):
     robot = robot_of(four(more=more))

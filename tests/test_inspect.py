@@ -201,3 +201,41 @@ def test_legged_machines_humanoids_and_drones_are_refused_by_that_name(name, mac
     with pytest.raises(RobotError) as error:
         load(robot_data() / name)
     assert isinstance(error.value, Unsupported) and error.value.machine == machine
+
+
+@pytest.mark.parametrize("command", ["inspect", "model", "check"])
+@pytest.mark.parametrize("robot", ["/", "x" * 5000, "y" * 300 + ".urdf", "a\0b.urdf", "/proc/self/mem", "."])
+def test_paths_that_are_no_file_are_bad_input_in_one_line(call, command, robot):
+    code, _, err = call(command, robot)
+    assert code == 2 and err.count("\n") == 1 and "should not happen" not in err and "error: " in err
+
+
+@pytest.mark.parametrize("command", ["inspect", "model", "check"])
+def test_every_command_tells_all_errors(call, command):
+    text = Drive().urdf().replace('value="1.0"', 'value="1,0"').replace('upper="2"', 'upper="x"')
+    code, _, err = call(command, written(text))
+    assert code == 2 and err.count(" error: ") == err.count("\n") == 2
+    _, out, _ = call(command, "r.urdf", "--json")
+    found = json.loads(out)
+    told = [f for f in found["findings"] if f["severity"] == "error"] if command == "inspect" else found["errors"]
+    assert len(told) == 2
+
+
+def test_names_steer_no_terminal(call):
+    """Control characters, line breaks and bidirectional overrides in names."""
+    odd = "e&#155;2J&#10;l&#8238;bow"
+    code, out, err = call("inspect", written(Drive().urdf().replace('"elbow"', f'"{odd}"')))
+    assert code == 0 and not [c for c in out if not c.isprintable() and c != "\n"]
+    row = next(line for line in out.splitlines() if "bow" in line)
+    assert "0.2" in row
+    assert call("model", "r.urdf")[0] == 0
+    code, _, err = call("inspect", "r.urdf", "--wheels", "left,\x9b31mright")
+    assert code == 2 and all(c.isprintable() for c in err.rstrip("\n"))
+
+
+@pytest.mark.parametrize("state", ['{"base_velocity": [1e308, 0]}',
+                                   '{"pose": [1e308, 1e308, 0], "base_velocity": [1e200, 1e200]}'])  # fmt: skip
+def test_states_beyond_a_double_are_bad_input(call, state):
+    Path("s.json").write_text(state)
+    code, _, err = call("model", written(Drive().urdf()), "--at", "s.json", "--json")
+    assert code == 2 and err.count("\n") == 1 and "not finite" in err and "RuntimeWarning" not in err

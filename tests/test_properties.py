@@ -13,19 +13,10 @@ from test_holonomic import mecanum
 from mmnn_pin import load
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.nonholonomy import bracket, involutive_closure, nonholonomy
-from mmnn_pin.model.properties import (
-    PROPERTIES,
-    Report,
-    Terms,
-    annihilation,
-    asymmetry,
-    check_properties,
-    missing_constraints,
-    skewness,
-    smallest_eigenvalue,
-    worse,
-)
+from mmnn_pin.model.properties import PROPERTIES, Report, check_properties, worse
+from mmnn_pin.model.residuals import annihilation, asymmetry, missing_constraints, skewness, smallest_eigenvalue
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.terms import Terms
 from mmnn_pin.model.world_frame import WorldFrame
 from mmnn_pin.signals import Array
 

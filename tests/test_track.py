@@ -30,6 +30,7 @@ from mmnn_pin.torque.controller import Feedback, Wiring
 from mmnn_pin.torque.neural import Neural, Robust, TwoLayer
 
 DURATION = 0.02 if config.DISABLE_JIT else 1.5
+CONTROLLERS = {"two_layer", "pd", "pd_effective", "computed_torque"}
 DATA = os.environ.get("EXAMPLE_ROBOT_DATA")
 
 
@@ -238,13 +239,13 @@ def require_torques(found: dict, motors: int) -> None:
     limits = found["comparison"]["torque_limits"]
     assert len(limits) == motors
     for row in limits:
-        assert set(row["peak"]) == {"two_layer", "pd"}
+        assert set(row["peak"]) == CONTROLLERS
         assert row["limit"] is None or max(row["peak"].values()) <= row["limit"], row
 
 
 def test_track_runs_by_default_on_platform_arm(capsys, tmp_path):
     found = run_track(capsys, tmp_path / "runs")
-    assert found["robot"] == "platform_arm" and set(found["runs"]) == {"two_layer", "pd"}
+    assert found["robot"] == "platform_arm" and set(found["runs"]) == CONTROLLERS
     require_torques(found, 4)
     code = main(["run", "track", "--out", str(tmp_path / "more"), "--set", "time.duration=0.02"])
     out = capsys.readouterr().out
@@ -270,4 +271,4 @@ def test_track_runs_on_tiago(capsys, tmp_path):
     require_torques(found, len(found["comparison"]["torque_limits"]))
     if not config.DISABLE_JIT:
         error = {name: run["metrics"]["e.arm_7_joint.peak"] for name, run in found["runs"].items()}
-        assert error["two_layer"] < 0.5 * error["pd"]
+        assert error["computed_torque"] < error["two_layer"] < 0.5 * min(error["pd"], error["pd_effective"])

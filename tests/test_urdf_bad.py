@@ -4,12 +4,19 @@ from __future__ import annotations
 
 import os
 import re
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
+import pinocchio as pin
 import pytest
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import load
 from mmnn_pin.model.audit.tags import one_edit
+from mmnn_pin.model.build import pinocchio_model
+from mmnn_pin.model.robot import build
 from mmnn_pin.model.urdf import Finding, audit_data, number_problem, parse, read
 
 GOOD = """\
@@ -266,8 +273,88 @@ def test_too_many_joints_or_links_are_refused_before_pinocchio_sees_them(count, 
     assert [(f.code, f.line) for f in found if what in str(f)] == [("too-many", 1)]
 
 
-def test_an_endless_file_is_refused():
+def test_far_too_large_files_are_refused_without_looking_further():
+    links = "".join(f'<link name="l{i}"/>' for i in range(5000)) + "".join(
+        joint(f"j{i}", f"l{i}", f"l{i + 1}", "fixed") for i in range(4999)
+    )
+    started = time.process_time()
+    found = audit_data(f'<robot name="r">{links}</robot>'.encode(), "r.urdf")[1]
+    assert [f.code for f in found] == ["too-many"] and time.process_time() - started < 2
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "r.urdf")
+    with pytest.raises(RobotError, match="not a regular file"):
+        read(tmp_path / "r.urdf")
+
+
+BLANKS = (" ", "  ", "&#9;", "&#10;", "&#13;", "&#160;", "&#8195;")
+
+
+@pytest.mark.parametrize("blank", BLANKS)
+@pytest.mark.parametrize("where", ["before", "after", "both"])
+def test_blanks_around_numbers_lose_nothing(where, blank):
+    """Pinocchio's parser drops a whole <inertial> over a blank after its mass, and refuses limits and multipliers."""
+
+    def spaced(match: re.Match[str]) -> str:
+        words = match[2].replace(" ", blank)
+        return f'{match[1]}="{blank * (where != "after")}{words}{blank * (where != "before")}"'
+
+    keys = "value|xyz|rpy|i[xyz]{2}|lower|upper|effort|velocity|damping|friction|multiplier|offset"
+    slave = joint("slave", "rod", "tip").replace(
+        "</joint>", '<mimic joint="hinge" multiplier="2" offset="0.5"/></joint>'
+    )
+    text = GOOD.replace(*end(LINK + slave))
+    blown = re.sub(rf'({keys})="([^"]*)"', spaced, text)
+    assert blown != text
+    plain, robot = (build(parse(t.encode(), "r.urdf")) for t in (text, blown))
+    assert plain.model.nv == robot.model.nv == 2 and robot.arm.slaves == plain.arm.slaves
+    for a, b in zip(plain.model.inertias, robot.model.inertias, strict=True):
+        assert a.mass == b.mass and (a.lever == b.lever).all() and (a.inertia == b.inertia).all()
+    assert sum(body.mass for body in robot.model.inertias) == pytest.approx(2.5)
+    assert (robot.effort_limits == plain.effort_limits).all() and (robot.upper == plain.upper).all()
+
+
+def test_what_pinocchio_prints_is_captured_and_attached_in_every_thread(capfd, monkeypatch):
+    """Its file descriptor is redirected under a lock: no thread sees another's text, and nothing reaches the user."""
+    names, parser = [f"ghost_{i}" for i in range(16)], pin.buildModelFromXML
+
+    def slow(*arguments):
+        time.sleep(1e-3)  # lets the others run
+        return parser(*arguments)
+
+    def told(name: str) -> str:
+        document = parse(GOOD.encode(), "r.urdf")
+        broken = replace(document, text=document.text.replace('child link="rod"', f'child link="{name}"'))
+        with pytest.raises(RobotError, match="Pinocchio cannot build the model") as error:
+            pinocchio_model(broken, mobile=False)
+        return error.value.why
+
+    monkeypatch.setattr(pin, "buildModelFromXML", slow)
+    with ThreadPoolExecutor(8) as pool:
+        whys = list(pool.map(told, names))
+    for name, why in zip(names, whys, strict=True):
+        assert f"[{name}]" in why and not [other for other in names if other != name and f"[{other}]" in why]
+    print("still here", file=sys.stderr)
+    assert capfd.readouterr().err == "still here\n"
+
+
+def test_a_mass_that_pinocchio_loses_is_told():
+    """Should its parser drop an inertial for a reason that the audit does not know."""
+    document = parse(GOOD.replace(*end(LINK + joint("t", "rod", "tip", "fixed"))).encode(), "r.urdf")
+    lossy = replace(document, text=document.text.replace('value="1.5"', 'value="1.5 "'))
+    with pytest.raises(RobotError, match=r"has 1 kg where the file states 2.5 kg.*Could not parse inertial") as error:
+        pinocchio_model(lossy, mobile=False)
+    assert "\n" not in str(error.value)
+
+
+def test_a_huge_file_and_an_endless_one_are_refused(tmp_path):
+    with (tmp_path / "huge.urdf").open("wb") as file:
+        file.truncate(50_000_001)
     with pytest.raises(RobotError, match="more than 50 MB"):
+        read(tmp_path / "huge.urdf")
+    with pytest.raises(RobotError, match="not a regular file"):
         read("/dev/zero")
 
 

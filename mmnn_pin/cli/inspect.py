@@ -30,6 +30,7 @@ def inspect(robot: str, said: dict[str, Any], as_json: bool) -> int:
     stand in NAME.mmnn.toml beside NAME.urdf too. Exit code 2 when the robot cannot be used or its base is undecided.
     """
     from ..model.inspection import inspection_of, refusal_of
+    from ..model.overrides import Overrides
     from ..model.robot import load
     from ..model.robots import find
     from ..show.inspection import inspection_text, refusal_text
@@ -38,7 +39,7 @@ def inspect(robot: str, said: dict[str, Any], as_json: bool) -> int:
         content, code = inspection_of(load(robot, **said)), DONE
     except RobotError as error:
         path = find(robot)
-        content, code = refusal_of(error, path, said["strict"], said["package_dirs"]), BAD_INPUT
+        content, code = refusal_of(error, path, Overrides(**said)), BAD_INPUT
     for finding in content["findings"]:
         if finding["severity"] == "error":
             click.echo(finding["text"], err=True)

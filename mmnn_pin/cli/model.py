@@ -26,8 +26,9 @@ from .output import DONE, say, say_json
 def model(robot: str, state: Path | None, said: dict[str, Any], as_json: bool) -> int:
     """Print the reduced model of ROBOT at one state: M, C, gravity, friction, T, A, E with names.
 
-    ROBOT is a bundled name or the path of a URDF file. STATE.json has the keys pose [x, y, phi], base_velocity [v, w],
-    joints {name: rad or m}, joint_velocities {name: rad/s or m/s}; what is left out is at rest and zero.
+    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. STATE.json has the keys
+    pose [x, y, phi], base_velocity [v, w], joints {name: rad or m}, joint_velocities {name: rad/s or m/s}; what is left
+    out is at rest and zero.
     """
     from ..model.robot import load
     from ..model.state import NamedState, model_at, read_state

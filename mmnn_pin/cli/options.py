@@ -19,13 +19,14 @@ def shared(function: F) -> F:
 
 
 def understanding(function: F) -> F:
-    """Add the options that say what a robot is; the command gets them as `said`, arguments of `model.robot.load`."""
+    """Add the options that say what a robot is; the command gets what was said as `said`, keys of `Overrides`."""
 
     @functools.wraps(function)
     def gathered(*args: Any, **kwargs: Any) -> Any:
-        said = {name: kwargs.pop(name) for name in SAID}
-        if said["wheels"] is not None:
-            said["wheels"] = [name.strip() for name in said["wheels"].split(",")]
+        given = {name: kwargs.pop(name) for name in SAID}
+        if given["wheels"] is not None:
+            given["wheels"] = tuple(name.strip() for name in given["wheels"].split(","))
+        said = {name: value for name, value in given.items() if value not in (None, (), False)}
         return function(*args, said=said, **kwargs)
 
     for option in reversed(ROBOT_OPTIONS):

@@ -63,7 +63,7 @@ def choose_arm(rest: AtRest, base: Base, said: Overrides) -> Arm:
     document, slaves, wheels = rest.document, slaves_of(rest.document), {wheel.joint for wheel in base.wheels}
     moving = [joint for joint in document.joints.values() if joint.moves and joint.name not in wheels]
     reasons = dict.fromkeys(base.locked, WHY["base"])
-    reasons |= dict.fromkeys(user_locks(rest, said, wheels), WHY["user"])
+    reasons |= dict.fromkeys(user_locks(rest, said, wheels, base.locked), WHY["user"])
     own = [j.name for j in moving if j.name not in reasons and j.name not in slaves]
     reasons |= unwanted(rest, own, slaves, said)
     locked = {}
@@ -81,12 +81,12 @@ def choose_arm(rest: AtRest, base: Base, said: Overrides) -> Arm:
     return Arm(arm, {name: locked[name] for name in in_file}, {name: reasons[name] for name in in_file}, following)
 
 
-def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str]) -> list[str]:
+def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str], held: Iterable[str]) -> list[str]:
     """Joints that the user locks.
 
     Raises:
         UnknownName: A joint that the robot does not have.
-        ConfigError: A drive wheel.
+        ConfigError: A lock on a drive wheel; a joint freed that stands or moves with something else.
     """
     names = [joint.name for joint in rest.document.joints.values() if joint.moves]
     for name in said.locks:
@@ -98,6 +98,9 @@ def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str]) -> list[str
     for name in said.free:
         if name not in names and name != "all":
             raise UnknownName("joint", name, ["all", *names], file=rest.document.path, key="free")
+        if name in (*wheels, *held, *slaves_of(rest.document)):
+            why = "it is part of the base" if name in (*wheels, *held) else "it follows another joint"
+            raise ConfigError(f"'{name}' cannot be freed", why=why, fix="leave it out", key="free")
     return list(said.locks)
 
 

@@ -25,6 +25,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from mmnn_pin.errors import RobotError
+from mmnn_pin.model.audit.finding import Finding
 from mmnn_pin.signals import Array
 
 Kind = Literal["differential_drive", "holonomic", "fixed"]
@@ -177,3 +178,16 @@ class Base:
     def rolling_rows(self) -> Array:
         """(number of wheels, 3) speed of each wheel's rim from the root's planar velocity."""
         return np.array([w.grip @ self.to_control for w in self.wheels]).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Understood:
+    """A base, and what was noticed on the way.
+
+    Attributes:
+        base: The base.
+        findings: Warnings and notes.
+    """
+
+    base: Base
+    findings: tuple[Finding, ...] = ()

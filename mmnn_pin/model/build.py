@@ -7,6 +7,7 @@ mimic joints are joints of their own.
 from __future__ import annotations
 
 import copy
+import math
 import os
 import sys
 import tempfile
@@ -39,11 +40,11 @@ def welded(document: Document) -> tuple[Document, tuple[str, ...]]:
     return replace(document, root=root, text=etree.tostring(root, encoding="unicode")), names
 
 
-def pinocchio_model(document: Document, mobile: bool) -> pin.Model:
-    """Full Pinocchio model, on a planar root joint for a mobile base.
+def pinocchio_model(document: Document, mobile: bool) -> tuple[pin.Model, str]:
+    """Full Pinocchio model, on a planar root joint for a mobile base, and what its parser printed.
 
     Raises:
-        RobotError: Pinocchio refuses the file; what it printed is attached.
+        RobotError: Pinocchio refuses the file, or loses a mass of it; what it printed is attached.
     """
     root_name = "root_joint"
     while root_name in document.joints:
@@ -55,8 +56,12 @@ def pinocchio_model(document: Document, mobile: bool) -> pin.Model:
     except (ValueError, RuntimeError) as error:
         why = " ".join(" ".join([*printed, str(error)]).split())
         raise RobotError("Pinocchio cannot build the model", why=why, file=document.path) from None
-    model.name = document.path.stem
-    return model
+    model.name, told = document.path.stem, " ".join(" ".join(printed).split())
+    stated, taken = document.mass, sum(body.mass for body in model.inertias)
+    if not math.isclose(stated, taken, rel_tol=1e-9):
+        what = f"Pinocchio's model has {taken:.6g} kg where the file states {stated:.6g} kg"
+        raise RobotError(what, why=told or "it lost an <inertial>", file=document.path)
+    return model, told
 
 
 @contextmanager

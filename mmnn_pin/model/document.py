@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from mmnn_pin.model.audit.finding import Finding
 from mmnn_pin.model.audit.reading import number, numbers
 from mmnn_pin.signals import Array
 
+KEPT = ("links", "joints", "children", "carrier")  # properties of a tree that are read out once
 TEN_TURNS = 20 * math.pi  # a revolute joint with more travel than this [rad] counts as unlimited
 
 
@@ -69,16 +70,16 @@ class Joint:
     @classmethod
     def of(cls, element: etree._Element) -> Joint:
         """Joint of an audited `<joint>` element."""
-        kind, limit, dynamics = element.get("type"), element.find("limit"), element.find("dynamics")
+        parts = {part.tag: part for part in reversed(element)}  # of several the first one counts
+        kind, limit, dynamics, mimic = element.get("type"), *map(parts.get, ("limit", "dynamics", "mimic"))
         limited = kind in ("revolute", "prismatic")
-        mimic = element.find("mimic")
-        axis = numbers(element.find("axis"), "xyz", (1.0, 0.0, 0.0))
+        axis = numbers(parts.get("axis"), "xyz", (1.0, 0.0, 0.0))
         return cls(
             name=element.get("name"),
             type=kind,
-            parent=element.find("parent").get("link"),
-            child=element.find("child").get("link"),
-            origin=placement(element.find("origin")),
+            parent=parts["parent"].get("link"),
+            child=parts["child"].get("link"),
+            origin=placement(parts.get("origin")),
             axis=np.array(axis) / (math.hypot(*axis) or 1.0),
             lower=number(limit, "lower", 0.0) if limited else -math.inf,
             upper=number(limit, "upper", 0.0) if limited else math.inf,
@@ -91,22 +92,14 @@ class Joint:
 
 
 @dataclass(frozen=True, eq=False)
-class Document:
-    """A URDF that passed the audit.
+class Tree:
+    """Links and joints of a `<robot>` element whose names and ends are sound.
 
     Attributes:
-        path: File it came from.
-        text: The XML that Pinocchio reads.
-        sha256: Hash of the file's bytes.
-        root: The `<robot>` element.
-        findings: What the audit has to say about it, warnings and notes.
+        root: The element.
     """
 
-    path: Path
-    text: str
-    sha256: str
     root: etree._Element
-    findings: tuple[Finding, ...] = field(default=())
 
     @cached_property
     def links(self) -> dict[str, etree._Element]:
@@ -136,6 +129,11 @@ class Document:
         """The link that no joint carries."""
         return next(link for link in self.links if link not in self.carrier)
 
+    @property
+    def mass(self) -> float:
+        """Mass of all links [kg]."""
+        return math.fsum(number(link.find("inertial/mass"), "value", 0.0) for link in self.links.values())
+
     def body(self, link: str) -> list[str]:
         """Links of the moving body that starts at a link: itself and everything fixed to it."""
         links = [link]
@@ -157,15 +155,42 @@ class Document:
         return joints
 
 
+@dataclass(frozen=True, eq=False)
+class Document(Tree):
+    """A URDF that passed the audit.
+
+    Attributes:
+        path: File it came from.
+        text: The XML that Pinocchio reads.
+        sha256: Hash of the file's bytes.
+        findings: What the audit has to say about it, warnings and notes.
+    """
+
+    path: Path
+    text: str
+    sha256: str
+    findings: tuple[Finding, ...] = field(default=())
+
+    @classmethod
+    def of(cls, tree: Tree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:
+        """Document of an audited tree, which keeps what has been read out of it."""
+        document = cls(tree.root, path, etree.tostring(tree.root, encoding="unicode"), sha256, findings)
+        vars(document).update({name: value for name, value in vars(tree).items() if name in KEPT})
+        return document
+
+
 def placement(origin: etree._Element | None) -> Array:
     """(4, 4) transform of an `<origin>`: roll, pitch, yaw about fixed axes, then the offset."""
-    roll, pitch, yaw = numbers(origin, "rpy")
-    x, y, z = numbers(origin, "xyz")
-    if not (roll or pitch or yaw):
-        return np.array([[1.0, 0.0, 0.0, x], [0.0, 1.0, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]])
+    return transform(numbers(origin, "xyz"), numbers(origin, "rpy"))
+
+
+@lru_cache(maxsize=8192)
+def transform(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Array:
+    """(4, 4) transform of an offset and angles, read-only: the same origins are asked for again and again."""
+    (x, y, z), (roll, pitch, yaw) = xyz, rpy
     cr, cp, cy = math.cos(roll), math.cos(pitch), math.cos(yaw)
     sr, sp, sy = math.sin(roll), math.sin(pitch), math.sin(yaw)
-    return np.array(
+    matrix = np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, x],
             [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr, y],
@@ -173,3 +198,5 @@ def placement(origin: etree._Element | None) -> Array:
             [0.0, 0.0, 0.0, 1.0],
         ]
     )
+    matrix.flags.writeable = False
+    return matrix

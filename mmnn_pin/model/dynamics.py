@@ -31,7 +31,7 @@ class Dynamics:
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
         # Writable copies: compiled code exists once for these, not again for read-only arrays.
         self.T, self.q_index, self.is_continuous = robot.T.copy(), robot.q_index.copy(), robot.is_continuous.copy()
-        self.damping, self.coulomb, self.viscous = robot.damping.copy(), robot.coulomb.copy(), robot.viscous.copy()
+        self.damping, self.dry, self.viscous = robot.damping.copy(), robot.dry, robot.viscous.copy()
         # Views of Pinocchio's own memory; M is symmetric, its transpose is contiguous row by row.
         self.M_full, self.C_full, self.h_full, self.g_full = self.data.M.T, self.data.C, self.data.nle, self.data.g
         self.M, self.L, self.half = np.zeros((p, p)), np.zeros((p, p)), np.zeros((model.nv, p))
@@ -110,7 +110,7 @@ class Dynamics:
         return out
 
     def _joint_friction(self, v: Array) -> Array:
-        return self.robot.damping * v + self.robot.coulomb * np.tanh(v / reduction.COULOMB_SPEED)
+        return self.robot.damping * v + self.robot.dry_friction(v) * np.tanh(v / reduction.COULOMB_SPEED)
 
     # -- for loops: results stay in the workspace ------------------------------------------------------------------
 
@@ -120,7 +120,7 @@ class Dynamics:
         pin.crba(self.model, self.data, self.q)
         pin.nonLinearEffects(self.model, self.data, self.q, self.v)
         reduction.reduced_terms(
-            self.T, self.M_full, self.h_full, self.v, nu, self.damping, self.coulomb, self.viscous, self.half,
+            self.T, self.M_full, self.h_full, self.v, nu, self.damping, self.dry, self.viscous, self.half,
             self.M, self.h, self.F,
         )  # fmt: skip
 

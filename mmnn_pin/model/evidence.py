@@ -1,7 +1,8 @@
 """What a file says about its base beside its geometry: rollers, contact friction, plugins, controllers, names.
 
 Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
-for one of `holonomic` and `skid-steer`, and says where it stands. Names only confirm what another piece says.
+for one of `holonomic` and `skid-steer`, and says where it stands. Names and transmissions only confirm what another
+piece says.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 from lxml import etree
 
-from mmnn_pin.model.shapes import AtRest
+from mmnn_pin.model.shapes import HORIZONTAL, AtRest
 from mmnn_pin.model.urdf import number_problem
 from mmnn_pin.model.wheels import Candidate
+from mmnn_pin.signals import Array
 
 Meaning = Literal["holonomic", "skid-steer"]
 WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
@@ -34,14 +37,16 @@ class Evidence:
         meaning: What it speaks for.
         text: What it is, with its line in the file.
         line: That line.
-        decides: Whether it can decide; names only confirm.
-        roller: Magnitude of the roller angle that it states [rad], nan when it states none.
+        decides: Whether it can decide; names and transmissions only confirm.
+        wheel: Joint of the wheel that it is about, empty for all.
+        roller: Roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none.
     """
 
     meaning: Meaning
     text: str
     line: int
     decides: bool = True
+    wheel: str = ""
     roller: float = math.nan
 
 
@@ -52,6 +57,7 @@ def evidence(rest: AtRest, wheels: list[Candidate]) -> list[Evidence]:
         *plugins(rest),
         *commands(rest, wheels),
         *contact(rest, wheels),
+        *transmissions(rest, wheels),
         *names(rest, wheels),
     ]
 
@@ -62,19 +68,28 @@ def verdict(found: list[Evidence]) -> Meaning | None:
     return meanings.pop() if len(meanings) == 1 else None
 
 
+def stated_rollers(found: list[Evidence]) -> dict[str, float]:
+    """Roller angle of every wheel whose angle a piece states [rad]."""
+    return {piece.wheel: piece.roller for piece in found if not math.isnan(piece.roller)}
+
+
 def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     """Rollers modelled as joints on the wheels."""
     for wheel in wheels:
         if wheel.rollers:
-            angle = abs(roller_angle(rest, wheel))
-            text = f"'{wheel.joint.name}' carries {len(wheel.rollers)} rollers at {math.degrees(angle):.0f} degrees"
-            yield Evidence("holonomic", f"{text} (line {wheel.joint.line})", wheel.joint.line, roller=angle)
+            name, line, angle = wheel.joint.name, wheel.joint.line, roller_angle(rest, wheel)
+            text = f"'{name}' carries {len(wheel.rollers)} rollers at {math.degrees(abs(angle)):.0f} degrees"
+            yield Evidence("holonomic", f"{text} (line {line})", line, wheel=name, roller=angle)
 
 
 def roller_angle(rest: AtRest, wheel: Candidate) -> float:
     """Angle of the roller on the floor from the rolling direction, counterclockwise from above, in (-pi/2, pi/2]."""
     joints = [rest.document.joints[name] for name in wheel.rollers]
-    axis = rest.axis(min(joints, key=lambda joint: rest.hub(joint)[2]))
+    return from_rolling(wheel, rest.axis(min(joints, key=lambda joint: rest.hub(joint)[2])))
+
+
+def from_rolling(wheel: Candidate, axis: Array) -> float:
+    """Angle of a line on the floor from a wheel's rolling direction, counterclockwise from above [rad]."""
     forward = (wheel.axis[1], -wheel.axis[0])
     angle = math.atan2(forward[0] * axis[1] - forward[1] * axis[0], forward[0] * axis[0] + forward[1] * axis[1])
     return math.remainder(angle, math.pi)
@@ -101,7 +116,7 @@ def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
         lines[joint.get("name", "")] = joint.sourceline
     told = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
     driven = [name for name, commanded in told.items() if commanded]
-    if len(told) == len(wheels) and 0 < len(driven) < len(wheels):
+    if 0 < len(driven) < len(wheels):
         text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
         yield Evidence("skid-steer", text, lines[driven[0]])
 
@@ -114,10 +129,12 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
             continue
         mu1, mu2 = coefficient(block, "mu1"), coefficient(block, "mu2")
         where = f"of '{block.get('reference')}' (line {block.sourceline})"
-        oblique = oblique_angle(block)
-        if mu1 > GRIP and mu2 < NO_FRICTION and not math.isnan(oblique):
+        wheel, along = links[block.get("reference")], friction_direction(rest, block)
+        if mu1 > GRIP and mu2 < NO_FRICTION and is_oblique(along, wheel):
             text = f"contact friction holds only along an oblique direction {where}"
-            yield Evidence("holonomic", text, block.sourceline, roller=oblique)
+            level = abs(along[2]) <= HORIZONTAL * np.linalg.norm(along)
+            roller = from_rolling(wheel, along) if level else math.nan
+            yield Evidence("holonomic", text, block.sourceline, wheel=wheel.joint.name, roller=roller)
         elif mu1 < NO_FRICTION and mu2 < NO_FRICTION:
             yield Evidence("holonomic", f"contact friction is 0 {where}", block.sourceline)
         elif mu1 > GRIP and mu2 > GRIP:
@@ -132,14 +149,33 @@ def coefficient(block: etree._Element, tag: str) -> float:
     return math.nan if number_problem(text or "", 1) else float(text or "nan")
 
 
-def oblique_angle(block: etree._Element) -> float:
-    """Angle of the friction direction `fdir1` from the rolling direction, nan when it is not oblique [rad]."""
+def friction_direction(rest: AtRest, block: etree._Element) -> Array:
+    """(3,) friction direction `fdir1` in the root frame at rest, zero when none is stated.
+
+    It is in the frame of the link, or of the link that an attribute `expressed_in` names.
+    """
     element = block.find(".//fdir1")
     text = None if element is None else element.text
-    if number_problem(text or "", 3):
-        return math.nan
-    along, *rest = sorted((abs(float(word)) for word in (text or "").split()), reverse=True)
-    return math.atan2(rest[0], along) if along > 0 and rest[0] > 0.1 * along else math.nan
+    if element is None or number_problem(text or "", 3):
+        return np.zeros(3)
+    named = [value for key, value in element.attrib.items() if key.endswith("expressed_in")]
+    frame = rest.placements.get([*named, block.get("reference", "")][0], np.eye(4))
+    return np.asarray(frame[:3, :3] @ [float(word) for word in (text or "").split()])
+
+
+def is_oblique(direction: Array, wheel: Candidate) -> bool:
+    """Whether a direction has a part along a wheel's axle and one across it."""
+    size = float(np.linalg.norm(direction))
+    return size > 0 and 0.1 < abs(float(direction @ wheel.axis)) / size < 0.995
+
+
+def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Transmissions of some of the wheels only: the others have no motor; they only confirm."""
+    named = {e.get("name"): e.sourceline for e in rest.document.root.iterfind("transmission/joint")}
+    driven = [wheel.joint.name for wheel in wheels if wheel.joint.name in named]
+    if 0 < len(driven) < len(wheels):
+        line = named[driven[0]]
+        yield Evidence("skid-steer", f"transmissions only of {', '.join(driven)} (line {line})", line, decides=False)
 
 
 def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:

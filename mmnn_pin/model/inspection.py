@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.base import Base, Reading, Undecided, Unsupported
+from mmnn_pin.model.overrides import Overrides, folders_of, said_of
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.model.robots import package_dirs_of
 from mmnn_pin.model.urdf import AuditError, Finding, audit_file
 
 
@@ -30,9 +29,9 @@ def inspection_of(robot: Robot) -> dict[str, Any]:
     }
 
 
-def refusal_of(error: RobotError, path: Path, strict: bool, package_dirs: Sequence[str]) -> dict[str, Any]:
+def refusal_of(error: RobotError, path: Path, said: Overrides) -> dict[str, Any]:
     """A robot that was not: what the audit found, and why it was refused."""
-    findings = list(error.findings) if isinstance(error, AuditError) else audited(path, strict, package_dirs)
+    findings = list(error.findings) if isinstance(error, AuditError) else audited(path, said)
     if not isinstance(error, AuditError):
         code = {Undecided: "base-undecided", Unsupported: "base-unsupported"}.get(type(error), "robot")
         file = str(error.file or path)
@@ -45,7 +44,7 @@ def refusal_of(error: RobotError, path: Path, strict: bool, package_dirs: Sequen
         base = {"kind": "unsupported", "machine": error.machine}
     return {
         "file": str(path),
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None,
+        "sha256": hash_of(path),
         "ok": False,
         "findings": [as_dict(finding) for finding in findings],
         "base": base,
@@ -55,9 +54,18 @@ def refusal_of(error: RobotError, path: Path, strict: bool, package_dirs: Sequen
     }
 
 
-def audited(path: Path, strict: bool, package_dirs: Sequence[str]) -> list[Finding]:
-    """What the audit has to say about a file that it accepts."""
-    return list(audit_file(path, strict, (*package_dirs, *package_dirs_of(path)))[1])
+def hash_of(path: Path) -> str | None:
+    """Hash of a file, None where it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else None
+    except OSError:
+        return None
+
+
+def audited(path: Path, said: Overrides) -> list[Finding]:
+    """What there is to say about a file that the audit accepts, beside what the robot was refused for."""
+    said, notes = said_of(path, said)
+    return [*audit_file(path, said.strict, folders_of(path, said))[1], *notes]
 
 
 def as_dict(finding: Finding) -> dict[str, Any]:

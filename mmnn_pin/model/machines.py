@@ -59,7 +59,7 @@ def height(rest: AtRest, joint: Joint) -> float:
 
 def lowest(rest: AtRest, link: str) -> float:
     """Height of a link's lowest primitive, inf without any [m]."""
-    return min((shape.lowest for shape in rest.shapes(link)), default=math.inf)
+    return min((shape.lowest for shape in rest.primitives[link]), default=math.inf)
 
 
 def legs(rest: AtRest) -> list[Joint]:
@@ -98,6 +98,6 @@ def rotors(rest: AtRest) -> Iterator[str]:
 
 def is_propeller(rest: AtRest, joint: Joint) -> bool:
     """Whether a joint carries a flat upright cylinder beside the root's middle."""
-    flat = [s for s in rest.shapes(joint.child) if s.kind == "cylinder" and s.half[2] < 0.25 * s.radius]
+    flat = [s for s in rest.primitives[joint.child] if s.kind == "cylinder" and s.half[2] < 0.25 * s.radius]
     beside = [s for s in flat if abs(s.pose[2, 2]) > 0.9 and math.hypot(*rest.hub(joint)[:2]) > 0.5 * s.radius]
     return bool(beside)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..compiled import compiled
 from ..signals import Array, IntArray
 
-# Coulomb friction is `coulomb tanh(speed / COULOMB_SPEED)`: smooth, no sticking. [rad/s or m/s]
+# Dry friction is `level(speed) tanh(speed / COULOMB_SPEED)` where it is a smooth force. [rad/s or m/s]
 COULOMB_SPEED = 0.01
 
 
@@ -80,16 +80,29 @@ def position_rate(position: Array, nu: Array, v: Array, base: int, rate: Array) 
 
 
 @compiled
-def friction(T: Array, v: Array, nu: Array, damping: Array, coulomb: Array, viscous: Array, F: Array) -> None:
+def dry_level(v: float, dry: Array) -> float:
+    """Largest dry friction of a joint at a velocity, `coulomb + (breakaway - coulomb) exp(-(v / vs)^2)` (Stribeck).
+
+    Args:
+        v: Velocity of the joint.
+        dry: (3,) coulomb, breakaway - coulomb [N m or N], Stribeck velocity vs [rad/s or m/s].
+    """
+    if dry[1] == 0.0:
+        return dry[0]
+    return dry[0] + dry[1] * math.exp(-((v / dry[2]) ** 2))
+
+
+@compiled
+def friction(T: Array, v: Array, nu: Array, damping: Array, dry: Array, viscous: Array, F: Array) -> None:
     """Friction of the joints through T and viscous friction on nu, written to F (p,), opposing the motion.
 
-    `F = T' (damping v + coulomb tanh(v / COULOMB_SPEED)) + viscous nu`, v = T nu.
+    `F = T' (damping v + level(v) tanh(v / COULOMB_SPEED)) + viscous nu`, v = T nu, dry (nv, 3) as in `dry_level`.
     """
     for j in range(nu.size):
         F[j] = viscous[j] * nu[j]
     for i in range(v.size):
-        if damping[i] != 0.0 or coulomb[i] != 0.0:
-            f = damping[i] * v[i] + coulomb[i] * math.tanh(v[i] / COULOMB_SPEED)
+        if damping[i] != 0.0 or dry[i, 0] != 0.0:
+            f = damping[i] * v[i] + dry_level(v[i], dry[i]) * math.tanh(v[i] / COULOMB_SPEED)
             for j in range(nu.size):
                 F[j] += T[i, j] * f
 
@@ -131,7 +144,7 @@ def reduced_terms(
     v: Array,
     nu: Array,
     damping: Array,
-    coulomb: Array,
+    dry: Array,
     viscous: Array,
     half: Array,
     M: Array,
@@ -140,7 +153,7 @@ def reduced_terms(
 ) -> None:
     """Reduced mass matrix M, bias `h = T' h_full + F` with `h_full = C_full v + g_full`, and friction F."""
     reduce(T, M_full, half, M)
-    friction(T, v, nu, damping, coulomb, viscous, F)
+    friction(T, v, nu, damping, dry, viscous, F)
     project(T, h_full, h)
     for j in range(nu.size):
         h[j] += F[j]
@@ -191,7 +204,16 @@ def solve(M: Array, b: Array, L: Array, x: Array) -> None:
                 total -= L[i, k] * L[j, k]
             L[i, j] = total / d
     for i in range(p):
-        total = b[i]
+        x[i] = b[i]
+    substitute(L, x)
+
+
+@compiled
+def substitute(L: Array, x: Array) -> None:
+    """`x = (L L')^-1 x` for a lower triangular L (p, p), x (p,) in place."""
+    p = x.size
+    for i in range(p):
+        total = x[i]
         for k in range(i):
             total -= L[i, k] * x[k]
         x[i] = total / L[i, i]

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -24,15 +25,16 @@ from mmnn_pin.model.arm import Arm, choose_arm
 from mmnn_pin.model.base import Base
 from mmnn_pin.model.build import pinocchio_model, welded
 from mmnn_pin.model.maps import constraint_rows, is_pushed, motion_map, motor_map, root_size
-from mmnn_pin.model.overrides import Overrides, beside, read_overrides
-from mmnn_pin.model.robots import bundled, find, package_dirs_of
-from mmnn_pin.model.sanity import require_sane
+from mmnn_pin.model.overrides import Overrides, folders_of, said_of
+from mmnn_pin.model.remarks import arm_notes, printed_notes, settled, weld_notes
+from mmnn_pin.model.robots import bundled, find
+from mmnn_pin.model.sanity import require_finite, require_sane
 from mmnn_pin.model.shapes import AtRest
-from mmnn_pin.model.understanding import find_base, remark
+from mmnn_pin.model.understanding import find_base
 from mmnn_pin.model.urdf import Document, Finding, read
 from mmnn_pin.signals import Array, Layout
 
-__all__ = ["Robot", "build", "bundled", "load"]
+__all__ = ["Robot", "build", "bundled", "load", "load_with"]
 
 ROOT_NAMES = ("root_vx", "root_vy", "root_w")
 PUSHES = ("base_x", "base_y", "base_turn")  # motors of a base without wheels
@@ -72,6 +74,10 @@ class Robot:
         viscous: (p,) further viscous friction, on nu, declared by the user.
         rest: (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits.
         findings: What the audit and the understanding have to say, warnings and notes.
+        said: What was said about it, in the call and beside the file.
+        breakaway: (nv,) ratio of static to Coulomb friction, at least 1.
+        stribeck: Velocity over which the one falls to the other [rad/s or m/s].
+        masses: Factors that `with_masses` put on its bodies, by the joint that carries them.
     """
 
     name: str
@@ -101,6 +107,10 @@ class Robot:
     viscous: Array
     rest: Array
     findings: tuple[Finding, ...] = field(default=())
+    said: Overrides = field(default_factory=Overrides)
+    masses: Mapping[str, float] = field(default_factory=dict)
+    breakaway: Array | float = 1.0
+    stribeck: float = 0.05
 
     @property
     def position_names(self) -> tuple[str, ...]:
@@ -166,9 +176,9 @@ class Robot:
                 raise UnknownName("body", name, names)
             if not (np.isfinite(factor) and factor > 0):
                 raise ConfigError(f"factor {factor} for the mass at '{name}'", fix="give a finite number > 0")
-            body = model.inertias[names[name]]
-            model.inertias[names[name]] = pin.Inertia(body.mass * factor, body.lever, body.inertia * factor)
-        return replace(self, model=model)
+            scale_body(model, names[name], factor)
+        masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
+        return replace(self, model=model, masses=masses)
 
     def with_friction(self, viscous: ArrayLike) -> Robot:
         """The same robot with viscous friction on nu besides that of its joints.
@@ -188,11 +198,83 @@ class Robot:
             )
         return replace(self, viscous=read_only(np.broadcast_to(given, p).copy()))
 
+    def with_joint_friction(
+        self,
+        viscous: float | Sequence[float] | Array = 0.0,
+        coulomb: float | Sequence[float] | Array = 0.0,
+        breakaway: float | Sequence[float] | Array = 1.0,
+        stribeck: float = 0.05,
+    ) -> Robot:
+        """The same robot with more friction in the gears of its arm, beside that of its URDF.
+
+        Args:
+            viscous: One number or (n,) [N m s or N s/m].
+            coulomb: One number or (n,) [N m or N].
+            breakaway: Ratio of static to all Coulomb friction, one number or (n,), at least 1.
+            stribeck: Velocity over which static friction falls to Coulomb friction [rad/s or m/s].
+
+        Raises:
+            ConfigError: A number that is negative or not finite, a ratio below 1, or not one number per joint.
+        """
+        n, at = self.layout.arm, self.arm_index
+        damping, level, ratio = self.damping.copy(), self.coulomb.copy(), np.ones(self.layout.full)
+        for name, given, least in (("viscous", viscous, 0), ("coulomb", coulomb, 0), ("breakaway", breakaway, 1)):
+            values = np.asarray(given, float)
+            if values.shape not in ((), (n,)) or not (np.isfinite(values) & (values >= least)).all():
+                fix = f"give one finite number >= {least}, or {n} of them"
+                raise ConfigError(f"{name} friction {values.tolist()} cannot be used", fix=fix, key=f"friction.{name}")
+        if not (np.isfinite(stribeck) and stribeck > 0):
+            raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
+        damping[at] += np.asarray(viscous, float)
+        level[at] += np.asarray(coulomb, float)
+        ratio[at] = np.asarray(breakaway, float)
+        rough = replace(self, damping=read_only(damping), coulomb=read_only(level), breakaway=read_only(ratio))
+        return replace(rough, stribeck=float(stribeck))
+
+    @property
+    def dry(self) -> Array:
+        """Dry friction of the joints, (nv, 3): Coulomb, static minus Coulomb, Stribeck velocity."""
+        more = self.coulomb * (np.asarray(self.breakaway) - 1.0)
+        return np.column_stack((self.coulomb, more, np.full(self.coulomb.size, self.stribeck)))
+
+    def dry_friction(self, v: Array) -> Array:
+        """Largest dry friction of every joint at its velocity v, (nv,) [N m or N]."""
+        coulomb, more, speed = self.dry.T
+        return coulomb + more * np.exp(-((v / speed) ** 2))
+
+    def facts(self) -> dict[str, Any]:
+        """What a recording should know of it, enough for `recorded_robot` to build it again."""
+        return {
+            "robot": self.name,
+            "urdf": self.urdf,
+            "urdf_file": str(self.path.absolute()),
+            "urdf_sha256": self.sha256,
+            "overrides": self.said.said(),
+            "mass_factors": dict(self.masses),
+            "viscous": self.viscous.tolist(),
+            "joint_friction": {
+                "damping": self.damping.tolist(),
+                "coulomb": self.coulomb.tolist(),
+                "breakaway": np.broadcast_to(self.breakaway, self.coulomb.shape).tolist(),
+                "stribeck": self.stribeck,
+            },
+            "velocity_names": self.velocity_names,
+            "position_names": self.position_names,
+            "actuator_names": self.actuator_names,
+            "effort_limits": self.effort_limits.tolist(),
+        }
+
 
 def bodies_of(model: pin.Model) -> list[str]:
     """Joint that carries each moving body, `root` for a planar base."""
     names = list(model.names)[1:]
     return ["root", *names[1:]] if names and model.joints[1].shortname() == "JointModelPlanar" else names
+
+
+def scale_body(model: pin.Model, joint: int, factor: float) -> None:
+    """Scale the mass and the rotational inertia of the body that a joint carries."""
+    body = model.inertias[joint]
+    model.inertias[joint] = pin.Inertia(body.mass * factor, body.lever, body.inertia * factor)
 
 
 def load(
@@ -238,26 +320,26 @@ def load(
         lock=tuple(lock),
         free=tuple(free),
         arm_tip=arm_tip,
+        package_dirs=tuple(map(str, package_dirs)),
+        strict=strict,
     )
+    return load_with(robot, said)
+
+
+def load_with(robot: str | Path, said: Overrides) -> Robot:
+    """`load` with all that is said in one; arguments and errors as there."""
     path = find(robot)
-    folders = (*package_dirs, *package_dirs_of(path))
-    document = read(path, strict, folders)
-    notes: tuple[Finding, ...] = ()
-    if (file := beside(path)).is_file():
-        said = said.over(read_overrides(file))
-        text = "it says what the loader does not look for"
-        notes = (Finding("note", "overrides", str(file), 1, "", f"overrides of {path.name} are read from here", text),)
-    built = build(document, said, folders)
+    said, notes = said_of(path, said)
+    built = build(read(path, said.strict, folders_of(path, said)), said)
     return replace(built, findings=(*built.findings, *notes))
 
 
-def build(document: Document, said: Overrides | None = None, package_dirs: Sequence[str | Path] = ()) -> Robot:
+def build(document: Document, said: Overrides | None = None) -> Robot:
     """Robot of an audited URDF.
 
     Args:
         document: The URDF.
         said: What the user says about it.
-        package_dirs: Folders that hold the packages of `package://` meshes.
 
     Raises:
         UnknownName: A joint or link that does not exist.
@@ -266,35 +348,16 @@ def build(document: Document, said: Overrides | None = None, package_dirs: Seque
     """
     said = said or Overrides()
     document, welds = welded(document)
-    rest = AtRest(document, tuple(Path(folder) for folder in package_dirs))
+    rest = AtRest(document, folders_of(document.path, said))
     found = find_base(rest, said)
     arm = choose_arm(rest, found.base, said)
-    model = pinocchio_model(document, mobile=found.base.kind != "fixed")
+    model, printed = pinocchio_model(document, mobile=found.base.kind != "fixed")
     require_sane(document, model)
-    findings = (*document.findings, *found.findings, *arm_notes(rest, arm), *weld_notes(rest, welds))
-    return replace(assemble(document, found.base, arm, model), findings=findings)
-
-
-def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
-    """What was locked without being asked to, one note per reason."""
-    notes = []
-    for reason in dict.fromkeys(arm.reasons.values()):
-        names = [name for name, why in arm.reasons.items() if why == reason]
-        if "short branch" in reason:
-            text = f"locked: {', '.join(names)}"
-            line = rest.document.joints[names[0]].line
-            notes.append(
-                remark(rest, "note", "arm-locked", line, "arm", text, reason, "--free JOINT moves one, all all")
-            )
-    return notes
-
-
-def weld_notes(rest: AtRest, names: Sequence[str]) -> list[Finding]:
-    """Planar and floating joints that were welded."""
-    why, fix = "the loader places the robot in the world itself", "none needed, unless it should move in the arm"
-    text = "a planar or floating joint is taken as fixed"
-    lines = {name: rest.document.joints[name].line for name in names}
-    return [remark(rest, "warning", "welded", lines[n], f"joint '{n}'", text, why, fix) for n in names]
+    notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
+    findings = (*document.findings, *settled(found.findings, said.strict), *notes)
+    robot = replace(assemble(document, found.base, arm, model), findings=findings, said=said)
+    require_finite(document, robot)
+    return robot
 
 
 def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robot:

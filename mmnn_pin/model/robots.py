@@ -86,7 +86,7 @@ def find(robot: str | Path) -> Path:
     if isinstance(robot, str) and robot in names:
         return names[robot]
     path = Path(robot)
-    if isinstance(robot, str) and not (path.suffix or os.sep in robot or path.exists()):
+    if isinstance(robot, str) and not (path.suffix or os.sep in robot or os.path.exists(path)):
         if robot in FILES:
             why = "it is a robot of example-robot-data, which is not installed"
             fix = f"pip install 'mmnn_pin[robots]', or set {VARIABLE} to its folder"

@@ -6,12 +6,17 @@ inertia of almost nothing, numbers too far apart for a double) is found here, be
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pinocchio as pin
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.document import Document
 from mmnn_pin.signals import Array
+
+if TYPE_CHECKING:
+    from mmnn_pin.model.robot import Robot
 
 STATES = 8
 SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal
@@ -45,6 +50,30 @@ def require_sane(document: Document, model: pin.Model) -> None:
         acceleration = pin.aba(model, data, q, velocity, still)
         if not np.isfinite(acceleration).all():
             raise blame(document, model, ~np.isfinite(acceleration), "the forward dynamics are not finite")
+
+
+def require_finite(document: Document, robot: Robot) -> None:
+    """Hold the reduced mass matrix and the reduced forces at rest against numbers that are not finite.
+
+    Radii, mimic multipliers and what they multiply enter only there.
+
+    Raises:
+        RobotError: One is not finite, or the mass matrix is not positive definite.
+    """
+    model, T, p = robot.model, robot.T, robot.layout.dof
+    data, q = model.createData(), robot.configuration(robot.neutral_position())
+    with np.errstate(all="ignore"):
+        M = np.triu(pin.crba(model, data, q))
+        M = T.T @ (M + np.triu(M, 1).T) @ T
+        forces = T.T @ pin.nonLinearEffects(model, data, q, T @ np.ones(p))
+    if not (np.isfinite(M).all() and np.isfinite(forces).all()):
+        what = "the dynamics of base and arm are not finite"
+    elif np.linalg.eigvalsh(scaled(M)).min(initial=np.inf) <= SINGULAR:
+        what = "the mass matrix of base and arm is singular"
+    else:
+        return
+    why = "a wheel's radius, a mimic multiplier or a mass is beyond what a double holds"
+    raise RobotError(what, why=why, fix="check them", file=document.path)
 
 
 def scaled(M: Array) -> Array:

@@ -7,6 +7,7 @@ Everything that is concluded about the base starts from this geometry. Meshes ar
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,9 +17,11 @@ import numpy as np
 from lxml import etree
 
 from mmnn_pin.model.audit.meshes import locate
+from mmnn_pin.model.audit.reading import numbers
 from mmnn_pin.model.urdf import Document, Joint, number, placement, vector
 from mmnn_pin.signals import Array
 
+PRIMITIVES = ("cylinder", "sphere", "box")
 AROUND = 0.05  # a wheel's shape may be off its axis by this fraction of the radius
 HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
@@ -43,15 +46,20 @@ class Shape:
     points: Array
 
     @property
+    def rolls(self) -> bool:
+        """Whether it can stand on a floor and roll: a ball, or a cylinder that lies."""
+        return self.kind == "sphere" or (self.kind == "cylinder" and abs(self.pose[2, 2]) <= HORIZONTAL)
+
+    @cached_property
     def lowest(self) -> float:
         """Height of a primitive's lowest point [m]."""
-        up = self.pose[2, :3]  # the vertical in the shape's axes
-        reach = {
-            "sphere": self.radius,
-            "cylinder": self.radius * math.hypot(up[0], up[1]) + self.half[2] * abs(up[2]),
-            "box": float(np.abs(up) @ self.half),
-        }
-        return float(self.pose[2, 3] - reach[self.kind])
+        x, y, z, height = self.pose[2].tolist()  # the vertical in the shape's axes
+        if self.kind == "sphere":
+            return float(height - self.radius)
+        if self.kind == "cylinder":
+            return float(height - self.radius * math.hypot(x, y) - self.half[2] * abs(z))
+        a, b, c = self.half.tolist()
+        return float(height - a * abs(x) - b * abs(y) - c * abs(z))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +82,8 @@ class AtRest:
         while pending:
             link = pending.pop()
             for joint in self.document.children[link]:
-                placements[joint.child] = placements[link] @ joint.origin @ motion(joint, joint.rest)
+                at_zero = placements[link] @ joint.origin
+                placements[joint.child] = at_zero @ motion(joint, joint.rest) if joint.rest else at_zero
                 pending.append(joint.child)
         return placements
 
@@ -94,41 +103,58 @@ class AtRest:
         """Whether a joint's axis is horizontal."""
         return bool(abs(self.axis(joint)[2]) <= HORIZONTAL)
 
-    def shapes(self, link: str, tag: str = "") -> Iterator[Shape]:
-        """Shapes of one link; without a tag its primitives only, collisions if it has any.
+    @cached_property
+    def primitives(self) -> dict[str, list[Shape]]:
+        """Cylinders, spheres and boxes of every link, of its collisions if it has any, else of its visuals."""
+        table = {}
+        for name, link in self.document.links.items():
+            tag = "visual" if link.find("collision") is None else "collision"
+            table[name] = list(self.shapes(name, tag, PRIMITIVES))
+        return table
+
+    def shapes(self, link: str, tag: str, kinds: Sequence[str] = (*PRIMITIVES, "mesh")) -> Iterator[Shape]:
+        """Shapes of one link.
 
         Args:
             link: Name of the link.
-            tag: `collision` or `visual`, meshes included.
+            tag: `collision` or `visual`.
+            kinds: Which shapes.
         """
-        element = self.document.links[link]
-        primitives_only, tag = not tag, tag or ("visual" if element.find("collision") is None else "collision")
-        for holder in element.iterchildren(tag):
-            pose = self.placements[link] @ placement(holder.find("origin"))
-            for body in holder.iterfind("geometry/*"):
-                if body.tag in ("cylinder", "sphere", "box"):
-                    yield primitive(body, pose)
-                elif body.tag == "mesh" and not primitives_only:
-                    yield self.mesh(body, pose)
+        for holder in self.document.links[link].iterchildren(tag):
+            bodies = [body for body in holder.iterfind("geometry/*") if body.tag in kinds]
+            if bodies:
+                pose = self.placements[link] @ placement(holder.find("origin"))
+                yield from (self.mesh(b, pose) if b.tag == "mesh" else primitive(b, pose) for b in bodies)
 
     def mesh(self, body: etree._Element, pose: Array) -> Shape:
         """Shape of a `<mesh>`."""
         points = mesh_points(self.document.path, body.get("filename", ""), self.package_dirs)
-        points = points * vector(body, "scale", (1.0, 1.0, 1.0))
-        return Shape("mesh", pose, 0.0, np.zeros(3), points @ pose[:3, :3].T + pose[:3, 3])
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = points * vector(body, "scale", (1.0, 1.0, 1.0)) @ pose[:3, :3].T + pose[:3, 3]
+        return Shape("mesh", pose, 0.0, np.zeros(3), points if np.isfinite(points).all() else np.zeros((0, 3)))
+
+    @property
+    def is_footprint(self) -> bool:
+        """Whether the root link has no mass of its own: a frame, by custom on the floor."""
+        return self.mass(self.document.root_link) == 0
+
+    @cached_property
+    def masses(self) -> dict[str, float]:
+        """Mass of every link [kg], 0 where none is stated."""
+        return {name: number(link.find("inertial/mass"), "value", 0.0) for name, link in self.document.links.items()}
 
     def mass(self, link: str) -> float:
         """Mass of a link [kg], 0 where none is stated."""
-        return number(self.document.links[link].find("inertial/mass"), "value", 0.0)
+        return self.masses[link]
 
     def centre(self, link: str) -> Array:
         """(3,) centre of mass of a link [m]."""
-        origin = placement(self.document.links[link].find("inertial/origin"))
-        return (self.placements[link] @ origin)[:3, 3]
+        origin, at = self.document.links[link].find("inertial/origin"), self.placements[link]
+        return at[:3, :3] @ numbers(origin, "xyz") + at[:3, 3]
 
     def bottom(self, link: str) -> float:
         """How low a link reaches, as far as primitives tell, else its centre of mass; inf for an empty one [m]."""
-        heights = [shape.lowest for shape in self.shapes(link)]
+        heights = [shape.lowest for shape in self.primitives[link]]
         if not heights and self.mass(link) > 0:
             heights = [float(self.centre(link)[2])]
         return min(heights, default=math.inf)
@@ -185,6 +211,7 @@ def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) 
     import trimesh  # comes with yourdfpy; slow to import
 
     try:
-        return np.array(trimesh.load_mesh(file).vertices, dtype=np.float64).reshape(-1, 3)
+        with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
+            return np.array(trimesh.load_mesh(file).vertices, dtype=np.float64).reshape(-1, 3)
     except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
         return np.zeros((0, 3))

@@ -98,16 +98,24 @@ def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:
     """Reduced model at a state, `M nudot + C nu + gravity + friction = E u`, as lists and names for JSON.
 
     Rows of M, C, E are in the order of velocity_names; T maps them to full_velocity_names, and `A T = 0`.
+
+    Raises:
+        ConfigError: A number of it is not finite there.
     """
     dynamics = Dynamics(robot)
+    with np.errstate(all="ignore"):
+        M, C = dynamics.mass_matrix(position), dynamics.coriolis_matrix(position, nu)
+        g, f = dynamics.gravity(position), dynamics.friction(nu)
+    if not all(np.isfinite(term).all() for term in (M, C, g, f)):
+        raise ConfigError("the model is not finite at this state", fix="give positions and velocities that a robot has")
     return {
         "robot": robot.name,
         "base": robot.base.kind,
         "velocity_names": list(robot.velocity_names),
-        "M": dynamics.mass_matrix(position).tolist(),
-        "C": dynamics.coriolis_matrix(position, nu).tolist(),
-        "gravity": dynamics.gravity(position).tolist(),
-        "friction": dynamics.friction(nu).tolist(),
+        "M": M.tolist(),
+        "C": C.tolist(),
+        "gravity": g.tolist(),
+        "friction": f.tolist(),
         "T": robot.T.tolist(),
         "full_velocity_names": list(robot.full_velocity_names),
         "A": robot.A.tolist(),

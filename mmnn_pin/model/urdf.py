@@ -11,15 +11,13 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
-from lxml import etree
-
 from mmnn_pin.model.audit.checks import audit
 from mmnn_pin.model.audit.finding import AuditError, Finding, finding, settle
 from mmnn_pin.model.audit.joints import JOINT_TYPES
 from mmnn_pin.model.audit.numbers import number_problem
 from mmnn_pin.model.audit.reading import number, vector
 from mmnn_pin.model.audit.xml import parse_xml
-from mmnn_pin.model.document import Document, Joint, placement
+from mmnn_pin.model.document import Document, Joint, Tree, placement
 
 __all__ = [
     "JOINT_TYPES",
@@ -93,6 +91,8 @@ def audit_file(
     """
     path = Path(path)
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ValueError("not a regular file")
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
@@ -124,9 +124,8 @@ def audit_data(
     path = Path(path)
     root, found = parse_xml(data)
     if root is not None:
-        found += audit(root, path, package_dirs)
+        found += audit(tree := Tree(root), path, package_dirs)
     findings = settle(found, path, strict)
     if root is None or any(f.severity == "error" for f in findings):
         return None, findings
-    text = etree.tostring(root, encoding="unicode")
-    return Document(path, text, hashlib.sha256(data).hexdigest(), root, findings), findings
+    return Document.of(tree, path, hashlib.sha256(data).hexdigest(), findings), findings

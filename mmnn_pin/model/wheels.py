@@ -14,12 +14,16 @@ from typing import Literal
 
 import numpy as np
 
-from mmnn_pin.model.shapes import HORIZONTAL, AtRest, round_about
+from mmnn_pin.model.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, round_about
 from mmnn_pin.model.urdf import Joint
 from mmnn_pin.signals import Array
 
 TOUCHING = 0.2  # a wheel's lowest point may be off the floor by this fraction of the radius
 COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
+TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
+LUMPY = "not round"
+HUB, SAID = "hub height", "radius as you said"  # shapes of wheels whose body cannot be read
+ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
 ROLLERS = 4  # so many bodies that turn freely on a wheel are its rollers
 
 Mount = Literal["", "swivel", "steering", "leg"]
@@ -34,8 +38,9 @@ class Candidate:
         axis: (3,) its axis.
         centre: (3,) middle of the round body on the axis [m].
         radius: [m], nan while unknown.
-        shape: `cylinder`, `sphere`, `mesh`, or `unknown`.
+        shape: `cylinder`, `sphere`, `mesh`, `unknown`, or where the radius is from instead, `HUB` or `SAID`.
         mount: What it hangs on: a free `swivel`, a `steering` joint, a `leg`, or nothing that turns.
+        trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
     """
 
@@ -45,6 +50,7 @@ class Candidate:
     radius: float
     shape: str
     mount: Mount = ""
+    trail: float = math.inf
     rollers: tuple[str, ...] = ()
 
     @property
@@ -56,42 +62,89 @@ class Candidate:
     def text(self) -> str:
         """Itself in words."""
         x, y, _ = self.centre
-        how = {"": "", "swivel": " (on a swivel)", "steering": " (steered)", "leg": " (on a leg)"}[self.mount]
-        return f"'{self.joint.name}' ({self.shape}, radius {self.radius:.4g} m, at x {x:.4g}, y {y:.4g} m){how}"
+        size = "radius unknown" if math.isnan(self.radius) else f"radius {self.radius:.4g} m"
+        tilt = math.degrees(math.asin(min(1.0, abs(self.axis[2]))))
+        plain = "" if abs(self.axis[2]) <= HORIZONTAL else f" (axle tilted by {tilt:.2g} degrees)"
+        how = {"": plain, "swivel": " (on a swivel)", "steering": " (steered)", "leg": " (on a leg)"}[self.mount]
+        return f"'{self.joint.name}' ({self.shape}, {size}, at x {x:.4g}, y {y:.4g} m){how}"
 
 
-def wheel_candidates(rest: AtRest) -> tuple[list[Candidate], list[Candidate], float]:
-    """Wheels on the floor, axles in the air (when no wheel is on the floor), and the floor's height.
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What may be wheels, in the root frame at rest.
 
-    The floor is the lowest that any link reaches as far as primitives, centres of mass and wheels tell.
+    Attributes:
+        wheels: Those on the floor.
+        odd: When there are none, what could be wheels but for one thing: it hangs in the air, its axle is tilted, or
+            nothing tells its radius (nan).
+        floor: Height of the floor: the lowest that any link reaches as far as primitives, centres of mass and wheels
+            tell [m].
+        footing: Height of the floor where something tells that it is the floor, else nan [m].
+    """
+
+    wheels: list[Candidate]
+    odd: list[Candidate]
+    floor: float
+    footing: float
+
+
+def wheel_candidates(rest: AtRest, radius: float | None = None) -> Seen:
+    """What may be wheels.
+
+    Args:
+        rest: The robot at rest.
+        radius: What the user says of their radius [m].
     """
     found = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
     rollers = {name for c in found for name in c.rollers}
     found = [c for c in found if c.joint.name not in rollers]
-    known = [c for c in found if c.shape != "unknown"]
-    heights = [shape.lowest for link in rest.document.links for shape in rest.shapes(link)]
-    floor = min(heights + [c.bottom for c in known], default=math.inf)
-    known += on_floor([c for c in found if c.shape == "unknown"], known, floor)
-    floor = min([floor, *(rest.bottom(link) for link in rest.document.links), *(c.bottom for c in known)])
-    touching = [c for c in known if abs(c.bottom - floor) <= TOUCHING * c.radius]
-    hanging = [c for c in known if not touching and is_axle(rest, c, known)]
-    return touching, hanging, floor
+    upright = [c for c in found if rest.is_vertical(c.joint)]
+    tilted = [c for c in found if not rest.is_horizontal(c.joint) and c not in upright]
+    found = [c for c in found if rest.is_horizontal(c.joint)]
+    unknown, lumpy = ([c for c in found if c.shape == shape] for shape in ("unknown", LUMPY))
+    known = [c for c in found if c not in unknown and c not in lumpy]
+    shapes = [shape for link in rest.document.links for shape in rest.primitives[link]]
+    footing = footing_of(rest, known, shapes)
+    known += on_floor(unknown, known, footing, radius)
+    lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
+    floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
+    touching = [c for c in known if c.shape == SAID or abs(c.bottom - floor) <= TOUCHING * c.radius]
+    if touching:
+        return Seen(touching, [], floor, footing)
+    standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
+    hanging = [c for c in known if is_axle(rest, c, known)]
+    lying = [c for c in upright if c.shape not in ("unknown", LUMPY) and is_axle(rest, c, upright)]
+    turning = [c for c in lumpy if is_axle(rest, c, lumpy)]
+    return Seen([], hanging or standing or lying or turning, floor, footing)
+
+
+def footing_of(rest: AtRest, known: list[Candidate], shapes: list[Shape]) -> float:
+    """Height of the floor, as wheels, casters or a footprint frame tell it; nan where nothing does [m].
+
+    A chassis is above the floor, nobody knows how far: the lowest shape must be a ball or a lying cylinder.
+    """
+    lowest = min([shape.lowest for shape in shapes] + [c.bottom for c in known], default=math.inf)
+    if rest.is_footprint:
+        return min(0.0, lowest)
+    rolling = [shape.lowest for shape in shapes if shape.rolls] + [c.bottom for c in known]
+    return lowest if rolling and min(rolling) <= lowest else math.nan
 
 
 def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
     """The joint as a wheel whose floor is not yet known, None when it cannot be one."""
-    if not joint.turns_freely or joint.mimics is not None or not rest.is_horizontal(joint):
+    if not joint.turns_freely or joint.mimics is not None or TILTED < abs(rest.axis(joint)[2]) < VERTICAL:
         return None
     carried = rest.document.moving_children(joint.child)
     rollers = tuple(j.name for j in carried if is_roller(rest, j))
     if len(rollers) != len(carried) or 0 < len(rollers) < ROLLERS:
         return None
     candidate = wheel_of(rest, joint)
-    return candidate and replace(candidate, mount=hangs_on(rest, joint), rollers=rollers)
+    mount, trail = hangs_on(rest, joint, candidate)
+    return replace(candidate, mount=mount, trail=trail, rollers=rollers)
 
 
-def wheel_of(rest: AtRest, joint: Joint) -> Candidate | None:
-    """The joint with its round body, of shape `unknown` when no body can be read, None when its body is not round."""
+def wheel_of(rest: AtRest, joint: Joint) -> Candidate:
+    """The joint with its round body, of shape `unknown` when no body can be read, `LUMPY` when it is not round."""
     axis, hub, links = rest.axis(joint), rest.hub(joint), rest.document.body(joint.child)
     seen = False
     for tag in ("collision", "visual"):
@@ -101,7 +154,7 @@ def wheel_of(rest: AtRest, joint: Joint) -> Candidate | None:
         if rounds:
             radius, travel, kind = max(rounds)
             return Candidate(joint, axis, hub + travel * axis, radius, kind)
-    return None if seen else Candidate(joint, axis, hub, math.nan, "unknown")
+    return Candidate(joint, axis, hub, math.nan, LUMPY if seen else "unknown")
 
 
 def is_roller(rest: AtRest, joint: Joint) -> bool:
@@ -111,20 +164,28 @@ def is_roller(rest: AtRest, joint: Joint) -> bool:
 
 def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
     """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm."""
+    alike = any(coaxial(candidate, o) for o in others if o is not candidate)
+    return alike and not moving_above(rest, candidate)
+
+
+def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
+    """Joints that carry a wheel, but for slides."""
     above = rest.document.moving_ancestors(candidate.joint.child)[1:]
-    return any(coaxial(candidate, o) for o in others if o is not candidate) and all(
-        j.type == "prismatic" for j in above
-    )
+    return [joint for joint in above if joint.type != "prismatic"]
 
 
-def on_floor(unknown: list[Candidate], known: list[Candidate], floor: float) -> list[Candidate]:
-    """Bodies of unknown shape that have a coaxial partner: wheels whose radius is the height of the hub."""
+def on_floor(unknown: list[Candidate], known: list[Candidate], footing: float, said: float | None) -> list[Candidate]:
+    """Bodies of unknown shape that have a coaxial partner: wheels of the radius that is said, else of the hub's height.
+
+    The radius is nan where nothing tells the floor.
+    """
     wheels = []
     for c in unknown:
         partners = [o for o in known + unknown if o is not c and coaxial(c, o)]
-        radius = float(c.centre[2] - floor)
-        if partners and 0 < radius < np.linalg.norm(partners[0].centre - c.centre):
-            wheels.append(replace(c, radius=radius, shape="hub height"))
+        radius = said if said is not None else float(c.centre[2] - footing)
+        if partners and not (radius <= 0 or radius >= np.linalg.norm(partners[0].centre - c.centre)):
+            blind = "unknown" if math.isnan(radius) else HUB
+            wheels.append(replace(c, radius=radius, shape=blind if said is None else SAID))
     return wheels
 
 
@@ -134,29 +195,36 @@ def parallel(a: Candidate, b: Candidate) -> bool:
 
 
 def coaxial(a: Candidate, b: Candidate) -> bool:
-    """Whether two wheels turn about one line, at different places on it."""
-    between = (b.centre - a.centre)[:2]
-    along = between @ a.axis[:2]
-    across = between - along * a.axis[:2]
-    return parallel(a, b) and bool(np.hypot(*across) < COAXIAL * abs(along))
+    """Whether two wheels turn about one line, at different places on it; seen from above when it is horizontal."""
+    seen = 2 if abs(a.axis[2]) <= TILTED else 3
+    between, axis = (b.centre - a.centre)[:seen], a.axis[:seen]
+    along = between @ axis
+    across = between - along * axis
+    return parallel(a, b) and bool(np.linalg.norm(across) < COAXIAL * abs(along))
 
 
-def hangs_on(rest: AtRest, joint: Joint) -> Mount:
-    """What a wheel hangs on: one joint about a vertical axis, free (a caster) or within limits, or a leg of several."""
+def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float]:
+    """What a wheel hangs on, and its trail if that is a joint about a vertical axis.
+
+    A swivel turns without end, or all the way round with the wheel trailing behind it; other such joints steer. More
+    than two joints are a leg, fewer without a vertical one a rocker or swing arm: a suspension.
+    """
     above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
     if len(above) > 2:
-        return "leg"
-    upright = [j for j in above if rest.is_vertical(j)]
-    if upright:
-        return "swivel" if upright[0].turns_freely else "steering"
-    return ""  # a rocker or swing arm: a suspension
+        return "leg", math.inf
+    upright = next((j for j in above if rest.is_vertical(j)), None)
+    if upright is None:
+        return "", math.inf
+    trail = math.dist(rest.hub(upright)[:2], wheel.centre[:2])
+    all_round = upright.turns_freely or (upright.upper - upright.lower > ALL_ROUND and trail > TRAIL)
+    return ("swivel" if all_round else "steering"), trail
 
 
 def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:
     """Swivels whose wheel is welded on: they turn freely about the vertical and reach down to the floor."""
     for joint in rest.document.joints.values():
         if joint.turns_freely and rest.is_vertical(joint) and not rest.document.moving_children(joint.child):
-            heights = [s.lowest for link in rest.document.body(joint.child) for s in rest.shapes(link)]
+            heights = [s.lowest for link in rest.document.body(joint.child) for s in rest.primitives[link]]
             if min(heights, default=math.inf) < floor + TOUCHING * radius:
                 yield joint
 

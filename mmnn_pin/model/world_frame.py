@@ -6,8 +6,9 @@ derivative counts:
     qdot = S nu (2.17), (2.18)        Mbar = S' M S        Cbar = S' C S + S' M Sdot        (2.23)
 
 `dynamics` has the planar root in body velocities instead, where S is the constant T and Sdot = 0. Nothing is shared
-with it but the URDF and the base found on it: here the robot hangs on three joints of its own (two slides and a turn)
-and S is written from the geometry of the base. The thesis's S for the pose alone (2.7) is the upper left block.
+with it but the URDF, the base found on it and the mass factors put on the robot: here the robot hangs on three joints
+of its own (two slides and a turn) and S is written from the geometry of the base. The thesis's S for the pose alone
+(2.7) is the upper left block.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import pinocchio as pin
 
 from ..errors import RobotError
 from ..signals import Array
-from .robot import Robot
+from .robot import Robot, scale_body
 
 
 class WorldFrame:
@@ -38,6 +39,8 @@ class WorldFrame:
             raise RobotError(f"the world-frame form is that of a differential drive, not of a base '{robot.base.kind}'")
         self.robot = robot
         self.model = chain_model(robot.urdf)
+        for name, factor in robot.masses.items():
+            scale_body(self.model, self.model.getJointId("world phi" if name == "root" else name), factor)
         self.data = self.model.createData()
         names = [*self.model.names[1:4], *robot.full_velocity_names[3:]]
         joints = [self.model.joints[self.model.getJointId(name)] for name in names]

@@ -96,6 +96,7 @@ def locked_for(content: dict[str, Any]) -> Iterator[str]:
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """Rows in columns, the first one to the left, the others to the right, a line under the heading."""
+    rows = [[" ".join(cell.split()) for cell in row] for row in rows]  # a name may hold a line break
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = []
     for first, *others in rows:

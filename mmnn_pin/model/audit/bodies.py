@@ -13,9 +13,10 @@ from lxml import etree
 
 from mmnn_pin.model.audit.finding import Finding, finding
 from mmnn_pin.model.audit.reading import number
-from mmnn_pin.model.document import Document, Joint, placement
+from mmnn_pin.model.document import Joint, Tree, placement
 from mmnn_pin.signals import Array
 
+KEYS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 ROUNDING = 1e-3  # of the largest principal inertia: files print few digits
 POSITIVE = 1e-9  # of the largest principal inertia: less is zero
 HEAVY = 10_000.0  # [kg]
@@ -44,18 +45,18 @@ class Part:
         inertial = link.find("inertial")
         if inertial is None:
             return cls(link, 0.0, pose, np.zeros((3, 3)))
-        frame = pose @ placement(inertial.find("origin"))
-        element = inertial.find("inertia")
-        xx, xy, xz, yy, yz, zz = (number(element, key, 0.0) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"))
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        return cls(link, number(inertial.find("mass"), "value", 0.0), frame, inertia)
+        parts = {part.tag: part for part in reversed(inertial)}  # of several the first one counts
+        frame, element = pose @ placement(parts.get("origin")), parts.get("inertia")
+        xx, xy, xz, yy, yz, zz = [number(element, key, 0.0) for key in KEYS]
+        inertia = np.array([xx, xy, xz, xy, yy, yz, xz, yz, zz]).reshape(3, 3)
+        return cls(link, number(parts.get("mass"), "value", 0.0), frame, inertia)
 
 
-def bad_bodies(document: Document) -> Iterator[Finding]:
+def bad_bodies(tree: Tree) -> Iterator[Finding]:
     """Findings about all bodies, the root's included; needs a sound tree, bad numbers judge nothing."""
     whole: list[tuple[list[Part], Joint | None]] = []
-    for start, joint in [(document.root_link, None), *((j.child, j) for j in document.joints.values() if j.moves)]:
-        parts = parts_of(document, start)
+    for start, joint in [(tree.root_link, None), *((j.child, j) for j in tree.joints.values() if j.moves)]:
+        parts = parts_of(tree, start)
         for part in parts:
             if part.mass < 0:
                 what = f"mass {part.mass:g} kg is negative"
@@ -64,7 +65,7 @@ def bad_bodies(document: Document) -> Iterator[Finding]:
         if joint is not None and mass == 0:
             what = f"the body that joint '{joint.name}' moves has no mass"
             why, fix = "its acceleration could be infinite", "give it an <inertial>, or make the joint fixed"
-            yield finding("zero-mass", document.links[start], what, why, fix)
+            yield finding("zero-mass", tree.links[start], what, why, fix)
         elif mass > 0 and all(part.mass >= 0 for part in parts):
             whole.append((parts, joint))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -76,15 +77,15 @@ def bad_bodies(document: Document) -> Iterator[Finding]:
             yield from bad_inertia(parts, joint, values)
 
 
-def parts_of(document: Document, start: str) -> list[Part]:
+def parts_of(tree: Tree, start: str) -> list[Part]:
     """The links of the body that starts at a link."""
     poses, names = {start: np.eye(4)}, [start]
     for name in names:
-        for joint in document.children[name]:
+        for joint in tree.children[name]:
             if not joint.moves:
                 poses[joint.child] = poses[name] @ joint.origin
                 names.append(joint.child)
-    return [Part.of(document.links[name], pose) for name, pose in poses.items()]
+    return [Part.of(tree.links[name], pose) for name, pose in poses.items()]
 
 
 def bad_inertia(parts: list[Part], joint: Joint | None, principal: list[float]) -> Iterator[Finding]:
@@ -115,13 +116,11 @@ def lumped(parts: list[Part]) -> Array:
     heavy = [part for part in parts if part.mass or part.inertia.any()]
     if len(heavy) == 1:
         return heavy[0].inertia
-    mass = sum(part.mass for part in heavy)
-    centre = sum((part.mass * part.frame[:3, 3] for part in heavy), start=np.zeros(3)) / mass
-    total = np.zeros((3, 3))
-    for part in heavy:
-        R, d = part.frame[:3, :3], part.frame[:3, 3] - centre
-        total += R @ part.inertia @ R.T + part.mass * ((d @ d) * np.eye(3) - np.outer(d, d))
-    return total
+    masses, frames = np.array([part.mass for part in heavy]), np.array([part.frame for part in heavy])
+    R, place = frames.reshape(-1, 4, 4)[:, :3, :3], frames.reshape(-1, 4, 4)[:, :3, 3]
+    d = place - masses @ place / masses.sum()
+    about = R @ np.array([part.inertia for part in heavy]).reshape(-1, 3, 3) @ R.transpose(0, 2, 1)
+    return np.asarray(about.sum(axis=0) + (masses @ (d * d).sum(axis=1)) * np.eye(3) - (masses * d.T) @ d)
 
 
 def to_blame(parts: list[Part]) -> etree._Element:

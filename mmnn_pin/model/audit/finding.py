@@ -27,6 +27,7 @@ CODES = {
     # tags
     "misspelt-tag": "error",
     "misspelt-attribute": "error",
+    "misplaced-tag": "warning",
     "repeated-tag": "warning",
     "duplicate-material": "error",
     # numbers

@@ -14,7 +14,7 @@ from mmnn_pin.model.audit.finding import Finding, finding
 
 CHUNK = 65_536  # bytes looked at, at either end of a file
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
-EMPTY = "assumed: no shape; the dynamics do not need it"
+EMPTY = "assumed: no shape; only the radius of a wheel needs it"
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,10 @@ def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Pa
     """Meshes that cannot be used: each file once, a package that is not there once for all its files."""
     named: dict[str, etree._Element] = {}
     for element in root.iterfind("link/*/geometry/mesh"):
-        if (name := element.get("filename")) and "$" not in name:
+        name = element.get("filename")
+        if name is not None and not name.strip():
+            yield finding("mesh-missing", element, "the mesh names no file", EMPTY, "name it, or delete the shape")
+        elif name and "$" not in name:
             named.setdefault(name, element)
     found = {name: locate(name, urdf, package_dirs) for name in named}
     absent: dict[str, list[str]] = {}

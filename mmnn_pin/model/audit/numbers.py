@@ -47,29 +47,42 @@ SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sph
 
 
 def bad_numbers(own: Own) -> Iterator[Finding]:
-    """Attributes that should hold finite numbers and do not."""
+    """Attributes that should hold finite numbers and do not; the others are left with single blanks, none around them.
+
+    Pinocchio's parser drops a whole `<inertial>` over a blank after a mass, a tab or a no-break space.
+    """
     for tag, needed in REQUIRED.items():
         for element in own[tag]:
             for key in needed:
                 if element.get(key) is None:
                     yield finding("missing-value", element, f"{key} of <{tag}> is missing", why(tag), "state it")
-    for tag, counts in NUMBERS.items():
-        for element in own[tag]:
-            for key, text in element.items():
-                if key in counts and "$" not in text and (problem := number_problem(text, counts[key])):
-                    code = "vector-length" if "number(s)" in problem else "number"
-                    fix = f"give {counts[key]} finite number(s) in SI units"
-                    yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)
+    for element, tag, items in own.texts:
+        counts = NUMBERS.get(tag, {})
+        for key, text in items:
+            if key not in counts or "$" in text:
+                continue
+            problem, plain = number_problem(text, counts[key]), plainly(text)
+            if problem:
+                code = "vector-length" if "number(s)" in problem else "number"
+                fix = f"give {counts[key]} finite number(s) in SI units"
+                yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)
+            elif plain != text:
+                element.set(key, plain)
+
+
+@lru_cache(maxsize=8192)
+def plainly(text: str) -> str:
+    """Words with single blanks between them."""
+    return " ".join(text.split())
 
 
 def unexpanded(own: Own) -> Iterator[Finding]:
     """`${...}` and `$(...)`, which xacro would have expanded."""
-    for elements in own.values():
-        for element in elements:
-            for key, text in element.items():
-                if "${" in text or "$(" in text:
-                    what = f"{key} '{text}' is an unexpanded xacro expression"
-                    yield finding("xacro", element, what, fix=XACRO_FIX)
+    for element, _, items in own.texts:
+        for key, text in items:
+            if "$" in text and ("${" in text or "$(" in text):
+                what = f"{key} '{text}' is an unexpanded xacro expression"
+                yield finding("xacro", element, what, fix=XACRO_FIX)
 
 
 def incomplete(own: Own) -> Iterator[Finding]:
@@ -117,13 +130,11 @@ def bad_shapes(own: Own) -> Iterator[Finding]:
 def bad_sizes(body: etree._Element) -> Iterator[Finding]:
     """Negative and zero sizes of one shape."""
     for key in SIZES.get(body.tag, ()):
-        sizes = numbers(body, key, (1.0,) * NUMBERS[body.tag][key])
-        what = f"{key} of <{body.tag}> is '{body.get(key)}'"
-        if any(size < 0 for size in sizes):
-            yield finding(
-                "negative-size", body, f"{what}: negative", "a size is at least 0", "give a positive size [m]"
-            )
-        elif any(size == 0 for size in sizes):
-            yield finding("zero-size", body, f"{what}: zero", "taken as it is", "give a positive size [m]")
+        least = min(numbers(body, key, (1.0,) * NUMBERS[body.tag][key]))
+        what, fix = f"{key} of <{body.tag}> is '{body.get(key)}'", "give a positive size [m]"
+        if least < 0:
+            yield finding("negative-size", body, f"{what}: negative", "a size is at least 0", fix)
+        elif least == 0:
+            yield finding("zero-size", body, f"{what}: zero", "taken as it is", fix)
     if body.tag == "mesh" and 0 in numbers(body, "scale", (1.0, 1.0, 1.0)):
         yield finding("zero-size", body, "scale of <mesh> is zero", "taken as it is", "give a scale other than 0")

@@ -8,20 +8,19 @@ from collections.abc import Iterator
 from lxml import etree
 
 from mmnn_pin.model.audit.finding import Finding, finding
-from mmnn_pin.model.audit.reading import Own, number, numbers
+from mmnn_pin.model.audit.reading import Own, largest, number
 
 LONG = 10.0  # [m]; no joint of a robot for a laboratory is further from the next, no part of it larger
 FULL_TURN = 2 * math.pi + 0.01  # [rad]
 TWO_TURNS, DEGREES = 4 * math.pi, 720.0  # a limit between the two is suspect; beyond it is meant as none
-LENGTHS = {"origin": ("xyz", 3), "cylinder": ("length", 1), "sphere": ("radius", 1), "box": ("size", 3)}
+LENGTHS = {"origin": "xyz", "cylinder": "length", "sphere": "radius", "box": "size"}
 
 
 def millimetres(own: Own) -> Iterator[Finding]:
     """Lengths of more than `LONG`: one finding for the whole file, at the first of them."""
     long: list[tuple[etree._Element, str]] = []
-    for tag, (key, count) in LENGTHS.items():
-        none = (0.0,) * count
-        long += [(e, key) for e in own[tag] if any(abs(value) > LONG for value in numbers(e, key, none))]
+    for tag, key in LENGTHS.items():
+        long += [(e, key) for e in own[tag] if largest(e.get(key)) > LONG]
     if long:
         element, key = min(long, key=lambda place: place[0].sourceline)
         more = f" (and {len(long) - 1} more)" if len(long) > 1 else ""
@@ -32,11 +31,11 @@ def millimetres(own: Own) -> Iterator[Finding]:
 def degrees(own: Own) -> Iterator[Finding]:
     """Limits and roll, pitch, yaw that look like degrees: of limits each, of angles one finding for the file."""
     for limit in own["limit"]:
-        largest = max(abs(number(limit, key, 0.0)) for key in ("lower", "upper"))
-        if limit.getparent().get("type") == "revolute" and TWO_TURNS < largest <= DEGREES:
-            what = f"limit of {largest:g} rad is {largest / (2 * math.pi):.3g} turns"
+        most = max(abs(number(limit, key, 0.0)) for key in ("lower", "upper"))
+        if limit.getparent().get("type") == "revolute" and TWO_TURNS < most <= DEGREES:
+            what = f"limit of {most:g} rad is {most / (2 * math.pi):.3g} turns"
             yield finding("limit-degrees", limit, what, "is it in degrees? taken as radians", "give radians")
-    turned = [o for o in own["origin"] if any(abs(angle) > FULL_TURN for angle in numbers(o, "rpy"))]
+    turned = [o for o in own["origin"] if largest(o.get("rpy")) > FULL_TURN]
     if turned:
         first = min(turned, key=lambda origin: origin.sourceline)
         more = f" (and so in {len(turned) - 1} more)" if len(turned) > 1 else ""

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from lxml import etree
 
-from mmnn_pin.model.audit.schema import KNOWN
+from mmnn_pin.model.audit.schema import KNOWN, ONCE
 from mmnn_pin.signals import Array
 
-Own = dict[str, list[etree._Element]]  # elements by tag
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -23,9 +23,20 @@ def read_numbers(text: str) -> tuple[float, ...]:
     return tuple(math.nan if math.isinf(value) else value for value in values)
 
 
+@lru_cache(maxsize=8192)
+def largest(text: str | None) -> float:
+    """Largest magnitude of some numbers, 0 where there are none or a bad one."""
+    values = () if text is None else read_numbers(text)
+    return 0.0 if any(math.isnan(value) for value in values) else max(map(abs, values), default=0.0)
+
+
 def number(element: etree._Element | None, key: str, default: float) -> float:
     """A number of an attribute, the default where it is not stated, nan where it is bad."""
-    return numbers(element, key, (default,))[0]
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    values = read_numbers(text)
+    return values[0] if len(values) == 1 else math.nan
 
 
 def numbers(
@@ -42,16 +53,47 @@ def vector(element: etree._Element | None, key: str, default: tuple[float, ...] 
     return np.array(numbers(element, key, default))
 
 
-def own_elements(root: etree._Element) -> Own:
-    """Elements of links, joints and materials that URDF defines, by tag; not what extensions hold."""
-    own: Own = {tag: [] for tag in KNOWN}
-    pending = list(root.iterchildren("link", "joint", "material"))
-    for element in pending:
-        tag = element.tag
-        own[tag].append(element)
-        children = KNOWN[tag][0]
-        pending += [child for child in element if child.tag in children and child.tag in KNOWN]
-    return own
+@dataclass(frozen=True)
+class Own:
+    """What URDF defines of a file, not what extensions hold; read out once, because lxml takes its time.
+
+    Attributes:
+        elements: Elements by tag.
+        texts: Element, tag, and key and text of its attributes, of every element that has some.
+        strangers: Element, tag and tag of the parent of what URDF does not have in that place.
+        again: The same of second copies of what may stand once.
+    """
+
+    elements: dict[str, list[etree._Element]]
+    texts: list[tuple[etree._Element, str, list[tuple[str, str]]]]
+    strangers: list[tuple[etree._Element, str, str]]
+    again: list[tuple[etree._Element, str, str]]
+
+    def __getitem__(self, tag: str) -> list[etree._Element]:
+        return self.elements[tag]
+
+    @classmethod
+    def of(cls, root: etree._Element) -> Own:
+        """What a `<robot>` element holds."""
+        own = cls({tag: [] for tag in KNOWN}, [], [], [])
+        pending = [(root, "robot")]
+        for element, tag in pending:
+            own.elements[tag].append(element)
+            if items := element.items():
+                own.texts.append((element, tag, items))
+            children, once = KNOWN[tag][0], ONCE.get(tag, ())
+            seen = set()
+            for child in element if len(element) else ():
+                name = child.tag
+                if name in children and name in KNOWN:
+                    pending.append((child, name))
+                else:
+                    own.strangers.append((child, name, tag))
+                if name in once:
+                    if name in seen:
+                        own.again.append((child, name, tag))
+                    seen.add(name)
+        return own
 
 
 def label(element: etree._Element) -> str:

@@ -32,3 +32,12 @@ SCHEMA: dict[str, tuple[str, str]] = {
     "texture": ("", "filename"),
 }
 KNOWN = {tag: (frozenset(children.split()), frozenset(keys.split())) for tag, (children, keys) in SCHEMA.items()}
+
+# What may stand once in an element.
+ONCE = {
+    "link": ("inertial",),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry"),
+    "collision": ("origin", "geometry"),
+}

@@ -4,44 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from lxml import etree
-
 from mmnn_pin.model.audit.finding import Finding, finding
+from mmnn_pin.model.audit.reading import Own
 from mmnn_pin.model.audit.schema import KNOWN
 
-ONCE = (
-    "link/inertial",
-    *(f"joint/{tag}" for tag in ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic")),
-    *(f"link/inertial/{tag}" for tag in ("origin", "mass", "inertia")),
-    *(f"link/*[self::visual or self::collision]/{tag}" for tag in ("origin", "geometry")),
-)
 
-
-def misspelt(root: etree._Element) -> Iterator[Finding]:
+def misspelt(own: Own) -> Iterator[Finding]:
     """Unknown tags and attributes one edit away from known ones, which a loader would ignore in silence."""
-    pending = [root]
-    for element in pending:
-        children, keys = KNOWN[element.tag]
-        for child in element.iterchildren("*"):
-            if child.tag in KNOWN and child.tag in children:
-                pending.append(child)
-            elif child.tag not in children and (meant := nearest(child.tag, children)):
-                what = f"unknown tag <{child.tag}>, one edit away from <{meant}>"
-                yield finding("misspelt-tag", child, what, "it would be ignored", f"write <{meant}>")
-        for key in element.attrib:
+    for element, tag, parent in own.strangers:
+        children = KNOWN[parent][0]
+        if tag not in children and (meant := nearest(tag, children)):
+            what = f"unknown tag <{tag}>, one edit away from <{meant}>"
+            yield finding("misspelt-tag", element, what, "it would be ignored", f"write <{meant}>")
+    for element, tag, items in own.texts:
+        keys = KNOWN[tag][1]
+        for key, _ in items:
             if key not in keys and (meant := nearest(key, keys)):
-                what = f"unknown attribute '{key}' of <{element.tag}>, one edit away from '{meant}'"
+                what = f"unknown attribute '{key}' of <{tag}>, one edit away from '{meant}'"
                 yield finding("misspelt-attribute", element, what, "it would be ignored", f"write '{meant}'")
 
 
-def repeated(root: etree._Element) -> Iterator[Finding]:
+def misplaced(own: Own) -> Iterator[Finding]:
+    """Tags of URDF where URDF does not have them, which a loader ignores in silence."""
+    for element, tag, parent in own.strangers:
+        if tag in KNOWN and parent != "robot":
+            places = [f"<{other}>" for other, (children, _) in KNOWN.items() if tag in children]
+            what, why = f"<{tag}> in <{parent}> is ignored", "URDF does not have it there"
+            yield finding("misplaced-tag", element, what, why, f"move it into {' or '.join(places)}")
+
+
+def repeated(own: Own) -> Iterator[Finding]:
     """Second copies of what may stand once, and materials defined twice."""
-    for path in ONCE:
-        for again in root.xpath(f"{path}[position() > 1]"):
-            what = f"a second <{again.tag}> in <{again.getparent().tag}>"
-            yield finding("repeated-tag", again, what, "the first one counts", "delete one of them")
+    for element, tag, parent in own.again:
+        what = f"a second <{tag}> in <{parent}>"
+        yield finding("repeated-tag", element, what, "the first one counts", "delete one of them")
     seen: set[str] = set()
-    for material in root.iterchildren("material"):
+    for material in own["robot"][0].iterchildren("material"):
         name = material.get("name", "")
         if name in seen:
             why = "Pinocchio's parser refuses the file"

@@ -1,0 +1,42 @@
+"""The robot of a recording, built again from what the recording holds: URDF, overrides, mass factors, friction."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+
+from .errors import RecordingError
+from .model.overrides import Overrides
+from .model.robot import Robot, build
+from .model.urdf import parse
+from .recording import Recording
+
+
+def recorded_robot(recording: Recording) -> Robot:
+    """The true robot of a recording.
+
+    Meshes are looked for where the file was; wheels whose radius came from one need it.
+
+    Args:
+        recording: The recording.
+
+    Raises:
+        RecordingError: It does not hold these facts, or another robot comes out of them.
+        InputError: As `load`.
+    """
+    meta = recording.meta
+    try:
+        said = msgspec.convert(meta["overrides"], Overrides)
+        document = parse(recording.urdf.encode(), meta["urdf_file"], said.strict, said.package_dirs)
+        masses, viscous, gears = meta["mass_factors"], meta["viscous"], meta["joint_friction"]
+    except KeyError as error:
+        what = f"the recording does not tell {error} of its robot"
+        raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path) from None
+    robot = build(document, said)
+    if robot.position_names != meta["position_names"] or robot.velocity_names != meta["velocity_names"]:
+        why = f"it moves by {', '.join(robot.velocity_names)}, not by {', '.join(meta['velocity_names'])}"
+        raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
+    gears = {name: np.array(value) if isinstance(value, list) else value for name, value in gears.items()}
+    return replace(robot.with_masses(masses).with_friction(viscous), **gears)

@@ -1,0 +1,286 @@
+"""Wheels that are hard to see: without shapes, on tilted axles, steered or trailing, in files with y up."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from drives import ARM, CYLINDER, LIMIT, SPHERE, Drive, joint, link, origin, robot_of
+from test_base import CORNERS, MOVE, four, friction
+
+from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.model.base import Undecided, Unsupported
+
+FOOT = joint("foot", "fixed", "footprint", "base") + '<link name="footprint"/>'
+BALL = link("ball", 0.1, 1e-4, SPHERE.format(r=0.05)) + joint("b", "fixed", "base", "ball", p=(-0.2, 0, 0.05))
+LYING = origin(pin.rpy.rpyToMatrix(math.pi / 2, 0, 0))
+
+
+def codes(robot) -> list[str]:
+    return [f.code for f in robot.findings]
+
+
+def blind(more: str = "", box: float | None = 0.2, mesh: str = "") -> str:
+    """A drive with wheels of 0.1 m without a shape that can be read, and a chassis with its middle this high."""
+    text = link("base", 20.0, 0.8, "" if box is None else '<box size="0.3 0.2 0.1"/>', origin(p=(0, 0, box or 0)))
+    for name, y in (("left", 0.2), ("right", -0.2)):
+        text += link(f"{name}_link", 1.5, 0.02, f'<mesh filename="{mesh}"/>' if mesh else "")
+        text += joint(name, "continuous", "base", f"{name}_link", p=(0, y, 0.1))
+    return f'<robot name="r">{text}{ARM}{more}</robot>'
+
+
+# --- The radius of wheels without a shape -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mesh", ["", "package://gone/wheel.stl", "http://nowhere/wheel.stl"])
+@pytest.mark.parametrize(("more", "box"), [(FOOT, None), (FOOT, 0.2), (FOOT, 0.11), (BALL, 0.2), (FOOT + BALL, None)])
+def test_hub_height_above_a_footprint_or_a_ball_is_taken_with_a_warning(more, box, mesh):
+    robot = robot_of(blind(more, box, mesh))
+    assert robot.base.kind == "differential_drive" and [w.radius for w in robot.base.wheels] == pytest.approx([0.1] * 2)
+    told = next(f for f in robot.findings if f.code == "base-hub-height")
+    assert told.severity == "warning" and "'left' 0.1 m" in told.message and "--radius" in told.fix
+
+
+@pytest.mark.parametrize("mesh", ["", "package://gone/wheel.stl"])
+@pytest.mark.parametrize("box", [None, 0.2, 0.11, 0.4])
+def test_where_nothing_tells_the_floor_it_asks_for_the_radius(box, mesh):
+    with pytest.raises(Undecided, match=r"radius unknown.*nothing tells where the floor is.*--radius") as error:
+        robot_of(blind("", box, mesh))
+    assert len(error.value.candidates) == 2
+    robot = robot_of(blind("", box, mesh), radius=0.1)
+    assert robot.base.kind == "differential_drive" and "base-hub-height" not in codes(robot)
+    assert [w.radius for w in robot.base.wheels] == [0.1, 0.1] and robot.base.floor == pytest.approx(0.0)
+    with pytest.raises(ConfigError, match="radius of wheel 'left' is unknown"):
+        robot_of(blind("", box, mesh), wheels=("left", "right"))
+    assert robot_of(blind("", box, mesh), base="fixed").arm.reasons["left"] == "part of the base"
+
+
+def test_a_tool_that_turns_does_not_tell_the_floor():
+    spinner = link("tool", 0.2, 1e-3, SPHERE.format(r=0.03)) + joint("t", "continuous", "fore", "tool", p=(0.2, 0, 0))
+    with pytest.raises(Undecided, match="radius unknown"):
+        robot_of(blind(spinner, 0.4))
+
+
+def test_what_is_not_round_is_no_finger():
+    box = '<box size="0.2 0.03 0.2"/>'
+    with pytest.raises(Undecided, match="not round"):
+        robot_of(Drive(shape=box).urdf())
+    assert [w.radius for w in robot_of(Drive(shape=box).urdf(), wheels=("left", "right"), radius=0.1).base.wheels] == [
+        0.1,
+        0.1,
+    ]
+
+
+def test_a_base_that_is_said_and_not_found_is_not_ignored():
+    table = f'<robot name="r">{link("base", 5.0)}{ARM}</robot>'
+    with pytest.raises(Undecided, match=r"you said so.*--wheels"):
+        robot_of(table, base="differential_drive")
+    assert robot_of(table, base="holonomic").base.kind == "holonomic"
+
+
+@pytest.mark.parametrize("scale", ["", ' scale="1 1 1"'])
+def test_a_wheel_mesh_in_millimetres_is_told(tmp_path: Path, scale: str):
+    import trimesh
+
+    trimesh.creation.cylinder(100.0, 30.0).export(tmp_path / "wheel.stl")
+    text = Drive(shape=f'<mesh filename="wheel.stl"{scale}/>').urdf()
+    robot = robot_of(text, tmp_path / "r.urdf")
+    told = next(f for f in robot.findings if f.code == "base-size")
+    assert told.severity == "warning" and "millimetres" in told.why
+    with pytest.raises(RobotError, match="radius of 100 m"):
+        robot_of(text, tmp_path / "r.urdf", strict=True)
+    right = robot_of(text.replace('stl"', 'stl" scale="0.001 0.001 0.001"').replace(scale + "/>", "/>"),
+                     tmp_path / "r.urdf", strict=True)  # fmt: skip
+    assert right.base.wheels[0].radius == pytest.approx(0.1)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_mesh_that_its_scale_blows_up_is_no_shape(tmp_path: Path):
+    import trimesh
+
+    trimesh.creation.cylinder(100.0, 30.0).export(tmp_path / "wheel.stl")
+    drive = Drive(shape='<mesh filename="wheel.stl" scale="1e308 1e308 1e308"/>')
+    with pytest.raises(Undecided, match="radius unknown"):
+        robot_of(drive.urdf(), tmp_path / "r.urdf")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("word", ["nan", "inf"])
+def test_a_mesh_that_is_not_finite_is_no_shape(tmp_path: Path, word: str):
+    facet = f"facet normal 0 0 1\nouter loop\nvertex {word} 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    (tmp_path / "wheel.stl").write_text(f"solid\n{facet}endsolid\n")
+    with pytest.raises(Undecided):
+        robot_of(Drive(shape='<mesh filename="wheel.stl"/>').urdf(), tmp_path / "r.urdf")
+
+
+# --- Axles that are not level -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("camber", [1.5, 3.0, 10.0])
+def test_cambered_wheels_are_not_taken_for_fingers(camber):
+    text = link("base", 20.0, 0.8, '<box size="0.3 0.2 0.1"/>', origin(p=(0, 0, 0.2)))
+    for name, side in (("left", 1), ("right", -1)):
+        R = pin.rpy.rpyToMatrix(side * math.radians(camber), 0, 0)
+        text += link(f"{name}_link", 1.5, 0.02, CYLINDER.format(r=0.1), LYING)
+        text += joint(name, "continuous", "base", f"{name}_link", R, (0, 0.2 * side, 0.1))
+    with pytest.raises(Undecided, match=f"tilted by {camber:.2g} degrees.*camber"):
+        robot_of(f'<robot name="r">{text}{ARM}</robot>')
+
+
+def test_a_file_with_y_up_is_told():
+    text = link("base", 20.0, 0.8, '<box size="0.3 0.1 0.2"/>', origin(p=(0, 0.2, 0)))
+    for name, z in (("left", -0.2), ("right", 0.2)):
+        text += link(f"{name}_link", 1.5, 0.02, CYLINDER.format(r=0.1))
+        text += joint(name, "continuous", "base", f"{name}_link", p=(0, 0.1, z), axis=(0, 0, 1))
+    with pytest.raises(Undecided, match=r"axle is vertical.*y up"):
+        robot_of(f'<robot name="r">{text}{ARM}</robot>')
+
+
+# --- What hangs on a vertical joint -----------------------------------------------------------------------------------
+
+
+def caster(kind: str, limits: tuple[float, float] | None, trail: float) -> str:
+    more = LIMIT.format(*limits) if limits else ""
+    text = link("fork") + joint("swivel", kind, "base", "fork", p=(-0.3, 0, 0.1), axis=(0, 0, 1), more=more)
+    text += link("small", 0.2, 1e-3, CYLINDER.format(r=0.05), LYING)
+    return text + joint("roll", "continuous", "fork", "small", p=(-trail, 0, -0.05))
+
+
+@pytest.mark.parametrize(("kind", "limits", "trail"), [
+    ("continuous", None, 0.03), ("continuous", None, 0.0), ("revolute", (-math.pi, math.pi), 0.03),
+    ("revolute", (-30.0, 30.0), 0.03),
+])  # fmt: skip
+def test_what_swivels_all_the_way_round_is_a_caster(kind, limits, trail):
+    robot = robot_of(Drive().urdf(ARM + caster(kind, limits, trail)))
+    assert robot.base.kind == "differential_drive" and robot.base.casters == ("swivel", "roll")
+
+
+@pytest.mark.parametrize(("limits", "trail"), [((-0.6, 0.6), 0.03), ((-math.pi, math.pi), 0.0)])
+def test_what_turns_within_limits_or_without_trail_steers(limits, trail):
+    with pytest.raises(Unsupported, match="car-like"):
+        robot_of(Drive().urdf(ARM + caster("revolute", limits, trail)))
+
+
+def swerve(trail: float) -> str:
+    text = link("base", 20.0, 0.8)
+    for name, (fore, side) in CORNERS.items():
+        text += link(f"{name}_knuckle")
+        text += joint(f"{name}_steer", "continuous", "base", f"{name}_knuckle", p=(0.2 * fore, 0.3 * side, 0.1),
+                      axis=(0, 0, 1))  # fmt: skip
+        text += link(f"{name}_link", 1.0, 0.02, CYLINDER.format(r=0.1), LYING)
+        text += joint(name, "continuous", f"{name}_knuckle", f"{name}_link", p=(-trail, 0, 0))
+    return f'<robot name="r">{text}{ARM}</robot>'
+
+
+def test_a_swerve_drive_without_limits_is_refused_by_name():
+    with pytest.raises(Unsupported, match="this is a swerve drive"):
+        robot_of(swerve(0.0))
+    with pytest.raises(Undecided):  # four casters, and nothing that drives
+        robot_of(swerve(0.03))
+
+
+# --- Names and evidence -----------------------------------------------------------------------------------------------
+
+
+def test_names_on_the_wrong_side_are_told():
+    assert "base-sides" in codes(robot_of(Drive(names=("right_wheel", "left_wheel")).urdf()))
+    assert "base-sides" not in codes(robot_of(Drive(names=("left_wheel", "right_wheel")).urdf()))
+    assert "base-sides" not in codes(robot_of(Drive(names=("a", "b")).urdf()))
+
+
+X, O = ["1 -1 0", "1 1 0", "1 1 0", "1 -1 0"], ["1 1 0", "1 -1 0", "1 -1 0", "1 1 0"]  # noqa: E741
+
+
+@pytest.mark.parametrize(("fdirs", "sign"), [(X, -1), (O, 1)])
+@pytest.mark.parametrize("attribute", ["", ' expressed_in="base"', ' xmlns:gz="http://gz" gz:expressed_in="base"'])
+def test_friction_directions_state_the_rollers_with_their_sign(fdirs, sign, attribute):
+    robot = robot_of(four(more=friction(1, 0, fdirs, attribute)))
+    assert [w.roller for w in robot.base.wheels] == pytest.approx(sign * np.pi / 4 * np.array([1, -1, -1, 1]))
+    assert "base-roller" not in codes(robot)
+    named = robot_of(four(more=friction(1, 0, fdirs, attribute)), wheels=tuple(CORNERS))
+    assert "base-roller" not in codes(named) and (named.T == robot.T).all()
+
+
+def yawed(yaw: float, more: str) -> str:
+    """Four wheels whose links are turned about the vertical."""
+    R = pin.rpy.rpyToMatrix(0, 0, yaw)
+    text = link("base", 20.0, 0.8, '<box size="0.3 0.2 0.1"/>', origin(p=(0, 0, 0.2)))
+    for name, (fore, side) in CORNERS.items():
+        lying = origin(R.T @ pin.rpy.rpyToMatrix(math.pi / 2, 0, 0))
+        text += link(f"{name}_link", 1.0, 0.02, CYLINDER.format(r=0.1), lying)
+        text += joint(name, "continuous", "base", f"{name}_link", R, (0.2 * fore, 0.3 * side, 0.1), R.T @ [0, 1, 0])
+    return f'<robot name="r">{text}{ARM}{more}</robot>'
+
+
+@pytest.mark.parametrize("yaw", [0.5, -1.2])
+def test_friction_directions_are_in_the_frame_of_the_link_or_the_one_they_name(yaw):
+    turned = pin.rpy.rpyToMatrix(0, 0, -yaw)
+    in_link = [" ".join(map(str, turned @ [float(word) for word in fdir.split()])) for fdir in O]
+    for more in (friction(1, 0, in_link), friction(1, 0, O, ' expressed_in="base"')):
+        rollers = [w.roller for w in robot_of(yawed(yaw, more)).base.wheels]
+        assert rollers == pytest.approx(np.pi / 4 * np.array([1, -1, -1, 1]))
+
+
+@pytest.mark.parametrize("fdir", ["1 0 0", "0 1 0", "0 0 1", "0 0 0", "1 x 0"])
+def test_friction_along_or_across_a_wheel_says_nothing(fdir):
+    with pytest.raises(Undecided):
+        robot_of(four(more=friction(1, 0, [fdir] * 4)))
+
+
+def test_rollers_that_leave_a_direction_undriven_are_refused():
+    with pytest.raises(Undecided, match=r"leave a direction undriven.*--roller"):
+        robot_of(four(more=friction(1, 0, ["1 1 0"] * 4)))
+    assert robot_of(four(more=friction(1, 0, ["1 1 0"] * 4)), roller=0.7).base.kind == "holonomic"
+
+
+def test_controllers_that_leave_wheels_out_speak_for_a_skid_steer():
+    entry = '<joint name="{}"><command_interface name="velocity"/></joint>'
+    control = f'<ros2_control name="c" type="system">{entry.format("fl")}{entry.format("fr")}</ros2_control>'
+    with pytest.raises(Unsupported, match="commands only fl, fr"):
+        robot_of(four(more=control))
+
+
+def test_transmissions_confirm_and_do_not_decide():
+    parts = "".join(f'<transmission name="t_{n}"><joint name="{n}"/></transmission>' for n in ("fl", "fr"))
+    with pytest.raises(Undecided) as error:
+        robot_of(four(more=parts))
+    skids = next(r for r in error.value.readings if r.kind == "skid-steer")
+    assert any("transmissions only of fl, fr (line" in text for text in skids.reasons)
+    assert robot_of(four(more=parts + MOVE)).base.kind == "holonomic"
+
+
+# --- Options that nothing would use -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("said", "words"), [
+    ({"base": "fixed", "wheels": ("fl", "fr")}, "drive wheels for a fixed base"),
+    ({"base": "fixed", "radius": 0.1}, "a radius for a base 'fixed'"),
+    ({"base": "fixed", "track": 0.1}, "a track for a base 'fixed'"),
+    ({"wheels": ("fl", "fr"), "roller": 0.7}, "a roller for a base 'differential_drive'"),
+    ({"wheels": ("fl", "fr"), "lock": ("elbow=0.5", "elbow=1")}, "locked twice"),
+    ({"wheels": ("fl", "fr"), "lock": ("elbow",), "free": ("elbow",)}, "locked and freed"),
+    ({"wheels": ("fl", "fr"), "free": ("fl",)}, "'fl' cannot be freed: it is part of the base"),
+    ({"wheels": ("fl", "fr"), "free": ("rl",)}, "'rl' cannot be freed: it is part of the base"),
+    ({"wheels": ("fl", "fr"), "track": 1e300}, "cannot be a track"),
+    ({"wheels": ("fl", "fr"), "radius": 1e-300}, "cannot be a radius"),
+    ({"wheels": ("fl", "fr"), "package_dirs": ("/nowhere/at/all",)}, "no such folder"),
+])  # fmt: skip
+def test_what_nothing_would_use_is_refused(said, words):
+    with pytest.raises(ConfigError, match=words):
+        robot_of(four(), **said)
+
+
+def test_a_slave_cannot_be_freed():
+    slave = link("jaw") + joint("jaw", "prismatic", "fore", "jaw", more=LIMIT.format(0, 1) + '<mimic joint="elbow"/>')
+    with pytest.raises(ConfigError, match="'jaw' cannot be freed: it follows another joint"):
+        robot_of(four(more=MOVE + slave), free=("jaw",))
+
+
+def test_numbers_that_only_the_map_multiplies_are_held_to_be_finite():
+    slave = link("jaw") + joint("jaw", "prismatic", "fore", "jaw", more=LIMIT.format(0, 1)
+                                + '<mimic joint="elbow" multiplier="1e200"/>')  # fmt: skip
+    with pytest.raises(RobotError, match="base and arm are not finite"):
+        robot_of(four(more=MOVE + slave))
