@@ -11,7 +11,6 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from . import sensor
 from .compiled import compiled, copy_to
 from .model.dynamics import Dynamics
 from .model.reduction import friction, quadratic, spread
@@ -20,16 +19,14 @@ from .model.tree import flatten
 from .model.tree_dynamics import potential_energy, psi_again, terms
 from .model.tree_motion import Tree, new_scratch
 from .plant.integrators import (
-    IMPLICIT_FRICTION,
     METHODS,
     RK4,
     derivative,
-    friction_ahead,
+    euler,
     rk4_stage,
-    semi_implicit,
-    stiffen,
 )
 from .sample import after_torque, before_torque
+from .sensing import exact, measure
 from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.controller import CompiledController
@@ -47,7 +44,7 @@ class Body(NamedTuple):
     tree: Tree
     T: Array
     damping: Array
-    coulomb: Array
+    dry: Array
     viscous: Array
     arm: IntArray
     base: int
@@ -64,6 +61,7 @@ class Work(NamedTuple):
     F: Array
     L: Array
     rest: Array
+    grip: Array
     ydot: Array
     total: Array
     trial: Array
@@ -76,6 +74,7 @@ class Plan(NamedTuple):
     dt: float
     steps: int
     per_measurement: int
+    exact: bool
     method: int
     kind: int
     uses_model: bool
@@ -93,6 +92,10 @@ class Blocks(NamedTuple):
     settings: Array
     E_inv: Array
     bounds: Array
+    encoders: IntArray
+    W: Array
+    sensors: Array
+    noise: Array
 
 
 BODIES: WeakKeyDictionary[Robot, Body] = WeakKeyDictionary()
@@ -121,7 +124,7 @@ def new_body(robot: Robot) -> Body:
         tree=tree,
         T=np.array(robot.T),
         damping=np.array(robot.damping),
-        coulomb=np.array(robot.coulomb),
+        dry=robot.dry,
         viscous=np.array(robot.viscous),
         arm=np.array(robot.arm_index),
         base=robot.layout.base,
@@ -133,7 +136,7 @@ def new_work(body: Body) -> Work:
     """Scratch memory for a robot."""
     nv, p = body.T.shape
     size = nv + p + 1
-    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (size,), (size,), (size,))
+    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (size,), (size,), (size,))
     return Work(new_scratch(body.tree), *(np.zeros(shape) for shape in shapes))
 
 
@@ -142,7 +145,7 @@ def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
     """M, `h = C nu + gravity + friction`, friction F and `v = T nu` at a state."""
     terms(body.tree, position, nu, work.scratch, work.M, work.h)
     spread(body.T, nu, work.v)
-    friction(body.T, work.v, nu, body.damping, body.coulomb, body.viscous, work.F)
+    friction(body.T, work.v, nu, body.damping, body.dry, body.viscous, work.F)
     for i in range(nu.size):
         work.h[i] += work.F[i]
 
@@ -162,6 +165,13 @@ def as_measured(row: Array, at: IntArray, arm: IntArray, base: int, y: Array) ->
 
 
 @compiled
+def take(number: int, row: Array, position: Array, nu: Array, blocks: Blocks, memory: Array) -> None:
+    """Take the measurement of this number."""
+    noise = blocks.noise[number]
+    measure(row, blocks.at, position, nu, blocks.encoders, blocks.W, blocks.sensors, noise, memory)
+
+
+@compiled
 def advance(
     first: int,
     last: int,
@@ -171,6 +181,7 @@ def advance(
     blocks: Blocks,
     plan: Plan,
     memory: Array,
+    sensor_memory: Array,
     body: Body,
     work: Work,
     nominal: Body,
@@ -188,8 +199,10 @@ def advance(
     psi, psi_hat = row[at[PSI] : at[PSI + 1]], row[at[PSI_HAT] : at[PSI_HAT + 1]]
     tau = row[at[TORQUE] : at[TORQUE + 1]]
     for k in range(first, last):
-        measure = k == 0 or k * plan.steps % plan.per_measurement == 0
-        before_torque(row, at, k * plan.h, y, blocks.table[k], measure, body.arm, blocks.gains, blocks.K)
+        now = k * plan.steps % plan.per_measurement == 0
+        if now and not plan.exact:
+            take(k * plan.steps // plan.per_measurement, row, position, nu, blocks, sensor_memory)
+        before_torque(row, at, k * plan.h, y, blocks.table[k], now and plan.exact, body.arm, blocks.gains, blocks.K)
         if plan.uses_model:
             as_measured(row, at, nominal.arm, nominal.base, nominal_y)
             evaluate(nominal, nominal_work, nominal_y[:nv], nominal_y[nv : nv + p])
@@ -210,22 +223,24 @@ def advance(
         counter[0] = k - first + 1
         for i in range(plan.steps):
             if i > 0 and (k * plan.steps + i) % plan.per_measurement == 0:
-                sensor.ideal(row, at, position, nu, body.arm)
+                if plan.exact:
+                    exact(row, at, position, nu, body.arm)
+                else:
+                    take((k * plan.steps + i) // plan.per_measurement, row, position, nu, blocks, sensor_memory)
+            if plan.method != RK4:
+                if i > 0:
+                    evaluate(body, work, position, nu)
+                euler(
+                    plan.method, plan.dt, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry,
+                    body.viscous, tau, body.base, work.L, work.rest, work.grip, y, work.ydot,
+                )  # fmt: skip
+                continue
             copy_to(y, work.trial)
-            for stage in range(4 if plan.method == RK4 else 1):
+            for stage in range(4):
                 if i > 0 or stage > 0:
                     evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
-                v, F, T = work.v, work.F, body.T
-                if plan.method == IMPLICIT_FRICTION:
-                    stiffen(plan.dt, T, v, body.damping, body.coulomb, body.viscous, work.M)
-                derivative(work.trial, v, work.M, work.h, F, tau, body.base, work.L, work.rest, work.ydot)
-                if plan.method == IMPLICIT_FRICTION:
-                    nudot = work.ydot[nv : nv + p]
-                    friction_ahead(plan.dt, T, v, body.damping, body.coulomb, body.viscous, nudot, F)
-                if plan.method != RK4:
-                    semi_implicit(plan.dt, T, F, tau, body.base, y, v, work.ydot, work.trial)
-                else:
-                    rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
+                derivative(work.trial, work.v, work.M, work.h, work.F, tau, body.base, work.L, work.rest, work.ydot)
+                rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
             copy_to(work.trial, y)
     return -1
 
@@ -239,7 +254,9 @@ class CompiledLoop:
 
     name = "compiled"
 
-    def __init__(self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, block: int) -> None:
+    def __init__(
+        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, sensor_memory: Array | None, block: int
+    ) -> None:
         assert isinstance(loop.controller, CompiledController)
         robot, layout, timing = loop.robot, loop.robot.layout, loop.timing
         self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
@@ -253,6 +270,7 @@ class CompiledLoop:
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         numbers = loop.controller.law(loop.wiring())
+        exact, sensing, self.sensor_memory, noise = loop.sensors(sensor_memory)
         self.blocks = Blocks(
             at=layout.offsets,
             table=table,
@@ -262,12 +280,17 @@ class CompiledLoop:
             settings=numbers.settings,
             E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
             bounds=loop.bounds.vector(layout),
+            encoders=sensing.encoders,
+            W=sensing.W,
+            sensors=sensing.numbers,
+            noise=noise,
         )
         self.plan = Plan(
             h=timing.control_period,
             dt=timing.plant_step,
             steps=timing.steps_per_control,
             per_measurement=timing.steps_per_measurement,
+            exact=exact,
             method=METHODS[timing.integrator],
             kind=numbers.kind,
             uses_model=uses_model,
@@ -278,7 +301,7 @@ class CompiledLoop:
         """Run control samples first ... last - 1; -1, or the column of `row` that went bad."""
         return advance(
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values,
-            self.body, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y,
+            self.sensor_memory, self.body, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y,
         )  # fmt: skip
 
     def _energy(self, position: Array, nu: Array) -> float:

@@ -20,6 +20,7 @@ POSE_REF, VELOCITY_REF, ACCELERATION_REF = INDEX["pose_ref"], INDEX["velocity_re
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
 ALPHA, ALPHADOT, POSE_ERROR, Z = INDEX["alpha"], INDEX["alphadot"], INDEX["pose_error"], INDEX["z"]
+WORLD_ERROR = INDEX["world_error"]
 E, EDOT, R, NU_REF, NUDOT_REF = INDEX["e"], INDEX["edot"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]
 
 
@@ -36,6 +37,13 @@ def body_error(pose_ref: Array, pose: Array, error: Array) -> None:
     c, s = math.cos(pose[2]), math.sin(pose[2])
     error[0] = c * dx + s * dy
     error[1] = c * dy - s * dx
+    error[2] = wrap(pose_ref[2] - pose[2])
+
+
+@compiled
+def world_error(pose_ref: Array, pose: Array, error: Array) -> None:
+    """Pose error in the world frame, `q_vd - q_v`, heading wrapped; writes error (3,)."""
+    error[0], error[1] = pose_ref[0] - pose[0], pose_ref[1] - pose[1]
     error[2] = wrap(pose_ref[2] - pose[2])
 
 
@@ -126,7 +134,9 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
             row[at[ALPHADOT] : at[ALPHADOT + 1]],
             row[at[Z] : at[Z + 1]],
         )
-        body_error(row[at[POSE_REF] : at[POSE_REF + 1]], row[at[POSE] : at[POSE + 1]], error)
+        pose_ref, pose = row[at[POSE_REF] : at[POSE_REF + 1]], row[at[POSE] : at[POSE + 1]]
+        body_error(pose_ref, pose, error)
+        world_error(pose_ref, pose, row[at[WORLD_ERROR] : at[WORLD_ERROR + 1]])
         v_ref, a_ref = (
             row[at[VELOCITY_REF] : at[VELOCITY_REF + 1]],
             row[at[ACCELERATION_REF] : at[ACCELERATION_REF + 1]],

@@ -12,18 +12,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
+import msgspec
 import numpy as np
 
 from .compiled_loop import CompiledLoop
-from .errors import ConfigError, RobotError
+from .errors import ConfigError, RobotError, UnknownName
 from .kinematic import Kinematic
 from .model.dynamics import Dynamics
 from .model.robot import Robot
 from .ordinary_loop import OrdinaryLoop
+from .plant.contact.floor import Contact
 from .recorder import Recorder
 from .recording import Outcome, Recording
 from .reference import Trajectory
 from .sampled import require_stable, sampled_loop, viscous_friction
+from .sensing import Sensing, Sensor
 from .signals import INDEX, SIGNALS, Array, Layout
 from .start import FIRST_REFERENCE, Bounds, Start
 from .timing import Timing
@@ -31,6 +34,7 @@ from .torque.controller import CompiledController, Memory, TorqueController, Wir
 from .torque.neural import Neural
 
 Engine = CompiledLoop | OrdinaryLoop
+PLANTS = ("ideal", "contact")
 
 
 class Sink(Protocol):
@@ -60,6 +64,9 @@ class Loop:
         weights_interval: Time between two records of the weights [s].
         check_gains: Refuse gains that make the sampled PD loop alone unstable.
         engine: "compiled", "ordinary", or "auto": compiled where robot and controller can be, which the recording says.
+        plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo and the ordinary engine.
+        contact: The floor of the contact plant.
+        sensor: What the sensors do to the truth; exact by default.
     """
 
     robot: Robot
@@ -74,6 +81,19 @@ class Loop:
     weights_interval: float = 0.1
     check_gains: bool = True
     engine: Literal["auto", "compiled", "ordinary"] = "auto"
+    plant: str = "ideal"
+    contact: Contact = field(default_factory=Contact)
+    sensor: Sensor = field(default_factory=Sensor)
+
+    def __post_init__(self) -> None:
+        """On the contact plant the rows of both robots have the signals of the wheels' contacts."""
+        if self.plant not in PLANTS:
+            raise UnknownName("plant", self.plant, PLANTS, key="plant")
+        wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
+        for name in ("robot", "nominal"):
+            robot = getattr(self, name)
+            if robot is not None and robot.layout.wheels != wheels:
+                object.__setattr__(self, name, replace(robot, layout=replace(robot.layout, wheels=wheels)))
 
     def run(
         self,
@@ -83,6 +103,7 @@ class Loop:
         meta: Mapping[str, Any] | None = None,
         memory: Any = None,
         state: tuple[Array, Array] | None = None,
+        sensor_memory: Array | None = None,
         first: int = 0,
         progress: Callable[[float], None] | None = None,
     ) -> Recording:
@@ -94,7 +115,8 @@ class Loop:
             meta: More facts for the recording.
             memory: A controller's memory to start from (it is copied); None for a new one.
             state: Position (nv,) and nu (p,) to start from instead of `start`.
-            first: Control sample to start at, one with a measurement; with the memory and state of an earlier run at
+            sensor_memory: The sensors' memory to start from (it is copied); None for a new one.
+            first: Control sample to start at, one with a measurement; with the memories and state of an earlier run at
                 that sample, the run resumes.
             progress: Called now and then with the simulated time [s].
 
@@ -105,15 +127,19 @@ class Loop:
             RecordingError: The recording cannot be written.
         """
         self.require_stable_gains()
-        engine = self.engine_at(memory, state, first)
+        engine = self.engine_at(memory, state, first, sensor_memory)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
         with Recorder(self.robot.layout, facts, path, force) as recorder:
-            outcome = self.stream(engine, recorder, first=first, progress=progress)
-            findings = self.controller.findings(engine.memory) if isinstance(self.controller, Neural) else []
-            message = "; ".join(text for text in (outcome.message, *findings) if text)
-            return recorder.finish(replace(outcome, message=message), self.final(engine))
+            outcome = self.judged(self.stream(engine, recorder, first=first, progress=progress), engine)
+            return recorder.finish(outcome, self.final(engine))
 
-    def engine_at(self, memory: Any = None, state: tuple[Array, Array] | None = None, first: int = 0) -> Engine:
+    def engine_at(
+        self,
+        memory: Any = None,
+        state: tuple[Array, Array] | None = None,
+        first: int = 0,
+        sensor_memory: Array | None = None,
+    ) -> Engine:
         """The engine that steps this loop, at its start; arguments as in `run`.
 
         Raises:
@@ -128,18 +154,40 @@ class Loop:
         table, layout, memory = self.table(), self.robot.layout, self.memory_from(memory)
         position, nu = self.start.state(self.robot, table[first]) if state is None else state
         position, nu = finite("state", position, (layout.full,)), finite("state", nu, (layout.dof,))
-        return self._engine(table, position, nu, memory)
+        return self._engine(table, position, nu, memory, sensor_memory)
+
+    def judged(self, outcome: Outcome, engine: Engine) -> Outcome:
+        """An outcome whose message also tells what the controller's memory shows after the run."""
+        if outcome.status == "interrupted" or not isinstance(self.controller, Neural):
+            return outcome
+        findings = self.controller.findings(engine.memory)
+        return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))
 
     def final(self, engine: Engine) -> dict[str, Array]:
-        """Position, nu and the controller's memory where an engine stands."""
+        """Position, nu, the sensors' and the controller's memory where an engine stands."""
         nv, p = self.robot.layout.full, self.robot.layout.dof
-        state = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p]}
+        state = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p], "sensor_memory": engine.sensor_memory}
         return state | ({"memory": engine.memory.values} if isinstance(engine.memory, Memory) else {})
 
     def wiring(self) -> Wiring:
         """What the controller is told before the run."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
         return Wiring(self.robot.layout, self.timing.control_period, self.timing.samples, rng)
+
+    def sensors(self, memory: Array | None = None) -> tuple[bool, Sensing, Array, Array]:
+        """Whether the sensors are exact, their numbers, their memory and the noise of all measurements.
+
+        Raises:
+            ConfigError: Sensors that do not fit the robot; a memory of wrong shape or not finite.
+        """
+        period = self.timing.sensor_period or self.timing.control_period
+        sensing = self.sensor.on(self.robot, period)
+        new = sensing.init()
+        if memory is not None:
+            new = finite("sensor_memory", memory, new.shape)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(2)[1])
+        count = 0 if self.sensor.exact else self.timing.measurements
+        return self.sensor.exact, sensing, new, sensing.noise(count, rng)
 
     def table(self) -> Array:
         """The reference at every control sample, (samples, ...), in the order of the row's signals.
@@ -152,19 +200,12 @@ class Loop:
 
     def facts(self) -> dict[str, Any]:
         """What a recording should know of this run."""
-        robot = self.robot
-        return {
-            "robot": robot.name,
-            "controller": self.controller.name,
-            "seed": self.seed,
-            "urdf": robot.urdf,
-            "urdf_sha256": robot.sha256,
-            "velocity_names": robot.velocity_names,
-            "position_names": robot.position_names,
-            "actuator_names": robot.actuator_names,
-            "effort_limits": robot.effort_limits.tolist(),
-            "control_period": self.timing.control_period,
-        }
+        own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
+        own |= {"kinematic": msgspec.to_builtins(self.kinematic)}
+        believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
+        sensor = {} if self.sensor.exact else {"sensor": msgspec.to_builtins(self.sensor)}
+        floor = {"contact": msgspec.to_builtins(self.contact)} if self.plant == "contact" else {}
+        return self.robot.facts() | own | believed | sensor | {"plant": self.plant} | floor
 
     def require_stable_gains(self) -> None:
         """Judge the sampled PD loop at ten places along the reference.
@@ -227,21 +268,26 @@ class Loop:
         new.values[:] = finite("memory", given.values, new.values.shape)
         return new
 
-    def _engine(self, table: Array, position: Array, nu: Array, memory: Any) -> Engine:
-        block = max(1, min(1000, round(self.weights_interval / self.timing.control_period)))
+    def _engine(self, table: Array, position: Array, nu: Array, memory: Any, sensor_memory: Array | None) -> Engine:
+        block = max(1, min(250, round(self.weights_interval / self.timing.control_period)))
         if isinstance(self.controller, TorqueController):
             if self.engine == "compiled":
                 raise ConfigError(
                     "a controller in plain Python cannot be compiled", fix="use engine = 'auto'", key="engine"
                 )
-            return OrdinaryLoop(self, table, position, nu, memory, block)
+            return OrdinaryLoop(self, table, position, nu, memory, sensor_memory, block)
+        if self.plant == "contact":
+            if self.engine == "compiled":
+                why, fix = "MuJoCo steps it, the ordinary loop only", "use engine = 'auto', or the ideal plant"
+                raise ConfigError("the contact plant cannot be compiled", why=why, fix=fix, key="engine")
+            return OrdinaryLoop(self, table, position, nu, memory, sensor_memory, block)
         if self.engine != "ordinary":
             try:
-                return CompiledLoop(self, table, position, nu, memory, block)
+                return CompiledLoop(self, table, position, nu, memory, sensor_memory, block)
             except RobotError:
                 if self.engine == "compiled":
                     raise
-        return OrdinaryLoop(self, table, position, nu, memory, block)
+        return OrdinaryLoop(self, table, position, nu, memory, sensor_memory, block)
 
     def stream(
         self,
@@ -261,6 +307,18 @@ class Loop:
             progress: Called after every block with the simulated time [s].
             cancelled: Asked after every block; true ends the run as interrupted.
         """
+        outcome = self._stream(engine, sink, first, progress, cancelled)
+        found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
+        return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
+
+    def _stream(
+        self,
+        engine: Engine,
+        sink: Sink,
+        first: int,
+        progress: Callable[[float], None] | None,
+        cancelled: Callable[[], bool],
+    ) -> Outcome:
         memory, k, h, samples = engine.memory, first, self.timing.control_period, self.timing.samples
         every = max(1, round(self.weights_interval / h))
         try:

@@ -17,7 +17,10 @@ from .recording import Recording
 from .signals import Array, IntArray, Layout
 
 ERRORS = ("pose_error", "z", "e")
-TRACKED = (*ERRORS, "motor_torque", "torque", "psi_hat", "effective_gain", "energy_residual")
+CONTACT = ("slip", "traction", "constraint_residual")  # of the contact plant
+# Judged by what the robot does, not by what its sensors say; recordings without these signals had exact sensors.
+TRUE = {"pose_error": "true_pose_error", "z": "true_z", "e": "true_e"}
+TRACKED = (*ERRORS, "motor_torque", "torque", "psi_hat", "effective_gain", "energy_residual", *CONTACT)
 Windows = Sequence[tuple[float, float]]
 
 
@@ -53,8 +56,10 @@ class Reducer:
             **dict.fromkeys(("torque", "psi_hat", "effective_gain"), velocities),
             "energy_residual": ("energy_residual",),
         }
+        wheels = tuple(facts["actuator_names"])[: layout.wheels]
+        labels |= {"slip": wheels, "traction": wheels, "constraint_residual": ("constraint_residual",) * bool(wheels)}
         labels = {name: names for name, names in labels.items() if names}
-        places = [np.arange(layout.width)[layout.where(name)] for name in labels]
+        places = [np.arange(layout.width)[layout.where(TRUE.get(name, name))] for name in labels]
         return cls(labels, windows, facts["control_period"], np.concatenate(places))
 
     def append_block(self, rows: Array, step_times: ArrayLike = 0.0) -> None:
@@ -72,7 +77,8 @@ class Reducer:
 
         Statistics: `peak` (largest magnitude), `rms_a_b` over each window [a, b) that the run reached (nan otherwise);
         `effort` is the time integral of the squared motor torques [N^2 m^2 s]; `learned_share` the RMS of Psi_hat over
-        the RMS of the applied torque (base and arm apart), `effective_gain` its mean.
+        the RMS of the applied torque (base and arm apart), `effective_gain` its mean. On the contact plant also the
+        peaks of slip [m/s], traction use and constraint residual [m/s].
         """
         numbers, where = {}, self._places()
         for name in ERRORS:
@@ -92,6 +98,11 @@ class Reducer:
             gain = self.total[where["effective_gain"][half]]
             numbers[f"effective_gain.{part}"] = float(gain.mean() / self.count) if self.count else np.nan
         numbers["energy_residual"] = float(self.peak[where["energy_residual"]][0])
+        for name in ("slip", "traction"):
+            for i, label in zip(where.get(name, ()), self.labels.get(name, ()), strict=True):
+                numbers[f"{name}.{label}.peak"] = float(self.peak[i])
+        if "constraint_residual" in where:
+            numbers["constraint_residual"] = float(self.peak[where["constraint_residual"]][0])
         return numbers
 
     def _places(self) -> dict[str, Array]:
@@ -139,10 +150,15 @@ def accumulate(
 def metrics(recording: Recording, windows: Windows) -> dict[str, float]:
     """Numbers of a recording; see `Reducer.result`."""
     labels = {name: recording.labels(name) for name in TRACKED if name in recording}
-    rows = np.hstack([as_columns(recording[name]) for name in ("time", *labels)])
+    rows = np.hstack([as_columns(recording[judged(recording, name)]) for name in ("time", *labels)])
     reducer = Reducer(labels, windows, float(recording.meta["control_period"]), np.arange(1, rows.shape[1]))
     reducer.append_block(rows)
     return reducer.result()
+
+
+def judged(recording: Recording, name: str) -> str:
+    """The signal that a metric of this name is taken from."""
+    return TRUE[name] if TRUE.get(name) in recording else name
 
 
 def halves(recording: Recording) -> dict[str, slice]:

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import sensor
 from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
+from .plant.contact.plant import ContactPlant
 from .plant.ideal import IdealPlant
 from .sample import after_torque, before_torque
+from .sensing import exact, measure
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, TorqueController, Wiring
@@ -48,6 +49,7 @@ class Torque:
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
         self.model: Dynamics | None = None
+        self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
             if controller.uses_model:
@@ -56,8 +58,8 @@ class Torque:
 
     def step(self, time: float) -> None:
         """Write psi_hat, robust, effective_gain and torque of this sample into the row."""
-        if isinstance(self.controller, TorqueController):
-            torque = self.controller.step(time, self.reference, self.measurement, self.command, self.memory)
+        if self.python is not None:
+            torque = self.python.step(time, self.reference, self.measurement, self.command, self.memory)
             if np.shape(torque) != self.torque.shape:
                 raise ConfigError(
                     f"controller '{self.controller.name}' returned a torque of shape {np.shape(torque)}",
@@ -88,6 +90,8 @@ class OrdinaryLoop:
         position: Where to start, (nv,).
         nu: With which velocity, (p,).
         memory: The controller's memory.
+        sensor_memory: The sensors' memory; None for a new one.
+        block: Samples handed over at a time.
 
     Attributes:
         rows: Buffer for a block of samples.
@@ -99,21 +103,35 @@ class OrdinaryLoop:
 
     name = "ordinary"
 
-    def __init__(self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, block: int) -> None:
+    def __init__(
+        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, sensor_memory: Array | None, block: int
+    ) -> None:
         layout = loop.robot.layout
         self.loop, self.table, self.at = loop, table, layout.offsets
         self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
         self.counter = np.zeros(1, np.int64)
         self.memory = memory
         self.torque = Torque(loop.controller, loop.wiring(), self.row, loop.nominal or loop.robot, memory)
-        self.plant = IdealPlant(loop.robot, loop.timing.plant_step, loop.timing.integrator)
+        self.plant = plant_of(loop)
         self.plant.start(position, nu)
         self.y = self.plant.y
+        self.exact, self.sensing, self.sensor_memory, self.noise = loop.sensors(sensor_memory)
         self.gains, self.K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
         self.bounds, self.E_inv = loop.bounds.vector(layout), np.ascontiguousarray(np.linalg.pinv(loop.robot.E))
         self.start_energy = float(0.5 * nu @ self.plant.dynamics.M @ nu) + self.plant.dynamics.potential()
         names = ("torque", "nu_ref", "nudot_ref", "psi")
         self.tau, self.nu_ref, self.nudot_ref, self.psi = (self.row[layout.where(name)] for name in names)
+
+    def measure(self, number: int) -> None:
+        """Take the measurement of this number."""
+        if self.exact:
+            exact(self.row, self.at, self.plant.position, self.plant.nu, self.loop.robot.arm_index)
+            return
+        s = self.sensing
+        measure(
+            self.row, self.at, self.plant.position, self.plant.nu, s.encoders, s.W, s.numbers, self.noise[number],
+            self.sensor_memory,
+        )  # fmt: skip
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1, or fewer when that takes long.
@@ -127,12 +145,15 @@ class OrdinaryLoop:
         started = clock.perf_counter()
         for k in range(first, last):
             began = clock.perf_counter()
-            measure = k == 0 or k * steps % per_measurement == 0
-            before_torque(row, self.at, k * h, plant.y, self.table[k], measure, arm, self.gains, self.K)
+            now = k * steps % per_measurement == 0
+            if now and not self.exact:
+                self.measure(k * steps // per_measurement)
+            before_torque(row, self.at, k * h, plant.y, self.table[k], now and self.exact, arm, self.gains, self.K)
+            plant.observe(row)
             self.torque.step(k * h)
             step_time = clock.perf_counter() - began
             dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
-            potential, work = dynamics.potential(), float(plant.y[-1])
+            potential, work = dynamics.potential(), plant.y[-1]
             bad = after_torque(row, self.at, dynamics.M, self.E_inv, potential, work, self.start_energy, self.bounds)
             if bad >= 0:
                 return bad
@@ -140,9 +161,22 @@ class OrdinaryLoop:
             self.rows[done], self.step_times[done], self.counter[0] = row, step_time, done + 1
             for i in range(steps):
                 if i > 0 and (k * steps + i) % per_measurement == 0:
-                    sensor.ideal(row, self.at, plant.position, plant.nu, arm)
+                    self.measure((k * steps + i) // per_measurement)
                 plant.step(self.tau)
                 plant.refresh()
             if began - started > PATIENCE:
                 break
         return -1
+
+
+def plant_of(loop: Loop) -> IdealPlant | ContactPlant:
+    """The plant that a loop asks for.
+
+    Raises:
+        ConfigError: The contact plant, and MuJoCo is not installed.
+        RobotError: The contact plant, and a robot that it cannot carry.
+    """
+    timing = loop.timing
+    if loop.plant == "contact":
+        return ContactPlant(loop.robot, timing.plant_step, timing.integrator, loop.contact)
+    return IdealPlant(loop.robot, timing.plant_step, timing.integrator)

@@ -210,6 +210,7 @@ def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:
         "arm": velocities[layout.base :],
         "full": _names(facts, "position_names", layout.full),
         "motor": _names(facts, "actuator_names", layout.motors),
+        "wheel": _names(facts, "actuator_names", layout.motors)[: layout.wheels],
     }
     columns = {}
     for name, kind, *_ in SIGNALS:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
@@ -114,6 +115,10 @@ class Recording:
 
     def __repr__(self) -> str:
         return f"<Recording: {self.summary()}>"
+
+    def _repr_html_(self) -> str:
+        """Summary, plots and replay in a notebook; what shows recordings stands above them, so it is found by name."""
+        return str(import_module("mmnn_pin.show.notebook").notebook_html(self))
 
     @property
     def names(self) -> tuple[str, ...]:

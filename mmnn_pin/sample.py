@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import kinematic, sensor
+from . import kinematic
 from .compiled import compiled, copy_to
+from .sensing.exact import exact
 from .signals import INDEX, Array, IntArray
 
 TIME, POSITION, NU, FIRST_REFERENCE, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 TORQUE, MOTOR_TORQUE = INDEX["torque"], INDEX["motor_torque"]
+POSE_REF, ALPHA, Q_REF = (INDEX[n] for n in ("pose_ref", "alpha", "q_ref"))
+TRUE_POSE_ERROR, TRUE_Z, TRUE_E = (INDEX[n] for n in ("true_pose_error", "true_z", "true_e"))
 ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"))
 
 
@@ -20,7 +23,7 @@ def before_torque(
     time: float,
     y: Array,
     reference: Array,
-    measure: bool,
+    measure_exactly: bool,
     arm: IntArray,
     gains: Array,
     K: Array,
@@ -32,9 +35,22 @@ def before_torque(
     copy_to(position, row[at[POSITION] : at[POSITION + 1]])
     copy_to(nu, row[at[NU] : at[NU + 1]])
     copy_to(reference, row[at[FIRST_REFERENCE] : at[POSE]])
-    if measure:
-        sensor.ideal(row, at, position, nu, arm)
+    if measure_exactly:
+        exact(row, at, position, nu, arm)
     kinematic.command(row, at, gains, K)
+    true_errors(row, at, position, nu, arm)
+
+
+@compiled
+def true_errors(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
+    """The tracking errors of the true state, which no controller sees: true_pose_error, true_z, true_e."""
+    if at[POSE_REF + 1] > at[POSE_REF]:
+        pose_ref = row[at[POSE_REF] : at[POSE_REF + 1]]
+        kinematic.body_error(pose_ref, position, row[at[TRUE_POSE_ERROR] : at[TRUE_POSE_ERROR + 1]])
+    for i in range(at[TRUE_Z + 1] - at[TRUE_Z]):
+        row[at[TRUE_Z] + i] = row[at[ALPHA] + i] - nu[i]
+    for i in range(arm.size):
+        row[at[TRUE_E] + i] = row[at[Q_REF] + i] - position[arm[i]]
 
 
 @compiled

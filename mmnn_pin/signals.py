@@ -22,7 +22,8 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 # The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
-# Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number.
+# Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number;
+# on the contact plant "wheel" drive wheels and "floor" 1 with wheels, else 0.
 SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("time", "1", "s", ""),
     ("position", "full", "m, rad", "rad or m"),
@@ -40,10 +41,14 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("alpha", "base", "m/s, rad/s", ""),
     ("alphadot", "base", "m/s^2, rad/s^2", ""),
     ("pose_error", "pose", "m, m, rad", ""),
+    ("world_error", "pose", "m, m, rad", ""),
     ("z", "base", "m/s, rad/s", ""),
     ("e", "arm", "", "rad or m"),
     ("edot", "arm", "", "rad/s or m/s"),
     ("r", "arm", "", "rad/s or m/s"),
+    ("true_pose_error", "pose", "m, m, rad", ""),
+    ("true_z", "base", "m/s, rad/s", ""),
+    ("true_e", "arm", "", "rad or m"),
     ("nu_ref", "all", "m/s, rad/s", "rad/s or m/s"),
     ("nudot_ref", "all", "m/s^2, rad/s^2", "rad/s^2 or m/s^2"),
     ("psi", "all", "N, N m", "N m or N"),
@@ -56,6 +61,9 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("energy", "1", "J", ""),
     ("work", "1", "J", ""),
     ("energy_residual", "1", "J", ""),
+    ("constraint_residual", "floor", "m/s", ""),
+    ("slip", "wheel", "m/s", ""),
+    ("traction", "wheel", "", ""),
 )
 # Compiled code freezes these numbers: this file is part of the key of the compiled code's cache.
 INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
@@ -70,12 +78,14 @@ class Layout:
         arm: Number of arm joints n.
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
+        wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
     """
 
     base: int
     arm: int
     full: int
     motors: int
+    wheels: int = 0
 
     @property
     def pose(self) -> int:
@@ -91,7 +101,7 @@ class Layout:
     def offsets(self) -> NDArray[np.int64]:
         """Start of every signal in the order of `SIGNALS`, and the width of the row, shape (len(SIGNALS) + 1,)."""
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
-        size |= {"motor": self.motors, "1": 1, "2": 2}
+        size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
 
     @property
@@ -175,6 +185,7 @@ class VelocityCommand(View):
         alpha: (nb,) commanded base velocity [m/s, rad/s].
         alphadot: (nb,) its analytic time derivative [m/s^2, rad/s^2].
         pose_error: (3,) reference minus pose, in the base frame, heading wrapped to (-pi, pi] [m, m, rad].
+        world_error: (3,) the same in the world frame.
         z: (nb,) `alpha - velocity`.
         e: (n,) `q_ref - q`.
         edot: (n,) `qdot_ref - qdot`.
@@ -186,6 +197,7 @@ class VelocityCommand(View):
     alpha: Array
     alphadot: Array
     pose_error: Array
+    world_error: Array
     z: Array
     e: Array
     edot: Array

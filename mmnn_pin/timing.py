@@ -19,7 +19,8 @@ class Timing(Settings, frozen=True):
         control_period: Time between control samples [s].
         plant_step: Integration step of the plant [s].
         sensor_period: Time between measurements [s]; None measures at every control sample.
-        integrator: "rk4", "semi_implicit_euler", or "implicit_friction" for friction too stiff for the others.
+        integrator: "rk4", "semi_implicit_euler", "implicit_friction" for friction too stiff for these, or "stick" for
+            dry friction that really holds a joint.
 
     Raises:
         ConfigError: A period is not positive and finite, or the plant step does not divide the others.
@@ -29,7 +30,7 @@ class Timing(Settings, frozen=True):
     control_period: float = 0.002
     plant_step: float = 0.001
     sensor_period: float | None = None
-    integrator: Literal["rk4", "semi_implicit_euler", "implicit_friction"] = "rk4"
+    integrator: Literal["rk4", "semi_implicit_euler", "implicit_friction", "stick"] = "rk4"
 
     def __post_init__(self) -> None:
         for name in ("duration", "control_period", "plant_step", "sensor_period"):
@@ -44,6 +45,11 @@ class Timing(Settings, frozen=True):
     def samples(self) -> int:
         """Number of control samples."""
         return divide(self.duration, self.control_period, "control_period")
+
+    @property
+    def measurements(self) -> int:
+        """Number of measurements."""
+        return -(-self.samples * self.steps_per_control // self.steps_per_measurement)
 
     @property
     def steps_per_control(self) -> int:

@@ -52,7 +52,8 @@ def reduced(layout: Layout, rows: Array, cuts=()) -> dict[str, float]:
 
 def by_numpy(layout: Layout, rows: Array) -> dict[str, float]:
     """The same numbers from the whole table, each by its definition."""
-    part = {name: rows[:, layout.where(name)] for name in ("pose_error", "z", "e", "torque", "psi_hat", "motor_torque")}
+    part = {name: rows[:, layout.where(f"true_{name}")] for name in ("pose_error", "z", "e")}
+    part |= {name: rows[:, layout.where(name)] for name in ("torque", "psi_hat", "motor_torque")}
     gain, t, names, nb = (
         rows[:, layout.where("effective_gain")],
         rows[:, 0],
@@ -102,8 +103,8 @@ def test_no_samples_have_no_errors(layout):
 def test_a_window_holds_its_beginning_and_not_its_end():
     layout = LAYOUTS["mobile"]
     rows = random_rows(layout, 40)
-    rows[:, layout.where("z")] = 0.0
-    rows[10, layout.where("z")] = 7.0  # at 0.1 s, where one window ends and the next begins
+    rows[:, layout.where("true_z")] = 0.0
+    rows[10, layout.where("true_z")] = 7.0  # at 0.1 s, where one window ends and the next begins
     got = reduced(layout, rows)
     assert got["z.u0.rms_0_0.1"] == 0.0 and got["z.u0.rms_0.1_0.35"] == pytest.approx(7.0 / 5.0)
     assert got["z.u1.peak"] == 7.0

@@ -21,7 +21,7 @@ class IdealPlant:
     Args:
         robot: The true robot.
         dt: Step [s].
-        method: "rk4", "semi_implicit_euler" or "implicit_friction".
+        method: "rk4", "semi_implicit_euler", "implicit_friction" or "stick".
 
     Attributes:
         y: (nv + p + 1,) position, nu and the work done on the robot since the start.
@@ -40,7 +40,7 @@ class IdealPlant:
         nv, p = robot.layout.full, robot.layout.dof
         self.y, self.trial, self.ydot, self.total = (np.zeros(nv + p + 1) for _ in range(4))
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
-        self._rest = np.zeros(p)
+        self.base, self.rest, self.grip = robot.layout.base, np.zeros(p), np.zeros((nv, p + 2))
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot at a position (nv,) with velocity nu (p,) and no work done."""
@@ -53,23 +53,26 @@ class IdealPlant:
 
     def step(self, tau: Array) -> None:
         """Advance by dt under a held torque, (p,); `refresh` must have been called at this state."""
-        dynamics, T, base = self.dynamics, self.dynamics.T, self.robot.layout.base
-        stiff = self.method == integrators.IMPLICIT_FRICTION
-        friction = (dynamics.v, dynamics.damping, dynamics.coulomb, dynamics.viscous)
-        if stiff:
-            integrators.stiffen(self.dt, T, *friction, dynamics.M)
-        self._derivative(self.y, tau)
-        if stiff:
-            nv, p = self.position.size, self.nu.size
-            integrators.friction_ahead(self.dt, T, *friction, self.ydot[nv : nv + p], dynamics.F)
+        d = self.dynamics
         if self.method != integrators.RK4:
-            integrators.semi_implicit(self.dt, T, dynamics.F, tau, base, self.y, dynamics.v, self.ydot, self.trial)
-        else:
-            integrators.rk4_stage(0, self.dt, self.y, self.ydot, self.total, self.trial)
-            for stage in (1, 2, 3):
-                self._evaluate(tau)
-                integrators.rk4_stage(stage, self.dt, self.y, self.ydot, self.total, self.trial)
+            integrators.euler(
+                self.method, self.dt, d.T, d.v, d.M, d.h, d.F, d.damping, d.dry, d.viscous, tau, self.base,
+                d.L, self.rest, self.grip, self.y, self.ydot,
+            )  # fmt: skip
+            return
+        self._derivative(self.y, tau)
+        integrators.rk4_stage(0, self.dt, self.y, self.ydot, self.total, self.trial)
+        for stage in (1, 2, 3):
+            self._evaluate(tau)
+            integrators.rk4_stage(stage, self.dt, self.y, self.ydot, self.total, self.trial)
         self.y[:] = self.trial
+
+    def observe(self, row: Array) -> None:
+        """Nothing: the row has all that this plant knows."""
+
+    def findings(self) -> list[str]:
+        """Nothing: its wheels roll."""
+        return []
 
     def step_feedback(self, time: float, feedback: Feedback) -> None:
         """Advance by dt with RK4 under a continuous feedback `tau(t, position, nu)`, evaluated at every stage."""
@@ -88,4 +91,4 @@ class IdealPlant:
 
     def _derivative(self, y: Array, tau: Array) -> None:
         d = self.dynamics
-        integrators.derivative(y, d.v, d.M, d.h, d.F, tau, self.robot.layout.base, d.L, self._rest, self.ydot)
+        integrators.derivative(y, d.v, d.M, d.h, d.F, tau, self.base, d.L, self.rest, self.ydot)

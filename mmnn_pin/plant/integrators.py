@@ -1,4 +1,4 @@
-"""Fixed-step integration of the reduced dynamics, compiled: RK4 and semi-implicit Euler, also with implicit friction.
+"""Fixed-step integration of the reduced dynamics, compiled: RK4 and semi-implicit Euler, with three kinds of friction.
 
 The integrated vector is `y = [position (nv), nu (p), work (1)]`; the work is what torques and friction have done, so
 that `energy - work` is conserved and its drift is the balance's residual.
@@ -6,6 +6,11 @@ that `energy - work` is conserved and its drift is the balance's residual.
 Motion of a link of 4e-6 kg m^2 against 1 N m s dies out in microseconds: an explicit method cannot follow it. With
 implicit friction the force is `F = S nu_new`, S the ratio of friction to velocity at the start of the step, stable at
 any step.
+
+Friction that really sticks is no function of the velocity. The method `stick` takes the impulse of dry friction on a
+joint as the one within `+-level dt` that brings the joint to rest, or comes nearest to it (time stepping after
+Stewart and Trinkle 1996; the box-constrained problem is solved by projected Gauss-Seidel). Viscous friction is
+implicit there, too.
 """
 
 from __future__ import annotations
@@ -13,12 +18,13 @@ from __future__ import annotations
 import math
 
 from ..compiled import compiled
-from ..model.reduction import COULOMB_SPEED, position_rate, solve, spread
+from ..model.reduction import COULOMB_SPEED, dry_level, position_rate, solve, spread, substitute
 from ..signals import Array
 
-RK4, SEMI_IMPLICIT, IMPLICIT_FRICTION = 0, 1, 2
-METHODS = {"rk4": RK4, "semi_implicit_euler": SEMI_IMPLICIT, "implicit_friction": IMPLICIT_FRICTION}
-ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 1}
+RK4, SEMI_IMPLICIT, IMPLICIT_FRICTION, STICK = 0, 1, 2, 3
+METHODS = {"rk4": RK4, "semi_implicit_euler": SEMI_IMPLICIT, "implicit_friction": IMPLICIT_FRICTION, "stick": STICK}
+ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 1, "stick": 1}
+SWEEPS = 100  # of Gauss-Seidel at most
 
 
 @compiled
@@ -72,36 +78,16 @@ def rk4_stage(stage: int, dt: float, y: Array, ydot: Array, total: Array, trial:
 
 
 @compiled
-def semi_implicit(
-    dt: float, T: Array, F: Array, tau: Array, base: int, y: Array, v: Array, ydot: Array, out: Array
-) -> None:
-    """Semi-implicit Euler: nu first, then the position with the new nu; the work by the trapezoid of nu.
-
-    Arguments as in `derivative`, with ydot the derivative at y; out is written and v becomes `T nu` of the new nu.
-    """
-    nv, p = v.size, tau.size
-    nu, new = y[nv : nv + p], out[nv : nv + p]
-    work = 0.0
-    for i in range(p):
-        new[i] = nu[i] + dt * ydot[nv + i]
-        work += 0.5 * (nu[i] + new[i]) * (tau[i] - F[i])
-    spread(T, new, v)
-    position_rate(y[:nv], new, v, base, ydot[:nv])
-    for i in range(nv):
-        out[i] = y[i] + dt * ydot[i]
-    out[nv + p] = y[nv + p] + dt * work
-
-
-@compiled
-def friction_ratio(v: float, damping: float, coulomb: float) -> float:
+def friction_ratio(v: float, damping: float, dry: Array) -> float:
     """Friction of a joint divided by its velocity v."""
+    level = dry_level(v, dry)
     if abs(v) < 1e-6 * COULOMB_SPEED:
-        return damping + coulomb / COULOMB_SPEED
-    return damping + coulomb * math.tanh(v / COULOMB_SPEED) / v
+        return damping + level / COULOMB_SPEED
+    return damping + level * math.tanh(v / COULOMB_SPEED) / v
 
 
 @compiled
-def stiffen(dt: float, T: Array, v: Array, damping: Array, coulomb: Array, viscous: Array, M: Array) -> None:
+def stiffen(dt: float, T: Array, v: Array, damping: Array, dry: Array, viscous: Array, smooth: bool, M: Array) -> None:
     """Add `dt S` to M, so that `(M + dt S) nudot = tau - h` gives the velocity after a step with `F = S nu_new`.
 
     Args:
@@ -109,15 +95,16 @@ def stiffen(dt: float, T: Array, v: Array, damping: Array, coulomb: Array, visco
         T: (nv, p) map to all velocities.
         v: (nv,) `T nu`.
         damping: (nv,) viscous friction of the joints.
-        coulomb: (nv,) Coulomb friction of the joints.
+        dry: (nv, 3) dry friction of the joints.
         viscous: (p,) viscous friction on nu.
+        smooth: Whether dry friction is part of F.
         M: (p, p) changed.
     """
     for j in range(viscous.size):
         M[j, j] += dt * viscous[j]
     for i in range(v.size):
-        if damping[i] != 0.0 or coulomb[i] != 0.0:
-            ratio = dt * friction_ratio(v[i], damping[i], coulomb[i])
+        if damping[i] != 0.0 or (smooth and dry[i, 0] != 0.0):
+            ratio = dt * (friction_ratio(v[i], damping[i], dry[i]) if smooth else damping[i])
             for j in range(viscous.size):
                 for k in range(viscous.size):
                     M[j, k] += T[i, j] * ratio * T[i, k]
@@ -125,16 +112,122 @@ def stiffen(dt: float, T: Array, v: Array, damping: Array, coulomb: Array, visco
 
 @compiled
 def friction_ahead(
-    dt: float, T: Array, v: Array, damping: Array, coulomb: Array, viscous: Array, nudot: Array, F: Array
+    dt: float, T: Array, v: Array, damping: Array, dry: Array, viscous: Array, smooth: bool, nudot: Array, F: Array
 ) -> None:
     """Friction F (p,) at the start of a step becomes that of its end, `F + dt S nudot`; arguments as in `stiffen`."""
     for j in range(viscous.size):
         F[j] += dt * viscous[j] * nudot[j]
     for i in range(v.size):
-        if damping[i] != 0.0 or coulomb[i] != 0.0:
+        if damping[i] != 0.0 or (smooth and dry[i, 0] != 0.0):
             rate = 0.0
             for j in range(viscous.size):
                 rate += T[i, j] * nudot[j]
-            force = dt * friction_ratio(v[i], damping[i], coulomb[i]) * rate
+            ratio = friction_ratio(v[i], damping[i], dry[i]) if smooth else damping[i]
             for j in range(viscous.size):
-                F[j] += T[i, j] * force
+                F[j] += T[i, j] * dt * ratio * rate
+
+
+@compiled
+def release(T: Array, v: Array, dry: Array, h: Array, F: Array) -> None:
+    """Take smooth dry friction out of h (p,) and F (p,)."""
+    for i in range(v.size):
+        if dry[i, 0] != 0.0:
+            force = dry_level(v[i], dry[i]) * math.tanh(v[i] / COULOMB_SPEED)
+            for j in range(F.size):
+                h[j] -= T[i, j] * force
+                F[j] -= T[i, j] * force
+
+
+@compiled
+def stick(dt: float, T: Array, v: Array, dry: Array, L: Array, grip: Array, new: Array, F: Array) -> None:
+    """Impulses of dry friction: each within `+-level dt`, bringing its joint to rest or as near to it as they can.
+
+    Args:
+        dt: Step [s].
+        T: (nv, p) map to all velocities.
+        v: (nv,) velocities at the start of the step, where the levels are taken.
+        dry: (nv, 3) dry friction of the joints.
+        L: (p, p) Cholesky factor of the mass matrix.
+        grip: (nv, p + 2) scratch: response of nu to an impulse, of the joint itself, the impulse.
+        new: (p,) velocity without dry friction; with it at the end.
+        F: (p,) friction, to which that of the impulses is added.
+    """
+    nv, p = T.shape
+    for i in range(nv):
+        grip[i, p + 1] = 0.0
+        if dry[i, 0] != 0.0:
+            answer, grip[i, p] = grip[i, :p], 0.0
+            for j in range(p):
+                answer[j] = T[i, j]
+            substitute(L, answer)
+            for j in range(p):
+                grip[i, p] += T[i, j] * answer[j]
+    for _ in range(SWEEPS):
+        change = 0.0
+        for i in range(nv):
+            if dry[i, 0] == 0.0 or grip[i, p] <= 0.0:
+                continue
+            speed = 0.0
+            for j in range(p):
+                speed += T[i, j] * new[j]
+            most = dry_level(v[i], dry[i]) * dt
+            step = min(max(grip[i, p + 1] - speed / grip[i, p], -most), most) - grip[i, p + 1]
+            grip[i, p + 1] += step
+            change = max(change, abs(step) / most)
+            for j in range(p):
+                new[j] += step * grip[i, j]
+        if change < 1e-13:
+            break
+    for i in range(nv):
+        for j in range(p):
+            F[j] -= T[i, j] * grip[i, p + 1] / dt
+
+
+@compiled
+def euler(
+    method: int,
+    dt: float,
+    T: Array,
+    v: Array,
+    M: Array,
+    h: Array,
+    F: Array,
+    damping: Array,
+    dry: Array,
+    viscous: Array,
+    tau: Array,
+    base: int,
+    L: Array,
+    rest: Array,
+    grip: Array,
+    y: Array,
+    ydot: Array,
+) -> None:
+    """One step of semi-implicit Euler: nu first, then the position with the new nu; the work by the trapezoid of nu.
+
+    Arguments as in `derivative`, `stiffen` and `stick`, evaluated at y, which moves on; v becomes `T nu` of the new nu.
+    With the methods `IMPLICIT_FRICTION` and `STICK` the friction is that of the end of the step, and M, h and F change.
+    """
+    nv, p = v.size, tau.size
+    implicit, smooth = method in (IMPLICIT_FRICTION, STICK), method != STICK
+    if not smooth:
+        release(T, v, dry, h, F)
+    if implicit:
+        stiffen(dt, T, v, damping, dry, viscous, smooth, M)
+    derivative(y, v, M, h, F, tau, base, L, rest, ydot)
+    if implicit:
+        friction_ahead(dt, T, v, damping, dry, viscous, smooth, ydot[nv : nv + p], F)
+    for i in range(p):
+        rest[i] = y[nv + i] + dt * ydot[nv + i]
+    if not smooth:
+        stick(dt, T, v, dry, L, grip, rest, F)
+    work = 0.0
+    for i in range(p):
+        work += 0.5 * (y[nv + i] + rest[i]) * (tau[i] - F[i])
+        y[nv + i] = rest[i]
+    new = y[nv : nv + p]
+    spread(T, new, v)
+    position_rate(y[:nv], new, v, base, ydot[:nv])
+    for i in range(nv):
+        y[i] += dt * ydot[i]
+    y[nv + p] += dt * work

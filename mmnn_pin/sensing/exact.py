@@ -1,15 +1,15 @@
-"""From the state to the Measurement. The ideal sensor measures everything exactly at its sampling instants."""
+"""The exact sensor: everything is measured as it is at its sampling instants."""
 
 from __future__ import annotations
 
-from .compiled import compiled
-from .signals import INDEX, Array, IntArray
+from ..compiled import compiled
+from ..signals import INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
 
 
 @compiled
-def ideal(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
+def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
     """Exact measurement of pose, base velocity, arm joints and their rates.
 
     Args:

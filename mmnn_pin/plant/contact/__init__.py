@@ -1,0 +1,1 @@
+"""The contact plant: the same robot in MuJoCo, free to slip. Needs the extra `contact`."""

@@ -1,0 +1,165 @@
+"""What touches the floor: drive wheels from the base, casters and skids from the geometry at rest.
+
+Every foot is a sphere, which touches a plane in one point: with a cylinder's two points a turning wheel scrubs. Casters
+stand level with the wheels, as our model has them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+
+from ...errors import RobotError
+from ...model.overrides import folders_of
+from ...model.robot import Robot
+from ...model.shapes import AtRest, Shape
+from ...model.urdf import parse
+from ...signals import Array
+
+NEAR = 0.1  # a caster's lowest point may be off the floor by this fraction of a wheel's radius
+CASTER_RADIUS = 0.02  # of the sphere that stands for a caster [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Foot:
+    """A sphere that touches the floor.
+
+    Attributes:
+        joint: Index of the joint in Pinocchio's model whose body carries it.
+        centre: (3,) in that joint's frame [m].
+        radius: [m].
+    """
+
+    joint: int
+    centre: Array
+    radius: float
+
+
+@dataclass(frozen=True)
+class Feet:
+    """Drive wheels in the order of the base, and what else touches the floor."""
+
+    wheels: tuple[Foot, ...]
+    casters: tuple[Foot, ...]
+
+
+def feet_of(robot: Robot) -> Feet:
+    """The feet of a mobile robot; none of a fixed arm.
+
+    Raises:
+        RobotError: A base whose wheels have rollers, or one that stands on its two wheels alone.
+    """
+    if not robot.layout.base:
+        return Feet((), ())
+    if robot.base.kind != "differential_drive":
+        raise RobotError(
+            f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'",
+            why="it has plain wheels only, neither rollers nor a base that is pushed",
+            fix="use the ideal plant",
+            file=robot.path,
+        )
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, robot.configuration(at_origin(robot)))
+    wheels = tuple(wheel_feet(robot, data))
+    casters = tuple(caster_feet(robot, data))
+    require_standing(robot, data, wheels, casters)
+    return Feet(wheels, casters)
+
+
+def at_origin(robot: Robot) -> Array:
+    """(nv,) position at rest that puts the root link's frame into the world's."""
+    position = robot.neutral_position()
+    position[:3] = robot.frame
+    return position
+
+
+def wheel_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
+    """One foot per drive wheel, its centre on the wheel's axis."""
+    x, y, psi = robot.frame
+    c, s = math.cos(psi), math.sin(psi)
+    for wheel in robot.base.wheels:
+        j = robot.model.getJointId(wheel.joint)
+        hub, axis = data.oMi[j].translation, data.oMi[j].rotation @ turning_axis(data, j)
+        middle = np.array([x + c * wheel.x - s * wheel.y, y + s * wheel.x + c * wheel.y, hub[2]])
+        yield Foot(j, data.oMi[j].actInv(hub + axis * ((middle - hub) @ axis)), wheel.radius)
+
+
+def turning_axis(data: pin.Data, joint: int) -> Array:
+    """(3,) axis of a joint in its own frame: direction of travel of a prismatic one."""
+    S = np.array(data.joints[joint].S).reshape(6)
+    return S[3:] if np.any(S[3:]) else S[:3]
+
+
+def caster_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
+    """One foot under every link of the base that reaches the floor, drive wheels apart."""
+    model, floor = robot.model, robot.base.floor
+    rest = AtRest(parse(robot.urdf.encode(), robot.path), folders_of(robot.path, robot.said))
+    near = NEAR * min(wheel.radius for wheel in robot.base.wheels)
+    casters = {model.getJointId(name) for name in robot.base.casters}
+    casters -= {model.parents[j] for j in casters}  # a fork is no caster, the wheel on it is
+    for frame in model.frames:
+        j = frame.parentJoint
+        if frame.type != pin.FrameType.BODY or not is_welded(robot, j):
+            continue
+        low = lowest_of(rest, frame, data.oMi[j])
+        if low is None and j in casters:  # a caster without a shape stands under its hub
+            low = np.append(data.oMi[j].translation[:2], floor)
+        if low is not None and abs(low[2] - floor) <= near:
+            centre = np.array([low[0], low[1], floor + CASTER_RADIUS])
+            yield Foot(j, data.oMi[j].actInv(centre), CASTER_RADIUS)
+
+
+def is_welded(robot: Robot, joint: int) -> bool:
+    """Whether a body is rigid with the root link: every joint between them is locked."""
+    while joint > 1:
+        if robot.model.names[joint] not in robot.arm.locked:
+            return False
+        joint = robot.model.parents[joint]
+    return joint == 1
+
+
+def lowest_of(rest: AtRest, frame: pin.Frame, joint: pin.SE3) -> Array | None:
+    """(3,) lowest point of a link in the root frame; None for one without a shape that can be read.
+
+    Args:
+        rest: Shapes of all links, where the file has them at rest.
+        frame: The link.
+        joint: Where the robot locks the joint that carries it, which may be elsewhere.
+    """
+    element = rest.document.links.get(frame.name)
+    if element is None:
+        return None
+    motion = (joint * frame.placement).homogeneous @ np.linalg.inv(rest.placements[frame.name])
+    shapes = rest.shapes(frame.name, "visual" if element.find("collision") is None else "collision")
+    points = [lowest(shape, motion) for shape in shapes if shape.kind != "mesh" or len(shape.points)]
+    return min(points, key=lambda point: float(point[2]), default=None)
+
+
+def lowest(shape: Shape, motion: Array) -> Array:
+    """(3,) lowest point of a moved shape, below its middle where there are several [m]."""
+    if shape.kind != "mesh":
+        moved = replace(shape, pose=motion @ shape.pose)
+        return np.append(moved.pose[:2, 3], moved.lowest)
+    points = shape.points @ motion[:3, :3].T + motion[:3, 3]
+    bottom = points[:, 2].min()
+    return np.append(points[points[:, 2] < bottom + 1e-3, :2].mean(axis=0), bottom)
+
+
+def require_standing(robot: Robot, data: pin.Data, wheels: tuple[Foot, ...], casters: tuple[Foot, ...]) -> None:
+    """Refuse a base that would fall over: all its feet on one line.
+
+    Raises:
+        RobotError: It does.
+    """
+    places = np.array([data.oMi[foot.joint].act(foot.centre)[:2] for foot in (*wheels, *casters)])
+    if np.linalg.matrix_rank(places - places[0], tol=1e-3) < 2:
+        raise RobotError(
+            f"nothing but the drive wheels of '{robot.name}' touches the floor",
+            why=f"no caster reaches it at height {robot.base.floor:.3g} m, so the base would fall over",
+            fix="give a link that slides on the floor a <collision>, or use the ideal plant",
+            file=robot.path,
+        )

@@ -1,0 +1,182 @@
+"""The contact plant: a free base on wheels that grip by friction, stepped by MuJoCo; the same face as the ideal plant.
+
+State and torques are those of the ideal plant: `nu` is the forward speed and yaw rate of the control frame and the
+rates of the arm, whatever the wheels do. What only this plant knows goes into the row by `observe`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...model.dynamics import Dynamics
+from ...model.robot import Robot
+from ...signals import Array
+from .feet import feet_of
+from .floor import Contact
+from .free_base import BaseMotion, FreeBase, tilt
+from .friction import Friction
+from .slip import Slip, sliding_rows
+from .tree import NO_FRICTION, compile_tree, engine
+
+FALLEN = 0.5  # inclination at which the base counts as fallen over [rad]
+LOST = 1e5  # speed of anything at which the engine's state counts as lost [rad/s or m/s]
+
+
+class ContactPlant:
+    """A robot on a floor that it may slip on.
+
+    Args:
+        robot: The true robot, a differential drive or a fixed arm.
+        dt: Step of the plant [s]; the engine takes as many equal ones as `contact.step` asks for.
+        method: "rk4", or MuJoCo's Euler with implicit friction for any other.
+        contact: The floor.
+
+    Attributes:
+        y: (nv + p + 1,) position, nu, and the work of motors and friction since the start; contacts take the rest of
+            the energy. Not finite once the base has fallen over.
+        position: View of the position in y.
+        nu: View of nu in y.
+        residual: (1,) `|A velocity|` (2.6), or (0,) without wheels [m/s].
+        speed: (wheels,) speed of every wheel's contact point over the floor [m/s].
+        traction: (wheels,) largest `|ft| / (mu N)` since the last `observe`, 0 in the air.
+        slip: What the wheels did since the start.
+        dynamics: Reduced dynamics of our model at the present state.
+
+    Raises:
+        ConfigError: MuJoCo is not installed.
+        RobotError: A robot that this plant cannot carry.
+    """
+
+    def __init__(self, robot: Robot, dt: float, method: str = "rk4", contact: Contact | None = None) -> None:
+        self.robot, self.contact, self.mj = robot, contact or Contact(), engine()
+        self.mj.set_mju_user_warning(lambda text: None)  # it would print, and write a file
+        self.steps = math.ceil(dt / self.contact.step - 1e-9)
+        self.feet, self.h = feet_of(robot), dt / self.steps
+        self.model = compile_tree(robot, self.feet, self.contact, self.h, method)
+        self.data, self.dynamics = self.mj.MjData(self.model), Dynamics(robot)
+        nv, p, wheels = robot.layout.full, robot.layout.dof, len(self.feet.wheels)
+        self.y = np.zeros(nv + p + 1)
+        self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
+        self.velocity, self.to_motors = np.zeros(nv), np.linalg.pinv(robot.E)
+        self.base = FreeBase(robot) if robot.layout.base else None
+        self.motion: BaseMotion | None = None
+        self._index()
+        self.friction = Friction(robot, self.moving, self.at_v, self.model)
+        self.residual, self.speed, self.traction = np.zeros(min(1, wheels)), np.zeros(wheels), np.zeros(wheels)
+        self.along, self.across = sliding_rows(robot)
+        self.slip = Slip(tuple(wheel.joint for wheel in robot.base.wheels), dt)
+
+    def _index(self) -> None:
+        """Where moving joints, motors and wheels of our model stand in MuJoCo's."""
+        robot, model, names = self.robot, self.model, self.robot.full_velocity_names
+        first = robot.layout.pose
+        self.moving = np.array([i for i in range(first, len(names)) if names[i] not in robot.arm.locked], int)
+        joints = [model.joint(names[i]) for i in self.moving]
+        self.at_q = np.array([joint.qposadr[0] for joint in joints], int)
+        self.at_v = np.array([joint.dofadr[0] for joint in joints], int)
+        self.motor_q = np.array([model.joint(name).qposadr[0] for name in robot.actuator_names], int)
+        wheels = range(len(self.feet.wheels))
+        self.pairs = [model.pair(f"wheel {i}").id for i in wheels]
+        self.wheel_of = {model.geom(f"wheel {i}").id: i for i in wheels}
+        self._wrench = np.zeros(6)
+
+    def start(self, position: Array, nu: Array) -> None:
+        """Put the robot level on the floor at a position (nv,), rolling with nu (p,), no work done.
+
+        Locked joints stand where the robot locks them, mimic joints follow.
+        """
+        data, v = self.data, self.robot.T @ nu
+        self.mj.mj_resetData(self.model, data)
+        data.qpos[self.at_q], data.qvel[self.at_v] = position[self.moving], v[self.moving]
+        if self.base is not None:
+            self.base.place(position[:3], v[:3], data.qpos[:7], data.qvel[:6])
+        self.position[:], self.y[-1], self.traction[:] = position, 0.0, 0.0
+        self._read()
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Evaluate M and h of our model at the present state."""
+        self.dynamics.refresh(self.position, self.nu)
+
+    def step(self, tau: Array) -> None:
+        """Advance by dt under a held generalized torque, (p,)."""
+        data = self.data
+        data.ctrl[:] = self.to_motors @ tau
+        for _ in range(self.steps):
+            turned = data.qpos[self.motor_q]
+            self.friction.apply(data, self.motion)
+            if self.contact.patches:
+                self._take_floor()
+            self.mj.mj_step(self.model, data)
+            if self._is_lost():
+                return
+            self._take_traction()
+            self._read()
+            work = data.ctrl @ (data.qpos[self.motor_q] - turned)
+            self.y[-1] += work - self.h * self.friction.power(data, self.motion)
+        self._take_slip()
+
+    def observe(self, row: Array) -> None:
+        """Write constraint residual, slip and traction into a row, and start anew with the largest traction."""
+        where = self.robot.layout.where
+        row[where("constraint_residual")] = self.residual
+        row[where("slip")], row[where("traction")] = self.speed, self.traction
+        self.traction[:] = 0.0
+
+    def findings(self) -> list[str]:
+        """What to tell of the run so far: when the wheels slipped, whether the base fell over."""
+        return self.slip.findings()
+
+    def _read(self) -> None:
+        """State of our model, and how its wheels move over the floor, from MuJoCo's state."""
+        data, robot, nb = self.data, self.robot, self.robot.layout.base
+        self.position[self.moving], self.velocity[self.moving] = data.qpos[self.at_q], data.qvel[self.at_v]
+        self.nu[nb:] = self.velocity[robot.arm_index]
+        if self.base is None:
+            return
+        self.motion = motion = self.base.motion(data.qpos[:7], data.qvel[:6])
+        self.position[:2] = motion.pose[:2]
+        self.position[2] += math.remainder(motion.pose[2] - self.position[2], math.tau)
+        self.nu[:nb] = motion.velocity[robot.base.columns]
+        self.velocity[:3] = self.base.from_control @ motion.velocity
+
+    def _is_lost(self) -> bool:
+        """Whether the base has fallen over or the engine's state is lost; then y is not finite."""
+        fast = not np.abs(self.data.qvel).max(initial=0.0) < LOST
+        fallen = not fast and self.base is not None and tilt(self.data.qpos[3:7]) > FALLEN
+        if fast or fallen:
+            self.y[:] = np.nan
+            self.slip.end("the base fell over" if fallen else "the engine's state was lost")
+        return fast or fallen
+
+    def _take_slip(self) -> None:
+        """Constraint residual and the speed of the contact points."""
+        if self.base is not None:
+            self.residual[0] = np.linalg.norm(self.robot.A @ self.velocity)
+            self.speed[:] = np.hypot(self.along @ self.velocity, self.across @ self.velocity)
+        self.slip.take(self.speed)
+
+    def _take_floor(self) -> None:
+        """Friction under every wheel, where it now is."""
+        assert self.motion is not None
+        x, y, heading = self.motion.pose
+        c, s = math.cos(heading), math.sin(heading)
+        for pair, wheel in zip(self.pairs, self.robot.base.wheels, strict=True):
+            place = x + c * wheel.x - s * wheel.y, y + s * wheel.x + c * wheel.y
+            self.model.pair_friction[pair, :2] = max(NO_FRICTION, self.contact.at(*place))
+
+    def _take_traction(self) -> None:
+        """How much of its grip every wheel used in the last step."""
+        data = self.data
+        for i in range(data.ncon):
+            contact = data.contact[i]
+            wheel = self.wheel_of.get(int(contact.geom2), self.wheel_of.get(int(contact.geom1), -1))
+            if wheel < 0:
+                continue
+            self.mj.mj_contactForce(self.model, data, i, self._wrench)
+            normal, grip = self._wrench[0], contact.friction[0]
+            if normal > 0:
+                use = math.hypot(self._wrench[1], self._wrench[2]) / (grip * normal)
+                self.traction[wheel] = max(self.traction[wheel], use)
