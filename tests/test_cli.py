@@ -43,11 +43,11 @@ def call(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """The plot of a run is only a file: drawing takes longer than all the rest."""
 
-    def draw_errors(result: object, file: Path) -> bool:
-        file.write_text("plot")
-        return True
+    def draw(result: object, folder: Path) -> dict[str, Path]:
+        (folder / "errors.png").write_text("plot")
+        return {"errors": folder / "errors.png"}
 
-    monkeypatch.setattr(sys.modules["mmnn_pin.cli.run"], "draw_errors", draw_errors)
+    monkeypatch.setattr(sys.modules["mmnn_pin.cli.run"], "draw", draw)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_without_arguments_the_help_is_shown(call: Call) -> None:
     assert call() == call("--help")
 
 
-@pytest.mark.parametrize("command", ["run", "model", "plot", "inspect", "check", "list"])
+@pytest.mark.parametrize("command", ["run", "readings", "model", "plot", "inspect", "check", "list"])
 def test_help_of_every_command_has_examples(call: Call, command: str) -> None:
     code, out, err = call(command, "--help")
     assert code == 0 and err == ""
@@ -106,7 +106,8 @@ def test_run_writes_recordings_and_plot_and_prints_a_table(call: Call) -> None:
     code, out, _ = call("run", "chapter4", *SHORT)
     assert code == 0
     folder = Path("runs/chapter4")
-    assert {f.name for f in folder.iterdir()} == {f"{c}.h5" for c in ALL} | {"errors.png"}
+    pictures = {f"{name}.png" for name in load_experiment("chapter4").plots}
+    assert {f.name for f in folder.iterdir()} == {f"{c}.h5" for c in ALL} | pictures and len(pictures) == 6
     assert (folder / "errors.png").read_bytes().startswith(b"\x89PNG")
     for controller in ALL:
         assert f"wrote {folder / controller}.h5" in out
@@ -321,7 +322,7 @@ BAD = {
     "unknown path": (["run", "chapter4", "--set", "reference.base.type=loop"], ["unknown type 'loop'", "line, circle"]),
     "unknown argument": (["run", "chapter4", "--set", "reference.base.sped=1"], ["unknown key 'sped'", "speed"]),
     "unknown input": (["run", "chapter4", "--set", "inputs.signals=['psi']"], ["unknown network input", "pose_ref"]),
-    "unknown command": (["fly"], ["unknown command 'fly'", "run, model, plot, inspect, check, list"]),
+    "unknown command": (["fly"], ["unknown command 'fly'", "run, readings, model, plot"]),
     "unknown option": (["run", "chapter4", "--robt", "x"], ["unknown option '--robt'", "--robot"]),
     "unknown plot": (["plot", "x.h5", "--what", "weights"], ["weights", "errors", "psi"]),
     "missing argument": (["run"], ["EXPERIMENT", "--help"]),

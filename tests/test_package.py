@@ -80,17 +80,6 @@ def test_public_things_have_docstrings() -> None:
 
 # -- what imports what ------------------------------------------------------------------------------------------------
 
-RANK = {
-    **dict.fromkeys(("errors", "compiled", "settings", "timing", "signals", "run_file", "recording", "recorder"), 0),
-    "model": 1,
-    **dict.fromkeys(("reference", "kinematic", "torque", "plant", "sensor", "sampled", "sample", "start"), 2),
-    **dict.fromkeys(("loop", "compiled_loop", "ordinary_loop", "metrics", "batch"), 3),
-    "experiments": 4,
-    "show": 5,
-    "cli": 6,
-}
-
-
 def own_imports(file: Path) -> set[str]:
     """Modules of the package that a file imports, as dotted names without `mmnn_pin`; under TYPE_CHECKING too."""
     parts = ("mmnn_pin", *file.relative_to(PACKAGE).with_suffix("").parts)
@@ -104,20 +93,6 @@ def own_imports(file: Path) -> set[str]:
         elif isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
     return {name.removeprefix("mmnn_pin.") for name in names if name.startswith("mmnn_pin.")}
-
-
-def test_imports_run_one_way() -> None:
-    wrong = []
-    for file in sorted(PACKAGE.rglob("*.py")):
-        where = file.relative_to(PACKAGE)
-        own = where.parts[0].removesuffix(".py")
-        if own == "__init__":
-            continue
-        for name in own_imports(file):
-            other = name.partition(".")[0]
-            if other != "__version__" and RANK[other] > RANK[own]:
-                wrong.append(f"{where} imports {name}")
-    assert wrong == []
 
 
 def test_a_controller_knows_what_it_imports() -> None:

@@ -16,11 +16,15 @@ from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
 from .catalogue import list_
 from .check import check
+from .export import export
 from .inspect import inspect
 from .model import model
 from .options import examples
-from .output import BAD_INPUT, DONE, FAILED, STOPPED, say, say_json
+from .output import BAD_INPUT, DONE, FAILED, STOPPED, printable, say, say_json
 from .plot import plot
+from .readings import readings
+from .replay import replay
+from .report import report
 from .run import run
 
 
@@ -62,7 +66,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-for command in (run, model, plot, inspect, check, list_):
+for command in (run, readings, model, plot, replay, report, export, inspect, check, list_):
     mmnn.add_command(command)
 
 
@@ -109,8 +113,10 @@ def complain(code: int, error: InputError, given: Sequence[str]) -> int:
     """One line on standard error; with --debug the traceback, with --json one object on standard output."""
     if "--debug" in given:
         traceback.print_exc()
-    click.echo(" ".join(str(error).split()), err=True)
+    for problem in getattr(error, "errors", None) or [error]:  # an audit tells all of them
+        click.echo(printable(" ".join(str(problem).split())), err=True)
     if "--json" in given:
         file = None if error.file is None else str(error.file)
-        say_json({"error": {**{k: getattr(error, k) for k in ("what", "why", "fix", "line", "key")}, "file": file}})
+        content = {"error": {**{k: getattr(error, k) for k in ("what", "why", "fix", "line", "key")}, "file": file}}
+        say_json(content | {"errors": [str(problem) for problem in getattr(error, "errors", None) or [error]]})
     return code

@@ -18,13 +18,14 @@ from .output import DONE, say, say_json
 @shared
 def list_(as_json: bool) -> int:
     """List the bundled experiments and robots, the controllers and the references."""
-    from ..experiments.config import bundled, read_toml
+    from ..experiments.config import bundled, read_toml, variants
     from ..experiments.experiment import ARM_PROFILES, BASE_PATHS, CONTROLLERS
     from ..model.robots import bundled as robots
     from ..model.robots import extra
 
     there_is: dict[str, dict[str, Any]] = {
         "experiments": {name: read_toml(path).get("title", "") for name, path in bundled().items()},
+        "variants": {name: list(variants(path)) for name, path in bundled().items()},
         "robots": {name: str(path) for name, path in (robots() | extra()).items()},
         "controllers": CONTROLLERS,
         "references": {"base": about(BASE_PATHS), "arm": about(ARM_PROFILES)},
@@ -32,7 +33,9 @@ def list_(as_json: bool) -> int:
     if as_json:
         say_json(there_is)
         return DONE
-    references = there_is.pop("references")
+    references, readings = there_is.pop("references"), there_is.pop("variants")
+    for name in [name for name, known in readings.items() if known]:
+        there_is["experiments"][name] += f" (--variant {', '.join(readings[name])})"
     there_is |= {f"references of the {part}": kinds for part, kinds in references.items()}
     for kind, entries in there_is.items():
         say("\n".join([kind, *(f"  {name:24}{text}" for name, text in entries.items())]))

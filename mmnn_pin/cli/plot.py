@@ -14,7 +14,20 @@ from .output import DONE, say, say_json
 if TYPE_CHECKING:
     from ..recording import Recording
 
-WHATS = ("errors", "torque", "psi", "path")
+WHATS = (
+    "errors",
+    "torque",
+    "psi",
+    "gains",
+    "path",
+    "weights",
+    "lyapunov",
+    "residuals",
+    "step-times",
+    "figure-4.2",
+    "figure-4.3",
+    "figure-4.4",
+)
 
 
 @click.command(
@@ -22,6 +35,7 @@ WHATS = ("errors", "torque", "psi", "path")
     epilog=examples(
         "mmnn plot runs/chapter4/pd.h5 runs/chapter4/two_layer.h5",
         "mmnn plot runs/chapter4 --what psi --what torque --out plots",
+        "mmnn plot runs/chapter4 --what figure-4.2 --what gains --out plots",
         "mmnn plot runs/chapter4/two_layer.h5 --what path --out path.svg",
     ),
 )
@@ -32,8 +46,8 @@ WHATS = ("errors", "torque", "psi", "path")
 @shared
 def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force: bool, as_json: bool) -> int:
     """Plot recordings side by side. RUN is a recording, or a folder with recordings."""
-    from ..show import plots
-    from ..show.figure import FORMATS
+    from ..show.figure import FORMATS, save
+    from ..show.gallery import PICTURES
 
     recordings = named([recording for path in runs for recording in open_runs(path)])
     files = pictures(out or Path("."), tuple(dict.fromkeys(whats)), FORMATS)
@@ -41,9 +55,9 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
         if file.exists() and not force:
             fix = "choose another with --out, or replace it with --force"
             raise RecordingError("the picture exists", fix=fix, file=file)
-    figures = {what: plots.FIGURES[what](recordings) for what in files}
+    figures = {what: PICTURES[what](recordings) for what in files}
     for what, file in files.items():
-        plots.save(figures[what], file)
+        save(figures[what], file)
     if as_json:
         paths = [str(recording.path) for recording in recordings.values()]
         say_json({"runs": paths, "files": {what: str(file) for what, file in files.items()}})

@@ -10,13 +10,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..errors import RecordingError
-from .options import examples, shared
-from .output import DONE, FAILED, STOPPED, progress_bar, say, say_if_cold, say_json
+from .options import examples, shared, understanding
+from .output import DONE, FAILED, STOPPED, compile_if_cold, progress_bar, say, say_json
 
 if TYPE_CHECKING:
     from ..experiments.runner import Result
@@ -26,58 +26,67 @@ if TYPE_CHECKING:
     short_help="Run an experiment and compare its controllers.",
     epilog=examples(
         "mmnn run chapter4",
+        "mmnn run chapter4 --variant figures",
         "mmnn run chapter4 --controller pd --controller two_layer --out runs/short --set time.duration=2",
         "mmnn run chapter4 --robot my_robot.urdf --set feedback.base=300 --set 'two_layer.F=[0.5, 0.1]'",
         "mmnn run chapter4 --set 'reference.base={type = \"circle\", radius = 1.0, speed = 0.3}'",
+        "mmnn run track --robot my_robot.urdf --wheels left_joint,right_joint --lock head_joint=0.2",
+        "mmnn run track --plant contact              wheels that may slip, in MuJoCo",
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
 @click.argument("experiment")
-@click.option("--robot", metavar="ROBOT", help="Another robot: a bundled name or the path of a URDF file.")
+@click.option("--variant", metavar="NAME", help="A variant of the experiment, see `mmnn list`.  [default: its first]")
+@click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
 @click.option("--controller", "controllers", metavar="NAME", multiple=True, help="Only this controller; repeatable.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the TOML; repeatable.")
+@click.option("--plant", metavar="NAME", help="ideal, or contact: wheels that may slip, in MuJoCo.")
 @click.option("--seed", type=int, help="The seed, short for --set seed=N.")
-@click.option("--out", type=click.Path(path_type=Path), help="Folder for the recordings.  [default: runs/EXPERIMENT]")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Folder for the files.  [default: runs/EXPERIMENT[-VARIANT]]"
+)
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
+@understanding
 @shared
 def run(
     experiment: str,
+    variant: str | None,
     robot: str | None,
     controllers: tuple[str, ...],
     settings: tuple[str, ...],
+    plant: str | None,
     seed: int | None,
     out: Path | None,
     force: bool,
+    said: dict[str, Any],
     as_json: bool,
 ) -> int:
     """Run EXPERIMENT with all its controllers from equal starts and compare them.
 
     EXPERIMENT is a bundled name (see `mmnn list`) or the path of a TOML file. Writes one HDF5 recording per controller
-    and a plot of the errors. Ctrl-C ends the run and keeps what is recorded (exit code 130).
+    and the pictures that the experiment asks for. Ctrl-C ends the run and keeps what is recorded (exit code 130).
     """
     from ..experiments.config import load_experiment
     from ..experiments.runner import run_experiment
 
-    overrides = [*settings, *in_toml(robot=robot, controllers=list(dict.fromkeys(controllers)) or None, seed=seed)]
-    chosen, name = load_experiment(experiment, overrides), Path(experiment).stem
-    folder = out or Path("runs") / name
-    picture = folder / "errors.png"
-    if picture.exists() and not force:
-        fix = "choose another folder with --out, or replace it with --force"
-        raise RecordingError("the plot exists", fix=fix, file=picture)
-    say_if_cold()
+    chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
+    overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
+    asked, name = load_experiment(experiment, overrides, variant), Path(experiment).stem
+    folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
+    require_no_pictures([] if force else [folder / f"{plot}.png" for plot in asked.plots])
+    compile_if_cold()
     with progress_bar() as show, remembered_interrupt() as stop_if_pressed:
 
         def progress(controller: str, fraction: float) -> None:
             stop_if_pressed()
             show(controller, fraction)
 
-        result = run_experiment(chosen, name, out=folder, force=force, progress=progress)
-    drawn = draw_errors(result, picture)
+        result = run_experiment(asked, name, out=folder, force=force, progress=progress)
+    drawn = draw(result, folder)
     if as_json:
-        say_json(result.to_dict() | {"plot": str(picture) if drawn else None})
+        say_json(result.to_dict() | {"plots": {plot: str(file) for plot, file in drawn.items()}})
     else:
-        tell(result, [picture] if drawn else [])
+        tell(result, list(drawn.values()))
     return exit_code(result)
 
 
@@ -110,17 +119,32 @@ def remembered_interrupt() -> Iterator[Callable[[], None]]:
 
 def in_toml(**values: object) -> list[str]:
     """Overrides `key=value` of those that are given; JSON's texts, lists and integers are TOML's."""
-    return [f"{key}={json.dumps(value)}" for key, value in values.items() if value is not None]
+    return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in values.items() if value is not None]
 
 
-def draw_errors(result: Result, file: Path) -> bool:
-    """Write the plot of the errors, if there is anything to plot."""
-    from ..show import plots
+def about_robot(robot: str | None, said: dict[str, Any]) -> list[str]:
+    """Overrides for what the options say about the robot; of another robot nothing is left of what the TOML says."""
+    anew = ["overrides={}"] if robot is not None else []
+    return [*anew, *in_toml(**{f"overrides.{key}": value for key, value in said.items()})]
 
-    runs = {name: recording for name, recording in result.recordings.items() if len(recording)}
-    if runs:
-        plots.save(plots.errors_figure(runs), file)
-    return bool(runs)
+
+def require_no_pictures(files: list[Path]) -> None:
+    """Refuse to draw over pictures.
+
+    Raises:
+        RecordingError: One exists.
+    """
+    for file in files:
+        if file.exists():
+            fix = "choose another folder with --out, or replace it with --force"
+            raise RecordingError("the plot exists", fix=fix, file=file)
+
+
+def draw(result: Result, folder: Path) -> dict[str, Path]:
+    """Write the pictures of an experiment, as far as its runs have something for them; name to file."""
+    from ..show.gallery import write_pictures
+
+    return write_pictures(result.recordings, result.experiment.plots, folder)
 
 
 def tell(result: Result, pictures: list[Path]) -> None:

@@ -2,47 +2,78 @@
 
 from __future__ import annotations
 
+import glob
 import re
 import tomllib
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from ..errors import ConfigError, InputError, UnknownName
+from ..model.overrides import Overrides
 from .experiment import Experiment
 
 FOLDER = Path(__file__).parent
 
 
 def bundled() -> dict[str, Path]:
-    """Experiments that come with the package, name to file."""
-    return {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
+    """Experiments that come with the package, name to file; of one with variants the file of its default."""
+    return {path.stem: path for path in sorted(FOLDER.glob("*.toml")) if "." not in path.stem}
 
 
-def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Experiment:
+def variants(path: Path) -> dict[str, Path]:
+    """Variants of an experiment, name to file, the default first.
+
+    `NAME.toml` is the default and says its variant's name itself; the others are `NAME.VARIANT.toml` beside it.
+    """
+    own = read_toml(path).get("variant")
+    others = sorted(path.parent.glob(f"{glob.escape(path.stem)}.*.toml"))
+    return ({own: path} if own else {}) | {other.stem.removeprefix(f"{path.stem}."): other for other in others}
+
+
+def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), variant: str | None = None) -> Experiment:
     """Experiment by name or from a TOML file.
 
     Args:
         name_or_path: A bundled name (`chapter4`) or a path to a file.
         overrides: `key.path=value` texts, values as in TOML (a bare word is a text).
+        variant: Which variant, where the experiment has several; None for its default.
 
     Raises:
-        UnknownName: No such experiment.
+        UnknownName: No such experiment or variant.
         ConfigError: The file cannot be read or is not TOML, a key is unknown, a value of the wrong type or range.
     """
     path = find(name_or_path)
+    if variant is not None:
+        path = find_variant(path, variant)
     table = read_toml(path)
     for text in overrides:
         override(table, text)
     try:
+        require_overrides(table.get("overrides", {}))
         return msgspec.convert(table, Experiment)
     except msgspec.ValidationError as error:
         raise config_error(error, path) from error
     except InputError as error:
         error.file = error.file or path
         raise
+
+
+def require_overrides(table: Any) -> None:
+    """Judge what is said about the robot by itself: its errors name keys of a file of its own.
+
+    Raises:
+        InputError: A value out of range, with the key path of an experiment.
+    """
+    with suppress(msgspec.ValidationError):  # told with its path when the whole experiment is read
+        try:
+            msgspec.convert(table, Overrides)
+        except InputError as error:
+            error.key = f"overrides.{error.key}"
+            raise
 
 
 def find(name_or_path: str | Path) -> Path:
@@ -61,6 +92,21 @@ def find(name_or_path: str | Path) -> Path:
     if not path.is_file():
         raise ConfigError("no such file", fix=f"name a TOML file, or one of: {', '.join(bundled())}", file=path)
     return path
+
+
+def find_variant(path: Path, variant: str) -> Path:
+    """File of an experiment's variant.
+
+    Raises:
+        UnknownName: It has no such variant.
+        ConfigError: It has no variants.
+    """
+    known = variants(path)
+    if not known:
+        raise ConfigError("has no variants", fix="leave --variant out", file=path, key="--variant")
+    if variant not in known:
+        raise UnknownName("variant", variant, known, file=path, key="--variant")
+    return known[variant]
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -137,8 +183,8 @@ def known_keys(key: str | None) -> tuple[str, ...]:
     kind: Any = Experiment
     for part in (key or "").split("."):
         if part:
-            fields = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}
-            kind = fields.get(part)
+            kind = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part)
+            kind = next((k for k in get_args(kind) if k is not type(None)), kind)  # `Robust | None` is Robust
         if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
             return ()
     return tuple(f.encode_name for f in msgspec.structs.fields(kind))

@@ -10,10 +10,13 @@ import numpy as np
 
 from ..errors import ConfigError, UnknownName
 from ..kinematic import Kinematic
-from ..loop import Loop
-from ..model.robot import Robot, load
+from ..loop import PLANTS, Loop
+from ..model.overrides import Overrides
+from ..model.robot import Robot, load_with
+from ..plant.contact.floor import Contact
 from ..reference import BasePath, Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Trajectory, Waypoints
 from ..reference.arm import JointProfile
+from ..sensing import Sensor
 from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from ..start import Bounds, Start
@@ -36,6 +39,9 @@ CONTROLLERS = {
     "computed_torque": "feedback and the true model: the oracle",
 }
 ORACLES = ("computed_torque",)
+LEARNERS = ("two_layer", "one_layer")
+# Pictures that a run can write; `show.plots` draws them.
+PLOTS = ("errors", "torque", "psi", "gains", "path", "figure-4.2", "figure-4.3", "figure-4.4")
 
 
 class Friction(Settings, frozen=True):
@@ -44,10 +50,17 @@ class Friction(Settings, frozen=True):
     Args:
         base: One number or one per base velocity [N s/m, N m s].
         arm: One number or one per joint [N m s or N s/m].
+        coulomb: Dry friction of the arm's gears, one number or one per joint [N m or N]; it sticks with the integrator
+            "stick", else it is smooth.
+        breakaway: Ratio of static to Coulomb friction.
+        stribeck: Velocity over which the one falls to the other [rad/s or m/s].
     """
 
     base: float | tuple[float, ...] = 0.0
     arm: float | tuple[float, ...] = 0.0
+    coulomb: float | tuple[float, ...] = 0.0
+    breakaway: float = 1.0
+    stribeck: float = 0.05
 
     def __post_init__(self) -> None:
         require_gains(self, "friction")
@@ -93,6 +106,18 @@ class Swing:
         return Sine(amplitude, self.period, (lower + upper) / 2, np.pi / 2)
 
 
+class RobustOf(Settings, frozen=True):
+    """Robust terms of single learners in place of the common one; with them a comparison is no longer fair.
+
+    Args:
+        two_layer: Kz, ZB of the two-layer controller; None for the common ones.
+        one_layer: Kz, ZB of the one-layer controller; None for the common ones.
+    """
+
+    two_layer: Robust | None = None
+    one_layer: Robust | None = None
+
+
 class Learning(Settings, frozen=True):
     """Conventions and switches of the learners.
 
@@ -116,11 +141,15 @@ class Experiment(Settings, frozen=True):
 
     Args:
         title: One line for tables and plots.
+        variant: Which reading of the experiment this is, where it has several files.
         robot: Bundled name or path.
+        overrides: What is said about the robot, as in the file beside its URDF.
         controllers: Controllers to run, names of `CONTROLLERS`.
         seed: The one seed.
         windows: Intervals for the RMS errors [s].
         weights_interval: Time between two records of the weights [s].
+        plots: Pictures that a run writes, names of `PLOTS`. With `figure-4.2` to `figure-4.4` the run is compared with
+            the intervals of these figures of the thesis.
         torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.
@@ -129,24 +158,31 @@ class Experiment(Settings, frozen=True):
         kinematic: Gains of the kinematic layer.
         feedback: k1, k2.
         robust: Kz, ZB.
+        robust_of: Kz, ZB of single learners.
         two_layer: The two-layer network.
         one_layer: The one-layer network.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
+        sensor: What the sensors do to the truth.
+        plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
+        contact: The floor of the contact plant.
 
     Raises:
-        UnknownName: A controller that does not exist.
+        UnknownName: A controller, a plot or a plant that does not exist.
         ConfigError: No controllers, or windows that are not intervals.
     """
 
     robot: str
     reference: ReferenceTables
     title: str = ""
+    variant: str = ""
+    overrides: Overrides = Overrides()
     controllers: tuple[str, ...] = tuple(CONTROLLERS)
     seed: int = 0
     windows: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 5.0))
     weights_interval: float = 0.1
+    plots: tuple[str, ...] = ("errors",)
     torque_limits: bool = False
     time: Timing = Timing()
     start: Start = Start()
@@ -154,20 +190,27 @@ class Experiment(Settings, frozen=True):
     kinematic: Kinematic = Kinematic()
     feedback: Feedback = Feedback()
     robust: Robust = Robust()
+    robust_of: RobustOf = RobustOf()
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
+    sensor: Sensor = Sensor()
+    plant: str = "ideal"
+    contact: Contact = Contact()
 
     def __post_init__(self) -> None:
         if not self.controllers:
             raise ConfigError("no controllers", fix=f"choose from: {', '.join(CONTROLLERS)}", key="controllers")
-        for name in self.controllers:
-            if name not in CONTROLLERS:
-                raise UnknownName("controller", name, CONTROLLERS, key="controllers")
+        for key, names, known in (("controller", self.controllers, CONTROLLERS), ("plot", self.plots, PLOTS)):
+            for name in names:
+                if name not in known:
+                    raise UnknownName(key, name, known, key=f"{key}s")
         if len(set(self.controllers)) < len(self.controllers):
             raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
+        if self.plant not in PLANTS:
+            raise UnknownName("plant", self.plant, PLANTS, key="plant")
         if any(not 0 <= start < end < np.inf for start, end in self.windows):
             raise ConfigError(f"{self.windows}", fix="give intervals [start, end] in seconds", key="windows")
         if not 0 <= self.seed < 2**63:
@@ -182,8 +225,10 @@ class Experiment(Settings, frozen=True):
             RobotError: The URDF cannot be used.
             UnknownName: No such robot.
         """
-        robot = load(self.robot)
-        return robot.with_friction(per_velocity(self.friction.base, self.friction.arm, robot.layout, "friction"))
+        robot = load_with(self.robot, self.overrides)
+        f = self.friction
+        robot = robot.with_joint_friction(coulomb=f.coulomb, breakaway=f.breakaway, stribeck=f.stribeck)
+        return robot.with_friction(per_velocity(f.base, f.arm, robot.layout, "friction"))
 
     def trajectory(self, layout: Layout, limits: tuple[Array, Array] | None = None) -> Trajectory:
         """The reference for a robot.
@@ -254,7 +299,8 @@ class Experiment(Settings, frozen=True):
         Raises:
             ConfigError: Gains that are to be scaled, and no robot.
         """
-        feedback, robust, inertia = self.feedback, self.robust, None if robot is None else self.inertia(robot)
+        feedback, robust = self.feedback, self.robust_term(name)
+        inertia = None if robot is None else self.inertia(robot)
         if robot is not None and inertia is not None:
             feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
         if name == "pd":
@@ -277,6 +323,10 @@ class Experiment(Settings, frozen=True):
             update=switches.update,
         )
 
+    def robust_term(self, name: str) -> Robust:
+        """Kz and ZB of a controller: its own, or the common ones."""
+        return getattr(self.robust_of, name, None) or self.robust
+
     def loop(self, robot: Robot, controller: CompiledController | TorqueController) -> Loop:
         """The closed loop of this experiment around one controller."""
         return Loop(
@@ -287,9 +337,12 @@ class Experiment(Settings, frozen=True):
             timing=self.time,
             start=self.start,
             bounds=self.bounds,
+            sensor=self.sensor,
             seed=self.seed,
             weights_interval=self.weights_interval,
             check_gains=controller.name not in EFFECTIVE,
+            plant=self.plant,
+            contact=self.contact,
         )
 
     def to_json(self) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from ..errors import RecordingError
@@ -16,6 +17,9 @@ from ..model.robot import Robot
 from ..recording import Recording
 from ..reference import warnings
 from .experiment import EFFECTIVE, Experiment
+from .fairness import unfair
+from .figure_ranges import figure_ranges
+from .improvement import Improvement, improvements
 
 
 @dataclass(frozen=True)
@@ -55,9 +59,25 @@ class Result:
         comparison = {
             "relative_to_pd": self.relative_to("pd"),
             "torque_limits": self.torque_limits(),
+            "improvement": {
+                learner: {row: {key: finite(value) for key, value in i.to_dict().items()} for row, i in rows.items()}
+                for learner, rows in self.improvements().items()
+            },
+            "figure_ranges": self.figure_ranges(),
+            "unfair": unfair(self.experiment, self.metrics),
             "notes": list(self.notes),
         }
-        return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
+        about = {"experiment": self.name, "variant": self.experiment.variant, "robot": self.experiment.robot}
+        return about | {"runs": runs, "comparison": comparison}
+
+    def improvements(self) -> dict[str, dict[str, Improvement]]:
+        """What of each learner's improvement over PD is gain and what is learning, see `improvements`."""
+        return improvements(self.metrics, self.experiment.windows)
+
+    def figure_ranges(self) -> list[dict[str, Any]]:
+        """The runs beside the intervals of the thesis's figures that this experiment is compared with."""
+        figures = tuple(name.removeprefix("figure-") for name in self.experiment.plots if name.startswith("figure-"))
+        return [row for row in figure_ranges(self.recordings) if row["figure"].startswith(figures)]
 
     def torque_limits(self) -> list[dict[str, Any]]:
         """Per actuator its effort limit (None without one) and every controller's peak torque [N m or N]."""
@@ -91,9 +111,9 @@ class Result:
         }
 
 
-def finite(value: float) -> float | None:
+def finite(value: float | None) -> float | None:
     """Number for JSON: nothing where there is none."""
-    return float(value) if np.isfinite(value) else None
+    return float(value) if value is not None and np.isfinite(value) else None
 
 
 def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
@@ -154,11 +174,14 @@ def run_experiment(
     wanted = experiment.controllers
     files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}
     robot = experiment.load_robot()
+    config = msgspec.structs.replace(experiment, overrides=robot.said).to_json()
     for controller in in_order(wanted):
         if controller not in EFFECTIVE:
             loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
             loop.require_stable_gains()
             loop.start.state(robot, loop.table()[0])
+            if experiment.plant == "contact":
+                loop.engine_at()
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
     notes = reference_notes(experiment, robot)
@@ -174,7 +197,7 @@ def run_experiment(
         runs[controller] = loop.run(
             files.get(controller),
             force=force,
-            meta={"experiment": name, "config": experiment.to_json()},
+            meta={"experiment": name, "config": config},
             progress=None if progress is None else lambda t, c=controller: progress(c, t / duration),  # type: ignore[misc]
         )
         if runs[controller].outcome.status == "interrupted":

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import RecordingError
+from ..experiments.experiment import EFFECTIVE, ORACLES
 from ..recording import Recording
 from ..signals import Array
 from .figure import (
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FIGURES", "errors_figure", "path_figure", "psi_figure", "save", "torque_figure"]
+__all__ = ["FIGURES", "errors_figure", "gains_figure", "path_figure", "psi_figure", "save", "torque_figure"]
 
 Recordings = Mapping[str, Recording]
 
@@ -68,9 +69,9 @@ def errors_figure(recordings: Recordings) -> Figure:
         RecordingError: No recording, or none that holds these signals.
     """
     columns = [
-        ("Pose error, in the base frame", _panels(recordings, "pose_error")),
-        ("Velocity error z", _panels(recordings, "z")),
-        *_columns("Arm error e", _panels(recordings, "e")),
+        ("Pose error, in the base frame", panels_of(recordings, "pose_error")),
+        ("Velocity error z", panels_of(recordings, "z")),
+        *_columns("Arm error e", panels_of(recordings, "e")),
     ]
     return _overlay("Tracking errors", recordings, columns)
 
@@ -82,8 +83,8 @@ def torque_figure(recordings: Recordings) -> Figure:
     Raises:
         RecordingError: No recording, or none that holds these signals.
     """
-    panels, motors = _panels(recordings, "torque"), _panels(recordings, "motor_torque")
-    on_base = {label for recording in recordings.values() for label in _base_labels(recording)}
+    panels, motors = panels_of(recordings, "torque"), panels_of(recordings, "motor_torque")
+    on_base = {label for recording in recordings.values() for label in base_labels(recording)}
     base = [panel for panel in panels if panel.label in on_base]
     arm = [] if motors else [panel for panel in panels if panel.label not in on_base]
     columns = [("Force on the base", base), *_columns("Arm", arm), *_columns("Motors", motors)]
@@ -103,30 +104,48 @@ def torque_figure(recordings: Recordings) -> Figure:
 
 @styled
 def psi_figure(recordings: Recordings) -> Figure:
-    """The unknown terms Psi (3.20), (3.21) and what was learned of them, per component; one column per recording.
+    """The unknown terms Psi (3.20), (3.21) and what was learned of them, per component; one column per learner.
+
+    Raises:
+        RecordingError: No recording, or none of a learner that holds these signals.
+    """
+    runs = learners(recordings)
+    panels, styles = panels_of(runs, "psi"), styles_of(runs)
+    _require(recordings, panels, "psi")
+    figure = new_figure(3.0 * max(len(runs), 1.5) + 0.8, 1.5 * len(panels) + 1.3)
+    grid = figure.subplots(len(panels), len(runs), sharex=True, sharey="row", squeeze=False)
+    for row, panel in zip(grid, panels, strict=True):
+        learned = replace(panel, signal="psi_hat")
+        scale = [p.values(*item) for item in scale_rows(runs.values()) for p in (panel, learned)]
+        row[0].set_ylabel(plain(f"{panel.title} [{panel.unit}]"))
+        row[0].set_ylim(limits(scale))
+        for axes, (name, recording) in zip(row, runs.items(), strict=True):
+            _draw_curve(axes, panel, recording, TRUTH)
+            _draw_curve(axes, learned, recording, styles[name].line)
+    for column, (name, recording) in zip(grid.T, runs.items(), strict=True):
+        column[0].set_title(legend_label(name, recording))
+        column[-1].set_xlabel("time [s]")
+    figure.align_ylabels(list(grid[:, 0]))
+    looks = [(rf"$\hat\Psi$ of {plain(name)}", styles[name].line) for name in runs]
+    add_legend(figure, r"Unknown terms $\Psi$, true and learned", [(r"true $\Psi$", TRUTH), *looks])
+    return figure
+
+
+@styled
+def gains_figure(recordings: Recordings) -> Figure:
+    """Effective gains over time: all that multiplies z and r in the torque, `k + Kz (|Z| + ZB)` for a learner.
+
+    PD at a learner's effective gain is left out where that learner is drawn: the two are equal.
 
     Raises:
         RecordingError: No recording, or none that holds these signals.
     """
-    panels, styles = _panels(recordings, "psi"), styles_of(recordings)
-    _require(recordings, panels, "psi")
-    figure = new_figure(3.0 * max(len(recordings), 1.5) + 0.8, 1.5 * len(panels) + 1.3)
-    grid = figure.subplots(len(panels), len(recordings), sharex=True, sharey="row", squeeze=False)
-    for row, panel in zip(grid, panels, strict=True):
-        learned = replace(panel, signal="psi_hat")
-        scale = [p.values(*item) for item in scale_rows(recordings.values()) for p in (panel, learned)]
-        row[0].set_ylabel(plain(f"{panel.title} [{panel.unit}]"))
-        row[0].set_ylim(limits(scale))
-        for axes, (name, recording) in zip(row, recordings.items(), strict=True):
-            _draw_curve(axes, panel, recording, TRUTH)
-            _draw_curve(axes, learned, recording, styles[name].line)
-    for column, (name, recording) in zip(grid.T, recordings.items(), strict=True):
-        column[0].set_title(legend_label(name, recording))
-        column[-1].set_xlabel("time [s]")
-    figure.align_ylabels(list(grid[:, 0]))
-    looks = [(rf"$\hat\Psi$ of {plain(name)}", styles[name].line) for name in recordings]
-    add_legend(figure, r"Unknown terms $\Psi$, true and learned", [(r"true $\Psi$", TRUTH), *looks])
-    return figure
+    drawn = {_controller(*item) for item in recordings.items()}
+    kept = {name: rec for name, rec in recordings.items() if EFFECTIVE.get(_controller(name, rec)) not in drawn}
+    panels, on_base = panels_of(kept, "effective_gain"), {label for rec in kept.values() for label in base_labels(rec)}
+    base = [panel for panel in panels if panel.label in on_base]
+    columns = [("Base, on z", base), *_columns("Arm, on r", [panel for panel in panels if panel not in base])]
+    return _overlay("Effective gains", kept, columns, drawstyle="steps-post")
 
 
 @styled
@@ -143,16 +162,16 @@ def path_figure(recordings: Recordings) -> Figure:
     plane, below = figure.subplots(2, 1, height_ratios=(3, 1))
     plane.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     below.set(xlabel="time [s]", ylabel="distance to the\nreference [mm]")
-    for reference in _distinct([rec["pose_ref"] for rec in driven.values()]):
+    for reference in distinct([rec["pose_ref"] for rec in driven.values()]):
         _draw_path(plane, reference, TRUTH)
     for name, recording in driven.items():
         _draw_path(plane, recording["pose"], styles[name].line)
-        below.plot(recording.time, _distance(recording), **styles[name].line)
+        below.plot(recording.time, distance(recording), **styles[name].line)
     _frame_paths(plane, scale_rows(driven.values()))
-    below.set_ylim(0.0, limits([_distance(rec)[rows] for rec, rows in scale_rows(driven.values())])[1])
+    below.set_ylim(0.0, limits([distance(rec)[rows] for rec, rows in scale_rows(driven.values())])[1])
     for name, recording in driven.items():
         mark_end(plane, recording, styles[name], *recording["pose"][:, :2].T)
-        mark_end(below, recording, styles[name], recording.time, _distance(recording))
+        mark_end(below, recording, styles[name], recording.time, distance(recording))
     looks = [(legend_label(name, recording), styles[name].line) for name, recording in driven.items()]
     add_legend(figure, "Path of the base", [("reference", TRUTH), *looks])
     return figure
@@ -162,33 +181,39 @@ FIGURES: Mapping[str, Callable[[Recordings], Figure]] = {
     "errors": errors_figure,
     "torque": torque_figure,
     "psi": psi_figure,
+    "gains": gains_figure,
     "path": path_figure,
 }
 
 
-def _panels(recordings: Recordings, signal: str) -> list[Panel]:
+def _controller(name: str, recording: Recording) -> str:
+    """Controller of a recording."""
+    return str(recording.meta.get("controller", name))
+
+
+def learners(recordings: Recordings) -> dict[str, Recording]:
+    """Recordings of controllers that learn Psi: those with an estimate of their own."""
+    return {
+        name: rec
+        for name, rec in recordings.items()
+        if _controller(name, rec) not in ORACLES and "psi_hat" in rec and rec["psi_hat"].any()
+    }
+
+
+def panels_of(recordings: Recordings, signal: str) -> list[Panel]:
     """Panels of a signal's columns, of all that any recording has, in their order; errors in thousandths."""
     panels: dict[str, Panel] = {}
     for recording in recordings.values():
         if signal not in recording:
             continue
-        for label, unit in zip(recording.labels(signal), _units(recording, signal), strict=True):
+        for label, unit in zip(recording.labels(signal), column_units(recording, signal), strict=True):
             title = "heading" if (signal, label) == ("pose_error", "phi") else label
             scaled = (milli(unit), 1e3) if signal in ("pose_error", "z", "e") else (unit, 1.0)
             panels.setdefault(label, Panel(signal, label, title, *scaled))
     return list(panels.values())
 
 
-def _units(recording: Recording, signal: str) -> list[str]:
-    """Unit of every column of a signal; a motor of the arm has that of its joint."""
-    units = column_units(recording, signal)
-    if signal != "motor_torque" or "torque" not in recording:
-        return units
-    joints = dict(zip(recording.labels("torque"), column_units(recording, "torque"), strict=True))
-    return [joints.get(label, unit) for label, unit in zip(recording.labels(signal), units, strict=True)]
-
-
-def _base_labels(recording: Recording) -> tuple[str, ...]:
+def base_labels(recording: Recording) -> tuple[str, ...]:
     """Names of the base velocities; none for a fixed arm."""
     return recording.labels("velocity") if "velocity" in recording else ()
 
@@ -273,12 +298,12 @@ def _frame_paths(axes: Axes, scale: Sequence[tuple[Recording, slice]]) -> None:
     axes.set(xlim=(x - dx, x + dx), ylim=(y - dy, y + dy))
 
 
-def _distance(recording: Recording) -> Array:
+def distance(recording: Recording) -> Array:
     """Distance of the base to its reference [mm], shape (N,)."""
     return 1e3 * np.hypot(*(recording["pose_ref"] - recording["pose"])[:, :2].T)
 
 
-def _distinct(references: Sequence[Array]) -> list[Array]:
+def distinct(references: Sequence[Array]) -> list[Array]:
     """References that are no beginning of another."""
     kept: list[Array] = []
     for reference in sorted(references, key=len, reverse=True):

@@ -12,9 +12,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ..experiments.experiment import ORACLES
+from ..experiments.fairness import unfair
 from ..experiments.runner import Result
 from ..metrics import ERRORS, halves
 from ..recording import Recording
+from . import verdicts, wheels
 from .units import column_units, milli
 
 WIDTH = 100
@@ -26,11 +28,17 @@ CAPTION = (
 
 
 def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
-    """The table with its caption, as text of at most `width` columns."""
+    """The table with what it shows beneath it and its caption, as text of at most `width` columns.
+
+    A comparison that is not fair says so before anything else.
+    """
     console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
     with console.capture() as capture:
+        if warning := unfair(result.experiment, result.metrics):
+            console.print(f"{warning[0].upper()}{warning[1:]}", style="bold red", highlight=False)
         console.print(title(result), style="bold", highlight=False)
-        console.print(comparison(result))
+        for part in (comparison(result), *verdicts_of(result)):
+            console.print(part)
         console.print(caption(result), style="italic", highlight=False)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
@@ -42,17 +50,27 @@ def comparison(result: Result) -> Table:
     table.add_column("", no_wrap=True)
     for name in result.recordings:
         table.add_column(heading(name), justify="right", no_wrap=True)
-    for group in (errors(result), torques(result), others(result)):
+    for group in (errors(result), wheels.rows(result), torques(result), others(result)):
         for row in group:
             table.add_row(*row)
         table.add_section()
     return table
 
 
+def verdicts_of(result: Result) -> Iterator[Table]:
+    """Gain or learning, and the thesis's figures, where the experiment has what it takes."""
+    if improvements := result.improvements():
+        yield verdicts.shares(improvements, result.experiment.windows[-1])
+    if ranges := result.figure_ranges():
+        yield verdicts.figures(ranges)
+
+
 def title(result: Result) -> str:
-    """What was run, on what, for how long, from which seed."""
+    """What was run, which variant of it, on what, for how long, from which seed."""
     experiment = result.experiment
-    about = f"{experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed}"
+    variant = f"variant {experiment.variant}, " if experiment.variant else ""
+    variant += "contact plant, " if experiment.plant == "contact" else ""
+    about = f"{variant}{experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed}"
     return f"{experiment.title or result.name} ({about})"
 
 
@@ -67,7 +85,9 @@ def caption(result: Result) -> str:
         )
     if any(map(exceeded, limited(result))):
         marks += "! above the motor's effort limit, which this plant does not enforce. "
-    return marks + CAPTION
+    shares = f" {verdicts.ABOUT_SHARES}" if result.improvements() else ""
+    outside = " ! outside of its interval." if any(not row["inside"] for row in result.figure_ranges()) else ""
+    return marks + CAPTION + shares + outside
 
 
 def exceeded(row: dict[str, Any]) -> bool:

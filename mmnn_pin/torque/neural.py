@@ -141,6 +141,7 @@ class Inputs(Settings, frozen=True):
 
     Args:
         signals: Names of signals, each one measured or computed from measured ones; default (3.24).
+        pose_error: Frame of the signal `pose_error`, which (3.24) does not state: "body" (3.1) or "world".
         scale: Factor on every input (180/pi puts joint angles in degrees).
         constant_yaw_rate: Appendix B's slip `wd = (5)`: this number in place of the second component of alpha.
 
@@ -150,6 +151,7 @@ class Inputs(Settings, frozen=True):
     """
 
     signals: tuple[str, ...] = THESIS_INPUT
+    pose_error: Literal["body", "world"] = "body"
     scale: float = 1.0
     constant_yaw_rate: float | None = None
 
@@ -164,7 +166,8 @@ class Inputs(Settings, frozen=True):
 
     def rows(self, layout: Layout) -> np.ndarray:
         """Places of the inputs in a row, (nx,) int64."""
-        places = [np.arange(layout.width)[layout.where(name)] for name in self.signals]
+        frames = {"pose_error": "world_error"} if self.pose_error == "world" else {}
+        places = [np.arange(layout.width)[layout.where(frames.get(name, name))] for name in self.signals]
         return np.concatenate(places).astype(np.int64)
 
     def affine(self, layout: Layout) -> tuple[Array, Array]:

@@ -1,0 +1,158 @@
+"""Figures 4.2 to 4.4 in the thesis's arrangement, over bands in which the extremes of the thesis's own curves lie.
+
+The thesis's curves are lost; its axes leave an interval for each extreme (`experiments.figure_ranges`). A ring marks
+the largest and the smallest value drawn: it should lie in its band.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..experiments.figure_ranges import FigureRange, figure_intervals
+from ..recording import Recording
+from ..signals import Array
+from .figure import STYLES, Look, add_legend, legend_label, limits, mark_end, new_figure, scale_rows, styled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Recordings = Mapping[str, Recording]
+Curve = tuple[str, Recording, int, Look]  # controller, recording, column, look
+
+BAND: Look = {"facecolor": "0.87", "linewidth": 0, "zorder": 0.5}
+COMPONENTS: dict[str, Look] = {
+    "x": {"linestyle": "-", "linewidth": 1.8},
+    "y": {"linestyle": (0, (5, 1.6)), "linewidth": 1.4},
+    "heading": {"linestyle": (0, (1, 1.4)), "linewidth": 1.8},
+}
+
+
+@styled
+def pose_figure(recordings: Recordings) -> Figure:
+    """Figure 4.2: pose error (x, y, heading) with the one-layer network above, with the two-layer network below.
+
+    Raises:
+        RecordingError: Not one recording of each learner, or none of a robot with a base.
+    """
+    learners = learners_of(recordings, "pose_error")
+    panels = {
+        f"{name}: pose error\n[mm, mrad]": [
+            (name, recording, column, {**look, "color": STYLES[name].color, "zorder": 2 + 0.1 * column})
+            for column, look in enumerate(COMPONENTS.values())
+        ]
+        for name, recording in learners.items()
+    }
+    legend = [(label, {**look, "color": "0.2"}) for label, look in COMPONENTS.items()]
+    return _arranged("4.2", "pose error of the platform", learners, "pose_error", panels, legend)
+
+
+@styled
+def velocity_figure(recordings: Recordings) -> Figure:
+    """Figure 4.3: velocity error z1 above and z2 below, both learners in each; errors as in `pose_figure`."""
+    return _both("4.3", "velocity error of the platform", recordings, "z", ("z1 [mm/s]", "z2 [mrad/s]"))
+
+
+@styled
+def arm_figure(recordings: Recordings) -> Figure:
+    """Figure 4.4: arm error e1 above and e2 below, both learners in each; errors as in `pose_figure`."""
+    return _both("4.4", "error of the arm", recordings, "e", ("e1 [mrad]", "e2 [mrad]"))
+
+
+THESIS_FIGURES: Mapping[str, Callable[[Recordings], Figure]] = {
+    "figure-4.2": pose_figure,
+    "figure-4.3": velocity_figure,
+    "figure-4.4": arm_figure,
+}
+
+
+def learners_of(recordings: Recordings, signal: str) -> dict[str, Recording]:
+    """The recording of the one-layer and of the two-layer controller, in this order.
+
+    Raises:
+        RecordingError: None or several of one, or one without the signal.
+    """
+    found = {}
+    for learner in ("one_layer", "two_layer"):
+        runs = [rec for name, rec in recordings.items() if rec.meta.get("controller", name) == learner]
+        runs = [rec for rec in runs if signal in rec and len(rec)]
+        if len(runs) != 1:
+            why = f"the thesis's figures take one run of {learner} with the signal {signal}; there are {len(runs)}"
+            raise RecordingError("nothing to plot", why=why, fix="name the folder of one `mmnn run chapter4`")
+        found[learner] = runs[0]
+    return found
+
+
+def _both(number: str, what: str, recordings: Recordings, signal: str, labels: Sequence[str]) -> Figure:
+    """A plot per component, both learners in each."""
+    learners = learners_of(recordings, signal)
+    panels = {
+        label: [(name, recording, column, STYLES[name].line) for name, recording in learners.items()]
+        for column, label in enumerate(labels)
+    }
+    legend = [(legend_label(name, recording), STYLES[name].line) for name, recording in learners.items()]
+    return _arranged(number, what, learners, signal, panels, legend)
+
+
+def _arranged(
+    number: str,
+    what: str,
+    learners: Recordings,
+    signal: str,
+    panels: Mapping[str, Sequence[Curve]],
+    legend: Sequence[tuple[str, Look]],
+) -> Figure:
+    """Two plots above each other, as the thesis has them, on the bands of its axes."""
+    figure = new_figure(7.2, 6.4)
+    stack = figure.subplots(2, 1, sharex=True)
+    stack[-1].set_xlabel("time [s]")
+    for axes, place, (label, curves) in zip(stack, ("top", "bottom"), panels.items(), strict=True):
+        ranges = [known for known in figure_intervals() if known.figure == f"{number} {place}"]
+        axes.set_ylabel(label)
+        _draw_bands(axes, ranges)
+        _draw_curves(axes, signal, curves, ranges)
+    figure.align_ylabels(list(stack))
+    band = {"color": BAND["facecolor"], "linewidth": 7, "solid_capstyle": "butt"}
+    title = f"Figure {number}: {what}{variant_of(learners)}"
+    add_legend(figure, title, [*legend, ("thesis's extremes", band)])
+    return figure
+
+
+def _draw_bands(axes: Axes, ranges: Sequence[FigureRange]) -> None:
+    for known in ranges:
+        axes.axhspan(1e3 * known.lower, 1e3 * known.upper, **BAND)
+    axes.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
+
+
+def _draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange]) -> None:
+    """Curves in thousandths, rings at their common extremes, crosses where a run ended early."""
+    shown = [1e3 * rec[signal][rows, column] for _, each, column, _ in curves for rec, rows in scale_rows([each])]
+    edges = np.array([1e3 * edge for known in ranges for edge in (known.lower, known.upper)])
+    axes.set_ylim(limits([*shown, edges]))
+    for _, recording, column, look in curves:
+        axes.plot(recording.time, 1e3 * recording[signal][:, column], **look)
+    for statistic in {known.statistic for known in ranges}:
+        _ring(axes, signal, curves, np.nanargmax if statistic == "max" else np.nanargmin)
+    for name, recording, column, _ in curves:
+        mark_end(axes, recording, STYLES[name], recording.time, 1e3 * recording[signal][:, column])
+
+
+def _ring(axes: Axes, signal: str, curves: Sequence[Curve], place: Callable[[Array], np.intp]) -> None:
+    """Ring at the extreme of all curves of a plot."""
+    values = [1e3 * recording[signal][:, column] for _, recording, column, _ in curves]
+    which = int(place(np.array([each[place(each)] for each in values])))
+    k = int(place(values[which]))
+    ring: Look = {"marker": "o", "markersize": 7, "markerfacecolor": "none", "markeredgewidth": 1.3, "zorder": 5}
+    axes.plot(curves[which][1].time[k], values[which][k], color=curves[which][3]["color"], clip_on=False, **ring)
+
+
+def variant_of(recordings: Recordings) -> str:
+    """`, variant NAME` as the recordings' config says; nothing if it says none or they differ."""
+    configs = [recording.config_text for recording in recordings.values()]
+    names = {json.loads(text).get("variant", "") if text else "" for text in configs}
+    return f" (variant {names.pop()})" if len(names) == 1 and names != {""} else ""
