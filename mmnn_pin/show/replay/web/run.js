@@ -1,0 +1,123 @@
+const EVENT_COLORS = { stop: 0xe03024, slip: 0x9b3fd0, limit: 0xf0a020 } /* the worst first */;
+const GHOST = [0.25, 0.55, 0.85];
+const WANTED = 0x9aa4b2;
+const LONGEST_TRACE = 4000; // points
+
+/** One recorded run: its robot, its ghost, its paths, and where they are at a time. */
+class RunView {
+  constructor(THREE, run, robot, geometries, { several, order }) {
+    Object.assign(this, { THREE, run, robot, order });
+    this.group = new THREE.Group();
+    this.color = isDark() && run.color === "#000000" ? "#F0F0F0" : run.color;
+    const rgb = this.rgb = [1, 3, 5].map((i) => parseInt(this.color.slice(i, i + 2), 16) / 255);
+    this.view = new RobotView(THREE, robot, geometries, solidStyle(THREE, several ? rgb : null, order));
+    this.group.add(this.view.group);
+    this.now = new Float32Array(run.width);
+    this.duration = run.time[run.frames - 1];
+    this.events = run.events.map((event) =>
+      ({ ...event, start: Math.min(event.start, this.duration), end: event.end ?? Infinity }));
+    this.twins = []; // earlier runs with the same reference
+    this.layers = { reference: [], wanted: [], paths: [], traces: [] };
+    this.growing = [];
+    this.step = Math.ceil(run.frames / LONGEST_TRACE);
+    if (run.reference) {
+      this.ghost = new RobotView(THREE, robot, geometries, ghostStyle(THREE, GHOST));
+      this.wished = new Float32Array(run.width);
+      this.add("reference", this.ghost.group);
+    }
+  }
+
+  /** The path and the traces of the tips, driven and wanted. */
+  addLines(thickness) {
+    const { THREE, run, robot } = this, color = linear(THREE, this.rgb), wide = (factor) => factor * thickness;
+    const [driven, traced] = [0, 0.12].map((paler) =>
+      new THREE.MeshBasicMaterial({ color: color.clone().lerp(new THREE.Color(1, 1, 1), paler) }));
+    const grey = new THREE.MeshBasicMaterial({ color: flat(THREE, WANTED) });
+    const grow = (layer, points, half, material) => this.growing.push(this.addBand(layer, points, half.map(wide), material));
+    const above = wide(0.006 + 0.001 * this.order);
+    if (robot.mobile) grow("paths", this.ground(run.position, above), [0.011, 0.0008], driven);
+    for (const tip of robot.tips) grow("traces", this.trace(run.position, tip), [0.005, 0.005], traced);
+    if (!run.reference) return;
+    if (robot.mobile) this.addBand("wanted", this.ground(run.reference, wide(0.004)), [0.02, 0.0004].map(wide), grey);
+    for (const tip of robot.tips) this.addBand("wanted", this.trace(run.reference, tip), [0.003, 0.003].map(wide), grey);
+  }
+
+  add(layer, object) {
+    this.layers[layer].push(object);
+    this.group.add(object);
+  }
+
+  addBand(layer, points, half, material) {
+    const band = makeBand(this.THREE, points, half, material);
+    this.add(layer, band);
+    return band;
+  }
+
+  /** Path of the control frame on the floor, (k, 3). */
+  ground(table, height) {
+    const { width } = this.run, points = [];
+    for (let i = 0; i < table.length; i += width * this.step) points.push(table[i], table[i + 1], height);
+    return points;
+  }
+
+  /** Where the tips are, done and wanted, (k, 3) each. */
+  tips() {
+    const tables = [this.run.position, this.run.reference].filter(Boolean);
+    return this.robot.tips.flatMap((tip) => tables.map((table) => this.trace(table, tip)));
+  }
+
+  /** Where a tip is at every frame, (k, 3). */
+  trace(table, tip) {
+    const { width } = this.run, points = [], matrices = this.robot.bodies.map(() => new this.THREE.Matrix4());
+    for (let i = 0; i < table.length; i += width * this.step) {
+      placeBodies(this.THREE, this.robot, table.subarray(i, i + width), matrices);
+      points.push(...new this.THREE.Vector3(...tip.point).applyMatrix4(matrices[tip.body]).toArray());
+    }
+    return points;
+  }
+
+  /** Show a time: between two frames all positions are interpolated (angles are unwrapped). */
+  set(time) {
+    const { run } = this, last = run.frames - 1;
+    let low = 0, high = last;
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (run.time[middle] <= time) low = middle; else high = middle;
+    }
+    const gap = run.time[high] - run.time[low];
+    const share = gap > 0 ? Math.min(Math.max((time - run.time[low]) / gap, 0), 1) : 0;
+    blend(run.position, low, high, share, run.width, this.now);
+    this.view.set(this.now);
+    if (this.ghost) {
+      blend(run.reference, low, high, share, run.width, this.wished);
+      this.ghost.set(this.wished);
+    }
+    const seen = share < 1 ? low : high;
+    for (const band of this.growing) {
+      const ends = band.userData.ends;
+      band.geometry.setDrawRange(0, ends[Math.min(Math.floor(seen / this.step), ends.length - 1)]);
+    }
+    return this.happening(time);
+  }
+
+  /** Colour what happens at a time, and return it. */
+  happening(time) {
+    const here = this.events.filter((event) => event.start <= time && time <= event.end);
+    const key = here.map((event) => event.text).join();
+    if (key !== this.coloured) {
+      this.coloured = key;
+      this.view.glow(null, []);
+      for (const [kind, color] of Object.entries(EVENT_COLORS).reverse()) {
+        for (const event of here) if (event.kind === kind) this.view.glow(color, event.bodies);
+      }
+    }
+    return here;
+  }
+}
+
+function blend(table, low, high, share, width, out) {
+  for (let i = 0; i < width; i++) {
+    const from = table[low * width + i];
+    out[i] = from + share * (table[high * width + i] - from);
+  }
+}
