@@ -142,19 +142,21 @@ class OrdinaryLoop:
         loop, row, plant, dynamics = self.loop, self.row, self.plant, self.plant.dynamics
         timing, arm, h = loop.timing, loop.robot.arm_index, loop.timing.control_period
         steps, per_measurement = timing.steps_per_control, timing.steps_per_measurement
+        at, table, gains, K, E_inv, exactly = self.at, self.table, self.gains, self.K, self.E_inv, self.exact
+        bounds, start_energy = self.bounds, self.start_energy
         started = clock.perf_counter()
         for k in range(first, last):
             began = clock.perf_counter()
             now = k * steps % per_measurement == 0
-            if now and not self.exact:
+            if now and not exactly:
                 self.measure(k * steps // per_measurement)
-            before_torque(row, self.at, k * h, plant.y, self.table[k], now and self.exact, arm, self.gains, self.K)
+            before_torque(row, at, k * h, plant.y, table[k], now and exactly, arm, gains, K)
             plant.observe(row)
             self.torque.step(k * h)
             step_time = clock.perf_counter() - began
             dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
             potential, work = dynamics.potential(), plant.y[-1]
-            bad = after_torque(row, self.at, dynamics.M, self.E_inv, potential, work, self.start_energy, self.bounds)
+            bad = after_torque(row, at, dynamics.M, E_inv, potential, work, start_energy, bounds)
             if bad >= 0:
                 return bad
             done = k - first

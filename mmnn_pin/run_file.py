@@ -73,6 +73,7 @@ class RunFile:
         self.path, self.rows, self.is_open = path, 0, True
         self._file = _create(path, force, lambda file: _write_header(file, layout, columns, meta, texts))
         self._tables = [(self._file[f"signals/{name}"], layout.where(name)) for name in columns]
+        self._weights: dict[str, h5py.Dataset] = {}
         self._row_bytes = 8 * (layout.width + 1)
 
     def write(self, rows: Array, step_times: Array) -> None:
@@ -100,12 +101,14 @@ class RunFile:
         """
         try:
             self._reserve(sum(max(array.nbytes, 8192) for array in snapshot.values()))
-            group = self._file.require_group("weights")
             for name, array in snapshot.items():
-                if name not in group:
-                    _table(group, name, array.shape, max(1, 8192 // max(array.nbytes, 1)), array.dtype)
-                group[name].resize(len(group[name]) + 1, axis=0)
-                group[name][-1] = array
+                if name not in self._weights:
+                    rows = max(1, 8192 // max(array.nbytes, 1))
+                    self._weights[name] = _table(self._file, f"weights/{name}", array.shape, rows, array.dtype)
+                table = self._weights[name]
+                count = len(table)
+                table.resize(count + 1, axis=0)
+                table[count] = array
         except (OSError, RuntimeError) as error:
             raise self._failed(error) from error
 

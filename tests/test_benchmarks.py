@@ -85,3 +85,21 @@ def test_what_cannot_run_is_asked_once(modules):
     asks = {"a": ask("a", {"wall": 1.0}), "b": ask("b", {"skipped": "not installed"})}
     samples = modules["run"].in_turn(asks, 3)
     assert calls == {"a": 4, "b": 1} and len(samples["a"]) == 3 and samples["b"] == [{"skipped": "not installed"}]
+
+
+def test_reading_makes_a_file_that_is_understood_and_times_it(monkeypatch, tmp_path, capsys):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import reading
+
+    file = tmp_path / "made.urdf"
+    file.write_text(reading.made(20_000))
+    robot = load(file)
+    assert robot.base.kind == "differential_drive" and robot.layout.arm == 7 and not robot.findings
+    monkeypatch.setattr(sys, "argv", ["reading.py", str(file), "--repetitions", "2", "--json"])
+    reading.main()
+    result = json.loads(capsys.readouterr().out)
+    assert result["bytes"] == file.stat().st_size >= 20_000
+    assert 0 < result["audit"]["min"] <= result["audit"]["median"] and result["both"]["min"] > 0
+    monkeypatch.setattr(sys, "argv", ["reading.py", "--repetitions", "1"])
+    reading.main()
+    assert "understanding" in capsys.readouterr().out

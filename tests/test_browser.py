@@ -43,7 +43,8 @@ def thesis(chromium: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
 
 
 def seek(seen: Opened, time: float) -> None:
-    seen.page.evaluate(f"replay.player.seek({time})")
+    """Show this time and stay there: the page plays by itself, and from the end it starts again."""
+    seen.page.evaluate(f"replay.player.pause(), replay.player.seek({time})")
 
 
 def near(picture: np.ndarray, color: np.ndarray, within: int = 60) -> np.ndarray:
@@ -193,7 +194,7 @@ def test_it_works_inside_another_page(chromium: Any, tmp_path: Path) -> None:
         inner = seen.page.frame_locator("iframe")
         inner.locator("#time").filter(has_text="0.00 / 2.00 s").wait_for()
         assert inner.locator("#play").get_attribute("aria-label") == "Play"  # at rest until it is asked to play
-        assert len(np.unique(seen.shot(tmp_path / "replay_inside.png").reshape(-1, 3), axis=0)) > 500
+        assert len(np.unique(seen.shot(tmp_path / "replay_inside.png").reshape(-1, 3), axis=0)) > 200  # blank: 1
         assert seen.problems == [] and [url for url in seen.requests if not url.startswith("about:")] == []
 
 

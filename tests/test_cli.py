@@ -324,7 +324,7 @@ BAD = {
     "unknown input": (["run", "chapter4", "--set", "inputs.signals=['psi']"], ["unknown network input", "pose_ref"]),
     "unknown command": (["fly"], ["unknown command 'fly'", "run, readings, model, plot"]),
     "unknown option": (["run", "chapter4", "--robt", "x"], ["unknown option '--robt'", "--robot"]),
-    "unknown plot": (["plot", "x.h5", "--what", "weights"], ["weights", "errors", "psi"]),
+    "unknown plot": (["plot", "x.h5", "--what", "wieghts"], ["wieghts", "errors", "psi"]),
     "missing argument": (["run"], ["EXPERIMENT", "--help"]),
     "missing toml": (["run", "mine.toml"], ["mine.toml", "no such file"]),
     "missing urdf": (["run", "chapter4", "--robot", "mine.urdf"], ["mine.urdf", "no such file"]),

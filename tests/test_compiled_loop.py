@@ -210,7 +210,7 @@ def tiago() -> Path:
 @pytest.mark.skipif(not tiago().exists(), reason="example-robot-data is not installed")
 @pytest.mark.parametrize("name", ["pd", "two_layer", "computed_torque"])
 def test_tiago(name):
-    """With the friction of its URDF, which stops the lightest joint within 40 ns: implicit; and without it, explicit."""
+    """With the friction of its URDF, which stops the lightest joint within 40 ns: implicit; and without, explicit."""
     robot = load(tiago())
     assert_same_and_done(loop_of(name, robot, LONG, integrator="implicit_friction"))
     assert_same_and_done(loop_of(name, replace(robot, damping=0 * robot.damping, coulomb=0 * robot.coulomb), LONG))

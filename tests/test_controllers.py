@@ -632,7 +632,14 @@ def test_networks_know_no_robot_and_learners_no_model() -> None:
     edges = graph()
     assert edges["torque.network"] == {"compiled", "signals"}
     assert "torque.law" in edges["torque.neural"]  # the reading works
-    for module in ("torque.neural", "torque.law", "torque.controller", "kinematic", "sensing.encoders", "sensing.exact"):
+    for module in (
+        "torque.neural",
+        "torque.law",
+        "torque.controller",
+        "kinematic",
+        "sensing.encoders",
+        "sensing.exact",
+    ):
         assert not [name for name in known(edges, module) if name.split(".")[0] in {"model", "plant"}], module
 
 

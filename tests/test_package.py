@@ -80,6 +80,7 @@ def test_public_things_have_docstrings() -> None:
 
 # -- what imports what ------------------------------------------------------------------------------------------------
 
+
 def own_imports(file: Path) -> set[str]:
     """Modules of the package that a file imports, as dotted names without `mmnn_pin`; under TYPE_CHECKING too."""
     parts = ("mmnn_pin", *file.relative_to(PACKAGE).with_suffix("").parts)

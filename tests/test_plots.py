@@ -58,13 +58,13 @@ def test_errors_are_drawn_in_the_units_on_their_axes():
     runs = {"two_layer": recording(seed=1), "pd": recording("pd", seed=2)}
     figure = errors_figure(runs)
     expected = {
-        "x [mm]": ("pose_error", 0),
-        "y [mm]": ("pose_error", 1),
-        "heading [mrad]": ("pose_error", 2),
-        "v [mm/s]": ("z", 0),
-        "w [mrad/s]": ("z", 1),
-        "lift [mm]": ("e", 0),
-        "elbow [mrad]": ("e", 1),
+        "x [mm]": ("true_pose_error", 0),
+        "y [mm]": ("true_pose_error", 1),
+        "heading [mrad]": ("true_pose_error", 2),
+        "v [mm/s]": ("true_z", 0),
+        "w [mrad/s]": ("true_z", 1),
+        "lift [mm]": ("true_e", 0),
+        "elbow [mrad]": ("true_e", 1),
     }
     assert [axes.get_ylabel() for axes in figure.axes] == list(expected)
     for ylabel, (signal, column) in expected.items():

@@ -26,7 +26,7 @@ def understanding(function: F) -> F:
         given = {name: kwargs.pop(name) for name in SAID}
         if given["wheels"] is not None:
             given["wheels"] = tuple(name.strip() for name in given["wheels"].split(","))
-        said = {name: value for name, value in given.items() if value not in (None, (), False)}
+        said = {name: value for name, value in given.items() if not (value is None or value is False or value == ())}
         return function(*args, said=said, **kwargs)
 
     for option in reversed(ROBOT_OPTIONS):

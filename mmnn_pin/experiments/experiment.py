@@ -41,7 +41,10 @@ CONTROLLERS = {
 ORACLES = ("computed_torque",)
 LEARNERS = ("two_layer", "one_layer")
 # Pictures that a run can write; `show.plots` draws them.
-PLOTS = ("errors", "torque", "psi", "gains", "path", "figure-4.2", "figure-4.3", "figure-4.4")
+PLOTS = (
+    *("errors", "torque", "psi", "gains", "path", "weights", "lyapunov", "residuals", "step-times"),
+    *("figure-4.2", "figure-4.3", "figure-4.4"),
+)
 
 
 class Friction(Settings, frozen=True):

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.special import ndtr
 
 from ..errors import ConfigError
 from ..model.robot import Robot
@@ -154,6 +153,5 @@ class Sensing:
     def noise(self, count: int, rng: np.random.Generator) -> Array:
         """Random numbers for `count` measurements, (count, columns); those of fewer are the first of them."""
         columns = noise_columns(self.encoders.size, self.velocities, self.pose)
-        numbers = rng.standard_normal((count, columns))
-        numbers[:, -2:] = ndtr(numbers[:, -2:])  # uniform
-        return numbers
+        normal, uniform = rng.spawn(2)
+        return np.hstack((normal.standard_normal((count, columns - 2)), uniform.random((count, 2))))

@@ -6,9 +6,7 @@ matplotlib is imported when the first figure is made, and never its state machin
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -19,6 +17,7 @@ import numpy as np
 from ..errors import RecordingError
 from ..recording import Recording
 from ..signals import Array
+from .whole import whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,7 +36,6 @@ RC: Any = {
     "axes.grid": True,
     "axes.axisbelow": True,
     "axes.formatter.limits": (-4, 5),
-    "axes.formatter.use_mathtext": True,
     "grid.color": "0.9",
     "grid.linewidth": 0.6,
     "svg.hashsalt": "mmnn_pin",
@@ -180,16 +178,7 @@ def save(figure: Figure, path: str | Path) -> Path:
     if (suffix := path.suffix[1:].lower()) not in FORMATS:
         fix = f"end its name in {', '.join(f'.{known}' for known in FORMATS)}"
         raise RecordingError("cannot write the figure", why=f"unknown format '{path.suffix}'", fix=fix, file=path)
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(suffix, {})
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with rc_context(RC):
-            figure.savefig(part, format=suffix, dpi=160, metadata=undated)
-        os.replace(part, path)
-    except OSError as error:
-        with suppress(OSError):
-            part.unlink()
-        why = error.strerror or str(error)
-        raise RecordingError("cannot write the figure", why=why, file=path) from error
+    with whole(path, "figure") as part, rc_context(RC):
+        figure.savefig(part, format=suffix, dpi=160, metadata=undated)
     return path

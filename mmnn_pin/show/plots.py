@@ -14,6 +14,7 @@ import numpy as np
 
 from ..errors import RecordingError
 from ..experiments.experiment import EFFECTIVE, ORACLES
+from ..metrics import TRUE
 from ..recording import Recording
 from ..signals import Array
 from .figure import (
@@ -63,15 +64,15 @@ class Panel:
 
 @styled
 def errors_figure(recordings: Recordings) -> Figure:
-    """Tracking errors over time: pose in the base frame, velocity `z` (3.6), arm `e` (3.10).
+    """True tracking errors over time: pose in the base frame, velocity `z` (3.6), arm `e` (3.10).
 
     Raises:
         RecordingError: No recording, or none that holds these signals.
     """
     columns = [
-        ("Pose error, in the base frame", panels_of(recordings, "pose_error")),
-        ("Velocity error z", panels_of(recordings, "z")),
-        *_columns("Arm error e", panels_of(recordings, "e")),
+        ("Pose error, in the base frame", error_panels(recordings, "pose_error")),
+        ("Velocity error z", error_panels(recordings, "z")),
+        *_columns("Arm error e", error_panels(recordings, "e")),
     ]
     return _overlay("Tracking errors", recordings, columns)
 
@@ -207,10 +208,17 @@ def panels_of(recordings: Recordings, signal: str) -> list[Panel]:
         if signal not in recording:
             continue
         for label, unit in zip(recording.labels(signal), column_units(recording, signal), strict=True):
-            title = "heading" if (signal, label) == ("pose_error", "phi") else label
-            scaled = (milli(unit), 1e3) if signal in ("pose_error", "z", "e") else (unit, 1.0)
+            error = signal.removeprefix("true_")
+            title = "heading" if (error, label) == ("pose_error", "phi") else label
+            scaled = (milli(unit), 1e3) if error in TRUE else (unit, 1.0)
             panels.setdefault(label, Panel(signal, label, title, *scaled))
     return list(panels.values())
+
+
+def error_panels(recordings: Recordings, error: str) -> list[Panel]:
+    """Panels of a tracking error: the true one, by which runs are judged, where all recordings have it."""
+    known = all(TRUE[error] in recording for recording in recordings.values() if error in recording)
+    return panels_of(recordings, TRUE[error] if known else error)
 
 
 def base_labels(recording: Recording) -> tuple[str, ...]:

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import html
 import importlib.util
-import os
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
@@ -18,6 +16,7 @@ from pathlib import Path
 
 from ...errors import RecordingError
 from ...recording import Recording
+from ..whole import whole
 from .blob import compressed
 from .scene import Scene, extent_of
 
@@ -62,18 +61,9 @@ class Page:
         Raises:
             RecordingError: A place that cannot be written.
         """
-        path = Path(path)
-        part = path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
+        with whole(Path(path), "replay") as part:
             part.write_text(self.html, encoding="utf-8")
-            os.replace(part, path)
-        except OSError as error:
-            with suppress(OSError):
-                part.unlink()
-            why = error.strerror or str(error)
-            raise RecordingError("cannot write the replay", why=why, file=path) from error
-        return path
+        return Path(path)
 
 
 def page(

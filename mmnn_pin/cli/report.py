@@ -1,0 +1,54 @@
+"""`mmnn report`."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+
+from .options import examples, shared
+from .output import DONE, say, say_json
+from .plot import open_runs
+from .replay import by_name
+
+
+@click.command(
+    short_help="Write one HTML page that tells what was run and how good it was.",
+    epilog=examples(
+        "mmnn report runs/chapter4 --html chapter4.html",
+        "mmnn report runs/chapter4/pd.h5 runs/chapter4/two_layer.h5 --html two.html",
+        "mmnn report runs/track --html track.html --no-replay        without the robot's meshes",
+    ),
+)
+@click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
+@click.option("--html", required=True, type=click.Path(path_type=Path), help="The page.")
+@click.option("--force", is_flag=True, help="Replace it.")
+@click.option("--no-replay", is_flag=True, help="Leave the replay out.")
+@click.option(
+    "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
+)
+@shared
+def report(
+    runs: tuple[Path, ...], html: Path, force: bool, no_replay: bool, package_dirs: tuple[str, ...], as_json: bool
+) -> int:
+    """Write a report on runs of one task: verdict, numbers, plots, replay, robot, origin, in one HTML file.
+
+    RUN is a recording, or a folder with recordings. The page needs no network and no server.
+    """
+    from ..show.report import report as make
+    from ..show.whole import require_free
+
+    require_free(html, force)
+    recordings = by_name([recording for path in runs for recording in open_runs(path)])
+    command = shlex.join(["mmnn", "report", *map(str, runs), "--html", str(html)])
+    made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
+    for warning in made.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    made.save(html)
+    if as_json:
+        files = [str(recording.path) for recording in recordings.values()]
+        say_json({"runs": files, "html": str(html), "bytes": made.size, "warnings": list(made.warnings)})
+    else:
+        say(f"wrote {html}: {made.size / 1e6:.2g} MB")
+    return DONE

@@ -1,0 +1,304 @@
+"""The report says what the recordings say: their numbers, a verdict that follows from them; no name runs in it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numba import config
+from replays import TYPES, unpacked
+from replays import recorded as recorded_without_period
+
+from mmnn_pin import load
+from mmnn_pin.cli import main
+from mmnn_pin.errors import RecordingError
+from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.experiments.runner import run_experiment
+from mmnn_pin.metrics import metrics
+from mmnn_pin.model.robot import Robot, build
+from mmnn_pin.model.urdf import parse
+from mmnn_pin.recording import Outcome, Recording
+from mmnn_pin.show.figure import STYLES
+from mmnn_pin.show.report import Report, report
+from mmnn_pin.show.report.charts import MOST, kept_rows
+from mmnn_pin.show.report.origin import command_of
+from mmnn_pin.show.report.results import result_of
+from mmnn_pin.show.report.verdict import verdict
+from mmnn_pin.signals import INDEX
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+DURATION = 0.04 if config.DISABLE_JIT else 2.0
+SETTINGS = (
+    f"time.duration={DURATION}",
+    f"windows=[[0.0, {DURATION / 2}], [{DURATION / 2}, {DURATION}]]",
+    "plots=[]",
+)
+
+
+def recorded(robot: Robot, name: str = "two_layer", **more) -> Recording:
+    return recorded_without_period(robot, name, control_period=0.002, **more)
+
+
+class Page(HTMLParser):
+    """Texts by element, ids, and what would load something."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.texts: dict[str, list[str]] = {}
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.stack: list[str] = []
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.ids += [found["id"]] if found.get("id") else []
+        self.links += [str(found[key]) for key in ("src", "href", "srcset", "action", "data") if found.get(key)]
+        if tag != "meta":
+            self.stack.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.stack.pop() == tag, tag
+
+    def handle_data(self, data: str) -> None:
+        if self.stack:
+            self.texts.setdefault(self.stack[-1], []).append(data)
+
+
+@pytest.fixture(scope="module")
+def chapter4() -> dict[str, Recording]:
+    return run_experiment(load_experiment("chapter4", SETTINGS), "chapter4").recordings
+
+
+@pytest.fixture(scope="module")
+def made(chapter4: dict[str, Recording]) -> Report:
+    return report(chapter4, command="mmnn report runs/chapter4 --html report.html")
+
+
+def data_of(html: str) -> dict:
+    """What the page's script reads, with arrays in the place of references."""
+    data = unpacked(html, "data")
+    length = int.from_bytes(data[:4], "little")
+
+    def resolve(value: dict) -> object:
+        if value.get("type") not in TYPES:
+            return value
+        return np.frombuffer(data[4 + length :], TYPES[value["type"]], value["size"], value["at"])
+
+    return json.loads(data[4 : 4 + length], object_hook=resolve)
+
+
+def lost(name: str = "pd") -> Recording:
+    end = Outcome("diverged", 1.2, "nu[0]", "nu[0] is not finite (nan) at t = 1.2 s")
+    return recorded(load("platform_arm"), name, duration=1.2, outcome=end)
+
+
+def test_the_page_is_whole_and_loads_nothing(made: Report) -> None:
+    page = Page(made.html)
+    assert page.stack == [] and len(page.ids) == len(set(page.ids))
+    assert {link for link in page.links if not link.startswith("#")} == set()
+    assert {link[1:] for link in page.links} <= set(page.ids)
+    assert page.ids[:1] == ["verdict"]
+    assert "default-src 'none'" in made.html and made.warnings == ()
+    assert re.search(r"(https?:)?//[a-z]", made.html.partition('id="data"')[0]) is None
+
+
+def test_the_table_holds_the_metrics(made: Report, chapter4: dict[str, Recording]) -> None:
+    rows = re.findall(r"<tr[^>]*>(.*?)</tr>", made.html)
+    table = [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row) for row in rows]
+    (arm,) = [i for i, row in enumerate(table) if row and row[0] == "joint arm_1_joint [mrad]"]
+    for i, name in enumerate(chapter4):
+        expected = 1e3 * metrics(chapter4[name], ())["e.arm_1_joint.peak"]
+        assert float(table[arm][2 + i].strip(" *")) == pytest.approx(expected, rel=0.01)
+
+
+def test_the_curves_are_the_signals(made: Report, chapter4: dict[str, Recording]) -> None:
+    data = data_of(made.html)
+    assert [run["name"] for run in data["runs"]] == list(chapter4)
+    titles = {panel["title"]: panel for panels in data["sections"].values() for panel in panels}
+    for title, signal, column in (("pose x", "pose_error", 0), ("velocity w", "z", 1), ("joint arm_2_joint", "e", 1)):
+        for curve, rec in zip(titles[title]["curves"], chapter4.values(), strict=True):
+            np.testing.assert_allclose(curve["y"], 1e3 * rec[signal][:, column], rtol=1e-6)
+            np.testing.assert_allclose(curve["x"], rec.time, rtol=1e-6)
+    assert titles["wheel_left_joint"]["limit"] == 60.0
+    true, learned = titles["arm_1_joint, two_layer"]["curves"]
+    assert true["run"] is None and learned["run"] == list(chapter4).index("two_layer")
+    np.testing.assert_allclose(true["y"], chapter4["two_layer"]["psi"][:, 2], rtol=1e-6)
+    for name, style in STYLES.items():
+        assert f"--run-{list(chapter4).index(name)}: {style.color};" in made.html
+
+
+def test_long_curves_keep_their_extremes() -> None:
+    values = np.random.default_rng(0).normal(size=100_003)
+    values[[5, 77_777]] = 9.0, -9.0
+    rows = kept_rows(values)
+    assert len(rows) <= MOST + 2 and {0, 5, 77_777, len(values) - 1} <= set(rows.tolist())
+    assert np.all(np.diff(rows) > 0)
+    np.testing.assert_array_equal(kept_rows(values[:100]), np.arange(100))
+
+
+def test_the_verdict_follows_from_the_numbers(chapter4: dict[str, Recording]) -> None:
+    result = result_of(chapter4)
+    ending = f".rms_{DURATION / 2:g}_{DURATION:g}"
+    rows = [key for key in result.metrics["pd"] if key.endswith(ending)]
+    assert len(rows) == 7
+
+    def size(name: str) -> float:
+        return float(np.exp(np.mean([np.log(result.metrics[name][row]) for row in rows])))
+
+    best, second = sorted((name for name in chapter4 if name != "computed_torque"), key=size)[:2]
+    found = verdict(result)
+    assert found.headline.startswith(f"{best} tracks best of 5: ")
+    if best != "pd":
+        assert f"{100 * (1 - size(best) / size('pd')):.0f} % smaller than those of pd" in found.headline
+    if second != "pd":
+        assert f"{100 * (1 - size(best) / size(second)):.0f} % smaller than those of {second}" in found.headline
+    left = 100 * size("computed_torque") / size(best)
+    assert any(f"{left:.0f} % of those of {best}" in point for point in found.points)
+    kept = 100 * abs(1 - size("two_layer") / size("pd_effective"))
+    assert any(f"two_layer: its errors are {kept:.0f} %" in point for point in found.points)
+    assert [text for text in found.warnings if "fair" in text] == []
+
+
+def test_warnings_come_with_their_reasons(chapter4: dict[str, Recording]) -> None:
+    settings = (*SETTINGS, "robust_of.two_layer.base=50", "controllers=['two_layer', 'one_layer', 'pd']")
+    uneven = run_experiment(load_experiment("chapter4", settings), "chapter4").recordings
+    told = "\n".join(verdict(result_of(uneven)).warnings)
+    assert "Not a fair comparison: each learner has a robust term of its own" in told
+    assert "two_layer has no pd_effective beside it" in told
+    mixed = verdict(result_of({"two_layer": chapter4["two_layer"], "pd": uneven["pd"]}))
+    assert any("different configs" in text for text in mixed.warnings)
+    if not config.DISABLE_JIT:
+        assert any("rank one" in text for text in verdict(result_of(chapter4)).warnings)
+
+
+def test_a_lost_run_does_not_win_and_a_torque_above_its_limit_is_told() -> None:
+    def strain(table: np.ndarray, where) -> None:
+        table[50, where("motor_torque")] = 0.0, -61.0, 0.0, 0.0
+        for name in {"pose_error", "true_pose_error"} & set(INDEX):
+            table[:, where(name).start] = 0.1
+
+    runs = {"pd": lost("pd"), "two_layer": recorded(load("platform_arm"), change=strain)}
+    found = verdict(result_of(runs))
+    told = "\n".join(found.warnings)
+    assert found.headline.startswith("two_layer:") and "x 100.0 mm" in found.headline
+    assert "pd (diverged at 1.2 s)" in told and "nu[0] is not finite" in told
+    assert "wheel_right_joint is asked for more than its limit of 60.0 (two_layer 61.0)" in told
+    assert "wheel_left" not in told
+    page = report(runs).html
+    assert "pd (diverged at 1.2 s)" in page
+    data = data_of(page)
+    assert {run["name"]: run["calm"] for run in data["runs"]}["pd (diverged at 1.2 s)"] is None
+    assert verdict(result_of({"pd": lost()})).headline == "pd: diverged at 1.2 s."
+
+
+def test_the_command_makes_the_runs_again(chapter4: dict[str, Recording]) -> None:
+    assert command_of(result_of(chapter4)).startswith("mmnn run chapter4 --set ")
+    for variant in ("fair", "printed"):
+        asked = load_experiment("chapter4", ("seed=7", "kinematic.kx=3.5", "start.moving=true"), variant)
+        rec = SimpleNamespace(config_text=asked.to_json())
+        result = SimpleNamespace(name="chapter4", experiment=asked, recordings={"pd": rec})
+        words = command_of(result).split()  # type: ignore[arg-type]
+        settings = [words[i + 1] for i, word in enumerate(words) if word == "--set"]
+        named = words[words.index("--variant") + 1] if "--variant" in words else None
+        assert load_experiment("chapter4", settings, named) == asked
+    assert command_of(result_of({"pd": lost()})) == ""
+
+
+def test_names_are_texts_and_never_run(tmp_path: Path) -> None:
+    evil = "<script>alert(1)</script>"
+    robot = load("platform_arm")
+    text = robot.urdf.replace("arm_2_joint", evil.replace("<", "&lt;").replace(">", "&gt;"))
+    text = text.replace('"arm_2"', '"&lt;img src=x onerror=alert(2)&gt;"')
+    spoilt = build(parse(text.encode(), "</script><script>alert(3)</script>.urdf"))
+    assert evil in spoilt.velocity_names
+    page = report({"<b>bold</b>": recorded(spoilt, "<b>bold</b>", experiment=evil)}).html
+    Page(page)
+    assert evil not in page and "<b>" not in page and "onerror=alert(2)>" not in page
+    assert page.count("<script") == page.count("</script>") == 3  # data, replay, ours
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+
+
+def test_a_run_without_an_experiment_has_a_report() -> None:
+    page = report({"own": recorded(load("two_axis_arm"), "own")})
+    assert "a controller of your own" in page.html and "RMS 0.4-2 s" in page.html
+    assert any("Lyapunov" in text for text in page.warnings)
+    with pytest.raises(RecordingError, match="another robot"):
+        report({"one": recorded(load("two_axis_arm")), "two": lost()})
+    with pytest.raises(RecordingError, match="nothing"):
+        report({})
+    with pytest.raises(RecordingError, match="no rows"):
+        report({"empty": recorded(load("two_axis_arm"), duration=0.0)})
+
+
+def test_the_robot_is_shown_with_audit_and_checks(made: Report, chapter4: dict[str, Recording]) -> None:
+    shown = made.html.partition('id="robot"')[2]
+    assert "all hold" in shown and "20 random states (seed 0)" in shown
+    assert "[no-inertial]" in shown and "positive_definite" in shown and "wheel_left_joint" in shown
+    assert chapter4["pd"].meta["urdf_sha256"] in shown
+
+
+def test_the_replay_is_in_the_page(made: Report, chapter4: dict[str, Recording]) -> None:
+    (text,) = re.findall(r'<script type="application/json" id="replay-page">(.*?)</script>', made.html, re.S)
+    inner = json.loads(text)
+    assert inner.startswith("<!DOCTYPE html>") and "two_layer" in str(data_of(inner)["runs"])
+    assert made.size < 8e6
+    without = report(chapter4, with_replay=False)
+    assert without.size < 0.7 * made.size and "replay-page" not in Page(without.html).ids
+
+
+def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    short = ["--set", "time.duration=0.02", "--set", "plots=[]", "--set", "windows=[[0.0, 0.02]]"]
+    chosen = ["--controller", "pd", "--controller", "computed_torque"]
+    assert main(["run", "chapter4", *short, *chosen, "--out", str(tmp_path / "runs")]) == 0
+    out = tmp_path / "report.html"
+    capsys.readouterr()
+    assert main(["report", str(tmp_path / "runs"), "--html", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["html"] == str(out) and told["bytes"] == out.stat().st_size and told["warnings"] == []
+    assert f"mmnn report {tmp_path / 'runs'} --html {out}" in out.read_text()
+    assert main(["report", str(tmp_path / "runs"), "--html", str(out)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert main(["report", str(tmp_path / "runs"), "--html", str(out), "--force", "--no-replay"]) == 0
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["report.html", "runs"]
+
+
+def test_a_recording_shows_itself_in_a_notebook() -> None:
+    shown = recorded(load("platform_arm"), "<i>pd</i>")._repr_html_()
+    Page(re.sub(r"<img [^>]*>", "", shown))
+    assert "&lt;i&gt;pd&lt;/i&gt; on platform_arm" in shown and "<i>" not in shown
+    assert re.findall(r'<img alt="(\w+)" src="data:image/png;base64,', shown) == ["errors", "path", "torque"]
+    assert shown.count("<iframe ") == 1
+    assert "no replay" in recorded(load("two_axis_arm"), duration=0.0)._repr_html_()
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
+def test_the_example_makes_a_report(tmp_path: Path) -> None:
+    subprocess.run([sys.executable, EXAMPLES / "report.py"], cwd=tmp_path, check=True, capture_output=True, timeout=300)
+    page = (tmp_path / "report.html").read_text()
+    Page(page)
+    assert "tracks best of 3" in page and "python examples/report.py" in page
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
+def test_the_notebook_shows_a_recording_and_a_report(tmp_path: Path) -> None:
+    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
+    notebook = nbformat.read(EXAMPLES / "report.ipynb", 4)
+    assert not any(cell.outputs for cell in notebook.cells if cell.cell_type == "code")  # kept small
+    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    shown = [output.data["text/html"] for output in outputs if "text/html" in output.get("data", {})]
+    assert len(shown) == 2 and "two_layer on platform_arm" in shown[0]
+    assert shown[0].count("<img") == 3 and all("<iframe" in part for part in shown)
+    assert {"report.html", "two_layer.csv"} <= {file.name for file in tmp_path.iterdir()}
