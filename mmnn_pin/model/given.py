@@ -31,6 +31,9 @@ def given_wheel(rest: AtRest, name: str, seen: Seen, said: Overrides) -> Candida
         why = f"it is {joint.type}" if not joint.turns_freely else "its axis is not horizontal"
         fix = "make it continuous about a horizontal axis" if not joint.turns_freely else "name another joint"
         raise ConfigError(f"joint '{name}' cannot be a wheel", why=why, fix=fix, key="wheels", file=rest.document.path)
+    if joint.mimics is not None:
+        why, fix = f"it follows '{joint.mimics}' (<mimic>)", "name wheels that turn by themselves"
+        raise ConfigError(f"joint '{name}' cannot be a drive wheel", why=why, fix=fix, key="wheels")
     found = next((c for c in seen.wheels if c.joint.name == name), None)
     candidate = found or wheel_of(rest, joint)
     radius = said.radius or candidate.radius

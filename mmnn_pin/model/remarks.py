@@ -10,7 +10,7 @@ from mmnn_pin.model.audit.finding import one_line
 from mmnn_pin.model.base import Base
 from mmnn_pin.model.evidence import Evidence
 from mmnn_pin.model.shapes import AtRest
-from mmnn_pin.model.urdf import Finding
+from mmnn_pin.model.urdf import Finding, Joint
 from mmnn_pin.model.wheels import HUB, Candidate
 
 LARGE = 2.0  # [m]; no wheel of a robot is larger
@@ -33,6 +33,7 @@ CODES = {
     "base-hub-height": "warning",
     "base-size": "strict",
     "base-floor": "warning",
+    "base-welded": "warning",
     # the arm and the rest
     "arm-locked": "note",
     "welded": "warning",
@@ -100,6 +101,15 @@ def remarks(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Findi
         text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{rest.document.root_link}'"
         found.append(remark(rest, "base-floor", line, "base", text, "the floor is taken where the wheels are"))
     return found
+
+
+def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
+    """Wheels beside the drive wheels that are welded on."""
+    if not welded:
+        return []
+    text = f"wheels on the floor are welded on: {', '.join(joint.name for joint in welded)}"
+    why, fix = "taken as sliding without friction", "make their joints continuous if they turn"
+    return [remark(rest, "base-welded", welded[0].line, "base", text, why, fix)]
 
 
 def evidence_note(rest: AtRest, cited: list[Evidence]) -> Finding:

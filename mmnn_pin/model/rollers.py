@@ -77,7 +77,9 @@ def checked(rest: AtRest, base: Base, drives: list[Candidate]) -> Base:
 
 def pushed(rest: AtRest, seen: Seen) -> Understood:
     """A holonomic base whose wheels are not modelled: forces on its frame drive it."""
-    names = tuple(j.name for c in [*seen.wheels, *seen.odd] for j in rest.document.moving_ancestors(c.joint.child))
+    names = tuple(
+        j.name for c in [*seen.wheels, *seen.odd, *seen.limited] for j in rest.document.moving_ancestors(c.joint.child)
+    )
     floor = seen.floor if math.isfinite(seen.floor) else 0.0
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"
     note = remark(rest, "base-pushed", 1, "base", text, "you said --base holonomic")

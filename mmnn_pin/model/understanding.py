@@ -10,12 +10,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from mmnn_pin.model.base import Base, Reading, Understood
+from mmnn_pin.model.doubts import limited, require_led, require_no_slaves
 from mmnn_pin.model.evidence import evidence, stated_rollers, verdict
 from mmnn_pin.model.given import given_wheel, require_used, with_wheels
 from mmnn_pin.model.machines import machine
 from mmnn_pin.model.overrides import Overrides
 from mmnn_pin.model.refusals import not_on_floor, readings, undecided, unsupported
-from mmnn_pin.model.remarks import evidence_note, remarks
+from mmnn_pin.model.remarks import evidence_note, remarks, welded_note
 from mmnn_pin.model.rollers import crossed, mecanum, pushed
 from mmnn_pin.model.shapes import AtRest
 from mmnn_pin.model.wheels import TRAIL, Candidate, Seen, coaxial, parallel, welded_wheels, wheel_candidates
@@ -38,16 +39,17 @@ def find_base(rest: AtRest, said: Overrides | None = None) -> Understood:
     seen = wheel_candidates(rest, said.radius)
     drives = seen.wheels
     if said.base == "fixed":
-        found = Understood(parked([*seen.wheels, *seen.odd]))
+        found = Understood(parked([*seen.wheels, *seen.odd, *seen.limited]))
     elif said.wheels is not None:
         drives = [given_wheel(rest, name, seen, said) for name in said.wheels]
-        found = with_wheels(rest, drives, seen.wheels, said)
+        found = with_wheels(rest, drives, [*seen.wheels, *seen.limited], said)
     elif said.base == "holonomic" and not plain(seen.wheels):
         found = pushed(rest, seen)
     else:
         found = decide(rest, seen, said)
     require_used(said, found.base)
-    return replace(found, findings=(*found.findings, *remarks(rest, found.base, drives)))
+    welds = welded_note(rest, welded_wheels(rest, seen.floor)) if found.base.wheels else []
+    return replace(found, findings=(*found.findings, *remarks(rest, found.base, drives), *welds))
 
 
 def parked(wheels: list[Candidate]) -> Base:
@@ -60,16 +62,20 @@ def parked(wheels: list[Candidate]) -> Base:
 def decide(rest: AtRest, seen: Seen, said: Overrides) -> Understood:
     """The base as geometry and evidence have it."""
     wheels = seen.wheels
+    if seen.limited and (wheels or not machine(rest)):
+        raise limited(rest, seen)
     if not wheels and seen.odd and not (rest.is_vertical(seen.odd[0].joint) and machine(rest)):
         raise not_on_floor(rest, seen)
     if not wheels:
-        return without_wheels(rest, said)
+        return without_wheels(rest, said, seen.floor)
     drives = plain(wheels)
     balls = [c for c in drives if c.shape == "sphere"]
     if 0 < len(balls) == len(drives) - 2:  # balls beside two proper wheels: casters written as continuous joints
         drives = [c for c in drives if c not in balls]
     refuse_steered(rest, wheels)
+    require_no_slaves(rest, wheels, drives)
     if len(drives) == 2 and coaxial(*drives) and said.base != "holonomic":
+        require_led(rest, drives, wheels)
         return with_wheels(rest, drives, wheels, said)
     if len(drives) >= 3 and said.base != "differential_drive":
         if not all(parallel(drives[0], c) for c in drives[1:]):
@@ -104,13 +110,13 @@ def refuse_steered(rest: AtRest, wheels: list[Candidate]) -> None:
         raise unsupported(rest, name, f"wheels are steered: {'; '.join(c.text for c in steered)}", steered)
 
 
-def without_wheels(rest: AtRest, said: Overrides) -> Understood:
+def without_wheels(rest: AtRest, said: Overrides, floor: float) -> Understood:
     """A fixed arm, unless it walks, flies, is welded together or stands on welded wheels."""
     if told := machine(rest):
         name, why = told
         raise unsupported(rest, name, why)
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
-    welded = welded_wheels(rest)
+    welded = welded_wheels(rest, floor)
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
         rolls = Reading("holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -80,12 +80,14 @@ class Seen:
         floor: Height of the floor: the lowest that any link reaches as far as primitives, centres of mass and wheels
             tell [m].
         footing: Height of the floor where something tells that it is the floor, else nan [m].
+        limited: What could be wheels on the floor but for the limits of their joints.
     """
 
     wheels: list[Candidate]
     odd: list[Candidate]
     floor: float
     footing: float
+    limited: list[Candidate] = field(default_factory=list)
 
 
 def wheel_candidates(rest: AtRest, radius: float | None = None) -> Seen:
@@ -109,13 +111,25 @@ def wheel_candidates(rest: AtRest, radius: float | None = None) -> Seen:
     lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
     floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
     touching = [c for c in known if c.shape == SAID or abs(c.bottom - floor) <= TOUCHING * c.radius]
+    limited = limited_wheels(rest, known, floor)
     if touching:
-        return Seen(touching, [], floor, footing)
+        return Seen(touching, [], floor, footing, limited)
+    known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
     standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
     hanging = [c for c in known if is_axle(rest, c, known)]
     lying = [c for c in upright if c.shape not in ("unknown", LUMPY) and is_axle(rest, c, upright)]
     turning = [c for c in lumpy if is_axle(rest, c, lumpy)]
-    return Seen([], hanging or standing or lying or turning, floor, footing)
+    return Seen([], hanging or standing or lying or turning, floor, footing, limited)
+
+
+def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[Candidate]:
+    """Round bodies on the floor whose revolute joints have limits and share an axis with each other or a wheel."""
+    joints = [j for j in rest.document.joints.values() if j.type == "revolute" and not j.turns_freely]
+    joints = [j for j in joints if rest.is_horizontal(j) and not rest.document.moving_children(j.child)]
+    found = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and not moving_above(rest, c)]
+    ground = min([floor, *(c.bottom for c in found)])
+    low = [c for c in found if abs(c.bottom - ground) <= TOUCHING * c.radius]
+    return [c for c in low if any(coaxial(c, o) for o in known + low if o is not c)]
 
 
 def footing_of(rest: AtRest, known: list[Candidate], shapes: list[Shape]) -> float:
@@ -132,7 +146,7 @@ def footing_of(rest: AtRest, known: list[Candidate], shapes: list[Shape]) -> flo
 
 def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
     """The joint as a wheel whose floor is not yet known, None when it cannot be one."""
-    if not joint.turns_freely or joint.mimics is not None or TILTED < abs(rest.axis(joint)[2]) < VERTICAL:
+    if not joint.turns_freely or TILTED < abs(rest.axis(joint)[2]) < VERTICAL:
         return None
     carried = rest.document.moving_children(joint.child)
     rollers = tuple(j.name for j in carried if is_roller(rest, j))
@@ -229,11 +243,28 @@ def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:
                 yield joint
 
 
-def welded_wheels(rest: AtRest) -> list[Joint]:
-    """Fixed joints that keep a horizontal axis shared by two, on the lowest bodies: wheels that cannot turn.
+def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
+    """Fixed joints with wheels that cannot turn: those that keep their axis, and those with cylinders on the floor.
 
     A file made for planning often has its casters and wheels welded so.
     """
+    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor)]))
+
+
+def welded_cylinders(rest: AtRest, floor: float) -> list[Joint]:
+    """Fixed joints at the end of the root's body with a cylinder that lies on the floor on an axis shared by two."""
+    document, found = rest.document, []
+    for name in document.body(document.root_link)[1:]:
+        joint = document.carrier[name]
+        if not document.children[name]:
+            lying = [s for s in rest.primitives[name] if s.kind == "cylinder" and s.rolls]
+            touching = [s for s in lying if abs(s.lowest - floor) <= TOUCHING * s.radius]
+            found += [Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder") for s in touching]
+    return [c.joint for c in found if any(coaxial(c, o) for o in found if o.joint is not c.joint)]
+
+
+def welded_axles(rest: AtRest) -> list[Joint]:
+    """Fixed joints that keep a horizontal axis shared by two, on the lowest bodies."""
     with_axis = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
     ends = [j for j in rest.document.joints.values() if not j.moves and not rest.document.children[j.child]]
     ends = [j for j in ends if j.name in with_axis and np.any(j.axis) and rest.mass(j.child) > 0]
@@ -241,5 +272,4 @@ def welded_wheels(rest: AtRest) -> list[Joint]:
     hubs = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in stated]
     pairs = [(a, b) for a in hubs for b in hubs if a is not b and coaxial(a, b)]
     lowest = min((p[2, 3] for name, p in rest.placements.items() if rest.mass(name) > 0), default=math.inf)
-    low = [a.joint for a, b in pairs if a.centre[2] - lowest < 0.5 * np.linalg.norm(a.centre - b.centre)]
-    return list(dict.fromkeys(low))
+    return [a.joint for a, b in pairs if a.centre[2] - lowest < 0.5 * np.linalg.norm(a.centre - b.centre)]

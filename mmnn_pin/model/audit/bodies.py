@@ -62,8 +62,8 @@ def bad_bodies(tree: Tree) -> Iterator[Finding]:
                 what = f"mass {part.mass:g} kg is negative"
                 yield finding("negative-mass", part.link, what, "nothing has such a mass", "give a mass above 0")
         mass = sum(part.mass for part in parts)
-        if joint is not None and mass == 0:
-            what = f"the body that joint '{joint.name}' moves has no mass"
+        if joint is not None and mass == 0 and not carries_mass(tree, joint):
+            what = f"the body that joint '{joint.name}' moves has no mass, nor has what hangs on it"
             why, fix = "its acceleration could be infinite", "give it an <inertial>, or make the joint fixed"
             yield finding("zero-mass", tree.links[start], what, why, fix)
         elif mass > 0 and all(part.mass >= 0 for part in parts):
@@ -75,6 +75,17 @@ def bad_bodies(tree: Tree) -> Iterator[Finding]:
     for (parts, joint), values, judged in zip(whole, principal.tolist(), finite, strict=True):
         if judged:
             yield from bad_inertia(parts, joint, values)
+
+
+def carries_mass(tree: Tree, joint: Joint) -> bool:
+    """Whether something with mass hangs on a body: then the mass matrix tells whether the body can be accelerated."""
+    pending = tree.moving_children(joint.child)
+    while pending:
+        below = pending.pop()
+        if any(part.mass for part in parts_of(tree, below.child)):
+            return True
+        pending += tree.moving_children(below.child)
+    return False
 
 
 def parts_of(tree: Tree, start: str) -> list[Part]:
