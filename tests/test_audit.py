@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from drives import robot_of
 from test_urdf_bad import BAD, DYNAMICS, GOOD, HINGE, LIMIT, LINK, SHAPE, end, joint, of
 
 from mmnn_pin.errors import RobotError
@@ -33,6 +34,8 @@ SUSPECT = {
     "second inertial": (*end(LINK.replace("</link>", "<inertial><mass value='9'/><inertia ixx='1' ixy='0'"
                         " ixz='0' iyy='1' iyz='0' izz='1'/></inertial></link>") + joint("w", "rod", "tip", "fixed")),
                         "warning", 19, "repeated-tag", "a second <inertial> in <link>: the first one counts"),
+    "second shape": (SHAPE, SHAPE + '<sphere radius="9"/>', "warning", 10, "repeated-tag",
+                     "a second shape, <sphere>, in <geometry>: the first one counts"),
     "second origin": ('<origin xyz="0 0 -0.5"/>', '<origin xyz="0 0 -0.5"/><origin/>', "warning", 6, "repeated-tag",
                       "a second <origin>"),
     "zero radius": ('radius="0.02"', 'radius="0"', "warning", 10, "zero-size", "radius of <cylinder> is '0': zero"),
@@ -133,6 +136,44 @@ def test_models_that_a_double_cannot_hold_are_refused_with_the_body(text):
     assert error.value.line == 4
 
 
+ROUND = '<inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/>'
+
+
+def virtual(axes: list[tuple[str, str]], mass: float) -> str:
+    """A chain of joints of which only the last may carry mass."""
+    text = '<robot name="r"><link name="l0"/>'
+    for i, (kind, axis) in enumerate(axes):
+        heavy = i == len(axes) - 1 and mass > 0
+        inertial = f'<inertial><mass value="{mass}"/>{ROUND}</inertial>' if heavy else ""
+        text += f'<link name="l{i + 1}">{inertial}</link><joint name="j{i}" type="{kind}"><parent link="l{i}"/>'
+        text += (
+            f'<child link="l{i + 1}"/><axis xyz="{axis}"/><limit lower="-9" upper="9" effort="1" velocity="1"/></joint>'
+        )
+    return text + "</robot>"
+
+
+PLANE = [("prismatic", "1 0 0"), ("prismatic", "0 1 0"), ("continuous", "0 0 1")]
+GIMBAL = [("revolute", "0 0 1"), ("revolute", "0 1 0"), ("revolute", "1 0 0")]
+
+
+def test_massless_links_are_legal_where_what_they_carry_gives_them_inertia():
+    robot = robot_of(virtual(PLANE, 3.0))
+    M = pin.crba(robot.model, robot.model.createData(), np.zeros(robot.model.nq))
+    np.testing.assert_allclose(np.diag(M), [3.0, 3.0, 0.02], atol=1e-12)
+    assert robot_of(virtual(GIMBAL, 3.0)).layout.arm == 3
+
+
+@pytest.mark.parametrize("axes", [[PLANE[2]] * 2, [PLANE[0]] * 2, [*PLANE, PLANE[1]]])
+def test_massless_links_that_move_without_what_they_carry_are_named(axes):
+    with pytest.raises(RobotError, match=r"link 'l\d', moved by joint 'j\d': the mass matrix is singular"):
+        robot_of(virtual(axes, 3.0))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_chains_that_carry_no_mass_at_all_are_told_joint_by_joint(count):
+    assert [f.code for f in of(virtual(PLANE[:count], 0.0), "error")] == ["zero-mass"] * count
+
+
 def test_a_singular_chain_of_sound_bodies_is_refused():
     text = GOOD.replace(*end(LINK + joint("j", "rod", "tip")))
     document = parse(text.encode(), "robot.urdf")
@@ -152,6 +193,21 @@ def mesh_findings(folder: Path, name: str, **options) -> list[Finding]:
     file = folder / "robot.urdf"
     file.write_text(GOOD.replace(SHAPE, f'<mesh filename="{name}"/>'))
     return [f for f in audit_file(file, **options)[1] if f.code.startswith("mesh")]
+
+
+def test_meshes_that_are_whole_and_bad_are_told(tmp_path):
+    import trimesh
+
+    data = bytearray(trimesh.creation.box((1, 1, 1)).export(file_type="stl"))
+    assert mesh_findings(tmp_path, put(tmp_path / "box.stl", bytes(data)).name) == []
+    data[84:96] = np.full(3, np.nan, "<f4").tobytes()  # a normal, which nothing reads
+    assert mesh_findings(tmp_path, put(tmp_path / "normal.stl", bytes(data)).name) == []
+    data[96:100] = np.float32("nan").tobytes()
+    [told] = mesh_findings(tmp_path, put(tmp_path / "corner.stl", bytes(data)).name)
+    assert told.code == "mesh-corrupt" and "not finite" in told.message
+    bomb = b'<!DOCTYPE r [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><COLLADA>&b;</COLLADA>'
+    [told] = mesh_findings(tmp_path, put(tmp_path / "bomb.dae", bomb).name)
+    assert told.code == "mesh-corrupt" and "DOCTYPE" in told.message
 
 
 def put(file: Path, data: bytes = TETRAHEDRON) -> Path:
@@ -236,7 +292,6 @@ def test_meshes_of_one_missing_package_are_one_finding():
 # Real defects: massless bodies that move, impossible inertias, mimics of joints that do not exist, nothing at all.
 DEFECTIVE = {
     "alex_psyonic_hands.urdf": {"mimic-ghost"},
-    "human.urdf": {"zero-mass"},
     "icub.urdf": {"inertia-not-positive"},
     "icub_reduced.urdf": {"inertia-not-positive"},
     "romeo.urdf": {"zero-mass"},

@@ -114,6 +114,17 @@ def test_options_that_do_not_suit_exit_2_in_one_line(call, options):
     assert (code, out) == (2, "") and err.count("\n") == 1
 
 
+@pytest.mark.parametrize(("options", "words"), [
+    (["--base", "holonomic", "--roller", "0"], "leave a direction undriven"),  # four parallel omni wheels
+    (["--wheels", "fl,fr", "--roller", "0.0"], "a roller for a base 'differential_drive'"),
+    (["--wheels", "fl,fr", "--radius", "0"], "cannot be a radius"),
+    (["--wheels", "fl,fr", "--track", "0"], "cannot be a track"),
+])  # fmt: skip
+def test_an_option_of_0_is_said_too(call, options, words):
+    code, _, err = call("inspect", written(four()), *options)
+    assert code == 2 and words in err and err.count("\n") == 1
+
+
 def test_model_takes_the_same_options(call):
     code, out, _ = call("model", written(four(more=MOVE)), "--lock", "elbow=0.3", "--json")
     found = json.loads(out)

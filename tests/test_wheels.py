@@ -90,7 +90,7 @@ def test_a_wheel_mesh_in_millimetres_is_told(tmp_path: Path, scale: str):
     robot = robot_of(text, tmp_path / "r.urdf")
     told = next(f for f in robot.findings if f.code == "base-size")
     assert told.severity == "warning" and "millimetres" in told.why
-    with pytest.raises(RobotError, match="radius of 100 m"):
+    with pytest.raises(RobotError, match=r"radius of 100 m.*\[base-size\]"):
         robot_of(text, tmp_path / "r.urdf", strict=True)
     right = robot_of(text.replace('stl"', 'stl" scale="0.001 0.001 0.001"').replace(scale + "/>", "/>"),
                      tmp_path / "r.urdf", strict=True)  # fmt: skip
@@ -150,7 +150,7 @@ def caster(kind: str, limits: tuple[float, float] | None, trail: float) -> str:
 
 
 @pytest.mark.parametrize(("kind", "limits", "trail"), [
-    ("continuous", None, 0.03), ("continuous", None, 0.0), ("revolute", (-math.pi, math.pi), 0.03),
+    ("continuous", None, 0.03), ("continuous", None, 0.002), ("revolute", (-math.pi, math.pi), 0.03),
     ("revolute", (-30.0, 30.0), 0.03),
 ])  # fmt: skip
 def test_what_swivels_all_the_way_round_is_a_caster(kind, limits, trail):
@@ -162,6 +162,43 @@ def test_what_swivels_all_the_way_round_is_a_caster(kind, limits, trail):
 def test_what_turns_within_limits_or_without_trail_steers(limits, trail):
     with pytest.raises(Unsupported, match="car-like"):
         robot_of(Drive().urdf(ARM + caster("revolute", limits, trail)))
+
+
+FRONT = '<joint name="swivel">{0}</joint><joint name="roll">{0}</joint>'
+PAIR = '<joint name="left">{0}</joint><joint name="right">{0}</joint>'
+COMMAND = '<ros2_control name="c" type="system">{}</ros2_control>'
+MOTORS = "<transmission name='t'>{}</transmission>"
+PLUGIN = '<gazebo><plugin name="p" filename="lib{}.so"/></gazebo>'
+
+
+def commands(joints: str) -> str:
+    return COMMAND.format(joints.format('<command_interface name="velocity"/>'))
+
+
+@pytest.mark.parametrize("more", [commands(FRONT), MOTORS.format(FRONT.format("")), PLUGIN.format("tricycle_drive")])
+def test_a_wheel_without_trail_that_the_file_drives_is_a_tricycles(more):
+    with pytest.raises(Unsupported, match=r"car-like base: 'roll' .* has no trail and steers: .* \(line \d+\)"):
+        robot_of(Drive().urdf(ARM + caster("continuous", None, 0.0) + more))
+
+
+@pytest.mark.parametrize("more", [commands(PAIR), MOTORS.format(PAIR.format("")), PLUGIN.format("diff-drive")])
+def test_a_wheel_without_trail_is_a_caster_where_the_file_drives_the_two_others(more):
+    robot = robot_of(Drive().urdf(ARM + caster("continuous", None, 0.0) + more))
+    assert robot.base.casters == ("swivel", "roll") and [w.joint for w in robot.base.wheels] == ["left", "right"]
+
+
+@pytest.mark.parametrize("more", ["", commands(PAIR) + PLUGIN.format("ackermann_drive"), commands(FRONT + PAIR)])
+def test_a_wheel_without_trail_is_asked_for_where_nothing_decides(more):
+    text = Drive().urdf(ARM + caster("continuous", None, 0.0) + more)
+    with pytest.raises(Undecided, match="--wheels") as error:
+        robot_of(text)
+    assert [r.kind for r in error.value.readings] == ["differential_drive", "car-like"]
+    assert robot_of(text, wheels=("left", "right")).base.kind == "differential_drive"
+
+
+def test_a_plugin_that_steers_contradicts_two_wheels():
+    with pytest.raises(Undecided, match="speaks of steering: <gazebo> names 'ackermann'"):
+        robot_of(Drive().urdf(ARM + PLUGIN.format("ackermann_drive")))
 
 
 def swerve(trail: float) -> str:
@@ -180,6 +217,86 @@ def test_a_swerve_drive_without_limits_is_refused_by_name():
         robot_of(swerve(0.0))
     with pytest.raises(Undecided):  # four casters, and nothing that drives
         robot_of(swerve(0.03))
+
+
+# --- Wheels that follow others, have limits or are welded -------------------------------------------------------------
+
+
+def following(text: str, masters: dict[str, str]) -> str:
+    for slave, master in masters.items():
+        at = text.index("</joint>", text.index(f'<joint name="{slave}"'))
+        text = text[:at] + f'<mimic joint="{master}"/>' + text[at:]
+    return text
+
+
+SIDES = {"rl": "fl", "rr": "fr"}
+
+
+@pytest.mark.parametrize("more", ["", PLUGIN.format("gazebo_ros_skid_steer_drive")])
+def test_wheels_that_turn_with_the_one_in_front_are_a_skid_steers(more):
+    with pytest.raises(Unsupported, match=r"skid-steer base: .*'rl' follows 'fl' \(<mimic>\)"):
+        robot_of(following(four(more=more), SIDES))
+    assert robot_of(following(four(more=more), SIDES), base="fixed").layout.base == 0
+    robot = robot_of(following(four(more=more), SIDES), wheels=("fl", "fr"))
+    assert robot.base.casters == ("rl", "rr")
+    with pytest.raises(ConfigError, match="'rl' cannot be a drive wheel: it follows 'fl'"):
+        robot_of(following(four(more=more), SIDES), wheels=("rl", "rr"))
+
+
+@pytest.mark.parametrize(("text", "masters"), [
+    (four(more=MOVE), SIDES), (four(), {"rl": "fl"} | {"rr": "rl"}), (Drive().urdf(), {"right": "left"}),
+    (four(lx=0.0), {"rl": "fl"}),
+])  # fmt: skip
+def test_other_wheels_that_follow_are_asked_for(text, masters):
+    with pytest.raises(Undecided, match=r"follows '\w+' \(<mimic>\)") as error:
+        robot_of(following(text, masters))
+    assert len(error.value.candidates) >= 2
+
+
+def bounded(names: tuple[str, ...], limits: tuple[float, float]) -> str:
+    text = Drive().urdf()
+    for name in names:
+        text = text.replace(f'name="{name}" type="continuous"', f'name="{name}" type="revolute"')
+        at = text.index("</joint>", text.index(f'<joint name="{name}"'))
+        text = text[:at] + LIMIT.format(*limits) + text[at:]
+    return text
+
+
+@pytest.mark.parametrize("names", [("left", "right"), ("left",)])
+@pytest.mark.parametrize("limits", [(-math.pi, math.pi), (-6.28, 6.28), (0, 0)])
+@pytest.mark.parametrize("said", [{}, {"base": "differential_drive"}])
+def test_wheels_with_limits_are_no_arm(names, limits, said):
+    with pytest.raises(Undecided, match=r"'left'.*: revolute with limits.*type=\"continuous\"") as error:
+        robot_of(bounded(names, limits), **said)
+    assert len(error.value.candidates) == 2
+    assert set(robot_of(bounded(names, limits), base="fixed").arm.locked) == {"left", "right"}
+    pushed = robot_of(bounded(("left", "right"), limits), base="holonomic")
+    assert not pushed.base.wheels and set(pushed.arm.locked) == {"left", "right"}
+
+
+def test_travel_of_ten_turns_is_no_limit():
+    assert robot_of(bounded(("left", "right"), (-50, 50))).base.kind == "differential_drive"
+
+
+def fixed_pair(text: str, x: float, radius: float = 0.1, axis: str = "") -> str:
+    more = "".join(
+        link(f"{name}_link", shape=CYLINDER.format(r=radius), at=LYING)
+        + joint(name, "fixed", "base", f"{name}_link", p=(x, y, radius)).replace('<axis xyz="0.0 1.0 0.0"/>', axis)
+        for name, y in (("w_l", 0.2), ("w_r", -0.2))
+    )
+    return text.replace("</robot>", more + "</robot>")
+
+
+@pytest.mark.parametrize("axis", ["", '<axis xyz="0 0 0"/>'])
+def test_cylinders_that_are_welded_on_the_floor_are_wheels(axis):
+    chassis = link("base", 20.0, 0.8, '<box size="0.3 0.2 0.1"/>', origin(p=(0, 0, 0.2)))
+    with pytest.raises(Undecided, match=r"no wheel turns: 'w_l', 'w_r'.*--base fixed"):
+        robot_of(fixed_pair(f'<robot name="r">{chassis}{ARM}</robot>', 0.0, axis=axis))
+    robot = robot_of(fixed_pair(Drive().urdf(), -0.3, axis=axis))
+    told = next(f for f in robot.findings if f.code == "base-welded")
+    assert robot.base.kind == "differential_drive" and told.severity == "warning" and "w_l, w_r" in told.message
+    raised = fixed_pair(Drive().urdf(), -0.3, 0.1, axis).replace('xyz="-0.3 0.2 0.1"', 'xyz="-0.3 0.2 0.3"')
+    assert "base-welded" not in codes(robot_of(raised))
 
 
 # --- Names and evidence -----------------------------------------------------------------------------------------------
@@ -277,6 +394,16 @@ def test_a_slave_cannot_be_freed():
     slave = link("jaw") + joint("jaw", "prismatic", "fore", "jaw", more=LIMIT.format(0, 1) + '<mimic joint="elbow"/>')
     with pytest.raises(ConfigError, match="'jaw' cannot be freed: it follows another joint"):
         robot_of(four(more=MOVE + slave), free=("jaw",))
+
+
+def test_what_moves_anyhow_is_not_freed_and_a_slave_is_not_locked():
+    slave = link("jaw") + joint("jaw", "prismatic", "fore", "jaw", more=LIMIT.format(0, 1) + '<mimic joint="elbow"/>')
+    for name in ("elbow", "all"):
+        with pytest.raises(ConfigError, match=f"'{name}' is freed, and moves anyhow"):
+            robot_of(four(more=MOVE), free=(name,))
+    with pytest.raises(ConfigError, match="'jaw' cannot be locked: it stands where the joint that it follows puts it"):
+        robot_of(four(more=MOVE + slave), lock=("jaw=0.1",))
+    assert robot_of(four(more=MOVE + slave), lock=("elbow=0.5",)).arm.locked == {"elbow": 0.5, "jaw": 0.5}
 
 
 def test_numbers_that_only_the_map_multiplies_are_held_to_be_finite():

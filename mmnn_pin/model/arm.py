@@ -95,6 +95,9 @@ def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str], held: Itera
         if name in wheels:
             fix = "use --base fixed to park the base"
             raise ConfigError(f"'{name}' is a drive wheel and cannot be locked", fix=fix, key="lock")
+        if name in slaves_of(rest.document):
+            why, fix = "it stands where the joint that it follows puts it", "lock that one"
+            raise ConfigError(f"'{name}' cannot be locked", why=why, fix=fix, key="lock")
     for name in said.free:
         if name not in names and name != "all":
             raise UnknownName("joint", name, ["all", *names], file=rest.document.path, key="free")
@@ -124,7 +127,7 @@ def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], said: Overr
 
     Raises:
         UnknownName: The tip is no link.
-        ConfigError: No joint leads to it.
+        ConfigError: No joint leads to it, or a joint is freed that is not locked.
     """
     if said.arm_tip is not None:
         if said.arm_tip not in rest.document.links:
@@ -134,8 +137,13 @@ def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], said: Overr
         if not leading & set(own):
             fix = "name a link that the arm carries"
             raise ConfigError(f"no joint leads to '{said.arm_tip}'", fix=fix, file=rest.document.path, key="arm_tip")
-        return {name: WHY["tip"] for name in own if name not in leading and not freed(name, said)}
-    return {name: WHY["short"] for name in short_branches(rest, set(own), slaves) if not freed(name, said)}
+        still = dict.fromkeys([name for name in own if name not in leading], WHY["tip"])
+    else:
+        still = dict.fromkeys(short_branches(rest, set(own), slaves), WHY["short"])
+    idle = [name for name in said.free if name not in still and (name != "all" or not still)]
+    if idle:
+        raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
+    return {name: why for name, why in still.items() if not freed(name, said)}
 
 
 def freed(name: str, said: Overrides) -> bool:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
-from mmnn_pin.errors import RobotError
 from mmnn_pin.model.arm import Arm
-from mmnn_pin.model.audit.finding import one_line
+from mmnn_pin.model.audit.finding import AuditError, one_line
 from mmnn_pin.model.base import Base
 from mmnn_pin.model.evidence import Evidence
 from mmnn_pin.model.shapes import AtRest
@@ -48,16 +48,16 @@ def remark(rest: AtRest, code: str, line: int, element: str, what: str, why: str
     return Finding(severity, code, str(rest.document.path), line, element, what, why, fix)
 
 
-def settled(findings: Sequence[Finding], strict: bool) -> tuple[Finding, ...]:
-    """The findings, if strictness makes an error of none.
+def settled(audited: Sequence[Finding], findings: Sequence[Finding], strict: bool) -> tuple[Finding, ...]:
+    """The audit's findings and those of the understanding, if strictness makes an error of none.
 
     Raises:
-        RobotError: It does.
+        AuditError: It does.
     """
-    for f in findings:
-        if strict and CODES[f.code] == "strict":
-            raise RobotError(f.what, why=f.why, fix=f.fix, file=f.file, line=f.line)
-    return tuple(findings)
+    told = [replace(f, severity="error" if strict and CODES[f.code] == "strict" else f.severity) for f in findings]
+    if any(f.severity == "error" for f in told):
+        raise AuditError([*audited, *told])
+    return (*audited, *told)
 
 
 def remarks(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Finding]:

@@ -354,7 +354,7 @@ def build(document: Document, said: Overrides | None = None) -> Robot:
     model, printed = pinocchio_model(document, mobile=found.base.kind != "fixed")
     require_sane(document, model)
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
-    findings = (*document.findings, *settled(found.findings, said.strict), *notes)
+    findings = (*settled(document.findings, found.findings, said.strict), *notes)
     robot = replace(assemble(document, found.base, arm, model), findings=findings, said=said)
     require_finite(document, robot)
     return robot

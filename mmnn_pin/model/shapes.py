@@ -16,12 +16,13 @@ from pathlib import Path
 import numpy as np
 from lxml import etree
 
-from mmnn_pin.model.audit.meshes import locate
+from mmnn_pin.model.audit.meshes import damage_of, locate
 from mmnn_pin.model.audit.reading import numbers
 from mmnn_pin.model.urdf import Document, Joint, number, placement, vector
 from mmnn_pin.signals import Array
 
 PRIMITIVES = ("cylinder", "sphere", "box")
+SHAPES = (*PRIMITIVES, "capsule", "mesh")
 AROUND = 0.05  # a wheel's shape may be off its axis by this fraction of the radius
 HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
@@ -121,10 +122,10 @@ class AtRest:
             kinds: Which shapes.
         """
         for holder in self.document.links[link].iterchildren(tag):
-            bodies = [body for body in holder.iterfind("geometry/*") if body.tag in kinds]
-            if bodies:
+            body = next((body for body in holder.iterfind("geometry/*") if body.tag in SHAPES), None)
+            if body is not None and body.tag in kinds:
                 pose = self.placements[link] @ placement(holder.find("origin"))
-                yield from (self.mesh(b, pose) if b.tag == "mesh" else primitive(b, pose) for b in bodies)
+                yield self.mesh(body, pose) if body.tag == "mesh" else primitive(body, pose)
 
     def mesh(self, body: etree._Element, pose: Array) -> Shape:
         """Shape of a `<mesh>`."""
@@ -206,7 +207,7 @@ def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
 def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) -> Array:
     """(k, 3) vertices of a mesh file, unscaled; (0, 3) when it is missing, remote, outside or cannot be read."""
     file = locate(name, urdf, package_dirs).file
-    if file is None:
+    if file is None or damage_of(file):
         return np.zeros((0, 3))
     import trimesh  # comes with yourdfpy; slow to import
 

@@ -19,7 +19,16 @@ from mmnn_pin.model.refusals import not_on_floor, readings, undecided, unsupport
 from mmnn_pin.model.remarks import evidence_note, remarks, welded_note
 from mmnn_pin.model.rollers import crossed, mecanum, pushed
 from mmnn_pin.model.shapes import AtRest
-from mmnn_pin.model.wheels import TRAIL, Candidate, Seen, coaxial, parallel, welded_wheels, wheel_candidates
+from mmnn_pin.model.wheels import (
+    TRAIL,
+    Candidate,
+    Seen,
+    coaxial,
+    parallel,
+    welded_cylinders,
+    welded_wheels,
+    wheel_candidates,
+)
 
 
 def find_base(rest: AtRest, said: Overrides | None = None) -> Understood:
@@ -48,7 +57,7 @@ def find_base(rest: AtRest, said: Overrides | None = None) -> Understood:
     else:
         found = decide(rest, seen, said)
     require_used(said, found.base)
-    welds = welded_note(rest, welded_wheels(rest, seen.floor)) if found.base.wheels else []
+    welds = welded_note(rest, welded_cylinders(rest, seen.floor)) if found.base.wheels else []
     return replace(found, findings=(*found.findings, *remarks(rest, found.base, drives), *welds))
 
 

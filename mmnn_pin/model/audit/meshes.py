@@ -8,11 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 from lxml import etree
 
 from mmnn_pin.model.audit.finding import Finding, finding
 
 CHUNK = 65_536  # bytes looked at, at either end of a file
+TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
 EMPTY = "assumed: no shape; only the radius of a wheel needs it"
 
@@ -150,11 +152,17 @@ def stl_damage(head: bytes, tail: bytes, size: int) -> str:
     if size < 84:
         return f"an STL file has at least 84 bytes, this one {size}"
     need = 84 + 50 * int.from_bytes(head[80:84], "little")
-    return "" if size >= need else f"its {(need - 84) // 50} triangles take {need} bytes, it has {size}"
+    if size < need:
+        return f"its {(need - 84) // 50} triangles take {need} bytes, it has {size}"
+    whole = head[84 : 84 + (min(need, len(head)) - 84) // 50 * 50]
+    corners = np.frombuffer(whole, dtype=TRIANGLE)["corners"]
+    return "" if np.isfinite(corners).all() else "a corner of its triangles is not finite"
 
 
 def dae_damage(head: bytes, tail: bytes, size: int) -> str:
-    """Collada is XML from `<COLLADA` to its end."""
+    """Collada is XML from `<COLLADA` to its end, without a DOCTYPE."""
+    if b"<!DOCTYPE" in head:
+        return "a DOCTYPE, whose entities could blow up"
     return "" if b"<COLLADA" in head and b"</COLLADA" in tail else "not a whole Collada file"
 
 

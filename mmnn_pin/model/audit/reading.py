@@ -89,10 +89,11 @@ class Own:
                     pending.append((child, name))
                 else:
                     own.strangers.append((child, name, tag))
-                if name in once:
-                    if name in seen:
+                kind = "shape" if tag == "geometry" and name in children else name
+                if kind in once:
+                    if kind in seen:
                         own.again.append((child, name, tag))
-                    seen.add(name)
+                    seen.add(kind)
         return own
 
 

@@ -40,4 +40,5 @@ ONCE = {
     "inertial": ("origin", "mass", "inertia"),
     "visual": ("origin", "geometry"),
     "collision": ("origin", "geometry"),
+    "geometry": ("shape",),
 }

@@ -36,7 +36,7 @@ def misplaced(own: Own) -> Iterator[Finding]:
 def repeated(own: Own) -> Iterator[Finding]:
     """Second copies of what may stand once, and materials defined twice."""
     for element, tag, parent in own.again:
-        what = f"a second <{tag}> in <{parent}>"
+        what = f"a second shape, <{tag}>, in <geometry>" if parent == "geometry" else f"a second <{tag}> in <{parent}>"
         yield finding("repeated-tag", element, what, "the first one counts", "delete one of them")
     seen: set[str] = set()
     for material in own["robot"][0].iterchildren("material"):
