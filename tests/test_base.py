@@ -218,6 +218,19 @@ def legged(hips, torso="") -> str:
     return f'<robot name="r">{text}{torso}</robot>'
 
 
+def along_y(limbs) -> str:
+    """A body with limbs of three joints that go up or down y, as body models are drawn: name to direction."""
+    text = link("base", 5.0)
+    for k, (name, way) in enumerate(limbs.items()):
+        parent, limit = "base", LIMIT.format(-1, 1)
+        for part in ("a", "b", "c"):
+            text += link(name + part) + joint(
+                f"{name}_{part}", "revolute", parent, name + part, p=(0.1 * k, 0.3 * way, 0), more=limit
+            )
+            parent = name + part
+    return f'<robot name="r">{text}</robot>'
+
+
 def drone() -> str:
     text = link("frame", 1.5)
     for i, (x, y) in enumerate(itertools.product((-0.2, 0.2), repeat=2)):
@@ -235,6 +248,7 @@ UPPER = ARM + link("hand") + joint("wrist", "continuous", "fore", "hand", p=(0.3
     (legged(FOUR_HIPS), "legged machine"),
     (legged(FOUR_HIPS[:2]), "legged machine"),
     (legged([(0, 0.1), (0, -0.1)], UPPER), "humanoid"),
+    (along_y({"left": -1, "right": -1, "spine": 1}), "humanoid"),
     (drone(), "drone"),
     (f'<robot name="r">{link("quadrotor_base")}</robot>', "drone"),
     (f'<robot name="r">{link("base")}</robot>', "single rigid body"),
@@ -243,6 +257,11 @@ def test_machines_of_other_kinds_are_refused_by_name(text, name):
     with pytest.raises(Unsupported, match=f"this is a {name}") as error:
         robot_of(text)
     assert error.value.machine == name and error.value.line
+
+
+@pytest.mark.parametrize("limbs", [{"left": -1, "right": 1}, {"left": -1, "right": -1}, {"arm": 1}])
+def test_arms_along_y_are_no_legs(limbs):
+    assert robot_of(along_y(limbs)).base.kind == "fixed"
 
 
 # --- Overrides --------------------------------------------------------------------------------------------------------

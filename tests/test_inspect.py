@@ -204,6 +204,7 @@ def test_every_fixed_arm_is_fixed(name):
     ("anymal_c_simple_description/urdf/anymal.urdf", "legged machine"),
     ("talos_data/robots/talos_reduced.urdf", "humanoid"), ("g1_description/urdf/g1_29dof_rev_1_0.urdf", "humanoid"),
     ("simple_humanoid_description/urdf/simple_humanoid.urdf", "humanoid"),
+    ("human_description/robots/human.urdf", "humanoid"),
     ("iris_description/robots/iris.urdf", "drone"), ("iris_description/robots/iris_simple.urdf", "drone"),
     ("hector_description/robots/quadrotor_base.urdf", "drone"),
     ("borinot_description/urdf/borinot_flying_arm_2.urdf", "drone"),

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from mmnn_pin.precompile import precompile
 from mmnn_pin.show.figure import save
 
 from .calibration import Budget as Searches
@@ -72,6 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--draws", type=int, default=Amount.draws, help=f"draws of the claim's test ({Amount.draws})")
     options = parser.parse_args(arguments)
+    precompile()
     amount = QUICK if options.quick else Amount(draws=options.draws)
     summary = study(amount, options.out)
     (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
