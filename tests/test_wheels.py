@@ -398,9 +398,9 @@ def test_a_slave_cannot_be_freed():
 
 def test_what_moves_anyhow_is_not_freed_and_a_slave_is_not_locked():
     slave = link("jaw") + joint("jaw", "prismatic", "fore", "jaw", more=LIMIT.format(0, 1) + '<mimic joint="elbow"/>')
-    for name in ("elbow", "all"):
-        with pytest.raises(ConfigError, match=f"'{name}' is freed, and moves anyhow"):
-            robot_of(four(more=MOVE), free=(name,))
+    with pytest.raises(ConfigError, match="'elbow' is freed, and moves anyhow"):
+        robot_of(four(more=MOVE), free=("elbow",))
+    assert robot_of(four(more=MOVE), free=("all",)).arm == robot_of(four(more=MOVE)).arm  # whatever there is
     with pytest.raises(ConfigError, match="'jaw' cannot be locked: it stands where the joint that it follows puts it"):
         robot_of(four(more=MOVE + slave), lock=("jaw=0.1",))
     assert robot_of(four(more=MOVE + slave), lock=("elbow=0.5",)).arm.locked == {"elbow": 0.5, "jaw": 0.5}

@@ -140,7 +140,7 @@ def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], said: Overr
         still = dict.fromkeys([name for name in own if name not in leading], WHY["tip"])
     else:
         still = dict.fromkeys(short_branches(rest, set(own), slaves), WHY["short"])
-    idle = [name for name in said.free if name not in still and (name != "all" or not still)]
+    idle = [name for name in said.free if name not in still and name != "all"]
     if idle:
         raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
     return {name: why for name, why in still.items() if not freed(name, said)}
