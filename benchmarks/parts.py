@@ -39,11 +39,11 @@ def repeat_psi(n, tree, position, nu_ref, nudot_ref, scratch, psi):  # type: ign
 
 
 @repeated
-def repeat_friction(n, T, v, nu, damping, coulomb, viscous, F):  # type: ignore[no-untyped-def]
+def repeat_friction(n, T, v, nu, damping, dry, viscous, F):  # type: ignore[no-untyped-def]
     """Joint rates and friction."""
     for _ in range(n):
         spread(T, nu, v)
-        friction(T, v, nu, damping, coulomb, viscous, F)
+        friction(T, v, nu, damping, dry, viscous, F)
 
 
 @repeated
@@ -68,10 +68,10 @@ def repeat_after(n, row, at, M, E_inv, bounds):  # type: ignore[no-untyped-def]
 
 
 @repeated
-def repeat_plant(n, dt, T, v, M, h, F, damping, coulomb, viscous, tau, base, L, rest, y, ydot):  # type: ignore[no-untyped-def]
+def repeat_plant(n, dt, T, v, M, h, F, damping, dry, viscous, tau, base, L, rest, grip, y, ydot):  # type: ignore[no-untyped-def]
     """Acceleration and integration."""
     for _ in range(n):
-        euler(SEMI_IMPLICIT, dt, T, v, M, h, F, damping, coulomb, viscous, tau, base, L, rest, y, ydot)
+        euler(SEMI_IMPLICIT, dt, T, v, M, h, F, damping, dry, viscous, tau, base, L, rest, grip, y, ydot)
 
 
 @repeated
@@ -99,11 +99,11 @@ def compiled_parts() -> dict[str, Part]:
             n, engine.plan.kind, row, at, e.sizes, settings, memory
         ),
         "tree: M, C nu + gravity": lambda n: repeat_terms(n, b.tree, position, nu, w.scratch, w.M, w.h),
-        "joint rates and friction": lambda n: repeat_friction(n, b.T, w.v, nu, b.damping, b.coulomb, b.viscous, w.F),
+        "joint rates and friction": lambda n: repeat_friction(n, b.T, w.v, nu, b.damping, b.dry, b.viscous, w.F),
         "tree: Psi": lambda n: repeat_psi(n, b.tree, position, nu_ref, nudot_ref, w.scratch, psi),
         "motor torques, energy balance, guard": lambda n: repeat_after(n, row, at, w.M, e.E_inv, e.bounds),
         "plant: solve and integrate": lambda n: repeat_plant(
-            n, 0.0, b.T, w.v, w.M, w.h, w.F, b.damping, b.coulomb, b.viscous, tau, b.base, w.L, w.rest, y, w.ydot
+            n, 0.0, b.T, w.v, w.M, w.h, w.F, b.damping, b.dry, b.viscous, tau, b.base, w.L, w.rest, w.grip, y, w.ydot
         ),
         "copy of the row": lambda n: repeat_row(n, engine.rows, row),
     }
