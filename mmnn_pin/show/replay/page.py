@@ -6,17 +6,17 @@ the page forbids every request.
 
 from __future__ import annotations
 
-import html
 import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import ClassVar
 
 from ...errors import RecordingError
 from ...recording import Recording
-from ..whole import whole
+from ..html_page import HtmlPage
 from .blob import compressed
 from .scene import Scene, extent_of
 
@@ -26,7 +26,7 @@ SCRIPTS = ("unpack.js", "geometry.js", "robot.js", "stage.js", "run.js", "player
 
 
 @dataclass(frozen=True)
-class Page:
+class Page(HtmlPage):
     """A replay.
 
     Attributes:
@@ -36,15 +36,11 @@ class Page:
         warnings: What is not shown as the URDF says, one line each; the last one tells of a page that is large.
     """
 
-    html: str
     frames: int
     samples: int
     warnings: tuple[str, ...]
 
-    @property
-    def size(self) -> int:
-        """Bytes of the page."""
-        return len(self.html.encode())
+    what: ClassVar[str] = "replay"
 
     def iframe(self, height: int = 520) -> str:
         """The page as an element for another page: isolated from it, at rest until it is played.
@@ -52,18 +48,7 @@ class Page:
         Args:
             height: In CSS pixels.
         """
-        look, content = f"width:100%;height:{height}px;border:0", html.escape(self.html)
-        return f'<iframe title="replay" sandbox="allow-scripts" style="{look}" srcdoc="{content}"></iframe>'
-
-    def save(self, path: str | Path) -> Path:
-        """Write the page; the file appears whole or not at all.
-
-        Raises:
-            RecordingError: A place that cannot be written.
-        """
-        with whole(Path(path), "replay") as part:
-            part.write_text(self.html, encoding="utf-8")
-        return Path(path)
+        return self.within(f"{height}px")
 
 
 def page(

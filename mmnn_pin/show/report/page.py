@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from html import escape
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ...errors import InputError
 from ...experiments.experiment import CONTROLLERS
@@ -17,10 +16,10 @@ from ...experiments.runner import Result
 from ...recording import Recording
 from .. import replay
 from ..figure import styles_of
+from ..html_page import HtmlPage
 from ..replay.page import source as source_of_replay
 from ..replay.page import title_of
 from ..replay.scene import label
-from ..whole import whole
 from .charts import Charts, dash
 from .origin import command_of, facts_of
 from .results import controller_of, result_of
@@ -33,7 +32,7 @@ FPS = 30.0  # of the replay within
 
 
 @dataclass(frozen=True)
-class Report:
+class Report(HtmlPage):
     """A report.
 
     Attributes:
@@ -41,29 +40,13 @@ class Report:
         warnings: What of the runs could not be shown, one line each.
     """
 
-    html: str = field(repr=False)
     warnings: tuple[str, ...] = ()
 
-    @property
-    def size(self) -> int:
-        """Bytes of the page."""
-        return len(self.html.encode())
+    what: ClassVar[str] = "report"
 
     def _repr_html_(self) -> str:
         """The page within a notebook, isolated from it."""
-        look = "width:100%;height:80vh;border:0"
-        content = escape(self.html)
-        return f'<iframe title="report" sandbox="allow-scripts" style="{look}" srcdoc="{content}"></iframe>'
-
-    def save(self, path: str | Path) -> Path:
-        """Write the page; the file appears whole or not at all.
-
-        Raises:
-            RecordingError: A place that cannot be written.
-        """
-        with whole(Path(path), "report") as part:
-            part.write_text(self.html, encoding="utf-8")
-        return Path(path)
+        return self.within("80vh")
 
 
 def report(
