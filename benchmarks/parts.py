@@ -68,10 +68,10 @@ def repeat_after(n, row, at, M, E_inv, bounds):  # type: ignore[no-untyped-def]
 
 
 @repeated
-def repeat_plant(n, dt, T, v, M, h, F, damping, dry, viscous, tau, base, L, rest, grip, y, ydot):  # type: ignore[no-untyped-def]
+def repeat_plant(n, dt, T, v, M, h, F, damping, dry, hold, viscous, tau, base, L, rest, grip, y, ydot):  # type: ignore[no-untyped-def]
     """Acceleration and integration."""
     for _ in range(n):
-        euler(SEMI_IMPLICIT, dt, T, v, M, h, F, damping, dry, viscous, tau, base, L, rest, grip, y, ydot)
+        euler(SEMI_IMPLICIT, dt, T, v, M, h, F, damping, dry, hold, viscous, tau, base, L, rest, grip, y, ydot)
 
 
 @repeated

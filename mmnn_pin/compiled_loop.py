@@ -12,21 +12,18 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from .compiled import compiled, copy_to
+from .disturbance import BRAKE, mark
 from .model.dynamics import Dynamics
 from .model.reduction import friction, quadratic, spread
 from .model.robot import Robot
 from .model.tree import flatten
 from .model.tree_dynamics import potential_energy, psi_again, terms
 from .model.tree_motion import Tree, new_scratch
-from .plant.integrators import (
-    METHODS,
-    RK4,
-    derivative,
-    euler,
-    rk4_stage,
-)
+from .plant.integrators import METHODS, RK4, derivative, euler, rk4_stage
+from .rig import Rig, act, is_stopped, new_rig, note, rotate, send, sense
+from .safety import TRIPPED, has_ended
 from .sample import after_torque, before_torque
-from .sensing import exact, measure
+from .sensing import exact
 from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.controller import CompiledController
@@ -62,6 +59,7 @@ class Work(NamedTuple):
     L: Array
     rest: Array
     grip: Array
+    hold: Array
     ydot: Array
     total: Array
     trial: Array
@@ -74,7 +72,6 @@ class Plan(NamedTuple):
     dt: float
     steps: int
     per_measurement: int
-    exact: bool
     method: int
     kind: int
     uses_model: bool
@@ -92,10 +89,6 @@ class Blocks(NamedTuple):
     settings: Array
     E_inv: Array
     bounds: Array
-    encoders: IntArray
-    W: Array
-    sensors: Array
-    noise: Array
 
 
 BODIES: WeakKeyDictionary[Robot, Body] = WeakKeyDictionary()
@@ -136,7 +129,7 @@ def new_work(body: Body) -> Work:
     """Scratch memory for a robot."""
     nv, p = body.T.shape
     size = nv + p + 1
-    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (size,), (size,), (size,))
+    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (nv,), (size,), (size,), (size,))
     return Work(new_scratch(body.tree), *(np.zeros(shape) for shape in shapes))
 
 
@@ -165,10 +158,11 @@ def as_measured(row: Array, at: IntArray, arm: IntArray, base: int, y: Array) ->
 
 
 @compiled
-def take(number: int, row: Array, position: Array, nu: Array, blocks: Blocks, memory: Array) -> None:
-    """Take the measurement of this number."""
-    noise = blocks.noise[number]
-    measure(row, blocks.at, position, nu, blocks.encoders, blocks.W, blocks.sensors, noise, memory)
+def energy_of(body: Body, work: Work, position: Array, nu: Array) -> float:
+    """Kinetic and potential energy at a state [J]; the work's terms become those of that state."""
+    evaluate(body, work, position, nu)
+    potential = potential_energy(body.tree, position, work.scratch) if body.feels_gravity else 0.0
+    return float(0.5 * quadratic(work.M, nu) + potential)
 
 
 @compiled
@@ -181,57 +175,75 @@ def advance(
     blocks: Blocks,
     plan: Plan,
     memory: Array,
-    sensor_memory: Array,
     body: Body,
+    loaded: Body,
     work: Work,
     nominal: Body,
     nominal_work: Work,
     nominal_y: Array,
     y: Array,
+    rig: Rig | None,
 ) -> int:
-    """Control samples first ... last - 1 into rows; -1, or the column of row that went bad.
+    """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
-    One function on purpose: compiled code is optimised anew at every level of calls, seconds of a first run.
+    One function on purpose: compiled code is optimised anew at every level of calls, seconds of a first run. What
+    stands behind `rig is not None` is compiled only for runs that have one.
     """
     nv, p = body.T.shape
     at, position, nu = blocks.at, y[:nv], y[nv : nv + p]
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     psi, psi_hat = row[at[PSI] : at[PSI + 1]], row[at[PSI_HAT] : at[PSI_HAT + 1]]
-    tau = row[at[TORQUE] : at[TORQUE + 1]]
+    tau, start_energy = row[at[TORQUE] : at[TORQUE + 1]], plan.start_energy
     for k in range(first, last):
-        now = k * plan.steps % plan.per_measurement == 0
-        if now and not plan.exact:
-            take(k * plan.steps // plan.per_measurement, row, position, nu, blocks, sensor_memory)
-        before_torque(row, at, k * plan.h, y, blocks.table[k], now and plan.exact, body.arm, blocks.gains, blocks.K)
-        if plan.uses_model:
+        now, asked = k * plan.steps % plan.per_measurement == 0, True
+        if rig is not None:
+            if k * plan.h + 5e-10 >= rig.pick:
+                if rig.shift[1] == 0.0:
+                    before = energy_of(body, work, position, nu)
+                    rig.shift[0], rig.shift[1] = energy_of(loaded, work, position, nu) - before, 1.0
+                body, start_energy = loaded, plan.start_energy + rig.shift[0]
+            if now:
+                sense(k * plan.steps // plan.per_measurement, k * plan.h, row, at, position, nu, body.arm, rig)
+            now, asked = False, not is_stopped(rig)
+        before_torque(row, at, k * plan.h, y, blocks.table[k], now, body.arm, blocks.gains, blocks.K)
+        if asked and plan.uses_model:
             as_measured(row, at, nominal.arm, nominal.base, nominal_y)
             evaluate(nominal, nominal_work, nominal_y[:nv], nominal_y[nv : nv + p])
             psi_again(nominal.tree, nominal_y[:nv], nu_ref, nudot_ref, nominal_work.scratch, psi_hat)
             for i in range(p):
                 psi_hat[i] += nominal_work.F[i]
-        law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
+        if asked:
+            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
+        if rig is not None:
+            send(k, k * plan.h, row, at, memory, rig)
         evaluate(body, work, position, nu)
         psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
         for i in range(p):
             psi[i] += work.F[i]
         potential = potential_energy(body.tree, position, work.scratch) if body.feels_gravity else 0.0
         work_done = y[nv + p]
-        bad = after_torque(row, at, work.M, blocks.E_inv, potential, work_done, plan.start_energy, blocks.bounds)
+        bad = after_torque(row, at, work.M, blocks.E_inv, potential, work_done, start_energy, blocks.bounds)
         if bad >= 0:
             return bad
         copy_to(row, rows[k - first])
         counter[0] = k - first + 1
         for i in range(plan.steps):
-            if i > 0 and (k * plan.steps + i) % plan.per_measurement == 0:
-                if plan.exact:
-                    exact(row, at, position, nu, body.arm)
+            n = k * plan.steps + i
+            if i > 0 and n % plan.per_measurement == 0:
+                if rig is not None:
+                    sense(n // plan.per_measurement, n * plan.dt, row, at, position, nu, body.arm, rig)
                 else:
-                    take((k * plan.steps + i) // plan.per_measurement, row, position, nu, blocks, sensor_memory)
+                    exact(row, at, position, nu, body.arm)
+            if rig is not None:
+                rotate(nu, rig)
+                act(k, n * plan.dt, plan.dt, row, at, rig)
+                mark(n * plan.dt, rig.blocked, work.hold, BRAKE)
+                tau = rig.tau
             if plan.method != RK4:
                 if i > 0:
                     evaluate(body, work, position, nu)
                 euler(
-                    plan.method, plan.dt, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry,
+                    plan.method, plan.dt, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry, work.hold,
                     body.viscous, tau, body.base, work.L, work.rest, work.grip, y, work.ydot,
                 )  # fmt: skip
                 continue
@@ -242,6 +254,10 @@ def advance(
                 derivative(work.trial, work.v, work.M, work.h, work.F, tau, body.base, work.L, work.rest, work.ydot)
                 rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
             copy_to(work.trial, y)
+        if rig is not None:
+            note(plan.steps, rows[k - first], at, rig)
+            if rig.supervised and has_ended(k * plan.h, rig.limits, rig.guard):
+                return TRIPPED
     return -1
 
 
@@ -255,7 +271,7 @@ class CompiledLoop:
     name = "compiled"
 
     def __init__(
-        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, sensor_memory: Array | None, block: int
+        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, rig_memory: Array | None, block: int
     ) -> None:
         assert isinstance(loop.controller, CompiledController)
         robot, layout, timing = loop.robot, loop.robot.layout, loop.timing
@@ -270,7 +286,8 @@ class CompiledLoop:
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         numbers = loop.controller.law(loop.wiring())
-        exact, sensing, self.sensor_memory, noise = loop.sensors(sensor_memory)
+        self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
+        self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
             at=layout.offsets,
             table=table,
@@ -280,31 +297,26 @@ class CompiledLoop:
             settings=numbers.settings,
             E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
             bounds=loop.bounds.vector(layout),
-            encoders=sensing.encoders,
-            W=sensing.W,
-            sensors=sensing.numbers,
-            noise=noise,
         )
         self.plan = Plan(
             h=timing.control_period,
             dt=timing.plant_step,
             steps=timing.steps_per_control,
             per_measurement=timing.steps_per_measurement,
-            exact=exact,
             method=METHODS[timing.integrator],
             kind=numbers.kind,
             uses_model=uses_model,
-            start_energy=self._energy(position, nu),
+            start_energy=energy_of(self.body, self.work, position, nu),
         )
 
-    def advance(self, first: int, last: int) -> int:
-        """Run control samples first ... last - 1; -1, or the column of `row` that went bad."""
-        return advance(
-            first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values,
-            self.sensor_memory, self.body, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y,
-        )  # fmt: skip
+    @property
+    def rig_memory(self) -> Array:
+        """What sensors, motors and supervisor remember."""
+        return np.zeros(0) if self.rig is None else self.rig.memory
 
-    def _energy(self, position: Array, nu: Array) -> float:
-        evaluate(self.body, self.work, position, nu)
-        potential = potential_energy(self.body.tree, position, self.work.scratch) if self.body.feels_gravity else 0.0
-        return 0.5 * quadratic(self.work.M, nu) + potential
+    def advance(self, first: int, last: int) -> int:
+        """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`."""
+        return advance(
+            first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
+            self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
+        )  # fmt: skip

@@ -16,18 +16,22 @@ from typing import Any, Literal, Protocol
 import msgspec
 import numpy as np
 
+from .actuator import Actuator
 from .compiled_loop import CompiledLoop
-from .errors import ConfigError, RobotError, UnknownName
+from .disturbance import Disturbance, payload
+from .errors import ConfigError, InputError, RobotError, UnknownName
 from .kinematic import Kinematic
 from .model.dynamics import Dynamics
+from .model.payload import carrying
 from .model.robot import Robot
 from .ordinary_loop import OrdinaryLoop
 from .plant.contact.floor import Contact
 from .recorder import Recorder
 from .recording import Outcome, Recording
 from .reference import Trajectory
+from .safety import HAS_TRIPPED, TRIPPED, Safety, trip_of
 from .sampled import require_stable, sampled_loop, viscous_friction
-from .sensing import Sensing, Sensor
+from .sensing import Sensor
 from .signals import INDEX, SIGNALS, Array, Layout
 from .start import FIRST_REFERENCE, Bounds, Start
 from .timing import Timing
@@ -68,6 +72,9 @@ class Loop:
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo and the ordinary engine.
         contact: The floor of the contact plant.
         sensor: What the sensors do to the truth; exact by default.
+        actuator: What the motors make of their commands; perfect by default.
+        safety: A supervisor between controller and motors; None for none.
+        disturbances: What happens to the robot during the run.
     """
 
     robot: Robot
@@ -85,16 +92,20 @@ class Loop:
     plant: str = "ideal"
     contact: Contact = field(default_factory=Contact)
     sensor: Sensor = field(default_factory=Sensor)
+    actuator: Actuator = field(default_factory=Actuator)
+    safety: Safety | None = None
+    disturbances: tuple[Disturbance, ...] = ()
 
     def __post_init__(self) -> None:
-        """On the contact plant the rows of both robots have the signals of the wheels' contacts."""
+        """The rows of both robots have the signals that plant, motors, supervisor and disturbances add."""
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
+        rig = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances))
         for name in ("robot", "nominal"):
             robot = getattr(self, name)
-            if robot is not None and robot.layout.wheels != wheels:
-                object.__setattr__(self, name, replace(robot, layout=replace(robot.layout, wheels=wheels)))
+            if robot is not None and (robot.layout.wheels, robot.layout.rig) != (wheels, rig):
+                object.__setattr__(self, name, replace(robot, layout=replace(robot.layout, wheels=wheels, rig=rig)))
 
     def run(
         self,
@@ -104,7 +115,7 @@ class Loop:
         meta: Mapping[str, Any] | None = None,
         memory: Any = None,
         state: tuple[Array, Array] | None = None,
-        sensor_memory: Array | None = None,
+        rig_memory: Array | None = None,
         first: int = 0,
         progress: Callable[[float], None] | None = None,
     ) -> Recording:
@@ -116,7 +127,7 @@ class Loop:
             meta: More facts for the recording.
             memory: A controller's memory to start from (it is copied); None for a new one.
             state: Position (nv,) and nu (p,) to start from instead of `start`.
-            sensor_memory: The sensors' memory to start from (it is copied); None for a new one.
+            rig_memory: What sensors, motors and supervisor remember (it is copied); None for a new one.
             first: Control sample to start at, one with a measurement; with the memories and state of an earlier run at
                 that sample, the run resumes.
             progress: Called now and then with the simulated time [s].
@@ -128,7 +139,7 @@ class Loop:
             RecordingError: The recording cannot be written.
         """
         self.require_stable_gains()
-        engine = self.engine_at(memory, state, first, sensor_memory)
+        engine = self.engine_at(memory, state, first, rig_memory)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
         with Recorder(self.robot.layout, facts, path, force) as recorder:
             outcome = self.judged(self.stream(engine, recorder, first=first, progress=progress), engine)
@@ -139,7 +150,7 @@ class Loop:
         memory: Any = None,
         state: tuple[Array, Array] | None = None,
         first: int = 0,
-        sensor_memory: Array | None = None,
+        rig_memory: Array | None = None,
     ) -> Engine:
         """The engine that steps this loop, at its start; arguments as in `run`.
 
@@ -155,7 +166,7 @@ class Loop:
         table, layout, memory = self.table(), self.robot.layout, self.memory_from(memory)
         position, nu = self.start.state(self.robot, table[first]) if state is None else state
         position, nu = finite("state", position, (layout.full,)), finite("state", nu, (layout.dof,))
-        return self._engine(table, position, nu, memory, sensor_memory)
+        return self._engine(table, position, nu, memory, rig_memory)
 
     def judged(self, outcome: Outcome, engine: Engine) -> Outcome:
         """An outcome whose message also tells what the controller's memory shows after the run."""
@@ -165,9 +176,9 @@ class Loop:
         return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))
 
     def final(self, engine: Engine) -> dict[str, Array]:
-        """Position, nu, the sensors' and the controller's memory where an engine stands."""
+        """Position, nu, the rig's and the controller's memory where an engine stands."""
         nv, p = self.robot.layout.full, self.robot.layout.dof
-        state = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p], "sensor_memory": engine.sensor_memory}
+        state = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p], "rig_memory": engine.rig_memory}
         return state | ({"memory": engine.memory.values} if isinstance(engine.memory, Memory) else {})
 
     def wiring(self) -> Wiring:
@@ -175,20 +186,25 @@ class Loop:
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
         return Wiring(self.robot.layout, self.timing.control_period, self.timing.samples, rng)
 
-    def sensors(self, memory: Array | None = None) -> tuple[bool, Sensing, Array, Array]:
-        """Whether the sensors are exact, their numbers, their memory and the noise of all measurements.
+    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
+        """Random generators of the sensors and of the disturbances, split from the run's seed."""
+        sensor, gusts = np.random.SeedSequence(self.seed).spawn(3)[1:]
+        return np.random.default_rng(sensor), np.random.default_rng(gusts)
+
+    def loaded(self) -> Robot | None:
+        """The robot once it has picked up its payload; None without one.
 
         Raises:
-            ConfigError: Sensors that do not fit the robot; a memory of wrong shape or not finite.
+            UnknownName: A payload on a joint that does not exist.
         """
-        period = self.timing.sensor_period or self.timing.control_period
-        sensing = self.sensor.on(self.robot, period)
-        new = sensing.init()
-        if memory is not None:
-            new = finite("sensor_memory", memory, new.shape)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(2)[1])
-        count = 0 if self.sensor.exact else self.timing.measurements
-        return self.sensor.exact, sensing, new, sensing.noise(count, rng)
+        key, load = payload(self.disturbances)
+        if load is None:
+            return None
+        try:
+            return carrying(self.robot, load.mass, load.joint, load.at)
+        except InputError as error:
+            error.key = f"{key}.{error.key}"
+            raise
 
     def table(self) -> Array:
         """The reference at every control sample, (samples, ...), in the order of the row's signals.
@@ -207,9 +223,12 @@ class Loop:
         own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
         own |= {"kinematic": msgspec.to_builtins(self.kinematic)}
         believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
-        sensor = {} if self.sensor.exact else {"sensor": msgspec.to_builtins(self.sensor)}
+        rig = {} if self.sensor.exact else {"sensor": msgspec.to_builtins(self.sensor)}
+        rig |= {} if self.actuator.perfect else {"actuator": msgspec.to_builtins(self.actuator)}
+        rig |= {} if self.safety is None else {"safety": msgspec.to_builtins(self.safety)}
+        rig |= {"disturbances": msgspec.to_builtins(self.disturbances)} if self.disturbances else {}
         floor = {"contact": msgspec.to_builtins(self.contact)} if self.plant == "contact" else {}
-        return self.robot.facts() | own | believed | sensor | {"plant": self.plant} | floor
+        return self.robot.facts() | own | believed | rig | {"plant": self.plant} | floor
 
     def require_stable_gains(self) -> None:
         """Judge the sampled PD loop at ten places along the reference.
@@ -272,26 +291,26 @@ class Loop:
         new.values[:] = finite("memory", given.values, new.values.shape)
         return new
 
-    def _engine(self, table: Array, position: Array, nu: Array, memory: Any, sensor_memory: Array | None) -> Engine:
+    def _engine(self, table: Array, position: Array, nu: Array, memory: Any, rig_memory: Array | None) -> Engine:
         block = max(1, min(250, round(self.weights_interval / self.timing.control_period)))
         if isinstance(self.controller, TorqueController):
             if self.engine == "compiled":
                 raise ConfigError(
                     "a controller in plain Python cannot be compiled", fix="use engine = 'auto'", key="engine"
                 )
-            return OrdinaryLoop(self, table, position, nu, memory, sensor_memory, block)
+            return OrdinaryLoop(self, table, position, nu, memory, rig_memory, block)
         if self.plant == "contact":
             if self.engine == "compiled":
                 why, fix = "MuJoCo steps it, the ordinary loop only", "use engine = 'auto', or the ideal plant"
                 raise ConfigError("the contact plant cannot be compiled", why=why, fix=fix, key="engine")
-            return OrdinaryLoop(self, table, position, nu, memory, sensor_memory, block)
+            return OrdinaryLoop(self, table, position, nu, memory, rig_memory, block)
         if self.engine != "ordinary":
             try:
-                return CompiledLoop(self, table, position, nu, memory, sensor_memory, block)
+                return CompiledLoop(self, table, position, nu, memory, rig_memory, block)
             except RobotError:
                 if self.engine == "compiled":
                     raise
-        return OrdinaryLoop(self, table, position, nu, memory, sensor_memory, block)
+        return OrdinaryLoop(self, table, position, nu, memory, rig_memory, block)
 
     def stream(
         self,
@@ -336,6 +355,8 @@ class Loop:
                     done = int(engine.counter[0])
                     sink.append_block(engine.rows[:done], engine.step_times[:done])
                     k += done
+                if bad == TRIPPED and engine.rig is not None:
+                    return Outcome("tripped", *trip_of(engine.rig.guard, self.robot))
                 if bad >= 0:
                     return diverged(engine.row, self.robot.layout, bad, k * h, sink)
                 if progress is not None:
@@ -346,6 +367,8 @@ class Loop:
             return Outcome("interrupted", k * h, message=f"stopped by Ctrl-C at t = {k * h:g} s")
         if weights := self.controller.weights(memory):
             sink.weights(samples * h, weights)
+        if engine.rig is not None and engine.rig.supervised and engine.rig.guard[HAS_TRIPPED]:
+            return Outcome("tripped", *trip_of(engine.rig.guard, self.robot))
         return Outcome("completed", samples * h)
 
 

@@ -7,16 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from . import disturbance
 from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
 from .plant.contact.plant import ContactPlant
 from .plant.ideal import IdealPlant
+from .rig import Rig, act, is_stopped, new_rig, note, send, sense
+from .safety import TRIPPED, has_ended
 from .sample import after_torque, before_torque
-from .sensing import exact, measure
+from .sensing import exact
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
-from .torque.controller import CompiledController, TorqueController, Wiring
+from .torque.controller import CompiledController, Memory, TorqueController, Wiring
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -90,7 +93,7 @@ class OrdinaryLoop:
         position: Where to start, (nv,).
         nu: With which velocity, (p,).
         memory: The controller's memory.
-        sensor_memory: The sensors' memory; None for a new one.
+        rig_memory: The memory of sensors, motors and supervisor; None for a new one.
         block: Samples handed over at a time.
 
     Attributes:
@@ -104,7 +107,7 @@ class OrdinaryLoop:
     name = "ordinary"
 
     def __init__(
-        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, sensor_memory: Array | None, block: int
+        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, rig_memory: Array | None, block: int
     ) -> None:
         layout = loop.robot.layout
         self.loop, self.table, self.at = loop, table, layout.offsets
@@ -114,24 +117,24 @@ class OrdinaryLoop:
         self.torque = Torque(loop.controller, loop.wiring(), self.row, loop.nominal or loop.robot, memory)
         self.plant = plant_of(loop)
         self.plant.start(position, nu)
-        self.y = self.plant.y
-        self.exact, self.sensing, self.sensor_memory, self.noise = loop.sensors(sensor_memory)
+        self.y, self.loaded = self.plant.y, loop.loaded()
+        self.rig = new_rig(loop, nu, memory, rig_memory)
         self.gains, self.K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
         self.bounds, self.E_inv = loop.bounds.vector(layout), np.ascontiguousarray(np.linalg.pinv(loop.robot.E))
-        self.start_energy = float(0.5 * nu @ self.plant.dynamics.M @ nu) + self.plant.dynamics.potential()
+        self.start_energy = self.energy()
+        self.weights = memory.values if isinstance(memory, Memory) else np.zeros(0)
         names = ("torque", "nu_ref", "nudot_ref", "psi")
         self.tau, self.nu_ref, self.nudot_ref, self.psi = (self.row[layout.where(name)] for name in names)
 
-    def measure(self, number: int) -> None:
+    @property
+    def rig_memory(self) -> Array:
+        """What sensors, motors and supervisor remember."""
+        return np.zeros(0) if self.rig is None else self.rig.memory
+
+    def measure(self, number: int, rig: Rig) -> None:
         """Take the measurement of this number."""
-        if self.exact:
-            exact(self.row, self.at, self.plant.position, self.plant.nu, self.loop.robot.arm_index)
-            return
-        s = self.sensing
-        measure(
-            self.row, self.at, self.plant.position, self.plant.nu, s.encoders, s.W, s.numbers, self.noise[number],
-            self.sensor_memory,
-        )  # fmt: skip
+        position, nu, arm = self.plant.position, self.plant.nu, self.loop.robot.arm_index
+        sense(number, number * self.loop.timing.measurement_period, self.row, self.at, position, nu, arm, rig)
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1, or fewer when that takes long.
@@ -139,36 +142,76 @@ class OrdinaryLoop:
         Returns:
             -1, or the column of `row` that went bad; the samples before are in `rows`.
         """
-        loop, row, plant, dynamics = self.loop, self.row, self.plant, self.plant.dynamics
+        loop, row, plant, rig = self.loop, self.row, self.plant, self.rig
         timing, arm, h = loop.timing, loop.robot.arm_index, loop.timing.control_period
         steps, per_measurement = timing.steps_per_control, timing.steps_per_measurement
-        at, table, gains, K, E_inv, exactly = self.at, self.table, self.gains, self.K, self.E_inv, self.exact
-        bounds, start_energy = self.bounds, self.start_energy
+        at, table, gains, K, E_inv = self.at, self.table, self.gains, self.K, self.E_inv
         started = clock.perf_counter()
         for k in range(first, last):
             began = clock.perf_counter()
             now = k * steps % per_measurement == 0
-            if now and not exactly:
-                self.measure(k * steps // per_measurement)
-            before_torque(row, at, k * h, plant.y, table[k], now and exactly, arm, gains, K)
+            if rig is not None:
+                self.pick_up(k * h, rig)
+                if now:
+                    self.measure(k * steps // per_measurement, rig)
+            before_torque(row, at, k * h, plant.y, table[k], now and rig is None, arm, gains, K)
             plant.observe(row)
-            self.torque.step(k * h)
+            if rig is None or not is_stopped(rig):
+                self.torque.step(k * h)
+            if rig is not None:
+                send(k, k * h, row, at, self.weights, rig)
             step_time = clock.perf_counter() - began
+            dynamics = plant.dynamics
             dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
             potential, work = dynamics.potential(), plant.y[-1]
-            bad = after_torque(row, at, dynamics.M, E_inv, potential, work, start_energy, bounds)
+            start_energy = self.start_energy if rig is None else self.start_energy + rig.shift[0]
+            bad = after_torque(row, at, dynamics.M, E_inv, potential, work, start_energy, self.bounds)
             if bad >= 0:
                 return bad
             done = k - first
             self.rows[done], self.step_times[done], self.counter[0] = row, step_time, done + 1
             for i in range(steps):
-                if i > 0 and (k * steps + i) % per_measurement == 0:
-                    self.measure((k * steps + i) // per_measurement)
-                plant.step(self.tau)
+                n = k * steps + i
+                if i > 0 and n % per_measurement == 0:
+                    if rig is None:
+                        exact(row, at, plant.position, plant.nu, arm)
+                    else:
+                        self.measure(n // per_measurement, rig)
+                if rig is None:
+                    plant.step(self.tau)
+                else:
+                    self.act(k, n * timing.plant_step, rig)
                 plant.refresh()
+            if rig is not None:
+                note(steps, self.rows[done], at, rig)
+                if rig.supervised and has_ended(k * h, rig.limits, rig.guard):
+                    return TRIPPED
             if began - started > PATIENCE:
                 break
         return -1
+
+    def act(self, k: int, time: float, rig: Rig) -> None:
+        """One step of the plant with imperfect motors, pushes and blocked joints."""
+        plant, dt = self.plant, self.loop.timing.plant_step
+        plant.motor_speeds(rig.speed)
+        act(k, time, dt, self.row, self.at, rig)
+        disturbance.mark(time, rig.blocked, plant.hold, disturbance.BRAKE)
+        plant.step(rig.tau, rig.force)
+
+    def pick_up(self, time: float, rig: Rig) -> None:
+        """Carry the payload once its time has come; what energy comes with it is no error of the balance."""
+        if self.loaded is None or time + 5e-10 < rig.pick:
+            return
+        plant, before = self.plant, self.energy()
+        plant.carry(self.loaded)
+        self.loaded = None
+        if rig.shift[1] == 0.0:
+            rig.shift[0], rig.shift[1] = self.energy() - before, 1.0
+
+    def energy(self) -> float:
+        """Kinetic and potential energy at the plant's state [J]."""
+        dynamics, nu = self.plant.dynamics, self.plant.nu
+        return float(0.5 * nu @ dynamics.M @ nu) + dynamics.potential()
 
 
 def plant_of(loop: Loop) -> IdealPlant | ContactPlant:

@@ -20,7 +20,6 @@ from .model.robot import load
 from .model.tree_dynamics import potential_energy, psi_again
 from .plant.integrators import derivative, euler, rk4_stage
 from .sample import after_torque, before_torque
-from .sensing import Sensor, measure
 from .signals import INDEX, Layout
 from .torque import law
 from .torque.controller import Wiring
@@ -67,13 +66,10 @@ def call_plant_blocks() -> None:
     psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
     potential_energy(body.tree, y[:nv], work.scratch)
     quadratic(work.M, nu)
-    sensing = Sensor(delay=1).on(robot, 0.001)
-    noise = sensing.noise(1, np.random.default_rng(0))[0]
-    measure(row, layout.offsets, y[:nv], nu, sensing.encoders, sensing.W, sensing.numbers, noise, sensing.init())
     derivative(y, work.v, work.M, work.h, work.F, nu, body.base, work.L, work.rest, work.ydot)
     euler(
-        0, 0.001, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry, body.viscous, nu, body.base,
-        work.L, work.rest, work.grip, y, work.ydot,
+        0, 0.001, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry, work.hold, body.viscous, nu,
+        body.base, work.L, work.rest, work.grip, y, work.ydot,
     )  # fmt: skip
     rk4_stage(0, 0.001, y, work.ydot, work.total, work.trial)
     sums, windows = np.zeros(1), np.zeros((1, 2))

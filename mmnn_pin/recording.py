@@ -29,7 +29,7 @@ class Outcome:
 
     Attributes:
         status: `completed`, `diverged`, `tripped` (by the safety layer) or `interrupted` (by the user or a kill).
-        time: When it ended [s].
+        time: When it ended, of a tripped run when it tripped [s].
         signal: Signal that went first, as `name[index]`; empty if none.
         message: One line for people.
     """

@@ -23,7 +23,8 @@ IntArray = NDArray[np.int64]
 
 # The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
 # Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number;
-# on the contact plant "wheel" drive wheels and "floor" 1 with wheels, else 0.
+# on the contact plant "wheel" drive wheels and "floor" 1 with wheels, else 0; those that begin with "rig" where motors,
+# disturbances or a supervisor are simulated, else 0.
 SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("time", "1", "s", ""),
     ("position", "full", "m, rad", "rad or m"),
@@ -58,6 +59,9 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("effective_gain", "all", "N s/m, N m s", "N m s or N s/m"),
     ("torque", "all", "N, N m", "N m or N"),
     ("motor_torque", "motor", "N m", "N m or N"),
+    ("applied", "rig motor", "N m", "N m or N"),
+    ("disturbance", "rig all", "N, N m", "N m or N"),
+    ("safety", "rig", "", ""),
     ("energy", "1", "J", ""),
     ("work", "1", "J", ""),
     ("energy_residual", "1", "J", ""),
@@ -79,6 +83,7 @@ class Layout:
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
         wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
+        rig: 1 where motors, disturbances or a supervisor are simulated, else 0.
     """
 
     base: int
@@ -86,6 +91,7 @@ class Layout:
     full: int
     motors: int
     wheels: int = 0
+    rig: int = 0
 
     @property
     def pose(self) -> int:
@@ -102,6 +108,7 @@ class Layout:
         """Start of every signal in the order of `SIGNALS`, and the width of the row, shape (len(SIGNALS) + 1,)."""
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
+        size |= {"rig": self.rig, "rig motor": self.rig * self.motors, "rig all": self.rig * self.dof}
         return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
 
     @property
@@ -121,7 +128,7 @@ class Layout:
     def unit(self, name: str) -> str:
         """Unit of a signal on this robot; base and arm parts separated by a semicolon."""
         _, kind, base, arm = SIGNALS[INDEX[name]]
-        if kind == "all":
+        if kind in ("all", "rig all"):
             return "; ".join(u for u, used in ((base, self.base), (arm, self.arm)) if used)
         return base or arm
 

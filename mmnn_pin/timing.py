@@ -52,6 +52,11 @@ class Timing(Settings, frozen=True):
         return -(-self.samples * self.steps_per_control // self.steps_per_measurement)
 
     @property
+    def measurement_period(self) -> float:
+        """Time between two measurements [s]."""
+        return self.sensor_period or self.control_period
+
+    @property
     def steps_per_control(self) -> int:
         """Plant steps per control sample."""
         return divide(self.control_period, self.plant_step, "plant_step")

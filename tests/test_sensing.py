@@ -295,7 +295,7 @@ def test_a_run_resumes_with_its_sensors(engine):
     first = half.run()
     k, end = half.timing.samples, first.final
     memory = Memory(np.array(end["memory"]), whole.memory_from().shapes)
-    rest = whole.run(memory=memory, state=(end["position"], end["nu"]), sensor_memory=end["sensor_memory"], first=k)
+    rest = whole.run(memory=memory, state=(end["position"], end["nu"]), rig_memory=end["rig_memory"], first=k)
     straight = whole.run()
     for name in ("q", "pose", "velocity", "torque"):
         np.testing.assert_allclose(rest[name], straight[name][k:], rtol=1e-9, atol=1e-9)

@@ -8,6 +8,8 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from ..actuator import Actuator
+from ..disturbance import Disturbance
 from ..errors import ConfigError, UnknownName
 from ..kinematic import Kinematic
 from ..loop import PLANTS, Loop
@@ -16,6 +18,7 @@ from ..model.robot import Robot, load_with
 from ..plant.contact.floor import Contact
 from ..reference import BasePath, Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Trajectory, Waypoints
 from ..reference.arm import JointProfile
+from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Settings, require_gains
 from ..signals import Array, Layout
@@ -168,6 +171,9 @@ class Experiment(Settings, frozen=True):
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
         sensor: What the sensors do to the truth.
+        actuator: What the motors make of their commands.
+        safety: A supervisor between controller and motors; without the table there is none.
+        disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
 
@@ -200,6 +206,9 @@ class Experiment(Settings, frozen=True):
     learning: Learning = Learning()
     friction: Friction = Friction()
     sensor: Sensor = Sensor()
+    actuator: Actuator = Actuator()
+    safety: Safety | None = None
+    disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
 
@@ -341,6 +350,9 @@ class Experiment(Settings, frozen=True):
             start=self.start,
             bounds=self.bounds,
             sensor=self.sensor,
+            actuator=self.actuator,
+            safety=self.safety,
+            disturbances=self.disturbances,
             seed=self.seed,
             weights_interval=self.weights_interval,
             check_gains=controller.name not in EFFECTIVE,

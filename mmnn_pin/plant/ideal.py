@@ -13,6 +13,7 @@ from ..signals import Array
 from . import integrators
 
 Feedback = Callable[[float, Array, Array], Array]
+NO_PUSH: Array = np.zeros(0)
 
 
 class IdealPlant:
@@ -27,6 +28,8 @@ class IdealPlant:
         y: (nv + p + 1,) position, nu and the work done on the robot since the start.
         position: View of the position in y.
         nu: View of nu in y.
+        dynamics: Reduced dynamics of the robot at the present state.
+        hold: (nv,) friction of joints that are blocked; the method "stick" only [N m or N].
 
     Raises:
         UnknownName: No such method.
@@ -36,11 +39,12 @@ class IdealPlant:
         if method not in integrators.METHODS:
             raise UnknownName("integrator", method, integrators.METHODS, key="time.integrator")
         self.robot, self.dt, self.method = robot, dt, integrators.METHODS[method]
-        self.dynamics = Dynamics(robot)
+        self.dynamics, self.to_motors = Dynamics(robot), np.ascontiguousarray(robot.E.T)
         nv, p = robot.layout.full, robot.layout.dof
         self.y, self.trial, self.ydot, self.total = (np.zeros(nv + p + 1) for _ in range(4))
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
         self.base, self.rest, self.grip = robot.layout.base, np.zeros(p), np.zeros((nv, p + 2))
+        self.hold = np.zeros(nv)
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot at a position (nv,) with velocity nu (p,) and no work done."""
@@ -51,12 +55,15 @@ class IdealPlant:
         """Evaluate M and h at the present state; `step` starts from there."""
         self.dynamics.refresh(self.position, self.nu)
 
-    def step(self, tau: Array) -> None:
-        """Advance by dt under a held torque, (p,); `refresh` must have been called at this state."""
+    def step(self, tau: Array, pushed: Array = NO_PUSH) -> None:
+        """Advance by dt under a held torque, (p,); `refresh` must have been called at this state.
+
+        `pushed` is the part of it that does not come from the motors, which makes no difference here.
+        """
         d = self.dynamics
         if self.method != integrators.RK4:
             integrators.euler(
-                self.method, self.dt, d.T, d.v, d.M, d.h, d.F, d.damping, d.dry, d.viscous, tau, self.base,
+                self.method, self.dt, d.T, d.v, d.M, d.h, d.F, d.damping, d.dry, self.hold, d.viscous, tau, self.base,
                 d.L, self.rest, self.grip, self.y, self.ydot,
             )  # fmt: skip
             return
@@ -66,6 +73,15 @@ class IdealPlant:
             self._evaluate(tau)
             integrators.rk4_stage(stage, self.dt, self.y, self.ydot, self.total, self.trial)
         self.y[:] = self.trial
+
+    def carry(self, robot: Robot) -> None:
+        """Go on with a robot that carries more."""
+        self.robot, self.dynamics = robot, Dynamics(robot)
+        self.refresh()
+
+    def motor_speeds(self, speeds: Array) -> None:
+        """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
+        np.dot(self.to_motors, self.nu, out=speeds)
 
     def observe(self, row: Array) -> None:
         """Nothing: the row has all that this plant knows."""

@@ -139,7 +139,7 @@ def release(T: Array, v: Array, dry: Array, h: Array, F: Array) -> None:
 
 
 @compiled
-def stick(dt: float, T: Array, v: Array, dry: Array, L: Array, grip: Array, new: Array, F: Array) -> None:
+def stick(dt: float, T: Array, v: Array, dry: Array, hold: Array, L: Array, grip: Array, new: Array, F: Array) -> None:
     """Impulses of dry friction: each within `+-level dt`, bringing its joint to rest or as near to it as they can.
 
     Args:
@@ -147,6 +147,7 @@ def stick(dt: float, T: Array, v: Array, dry: Array, L: Array, grip: Array, new:
         T: (nv, p) map to all velocities.
         v: (nv,) velocities at the start of the step, where the levels are taken.
         dry: (nv, 3) dry friction of the joints.
+        hold: (nv,) further dry friction, of joints that are blocked.
         L: (p, p) Cholesky factor of the mass matrix.
         grip: (nv, p + 2) scratch: response of nu to an impulse, of the joint itself, the impulse.
         new: (p,) velocity without dry friction; with it at the end.
@@ -155,7 +156,7 @@ def stick(dt: float, T: Array, v: Array, dry: Array, L: Array, grip: Array, new:
     nv, p = T.shape
     for i in range(nv):
         grip[i, p + 1] = 0.0
-        if dry[i, 0] != 0.0:
+        if dry[i, 0] != 0.0 or hold[i] != 0.0:
             answer, grip[i, p] = grip[i, :p], 0.0
             for j in range(p):
                 answer[j] = T[i, j]
@@ -165,12 +166,12 @@ def stick(dt: float, T: Array, v: Array, dry: Array, L: Array, grip: Array, new:
     for _ in range(SWEEPS):
         change = 0.0
         for i in range(nv):
-            if dry[i, 0] == 0.0 or grip[i, p] <= 0.0:
+            if (dry[i, 0] == 0.0 and hold[i] == 0.0) or grip[i, p] <= 0.0:
                 continue
             speed = 0.0
             for j in range(p):
                 speed += T[i, j] * new[j]
-            most = dry_level(v[i], dry[i]) * dt
+            most = (dry_level(v[i], dry[i]) + hold[i]) * dt
             step = min(max(grip[i, p + 1] - speed / grip[i, p], -most), most) - grip[i, p + 1]
             grip[i, p + 1] += step
             change = max(change, abs(step) / most)
@@ -194,6 +195,7 @@ def euler(
     F: Array,
     damping: Array,
     dry: Array,
+    hold: Array,
     viscous: Array,
     tau: Array,
     base: int,
@@ -220,7 +222,7 @@ def euler(
     for i in range(p):
         rest[i] = y[nv + i] + dt * ydot[nv + i]
     if not smooth:
-        stick(dt, T, v, dry, L, grip, rest, F)
+        stick(dt, T, v, dry, hold, L, grip, rest, F)
     work = 0.0
     for i in range(p):
         work += 0.5 * (y[nv + i] + rest[i]) * (tau[i] - F[i])

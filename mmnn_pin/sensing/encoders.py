@@ -50,8 +50,9 @@ def measure(
         encoders: (nw + n,) places in the position that are measured: wheels, then arm joints.
         W: (nb, nw) base velocity from the rates of the wheels; (nb, 0) if no wheel is measured.
         numbers: Settings, see above.
-        noise: (nw + n + nb + n + pose + 2,) standard normal numbers for encoders, velocities and pose, and two uniform
-            ones for jitter and loss.
+        noise: (nw + n + nb + n + pose + 4,) standard normal numbers for encoders, velocities and pose, two uniform ones
+            for jitter and loss, then how many measurements later still the message is (negative: lost), and what is
+            added to all its numbers.
         memory: See above; all zero before the first measurement.
     """
     first, count = memory[COUNT] == 0.0, int(memory[COUNT])
@@ -63,10 +64,18 @@ def measure(
     depth = int(numbers[DEPTH])
     slot = lines + (count % depth) * size
     compose(memory[slot : slot + size], at, position, nu, encoders.size, W, numbers, noise, memory, first)
-    last = noise.size - 1
-    arrived = count - int(numbers[DELAY]) - int(noise[last - 1] * (numbers[JITTER] + 1.0))
+    jitter, chance, late, added = (
+        noise[noise.size - 4],
+        noise[noise.size - 3],
+        noise[noise.size - 2],
+        noise[noise.size - 1],
+    )
+    if added != 0.0:  # or not a number
+        for i in range(size):
+            memory[slot + i] += added
+    arrived = count - int(numbers[DELAY]) - int(jitter * (numbers[JITTER] + 1.0)) - int(late)
     memory[COUNT] = count + 1.0
-    if first or (noise[last] >= numbers[LOSS] and arrived > memory[RECEIVED]):
+    if first or (chance >= numbers[LOSS] and late >= 0.0 and arrived > memory[RECEIVED]):
         memory[RECEIVED] = max(arrived, 0)
         slot = lines + (max(arrived, 0) % depth) * size
         for i in range(size):
@@ -153,5 +162,5 @@ def drive(W: Array, memory: Array, state: int) -> None:
 
 
 def noise_columns(encoders: int, velocities: int, pose: int) -> int:
-    """Random numbers that one measurement takes: normal ones, then two uniform ones."""
-    return encoders + velocities + pose + 2
+    """Numbers that one measurement takes besides the truth: normal ones, two uniform ones, two of disturbances."""
+    return encoders + velocities + pose + 4

@@ -19,6 +19,7 @@ class Sensor(Settings, frozen=True):
     """Encoders, derivative, odometry, noise and the line to the controller; exact by default.
 
     Args:
+        side: Where the encoders are: on the "joint", or on the "motor", which backlash separates from it.
         resolution: Step of the arm's encoders, one number or one per joint [rad or m].
         wheel_resolution: Step of the wheels' encoders [rad].
         offset: Zero error of the arm's encoders, one number or one per joint [rad or m].
@@ -39,6 +40,7 @@ class Sensor(Settings, frozen=True):
         ConfigError: A number is out of its range, with the key path.
     """
 
+    side: Literal["joint", "motor"] = "joint"
     resolution: float | tuple[float, ...] = 0.0
     wheel_resolution: float = 0.0
     offset: float | tuple[float, ...] = 0.0
@@ -151,7 +153,11 @@ class Sensing:
         return np.zeros(STATES + 4 * self.encoders.size + self.pose + (depth + 1) * self.message)
 
     def noise(self, count: int, rng: np.random.Generator) -> Array:
-        """Random numbers for `count` measurements, (count, columns); those of fewer are the first of them."""
+        """Random numbers for `count` measurements, (count, columns); those of fewer are the first of them.
+
+        The last two columns are zero: no message later than its line makes it, none corrupted.
+        """
         columns = noise_columns(self.encoders.size, self.velocities, self.pose)
         normal, uniform = rng.spawn(2)
-        return np.hstack((normal.standard_normal((count, columns - 2)), uniform.random((count, 2))))
+        normals, uniforms = normal.standard_normal((count, columns - 4)), uniform.random((count, 2))
+        return np.hstack((normals, uniforms, np.zeros((count, 2))))

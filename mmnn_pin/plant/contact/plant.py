@@ -16,11 +16,12 @@ from ...signals import Array
 from .feet import feet_of
 from .floor import Contact
 from .free_base import BaseMotion, FreeBase, tilt
-from .friction import Friction
+from .friction import Friction, on_base
 from .slip import Slip, sliding_rows
 from .tree import NO_FRICTION, compile_tree, engine
 
 FALLEN = 0.5  # inclination at which the base counts as fallen over [rad]
+NO_PUSH = np.zeros(0)
 LOST = 1e5  # speed of anything at which the engine's state counts as lost [rad/s or m/s]
 
 
@@ -38,6 +39,7 @@ class ContactPlant:
             the energy. Not finite once the base has fallen over.
         position: View of the position in y.
         nu: View of nu in y.
+        hold: (nv,) friction of joints that are blocked [N m or N].
         residual: (1,) `|A velocity|` (2.6), or (0,) without wheels [m/s].
         speed: (wheels,) speed of every wheel's contact point over the floor [m/s].
         traction: (wheels,) largest `|ft| / (mu N)` since the last `observe`, 0 in the air.
@@ -50,7 +52,7 @@ class ContactPlant:
     """
 
     def __init__(self, robot: Robot, dt: float, method: str = "rk4", contact: Contact | None = None) -> None:
-        self.robot, self.contact, self.mj = robot, contact or Contact(), engine()
+        self.robot, self.contact, self.mj, self.method = robot, contact or Contact(), engine(), method
         self.mj.set_mju_user_warning(lambda text: None)  # it would print, and write a file
         self.steps = math.ceil(dt / self.contact.step - 1e-9)
         self.feet, self.h = feet_of(robot), dt / self.steps
@@ -63,6 +65,7 @@ class ContactPlant:
         self.base = FreeBase(robot) if robot.layout.base else None
         self.motion: BaseMotion | None = None
         self._index()
+        self.hold = np.zeros(nv)
         self.friction = Friction(robot, self.moving, self.at_v, self.model)
         self.residual, self.speed, self.traction = np.zeros(min(1, wheels)), np.zeros(wheels), np.zeros(wheels)
         self.along, self.across = sliding_rows(robot)
@@ -76,6 +79,8 @@ class ContactPlant:
         joints = [model.joint(names[i]) for i in self.moving]
         self.at_q = np.array([joint.qposadr[0] for joint in joints], int)
         self.at_v = np.array([joint.dofadr[0] for joint in joints], int)
+        self.arm_v = np.array([model.joint(name).dofadr[0] for name in robot.joint_names], int)
+        self.motor_v = np.array([model.joint(name).dofadr[0] for name in robot.actuator_names], int)
         self.motor_q = np.array([model.joint(name).qposadr[0] for name in robot.actuator_names], int)
         wheels = range(len(self.feet.wheels))
         self.pairs = [model.pair(f"wheel {i}").id for i in wheels]
@@ -100,13 +105,32 @@ class ContactPlant:
         """Evaluate M and h of our model at the present state."""
         self.dynamics.refresh(self.position, self.nu)
 
-    def step(self, tau: Array) -> None:
-        """Advance by dt under a held generalized torque, (p,)."""
+    def carry(self, robot: Robot) -> None:
+        """Go on with a robot that carries more."""
+        before, self.robot = self.data, robot
+        self.model = compile_tree(robot, self.feet, self.contact, self.h, self.method)
+        self.data, self.dynamics = self.mj.MjData(self.model), Dynamics(robot)
+        for name in ("qpos", "qvel", "qacc_warmstart"):
+            getattr(self.data, name)[:] = getattr(before, name)
+        self.friction = Friction(robot, self.moving, self.at_v, self.model)
+        self._read()
+        self.refresh()
+
+    def motor_speeds(self, speeds: Array) -> None:
+        """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
+        speeds[:] = self.data.qvel[self.motor_v]
+
+    def step(self, tau: Array, pushed: Array = NO_PUSH) -> None:
+        """Advance by dt under a held generalized torque, (p,); `pushed` is the part that motors do not give."""
         data = self.data
-        data.ctrl[:] = self.to_motors @ tau
+        pushes = bool(pushed.any())
+        data.ctrl[:] = self.to_motors @ (tau - pushed if pushes else tau)
         for _ in range(self.steps):
             turned = data.qpos[self.motor_q]
-            self.friction.apply(data, self.motion)
+            data.qfrc_applied[:] = 0.0
+            self.friction.apply(data, self.motion, self.hold[self.moving])
+            if pushes:
+                self._push(pushed)
             if self.contact.patches:
                 self._take_floor()
             self.mj.mj_step(self.model, data)
@@ -115,8 +139,17 @@ class ContactPlant:
             self._take_traction()
             self._read()
             work = data.ctrl @ (data.qpos[self.motor_q] - turned)
+            if pushes:
+                work += self.h * (pushed @ self.nu)
             self.y[-1] += work - self.h * self.friction.power(data, self.motion)
         self._take_slip()
+
+    def _push(self, force: Array) -> None:
+        """Apply a generalized force on nu: at the control frame and on the joints of the arm."""
+        data, nb = self.data, self.robot.layout.base
+        data.qfrc_applied[self.arm_v] += force[nb:]
+        if self.motion is not None:
+            on_base(data, self.motion, float(force[0]), float(force[1]))
 
     def observe(self, row: Array) -> None:
         """Write constraint residual, slip and traction into a row, and start anew with the largest traction."""

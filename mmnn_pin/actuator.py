@@ -1,0 +1,246 @@
+"""What motors and gears make of a commanded torque: limits, current loop, supply, backlash. Perfect by default.
+
+Every motor is a chain, and each part of it is off unless it is asked for:
+
+    command ─▶ torque constant ─▶ torque limit ─▶ supply and PWM ─▶ speed limit ─▶ lag ─▶ backlash ─▶ joint
+
+All numbers are those at the joint, gears included. Friction of the gears belongs to the robot (its URDF, or the
+experiment's `[friction]`) and sticks with the integrator `stick`.
+
+**Supply.** A direct-current motor: the drive asks for the voltage `R u / kt + kt w`, gets it within the supply and in
+whole steps of the PWM, and the torque is `kt (V - kt w) / R`. The supply sags by the battery's resistance times the
+sum of the currents.
+
+**Backlash.** Two masses with a gap between them, a two-sided contact: the rotor (inertia J) turns freely inside the gap
+and presses on the flank with a spring and a damper that never pulls. The rotor moves by implicit Euler, which is stable
+however stiff the flank; the joint feels the flank's torque, held over a step. The rotor's inertia is then here, not in
+the robot's armature.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+
+from .compiled import compiled
+from .errors import ConfigError
+from .model.dynamics import Dynamics
+from .model.robot import Robot
+from .settings import Settings, require_gain
+from .signals import Array
+
+Numbers = float | tuple[float, ...]
+
+# Columns of the motors' table; a limit that is not there is inf.
+GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, PLACE, WIDTH = range(13)
+# Supply: voltage (0 for none), resistance of the battery, steps of the PWM between 0 and the voltage (0 for none).
+VOLTAGE, BATTERY, LEVELS = 0, 1, 2
+# What a motor remembers: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, its
+# current. `drive` also leaves the sum of what it gave to the joint since `clear`.
+TORQUE, AHEAD, ROTOR_SPEED, CURRENT, SUM, STATES = range(6)
+
+
+class Actuator(Settings, frozen=True):
+    """Imperfect motors; every number may be one for all motors or one for each (drive wheels from left to right, arm).
+
+    Args:
+        torque_limit: Largest torque [N m or N]; "urdf" takes the effort limits of the URDF; None for none.
+        speed_limit: Speed at which a motor gives no more torque in the direction of its motion [rad/s or m/s]; "urdf"
+            takes the velocity limits of the URDF; None for none.
+        torque_gain: Real torque over commanded torque: a torque constant that the drive does not know.
+        lag: Time constant of the current loop [s]; 0 for none.
+        voltage: Voltage of the supply [V]; None for a supply without end, and then no PWM and no sag.
+        torque_constant: kt at the joint, torque per current and back-EMF per speed alike [N m/A]; with a voltage.
+        resistance: Of the winding [Ohm]; with a voltage.
+        battery_resistance: Of the supply [Ohm]; its voltage sags by this times the sum of all currents.
+        pwm_levels: Steps of the PWM between 0 and the voltage; 0 for a continuous voltage.
+        gap: Backlash of the gear, from flank to flank [rad or m]; 0 for none.
+        rotor_inertia: Inertia on the motor's side of the gap, seen from the joint [kg m^2 or kg]; needed with a gap.
+        stiffness: Of the flank [N m/rad or N/m].
+        damping: Of the flank [N m s/rad or N s/m].
+        rotor_friction: Coulomb friction on the motor's side [N m or N].
+
+    Raises:
+        ConfigError: A number is out of its range or missing, with the key path.
+    """
+
+    torque_limit: Literal["urdf"] | Numbers | None = None
+    speed_limit: Literal["urdf"] | Numbers | None = None
+    torque_gain: Numbers = 1.0
+    lag: Numbers = 0.0
+    voltage: float | None = None
+    torque_constant: Numbers = 1.0
+    resistance: Numbers = 1.0
+    battery_resistance: float = 0.0
+    pwm_levels: int = 0
+    gap: Numbers = 0.0
+    rotor_inertia: Numbers = 0.0
+    stiffness: Numbers = 500.0
+    damping: Numbers = 0.5
+    rotor_friction: Numbers = 0.0
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if value is not None and value != "urdf":
+                require_gain(value, f"actuator.{name}")
+        for name in ("torque_limit", "speed_limit", "torque_constant", "resistance", "stiffness", "voltage"):
+            value = getattr(self, name)
+            if value is not None and value != "urdf" and not np.all(np.asarray(value) > 0):
+                raise ConfigError(f"{value}", fix="use a number > 0", key=f"actuator.{name}")
+        if self.voltage is None and (self.pwm_levels or self.battery_resistance):
+            name = "pwm_levels" if self.pwm_levels else "battery_resistance"
+            raise ConfigError("a supply without a voltage", fix="give actuator.voltage, too", key=f"actuator.{name}")
+        if np.any(np.asarray(self.gap) > 0) and not np.all(np.asarray(self.rotor_inertia) > 0):
+            what, why = "a gap without a rotor", "inside the gap the rotor moves alone"
+            raise ConfigError(what, why=why, fix="give actuator.rotor_inertia > 0", key="actuator.rotor_inertia")
+
+    @property
+    def perfect(self) -> bool:
+        """Whether every motor gives what is asked for, at once."""
+        return self == Actuator()
+
+    def motors(self, robot: Robot, dt: float) -> Array:
+        """Table of a robot's motors, (motors, WIDTH).
+
+        Args:
+            robot: The robot.
+            dt: Step of the plant [s].
+
+        Raises:
+            ConfigError: Not one number per motor; a rotor heavier than what its gear drives.
+        """
+        table = np.zeros((robot.layout.motors, WIDTH))
+        places = [robot.position_names.index(name) for name in robot.actuator_names if name in robot.position_names]
+        if len(places) < len(table) and np.any(np.asarray(self.gap) > 0):
+            raise ConfigError("a base that forces drive has no gears", fix="leave the gap out", key="actuator.gap")
+        columns = {GAIN: "torque_gain", KT: "torque_constant", RESISTANCE: "resistance", GAP: "gap"}
+        columns |= {ROTOR: "rotor_inertia", STIFFNESS: "stiffness", DAMPING: "damping", FRICTION: "rotor_friction"}
+        for column, name in columns.items():
+            table[:, column] = each(f"actuator.{name}", getattr(self, name), len(table))
+        lags = each("actuator.lag", self.lag, len(table))
+        table[:, LAG] = [1.0 if lag == 0 else -math.expm1(-dt / lag) for lag in lags]
+        table[:, LIMIT] = limits("actuator.torque_limit", self.torque_limit, robot.effort_limits)
+        table[:, SPEED] = limits("actuator.speed_limit", self.speed_limit, speed_limits(robot))
+        table[:, PLACE] = places if len(places) == len(table) else -1
+        self._require_light(robot, table)
+        return table
+
+    def supply(self) -> Array:
+        """Voltage, the battery's resistance, steps of the PWM, (3,)."""
+        return np.array([self.voltage or 0.0, self.battery_resistance, self.pwm_levels], float)
+
+    def _require_light(self, robot: Robot, table: Array) -> None:
+        """A held flank torque moves the joint stably while the rotor is lighter than what it drives."""
+        if not table[:, GAP].any():
+            return
+        M = robot.E.T @ np.linalg.inv(Dynamics(robot).mass_matrix(robot.neutral_position())) @ robot.E
+        for i, name in enumerate(robot.actuator_names):
+            if table[i, GAP] > 0 and table[i, ROTOR] * M[i, i] > 1.0:
+                raise ConfigError(
+                    f"a rotor of {table[i, ROTOR]:.3g} at '{name}'",
+                    why=f"behind its gear there is {1 / M[i, i]:.3g}, and the flank's torque is held over a step",
+                    fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
+                    key="actuator.rotor_inertia",
+                )
+
+
+def each(key: str, value: Numbers, motors: int) -> Array:
+    """One number per motor.
+
+    Raises:
+        ConfigError: Neither one number nor one per motor.
+    """
+    given = np.asarray(value, float)
+    if given.shape not in ((), (motors,)):
+        raise ConfigError(f"{given.size} numbers for {motors} motors", fix="give one, or one per motor", key=key)
+    return np.broadcast_to(given, (motors,))
+
+
+def limits(key: str, value: Literal["urdf"] | Numbers | None, urdf: Array) -> Array:
+    """Limits of all motors: those of the URDF, given ones, or inf for None."""
+    return urdf if isinstance(value, str) else each(key, math.inf if value is None else value, urdf.size)
+
+
+def speed_limits(robot: Robot) -> Array:
+    """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
+    names, limits = robot.full_velocity_names, robot.model.velocityLimit
+    found = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
+    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in found], float)
+
+
+@compiled
+def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, supply: Array, states: Array) -> None:
+    """One step of the plant: what the motors give to their joints under a command, into `states`.
+
+    Args:
+        dt: Step [s].
+        command: (motors,) commanded torque [N m or N].
+        speed: (motors,) speed of the joints [rad/s or m/s].
+        dead: (motors,) 1 for a motor without current.
+        motors: (motors, WIDTH) table of settings.
+        supply: (3,) voltage, resistance of the battery, steps of the PWM.
+        states: (motors, STATES + 1), moved on; the last column becomes the torque on the joint.
+    """
+    voltage, count = supply[VOLTAGE], command.size
+    for i in range(count):
+        voltage -= supply[BATTERY] * abs(states[i, CURRENT])
+    for i in range(count):
+        m = motors[i]
+        w = states[i, ROTOR_SPEED] if m[GAP] > 0.0 else speed[i]
+        u = min(max(m[GAIN] * command[i], -m[LIMIT]), m[LIMIT])
+        if supply[VOLTAGE] > 0.0:
+            u = supplied(u, w, max(voltage, 0.0), supply, m)
+        if abs(w) >= m[SPEED] and u * w > 0.0:
+            u = 0.0
+        if dead[i] > 0.0:
+            u = 0.0
+        states[i, TORQUE] += m[LAG] * (u - states[i, TORQUE])
+        states[i, CURRENT] = states[i, TORQUE] / m[KT]
+        u = states[i, TORQUE]
+        if m[GAP] > 0.0:
+            u = through_gap(dt, u, speed[i], m, states[i])
+        states[i, STATES] = u
+        states[i, SUM] += u
+
+
+@compiled
+def supplied(u: float, w: float, voltage: float, supply: Array, m: Array) -> float:
+    """Torque that the supply lets a motor give at speed w."""
+    wanted = m[RESISTANCE] * u / m[KT] + m[KT] * w
+    if supply[LEVELS] > 0.0:
+        step = supply[VOLTAGE] / supply[LEVELS]
+        wanted = step * math.floor(wanted / step + 0.5)
+    given = min(max(wanted, -voltage), voltage)
+    return m[KT] * (given - m[KT] * w) / m[RESISTANCE]
+
+
+@compiled
+def through_gap(dt: float, u: float, joint: float, m: Array, state: Array) -> float:
+    """Torque of the flanks on the joint; rotor speed and its lead over the joint move on by implicit Euler."""
+    free = slowed(state[ROTOR_SPEED] + dt * u / m[ROTOR], dt * m[FRICTION] / m[ROTOR])
+    ahead = state[AHEAD] + dt * (free - joint)
+    half, torque = 0.5 * m[GAP], 0.0
+    if abs(ahead) > half:
+        flank = half if ahead > 0.0 else -half
+        grip = dt * m[STIFFNESS] + m[DAMPING]  # torque = k (ahead - flank) + c (w - joint) at the end of the step
+        push = m[STIFFNESS] * (state[AHEAD] - flank) - grip * joint
+        most = 1.0 + dt * grip / m[ROTOR]
+        free_pushed = (state[ROTOR_SPEED] + dt * (u - push) / m[ROTOR]) / most
+        pushed = slowed(free_pushed, dt * m[FRICTION] / (m[ROTOR] * most))
+        torque = push + grip * pushed
+        if torque * flank > 0.0:
+            free = pushed
+        else:
+            torque = 0.0
+    state[ROTOR_SPEED] = free
+    state[AHEAD] += dt * (free - joint)
+    return torque
+
+
+@compiled
+def slowed(speed: float, most: float) -> float:
+    """Speed after a friction that takes at most so much of it and holds at rest."""
+    return speed - min(max(speed, -most), most)
