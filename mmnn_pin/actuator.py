@@ -34,7 +34,7 @@ from .signals import Array
 Numbers = float | tuple[float, ...]
 
 # Columns of the motors' table; a limit that is not there is inf.
-GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, PLACE, WIDTH = range(13)
+GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, BRAKE, PLACE, WIDTH = range(14)
 # Supply: voltage (0 for none), resistance of the battery, steps of the PWM between 0 and the voltage (0 for none).
 VOLTAGE, BATTERY, LEVELS = 0, 1, 2
 # What a motor remembers: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, its
@@ -61,6 +61,8 @@ class Actuator(Settings, frozen=True):
         stiffness: Of the flank [N m/rad or N/m].
         damping: Of the flank [N m s/rad or N s/m].
         rotor_friction: Coulomb friction on the motor's side [N m or N].
+        brake: Torque per speed of a motor whose windings are shorted, which a supervisor does when it has to stop
+            without measurements [N m s/rad or N s/m].
 
     Raises:
         ConfigError: A number is out of its range or missing, with the key path.
@@ -80,6 +82,7 @@ class Actuator(Settings, frozen=True):
     stiffness: Numbers = 500.0
     damping: Numbers = 0.5
     rotor_friction: Numbers = 0.0
+    brake: Numbers = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
@@ -117,7 +120,13 @@ class Actuator(Settings, frozen=True):
         if len(places) < len(table) and np.any(np.asarray(self.gap) > 0):
             raise ConfigError("a base that forces drive has no gears", fix="leave the gap out", key="actuator.gap")
         columns = {GAIN: "torque_gain", KT: "torque_constant", RESISTANCE: "resistance", GAP: "gap"}
-        columns |= {ROTOR: "rotor_inertia", STIFFNESS: "stiffness", DAMPING: "damping", FRICTION: "rotor_friction"}
+        columns |= {
+            ROTOR: "rotor_inertia",
+            STIFFNESS: "stiffness",
+            DAMPING: "damping",
+            FRICTION: "rotor_friction",
+            BRAKE: "brake",
+        }
         for column, name in columns.items():
             table[:, column] = each(f"actuator.{name}", getattr(self, name), len(table))
         lags = each("actuator.lag", self.lag, len(table))
@@ -172,7 +181,16 @@ def speed_limits(robot: Robot) -> Array:
 
 
 @compiled
-def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, supply: Array, states: Array) -> None:
+def drive(
+    dt: float,
+    command: Array,
+    speed: Array,
+    dead: Array,
+    shorted: int,
+    motors: Array,
+    supply: Array,
+    states: Array,
+) -> None:
     """One step of the plant: what the motors give to their joints under a command, into `states`.
 
     Args:
@@ -180,6 +198,7 @@ def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, s
         command: (motors,) commanded torque [N m or N].
         speed: (motors,) speed of the joints [rad/s or m/s].
         dead: (motors,) 1 for a motor without current.
+        shorted: How many motors, from the first on, have their windings shorted.
         motors: (motors, WIDTH) table of settings.
         supply: (3,) voltage, resistance of the battery, steps of the PWM.
         states: (motors, STATES + 1), moved on; the last column becomes the torque on the joint.
@@ -200,6 +219,8 @@ def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, s
         states[i, TORQUE] += m[LAG] * (u - states[i, TORQUE])
         states[i, CURRENT] = states[i, TORQUE] / m[KT]
         u = states[i, TORQUE]
+        if i < shorted:
+            u -= m[BRAKE] * w
         if m[GAP] > 0.0:
             u = through_gap(dt, u, speed[i], m, states[i])
         states[i, STATES] = u

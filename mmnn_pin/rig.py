@@ -24,7 +24,8 @@ from .torque.controller import CompiledController, Memory
 if TYPE_CHECKING:
     from .loop import Loop
 
-APPLIED, DISTURBANCE, TORQUE, PSI_HAT = (INDEX[name] for name in ("applied", "disturbance", "torque", "psi_hat"))
+APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
+TORQUE, PSI_HAT = INDEX["torque"], INDEX["psi_hat"]
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
 
 
@@ -134,7 +135,8 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
     limits = np.zeros(0)
     if loop.safety is not None:
         gains, K = stopping_gains(loop), loop.kinematic.arm_gains(layout)
-        limits = loop.safety.numbers(robot, timing.control_period, gains, K)
+        short = bool(layout.base) and bool(np.all(motors[: layout.motors - layout.arm, motor.BRAKE] > 0.0))
+        limits = loop.safety.numbers(robot, timing.control_period, gains, K, short)
     p, m, nv = layout.dof, layout.motors, layout.full
     guard = safety.new_memory(layout)
     parts = (sensing.init(), np.zeros((m, motor.STATES + 1)), guard, np.zeros(len(frozen)), np.zeros(p))
@@ -255,7 +257,7 @@ def sense(
         is_new = rig.sensor[RECEIVED] != before
         measured = rig.sensor[RECEIVED] * rig.sensors[PERIOD]
     if rig.supervised:
-        safety.accept(row, at, measured, is_new, rig.guard)
+        safety.accept(row, at, measured, time, is_new, rig.guard)
 
 
 @compiled
@@ -346,7 +348,7 @@ def act(k: int, time: float, dt: float, row: Array, at: IntArray, rig: Rig) -> N
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], rig.tau)
     if rig.driven:
         disturbance.mark(time, rig.dead, rig.is_dead, 1.0)
-        motor.drive(dt, rig.command, rig.speed, rig.is_dead, rig.motors, rig.supply, rig.states)
+        motor.drive(dt, rig.command, rig.speed, rig.is_dead, shorted(row, at, rig), rig.motors, rig.supply, rig.states)
         for i in range(rig.tau.size):
             rig.tau[i] = 0.0
             for j in range(rig.command.size):
@@ -357,6 +359,17 @@ def act(k: int, time: float, dt: float, row: Array, at: IntArray, rig: Rig) -> N
         for i in range(rig.tau.size):
             rig.tau[i] += rig.force[i]
             rig.total[i] += rig.force[i]
+
+
+@compiled
+def shorted(row: Array, at: IntArray, rig: Rig) -> int:
+    """How many motors, from the first on, have their windings shorted by the supervisor."""
+    if not rig.supervised or row[at[SAFETY]] < safety.STOPPING:
+        return 0
+    n = rig.encoders.size - rig.W.shape[1]
+    if row[at[SAFETY]] == safety.RAMPING:
+        return int(rig.command.size)
+    return int(rig.command.size - n) if rig.limits[safety.SHORT] > 0.0 else 0
 
 
 @compiled

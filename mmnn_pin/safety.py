@@ -3,7 +3,9 @@
 At every measurement it refuses what is not finite and keeps what it had. At every control sample it refuses a command
 that is not finite, bounds the weights, clips the motor torques, and trips when a limit is passed. After a trip the
 controller is no longer asked: the base is braked and the arm is held where it was by the experiment's own feedback,
-with an integral against gravity; without fresh measurements the torque ramps to zero instead.
+with an integral against gravity. Without fresh measurements, or if feedback does not bring the robot to rest in time,
+the torque ramps to zero and the windings of the motors are shorted (`actuator.brake`). Where the drive motors have
+such a brake the base is braked by it at once, for which nothing has to be measured.
 """
 
 from __future__ import annotations
@@ -27,12 +29,16 @@ PSI_HAT, TORQUE = INDEX["psi_hat"], INDEX["torque"]
 # What the signal `safety` says of a sample: nothing done, a torque clipped or a value held, stopping under feedback,
 # ramping to zero torque without measurements.
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
+FRESH = 5.5  # control periods without a new measurement after which a stop does without
 # Settings: numbers, then per motor the torque limit, per velocity the speed limit and the feedback gain, per joint the
 # error limit and the gain K.
-TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H, NUMBERS = range(10)
+TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H, SETTLE, REST, SHORT, NUMBERS = range(
+    13
+)
 # Memory: numbers, then the last good measurement, the last torque (p), per motor the time above its limit, per joint
 # where it is held and the integral of its error.
-HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, REFUSED, ACTED, MEMORY = range(13)
+HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, REFUSED, ACTED = range(12)
+ARRIVED, BLIND, GIVEN_UP, MEMORY = range(12, 16)
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS = range(9)
@@ -64,6 +70,8 @@ class Safety(Settings, frozen=True):
         timeout: Age of the measurement or of the command at which it trips [s]; that of ros2_controllers by default.
         ramp: Time in which the torque goes to zero when there is no measurement [s].
         stop_time: How long a tripped run goes on, to show the stop [s].
+        settle: Time in which feedback has to bring the robot to rest; after it the stop does without [s].
+        rest: Measured speed that counts as rest then [m/s, rad/s].
         hold_rate: Rate of the integral that holds the arm against gravity [1/s].
 
     Raises:
@@ -81,7 +89,9 @@ class Safety(Settings, frozen=True):
     weights: float | None = None
     timeout: float = 0.5
     ramp: float = 0.25
-    stop_time: float = 1.0
+    stop_time: float = 1.5
+    settle: float = 0.5
+    rest: float = 0.1
     hold_rate: float = 2.0
 
     def __post_init__(self) -> None:
@@ -90,10 +100,12 @@ class Safety(Settings, frozen=True):
             if value is None or isinstance(value, str):
                 continue
             require_gain(value, f"safety.{name}")
-            if name not in ("torque_time", "stop_time", "hold_rate", "ramp") and not np.all(np.asarray(value) > 0):
+            if name not in ("torque_time", "stop_time", "settle", "hold_rate", "ramp") and not np.all(
+                np.asarray(value) > 0
+            ):
                 raise ConfigError(f"{value}", fix="use a number > 0", key=f"safety.{name}")
 
-    def numbers(self, robot: Robot, period: float, gains: Array, K: Array) -> Array:
+    def numbers(self, robot: Robot, period: float, gains: Array, K: Array, short: bool = False) -> Array:
         """Settings as numbers for one robot.
 
         Args:
@@ -101,6 +113,7 @@ class Safety(Settings, frozen=True):
             period: Control period [s].
             gains: (p,) feedback that brakes and holds, on the velocities.
             K: (n,) gain of the filtered arm error.
+            short: Whether shorted windings brake the base.
 
         Raises:
             ConfigError: Not one number per motor or per joint.
@@ -108,6 +121,7 @@ class Safety(Settings, frozen=True):
         layout = robot.layout
         own = [self.timeout, self.ramp, self.stop_time, self.torque_time]
         own += [some(self.position_error), some(self.heading_error), some(self.weights), self.hold_rate, period]
+        own += [self.settle, self.rest, float(short)]
         base = [some(self.speed)] * (layout.base - 1) + [some(self.yaw_rate)] if layout.base else []
         joint_speed = limits("safety.joint_speed", self.joint_speed, speed_limits(robot)[layout.motors - layout.arm :])
         torque = limits("safety.torque", self.torque, robot.effort_limits)
@@ -146,13 +160,14 @@ def trip_of(memory: Array, robot: Robot) -> tuple[float, str, str]:
 
 
 @compiled
-def accept(row: Array, at: IntArray, time: float, is_new: bool, memory: Array) -> None:
+def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, memory: Array) -> None:
     """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
 
     Args:
         row: (width,) row of signals with pose, velocity, q, qdot as received.
         at: Offsets of the signals.
         time: When it was measured [s].
+        now: When it came [s].
         is_new: Whether it is another one than last time.
         memory: The supervisor's memory.
     """
@@ -161,7 +176,7 @@ def accept(row: Array, at: IntArray, time: float, is_new: bool, memory: Array) -
         fine = fine and math.isfinite(row[first + i])
     if fine and is_new:
         copy_to(row[first : first + size], memory[MEMORY : MEMORY + size])
-        memory[HEARD], memory[GOOD] = time, memory[GOOD] + 1.0
+        memory[HEARD], memory[ARRIVED], memory[GOOD] = time, now, memory[GOOD] + 1.0
     elif not fine:
         memory[BAD] += is_new
         copy_to(memory[MEMORY : MEMORY + size], row[first : first + size])
@@ -218,7 +233,8 @@ def supervise(
     n, tau = at[JOINT_ERROR + 1] - at[JOINT_ERROR], row[at[TORQUE] : at[TORQUE + 1]]
     last = memory[MEMORY + at[QDOT + 1] - at[POSE] :]
     step_in = bound_weights(time, numbers, memory, places, weights)
-    check_motion(row, at, time, numbers, memory, motors)
+    if memory[GOOD] > 0.0:
+        check_motion(row, at, time, numbers, memory, motors)
     fine = arrived
     for i in range(p):
         fine = fine and math.isfinite(tau[i])
@@ -287,28 +303,41 @@ def check_motion(row: Array, at: IntArray, time: float, numbers: Array, memory: 
 
 @compiled
 def stop(row: Array, at: IntArray, time: float, numbers: Array, memory: Array, n: int, motors: int) -> None:
-    """Brake the base and hold the arm; without fresh measurements let the torque go to zero."""
+    """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
     p = at[TORQUE + 1] - at[TORQUE]
     tau, last = row[at[TORQUE] : at[TORQUE + 1]], memory[MEMORY + at[QDOT + 1] - at[POSE] :]
     gains = numbers[NUMBERS + motors + p :]
     K, hold = gains[p + n :], last[p + motors :]
     if memory[ACTED] == 0.0:
-        memory[ACTED] = 1.0
+        memory[ACTED], memory[BLIND] = 1.0, -1.0
         for i in range(n):
             hold[i], hold[n + i] = row[at[Q] + i], 0.0
-    if memory[GOOD] == 0.0 or time - memory[HEARD] > numbers[TIMEOUT]:
-        row[at[STATE]] = RAMPING
-        left = numbers[RAMP] - (time - max(memory[TIME], memory[HEARD] + numbers[TIMEOUT]))
+    if time - memory[TIME] > numbers[SETTLE] and moves(row, at, p, n, numbers[REST]):
+        memory[GIVEN_UP] = 1.0
+    if memory[GIVEN_UP] > 0.0 or memory[GOOD] == 0.0 or time - memory[ARRIVED] > FRESH * numbers[H]:
+        if memory[BLIND] < 0.0:
+            memory[BLIND] = time
+        row[at[STATE]], left = RAMPING, numbers[RAMP] - (time - memory[BLIND])
         for i in range(p):  # these factors multiply to a straight line
             tau[i] = last[i] * left / (left + numbers[H]) if left > 0.0 else 0.0
         return
+    memory[BLIND] = -1.0
     row[at[STATE]] = STOPPING
     for i in range(p - n):
-        tau[i] = -gains[i] * row[at[VELOCITY] + i]
+        tau[i] = 0.0 if numbers[SHORT] > 0.0 else -gains[i] * row[at[VELOCITY] + i]
     for i in range(n):
         e = hold[i] - row[at[Q] + i]
         hold[n + i] += numbers[H] * numbers[HOLD_RATE] * e
         tau[p - n + i] = gains[p - n + i] * (K[i] * (e + hold[n + i]) - row[at[QDOT] + i])
+
+
+@compiled
+def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
+    """Whether a measured velocity is not at rest."""
+    fastest = 0.0
+    for i in range(p):
+        fastest = max(fastest, abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)]))
+    return fastest > rest
 
 
 @compiled

@@ -166,7 +166,7 @@ def parse_value(text: str) -> Any:
         return text
 
 
-def config_error(error: msgspec.ValidationError, path: Path) -> ConfigError:
+def config_error(error: msgspec.ValidationError, path: Path | None) -> ConfigError:
     """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`"."""
     message, _, where = str(error).partition(" - at ")
     key = where.strip("`").removeprefix("$").removeprefix(".") or None
