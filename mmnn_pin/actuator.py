@@ -27,11 +27,10 @@ import numpy as np
 from .compiled import compiled
 from .errors import ConfigError
 from .model.dynamics import Dynamics
+from .model.limits import Numbers, each, limits, speed_limits
 from .model.robot import Robot
 from .settings import Settings, require_gain
 from .signals import Array
-
-Numbers = float | tuple[float, ...]
 
 # Columns of the motors' table; a limit that is not there is inf.
 GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, BRAKE, PLACE, WIDTH = range(14)
@@ -154,30 +153,6 @@ class Actuator(Settings, frozen=True):
                     fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
                     key="actuator.rotor_inertia",
                 )
-
-
-def each(key: str, value: Numbers, motors: int) -> Array:
-    """One number per motor.
-
-    Raises:
-        ConfigError: Neither one number nor one per motor.
-    """
-    given = np.asarray(value, float)
-    if given.shape not in ((), (motors,)):
-        raise ConfigError(f"{given.size} numbers for {motors} motors", fix="give one, or one per motor", key=key)
-    return np.broadcast_to(given, (motors,))
-
-
-def limits(key: str, value: Literal["urdf"] | Numbers | None, urdf: Array) -> Array:
-    """Limits of all motors: those of the URDF, given ones, or inf for None."""
-    return urdf if isinstance(value, str) else each(key, math.inf if value is None else value, urdf.size)
-
-
-def speed_limits(robot: Robot) -> Array:
-    """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
-    names, limits = robot.full_velocity_names, robot.model.velocityLimit
-    found = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
-    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in found], float)
 
 
 @compiled

@@ -15,6 +15,7 @@ import numpy as np
 from .errors import ConfigError, InputError
 from .loop import Loop
 from .metrics import Reducer, Windows
+from .one_thread import one_thread
 from .recorder import Recorder
 from .recording import Outcome, Recording
 from .signals import Array
@@ -37,6 +38,7 @@ class Run:
     recording: Recording | None = None
 
 
+@one_thread
 def simulate_many(
     loops: Sequence[Loop],
     *,

@@ -15,9 +15,9 @@ from typing import Literal
 
 import numpy as np
 
-from .actuator import Numbers, each, limits, speed_limits
 from .compiled import compiled, copy_to
 from .errors import ConfigError
+from .model.limits import Numbers, each, limits, speed_limits
 from .model.robot import Robot
 from .settings import Settings, require_gain
 from .signals import INDEX, Array, IntArray, Layout
