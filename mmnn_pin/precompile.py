@@ -44,7 +44,7 @@ def precompile() -> None:
 
 
 def call_control_blocks() -> None:
-    """Call what stands before the plant: reference, measurement, velocity command, torque, guard."""
+    """Call what stands before the plant: reference, measurement, velocity command, torque, guard; and what sums up."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p = layout.new_row(), layout.offsets, layout.dof
     controller, wiring = Neural(), Wiring(layout, 0.001, 1)
@@ -54,10 +54,17 @@ def call_control_blocks() -> None:
     before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
     law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values)
     after_torque(row, at, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
+    robot = load("platform_arm")
+    row, y, nu = robot.layout.new_row(), robot.neutral_position(), np.zeros(robot.layout.dof)
+    sensing = Sensor(delay=1).on(robot, 0.001)
+    noise = sensing.noise(1, np.random.default_rng(0))[0]
+    measure(row, robot.layout.offsets, y, nu, sensing.encoders, sensing.W, sensing.numbers, noise, sensing.init())
+    sums, windows = np.zeros(1), np.zeros((1, 2))
+    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 
 
 def call_plant_blocks() -> None:
-    """Call the dynamics, the integrators and what sums up the rows."""
+    """Call the dynamics and the integrators."""
     robot = load("platform_arm")
     layout, body = robot.layout, body_of(robot)
     work, nv, p = new_work(body), layout.full, layout.dof
@@ -67,17 +74,12 @@ def call_plant_blocks() -> None:
     psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
     potential_energy(body.tree, y[:nv], work.scratch)
     quadratic(work.M, nu)
-    sensing = Sensor(delay=1).on(robot, 0.001)
-    noise = sensing.noise(1, np.random.default_rng(0))[0]
-    measure(row, layout.offsets, y[:nv], nu, sensing.encoders, sensing.W, sensing.numbers, noise, sensing.init())
     derivative(y, work.v, work.M, work.h, work.F, nu, body.base, work.L, work.rest, work.ydot)
     euler(
         0, 0.001, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry, body.viscous, nu, body.base,
         work.L, work.rest, work.grip, y, work.ydot,
     )  # fmt: skip
     rk4_stage(0, 0.001, y, work.ydot, work.total, work.trial)
-    sums, windows = np.zeros(1), np.zeros((1, 2))
-    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 
 
 if __name__ == "__main__":
