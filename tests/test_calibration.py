@@ -113,9 +113,9 @@ def test_jacobian_of_a_linear_robot(monkeypatch):
     slope[0, 4] = 3.0
     monkeypatch.setattr(flatness, "run", lambda case, numbers, places: (places @ slope) * widths)
     numbers = (Number("a", 0, 1, ""), Number("b", 0, 1, ""))
-    found = flatness.left_by_jacobian(None, numbers, np.array([0.5, 0.5]))
-    np.testing.assert_allclose(found["left"], [1 / np.sqrt(10), 1.0])
-    assert found["singular_values"][0] == pytest.approx(3.0)
+    left, singular_values = flatness.left_by_jacobian(None, numbers, np.array([0.5, 0.5]))
+    np.testing.assert_allclose(left, [1 / np.sqrt(10), 1.0])
+    assert singular_values[0] == pytest.approx(3.0)
 
 
 def test_walk_fills_what_meets_enough_and_nothing_else(monkeypatch):
