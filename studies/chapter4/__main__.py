@@ -25,7 +25,7 @@ from mmnn_pin.show.figure import save
 from .calibration import Budget as Searches
 from .calibration import Trials, calibrate
 from .claim import Row, accuracy, claim, conditions
-from .document import publish, render
+from .document import publish, render, same_fit
 from .draws import PERIODS, RANGES, REFERENCES
 from .flatness import Effort, flatness
 from .judging import PARTS
@@ -62,7 +62,7 @@ class Amount:
     checked: int = 8
 
 
-QUICK = Amount(Searches(1, 12, 2), Effort(2, 4, 2, 12, 2), Tuning(2, 2, 7), draws=8, explained=4, chunk=4, checked=1)
+QUICK = Amount(Searches(1, 12, 2), Effort(2, 4, 2, 12, 1), Tuning(2, 2, 7), draws=8, explained=4, chunk=4, checked=1)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -96,6 +96,8 @@ def study(amount: Amount, out: Path) -> dict[str, Any]:
     summary["calibration"], tried = calibrate(amount.searches, say)
     write_trials(out / "trials.csv", tried)
     found = summary["calibration"][FITTED.name]
+    if not same_fit(summary["variants"]["figures"], found):
+        say(f"chapter4.figures.toml holds another fit; now it is {found['values']}")
     summary["flatness"] = flatness(FITTED, tried[FITTED.name], found["values"], amount.effort, say)
     rows = claimed(amount, summary, say)
     write_rows(out / "draws.csv", rows)

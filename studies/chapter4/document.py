@@ -35,7 +35,7 @@ def render(summary: dict[str, Any]) -> str:
     environment.filters |= {"exp": lambda value: three(math.exp(value)), "tiny": lambda value: f"{value:.0e}"}
     environment.filters |= {"wins": wins, "parts": parts, "changed": changed, "own": own, "listed": listed}
     environment.tests["search"] = lambda text, pattern: re.search(pattern, text) is not None
-    environment.globals["same_peaks"] = same_peaks
+    environment.globals |= {"same_peaks": same_peaks, "same_fit": same_fit}
     text = environment.get_template("chapter4.md.j2").render(**summary)
     return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
 
@@ -101,6 +101,12 @@ def own(entry: dict[str, Any], like: float = 1.1) -> str:
     if 1 / like < low and high < like:
         return "does as well as"
     return "is better than" if high < 1 else "is worse than" if low > 1 else "cannot be told from"
+
+
+def same_fit(variant: dict[str, Any], case: dict[str, Any]) -> bool:
+    """Whether a variant has the extremes of a case's best, to a thousandth of their intervals."""
+    pairs = zip(variant["intervals"], case["intervals"], strict=True)
+    return all(abs(a["value"] - b["value"]) < 1e-3 * (b["upper"] - b["lower"]) for a, b in pairs)
 
 
 def same_peaks(variant: dict[str, Any], by: float = 0.1) -> bool:
