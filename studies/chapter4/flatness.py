@@ -79,7 +79,7 @@ def flatness(
         "numbers": rows,
         "singular_values": singular_values.tolist(),
         "slopes": len(elsewhere),
-        "walk": {"places": len(walked), "accepted": accepted, "chains": effort.chains},
+        "walk": {"places": len(walked), "accepted": accepted, "chains": effort.chains, "unsure": unsure(walked)},
         "sample_times": sample_times(case, values, effort, say),
     }
 
@@ -162,6 +162,14 @@ def walk(case: Case, numbers: Sequence[Number], places: Array, enough: int, effo
         if step >= effort.steps // 2:
             kept.append(places[short == 0].copy())
     return np.vstack(kept), accepted / (effort.steps * len(places))
+
+
+def unsure(walked: Array) -> float:
+    """How far the ends of the middle 90 % differ between the first and the second half of a walk, at most; 0 to 1."""
+    if len(walked) < 2:
+        return 1.0
+    first, second = (np.quantile(half, (0.05, 0.95), axis=0) for half in np.array_split(walked, 2))
+    return float(np.abs(first - second).max())
 
 
 def run(case: Case, numbers: Sequence[Number], places: Array) -> Array:
