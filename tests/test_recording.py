@@ -354,6 +354,7 @@ def test_wherever_the_disk_fills_the_rows_before_are_kept(moment, tmp_path, monk
                 recorder.append_block(rows_of(BUFFER_ROWS))
             elif moment == "weights":
                 recorder.weights(0.0, {"W": np.zeros(3)})
+                recorder.append_block(rows_of(BUFFER_ROWS))  # they go to the file together
             else:
                 recorder.finish(DONE, {"nu": np.zeros(4)})
     rec = Recording.open(tmp_path / "run.h5")
