@@ -1,8 +1,8 @@
-"""The one decorator that compiles the arithmetic of the blocks with numba.
+"""The decorators that compile the arithmetic of the blocks with numba.
 
-`@compiled` is `numba.njit` without the interpreter lock and with a file cache. numba's cache looks only at the
-file of the function itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all
-sources of the package. `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
+`@compiled` (`@inlined`, `@spliced` for small functions) is `numba.njit` without the interpreter lock and with a file
+cache. numba's cache looks only at the file of the function itself, so an edited callee would run stale; here the cache
+folder is keyed by a hash of all sources of the package. `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 """
 
 from __future__ import annotations

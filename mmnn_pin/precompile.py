@@ -1,7 +1,8 @@
 """Compiles the blocks in two processes before a first run.
 
 numba holds a lock while it compiles, so threads do not help; two processes meet in the cache on disk. Each block is
-called once on a small robot: what is compiled depends on the types of its arguments only.
+called once on a small robot: what is compiled depends on the types of its arguments only. Imperfect sensors and all
+else that stands behind a rig is left out: it is compiled by the first run that has it.
 """
 
 from __future__ import annotations
@@ -43,22 +44,26 @@ def precompile() -> None:
 
 
 def call_control_blocks() -> None:
-    """Call what stands before the plant: reference, measurement, velocity command, torque, guard; and what sums up."""
+    """Call reference, exact measurement, velocity command, torque and the integrators."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
-    row, at, p = layout.new_row(), layout.offsets, layout.dof
+    row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
     controller, wiring = Neural(), Wiring(layout, 0.001, 1)
     numbers, memory = controller.law(wiring), controller.init(wiring)
     reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
-    y, arm = np.zeros(layout.full + p + 1), np.array([3])
+    y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
     before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
     law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values)
-    after_torque(row, at, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
-    sums, windows = np.zeros(1), np.zeros((1, 2))
-    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
+    T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
+    ydot, grip = y.copy(), np.zeros((nv, p + 2))
+    derivative(y, v, M, nu, nu, nu, 2, L, nu.copy(), ydot)
+    euler(
+        0, 0.001, T, v, M, nu, nu, v.copy(), np.zeros((nv, 3)), np.zeros(nv), nu, nu, 2, L, nu.copy(), grip, y, ydot,
+    )  # fmt: skip
+    rk4_stage(0, 0.001, y, ydot, y.copy(), y.copy())
 
 
 def call_plant_blocks() -> None:
-    """Call the dynamics and the integrators."""
+    """Call the dynamics, the guard and what sums up the rows."""
     robot = load("platform_arm")
     layout, body = robot.layout, body_of(robot)
     work, nv, p = new_work(body), layout.full, layout.dof
@@ -68,12 +73,9 @@ def call_plant_blocks() -> None:
     psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
     potential_energy(body.tree, y[:nv], work.scratch)
     quadratic(work.M, nu)
-    derivative(y, work.v, work.M, work.h, work.F, nu, body.base, work.L, work.rest, work.ydot)
-    euler(
-        0, 0.001, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry, work.hold, body.viscous, nu,
-        body.base, work.L, work.rest, work.grip, y, work.ydot,
-    )  # fmt: skip
-    rk4_stage(0, 0.001, y, work.ydot, work.total, work.trial)
+    after_torque(row, layout.offsets, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
+    sums, windows = np.zeros(1), np.zeros((1, 2))
+    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 
 
 if __name__ == "__main__":

@@ -73,6 +73,7 @@ class Recorder:
         self._filled, self._written = 0, time.perf_counter()
         self._rows, self._step_times = self._buffers()
         self._weight_shapes: dict[str, tuple[int, ...]] = {}
+        self._snapshots: list[Arrays] = []
 
     def append(self, row: Array, step_time: float = 0.0) -> None:
         """Add one row, shape (width,), which is copied; `step_time` is the wall-clock time it took [s].
@@ -108,6 +109,8 @@ class Recorder:
     def weights(self, time: float, arrays: Mapping[str, ArrayLike]) -> None:
         """Keep a snapshot of the networks' weights at a time [s]: the same names and shapes every time.
 
+        Snapshots go to the file when the next rows do, one by one they would cost more than the run.
+
         Raises:
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
@@ -116,7 +119,8 @@ class Recorder:
         if self._weight_shapes not in ({}, shapes):
             raise ValueError(f"the weights had the shapes {self._weight_shapes}, now {shapes}")
         self._weight_shapes = shapes
-        self._store.weights(snapshot)
+        self._snapshots.append(snapshot)
+        self._write_when_due()
 
     def finish(self, outcome: Outcome, final_state: Mapping[str, ArrayLike] | None = None) -> Recording:
         """Write what is left, the outcome and the final state, and close the file.
@@ -150,6 +154,9 @@ class Recorder:
     def _write(self) -> None:
         if not self._store.is_open:
             raise ValueError("this run is finished")
+        if self._snapshots:
+            self._store.weights({name: np.stack([s[name] for s in self._snapshots]) for name in self._weight_shapes})
+            self._snapshots = []
         if self._filled:
             self._store.write(self._rows[: self._filled], self._step_times[: self._filled])
             if isinstance(self._store, _Memory):  # it keeps these
@@ -170,7 +177,7 @@ class _Memory:
         self.kept = np.concatenate([np.arange(layout.width)[layout.where(name)] for name in columns])
         self.ends = np.cumsum([len(about.labels) for about in columns.values()])
         self.blocks, self.step_times = [np.empty((0, self.kept.size))], [np.empty(0)]
-        self.snapshots: dict[str, list[NDArray[Any]]] = {}
+        self.snapshots: dict[str, list[NDArray[Any]]] = {}  # several at a time
         self.is_open = True
 
     def write(self, rows: Array, step_times: Array) -> None:
@@ -178,14 +185,14 @@ class _Memory:
         self.blocks.append(rows if whole else rows[:, self.kept])
         self.step_times.append(step_times)
 
-    def weights(self, snapshot: Arrays) -> None:
-        for name, array in snapshot.items():
+    def weights(self, snapshots: Arrays) -> None:
+        for name, array in snapshots.items():
             self.snapshots.setdefault(name, []).append(array)
 
     def finish(self, outcome: Outcome, final: Arrays) -> Recording:
         self.close()
         parts: dict[str, Arrays] = {"timing/step_time": {"step_time": np.concatenate(self.step_times)}, "final": final}
-        parts["weights"] = {name: np.stack(arrays) for name, arrays in self.snapshots.items()}
+        parts["weights"] = {name: np.concatenate(arrays) for name, arrays in self.snapshots.items()}
         return Recording(
             columns=self.columns,
             rows=sum(map(len, self.blocks)),

@@ -93,22 +93,22 @@ class RunFile:
             raise self._failed(error) from error
         self.rows += len(rows)
 
-    def weights(self, snapshot: Mapping[str, NDArray[Any]]) -> None:
-        """Add one snapshot of the weights.
+    def weights(self, snapshots: Mapping[str, NDArray[Any]]) -> None:
+        """Add snapshots of the weights, (k, ...) each.
 
         Raises:
             RecordingError: As for `write`.
         """
         try:
-            self._reserve(sum(max(array.nbytes, 8192) for array in snapshot.values()))
-            for name, array in snapshot.items():
+            self._reserve(sum(max(array.nbytes, 8192) for array in snapshots.values()))
+            for name, array in snapshots.items():
                 if name not in self._weights:
-                    rows = max(1, 8192 // max(array.nbytes, 1))
-                    self._weights[name] = _table(self._file, f"weights/{name}", array.shape, rows, array.dtype)
+                    rows = max(1, 8192 // max(array[0].nbytes, 1))
+                    self._weights[name] = _table(self._file, f"weights/{name}", array.shape[1:], rows, array.dtype)
                 table = self._weights[name]
                 count = len(table)
-                table.resize(count + 1, axis=0)
-                table[count] = array
+                table.resize(count + len(array), axis=0)
+                table[count:] = array
         except (OSError, RuntimeError) as error:
             raise self._failed(error) from error
 

@@ -32,7 +32,7 @@ for controller in ("two_layer", "computed_torque"):
     mm.simulate_many([replace(experiment.loop(robot, experiment.controller(controller)), engine="compiled")])
 new = sorted(name.rsplit(".", 1)[1] for name, count in versions().items() if count and not before.get(name))
 several = [name for name, count in versions().items() if count > 1]
-print(sorted(set(new) - {"advance", "take"}), several)
+print(sorted(set(new) - {"advance"}), several)
 """
 
 
