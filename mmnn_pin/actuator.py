@@ -8,13 +8,15 @@ All numbers are those at the joint, gears included. Friction of the gears belong
 experiment's `[friction]`) and sticks with the integrator `stick`.
 
 **Supply.** A direct-current motor: the drive asks for the voltage `R u / kt + kt w`, gets it within the supply and in
-whole steps of the PWM, and the torque is `kt (V - kt w) / R`. The supply sags by the battery's resistance times the
-sum of the currents.
+whole steps of the PWM, and the torque is `kt (V - kt w) / R`. Its bridge takes the share `V / supply` of the winding's
+current from the battery, whose voltage sags by its resistance times the sum of what the motors took in the last step.
 
 **Backlash.** Two masses with a gap between them, a two-sided contact: the rotor (inertia J) turns freely inside the gap
-and presses on the flank with a spring and a damper that never pulls. The rotor moves by implicit Euler, which is stable
-however stiff the flank; the joint feels the flank's torque, held over a step. The rotor's inertia is then here, not in
-the robot's armature.
+and presses on the flank with a spring and a damper that never pulls. It starts in the middle, at the joint's speed. The
+rotor moves by implicit Euler, which is stable however stiff the flank; the joint feels the flank's torque, held over a
+step. The rotor's inertia is then here, not in the robot's armature. What a held torque gives the joint too much in a
+step is `dt^2 u' E' M^-1 E u / 2`, what implicit Euler takes from the rotors `dt^2 u' J^-1 u / 2`: rotors lighter than
+what they drive never gain energy, and others are refused.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from .compiled import compiled
 from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
+from .model.sampling import random_state
 from .settings import Settings, require_gain
 from .signals import Array
 
@@ -37,9 +40,10 @@ Numbers = float | tuple[float, ...]
 GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, PLACE, WIDTH = range(13)
 # Supply: voltage (0 for none), resistance of the battery, steps of the PWM between 0 and the voltage (0 for none).
 VOLTAGE, BATTERY, LEVELS = 0, 1, 2
-# What a motor remembers: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, its
-# current. `drive` also leaves the sum of what it gave to the joint since `clear`.
-TORQUE, AHEAD, ROTOR_SPEED, CURRENT, SUM, STATES = range(6)
+# What a motor remembers: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, the
+# current that it draws from the supply, and the sum of what it gave to the joint in this control period.
+TORQUE, AHEAD, ROTOR_SPEED, DRAWN, SUM, STATES = range(6)
+PLACES = 20  # at which a rotor is compared with what it drives
 
 
 class Actuator(Settings, frozen=True):
@@ -54,7 +58,7 @@ class Actuator(Settings, frozen=True):
         voltage: Voltage of the supply [V]; None for a supply without end, and then no PWM and no sag.
         torque_constant: kt at the joint, torque per current and back-EMF per speed alike [N m/A]; with a voltage.
         resistance: Of the winding [Ohm]; with a voltage.
-        battery_resistance: Of the supply [Ohm]; its voltage sags by this times the sum of all currents.
+        battery_resistance: Of the supply [Ohm], less than that of all windings in parallel.
         pwm_levels: Steps of the PWM between 0 and the voltage; 0 for a continuous voltage.
         gap: Backlash of the gear, from flank to flank [rad or m]; 0 for none.
         rotor_inertia: Inertia on the motor's side of the gap, seen from the joint [kg m^2 or kg]; needed with a gap.
@@ -90,9 +94,11 @@ class Actuator(Settings, frozen=True):
             value = getattr(self, name)
             if value is not None and value != "urdf" and not np.all(np.asarray(value) > 0):
                 raise ConfigError(f"{value}", fix="use a number > 0", key=f"actuator.{name}")
-        if self.voltage is None and (self.pwm_levels or self.battery_resistance):
-            name = "pwm_levels" if self.pwm_levels else "battery_resistance"
-            raise ConfigError("a supply without a voltage", fix="give actuator.voltage, too", key=f"actuator.{name}")
+        for name, unset in (("torque_constant", 1), ("resistance", 1), ("battery_resistance", 0), ("pwm_levels", 0)):
+            if self.voltage is None and getattr(self, name) != unset:
+                raise ConfigError(
+                    "a supply without a voltage", fix="give actuator.voltage, too", key=f"actuator.{name}"
+                )
         if np.any(np.asarray(self.gap) > 0) and not np.all(np.asarray(self.rotor_inertia) > 0):
             what, why = "a gap without a rotor", "inside the gap the rotor moves alone"
             raise ConfigError(what, why=why, fix="give actuator.rotor_inertia > 0", key="actuator.rotor_inertia")
@@ -126,6 +132,10 @@ class Actuator(Settings, frozen=True):
         table[:, SPEED] = limits("actuator.speed_limit", self.speed_limit, speed_limits(robot))
         table[:, PLACE] = places if len(places) == len(table) else -1
         self._require_light(robot, table)
+        if self.battery_resistance * np.sum(1.0 / table[:, RESISTANCE]) >= 1.0:
+            parallel = 1.0 / np.sum(1.0 / table[:, RESISTANCE])
+            why, fix = f"all windings in parallel have {parallel:.3g} Ohm: its voltage breaks down", "use less"
+            raise ConfigError(f"{self.battery_resistance:g} Ohm", why=why, fix=fix, key="actuator.battery_resistance")
         return table
 
     def supply(self) -> Array:
@@ -133,15 +143,21 @@ class Actuator(Settings, frozen=True):
         return np.array([self.voltage or 0.0, self.battery_resistance, self.pwm_levels], float)
 
     def _require_light(self, robot: Robot, table: Array) -> None:
-        """A held flank torque moves the joint stably while the rotor is lighter than what it drives."""
-        if not table[:, GAP].any():
+        """No rotor is heavier than what its gear drives, together with the others, anywhere; see the top."""
+        geared = table[:, GAP] > 0
+        if not geared.any():
             return
-        M = robot.E.T @ np.linalg.inv(Dynamics(robot).mass_matrix(robot.neutral_position())) @ robot.E
-        for i, name in enumerate(robot.actuator_names):
-            if table[i, GAP] > 0 and table[i, ROTOR] * M[i, i] > 1.0:
+        dynamics, rng = Dynamics(robot), np.random.default_rng(0)
+        E = robot.E[:, geared] * np.sqrt(table[geared, ROTOR])
+        for i in range(PLACES):
+            position = robot.neutral_position() if i == 0 else random_state(robot, rng)[0]
+            shares, directions = np.linalg.eigh(E.T @ np.linalg.solve(dynamics.mass_matrix(position), E))
+            if shares[-1] > 1.0:
+                worst = int(np.flatnonzero(geared)[np.argmax(np.abs(directions[:, -1]))])
+                rotor = table[worst, ROTOR]
                 raise ConfigError(
-                    f"a rotor of {table[i, ROTOR]:.3g} at '{name}'",
-                    why=f"behind its gear there is {1 / M[i, i]:.3g}, and the flank's torque is held over a step",
+                    f"a rotor of {rotor:.3g} at '{robot.actuator_names[worst]}'",
+                    why=f"behind its gear there is {rotor / shares[-1]:.3g}, and the flank's torque is held over a step",
                     fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
                     key="actuator.rotor_inertia",
                 )
@@ -186,7 +202,7 @@ def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, s
     """
     voltage, count = supply[VOLTAGE], command.size
     for i in range(count):
-        voltage -= supply[BATTERY] * abs(states[i, CURRENT])
+        voltage -= supply[BATTERY] * states[i, DRAWN]
     for i in range(count):
         m = motors[i]
         w = states[i, ROTOR_SPEED] if m[GAP] > 0.0 else speed[i]
@@ -198,7 +214,7 @@ def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, s
         if dead[i] > 0.0:
             u = 0.0
         states[i, TORQUE] += m[LAG] * (u - states[i, TORQUE])
-        states[i, CURRENT] = states[i, TORQUE] / m[KT]
+        states[i, DRAWN] = drawn(states[i, TORQUE], w, voltage, m)
         u = states[i, TORQUE]
         if m[GAP] > 0.0:
             u = through_gap(dt, u, speed[i], m, states[i])
@@ -215,6 +231,15 @@ def supplied(u: float, w: float, voltage: float, supply: Array, m: Array) -> flo
         wanted = step * math.floor(wanted / step + 0.5)
     given = min(max(wanted, -voltage), voltage)
     return m[KT] * (given - m[KT] * w) / m[RESISTANCE]
+
+
+@compiled
+def drawn(torque: float, w: float, voltage: float, m: Array) -> float:
+    """Current that a motor's bridge takes from the supply; negative where it brakes."""
+    current = torque / m[KT]
+    if voltage <= 0.0:
+        return 0.0
+    return min(max((m[RESISTANCE] * current + m[KT] * w) / voltage, -1.0), 1.0) * current
 
 
 @compiled
