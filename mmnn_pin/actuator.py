@@ -157,7 +157,7 @@ class Actuator(Settings, frozen=True):
                 rotor = table[worst, ROTOR]
                 raise ConfigError(
                     f"a rotor of {rotor:.3g} at '{robot.actuator_names[worst]}'",
-                    why=f"behind its gear there is {rotor / shares[-1]:.3g}, and the flank's torque is held over a step",
+                    why=f"its gear drives {rotor / shares[-1]:.3g}, and the flank's torque is held over a step",
                     fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
                     key="actuator.rotor_inertia",
                 )

@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import ConfigError
 from ..settings import Settings
 from ..signals import Array
+from .effects import EARLY
 
 MOST = 1e9  # of a push [N, N m, N s, N m s]
 
@@ -36,7 +37,7 @@ class Window(Settings, frozen=True, kw_only=True):
 
     def times(self, times: Array) -> Any:
         """Which of these times lie in it; half a nanosecond early counts, as times are rounded."""
-        return (times >= self.start - EARLY) & (times < self.end - 5e-10)
+        return (times >= self.start - EARLY) & (times < self.end - EARLY)
 
 
 class Push(Window, frozen=True, kw_only=True, tag="push"):

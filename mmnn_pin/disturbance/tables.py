@@ -35,14 +35,14 @@ def of_type(kind: type, disturbances: Sequence[Disturbance]) -> list[tuple[int, 
     return [(i, one) for i, one in enumerate(disturbances) if isinstance(one, kind)]
 
 
-def place(name: str, names: Sequence[str], key: str) -> int:
+def place(name: str, names: Sequence[str], key: str, kind: str = "joint") -> int:
     """Place of a joint or velocity.
 
     Raises:
         UnknownName: It is none of them.
     """
     if name not in names:
-        raise UnknownName("joint", name, names, key=key)
+        raise UnknownName(kind, name, names, key=key)
     return list(names).index(name)
 
 
@@ -53,7 +53,7 @@ def pushes(disturbances: Sequence[Disturbance], robot: Robot) -> Array:
         UnknownName: A push on a velocity that the robot does not have.
     """
     rows = [
-        [place(one.on, robot.velocity_names, f"disturbances.{i}.on"), SHAPES[one.shape], one.force, one.frequency,
+        [place(one.on, robot.velocity_names, f"disturbances.{i}.on", "velocity"), SHAPES[one.shape], one.force, one.frequency,
          one.start, one.end]
         for i, one in of_type(Push, disturbances)
     ]  # fmt: skip

@@ -172,6 +172,5 @@ def places_of_weights(loop: Loop, memory: Memory | object) -> IntArray:
         what = f"the weights of '{loop.controller.name}' cannot be bounded"
         why, fix = "they are not parts of a `Memory`", "let its init return one, or leave safety.weights out"
         raise ConfigError(what, why=why, fix=fix, key="safety.weights")
-    return np.array([(ends[i], ends[i + 1]) for i in map(names.index, set(found) & set(names))], np.int64).reshape(
-        -1, 2
-    )
+    places = [names.index(name) for name in found if name in names]
+    return np.array([(ends[i], ends[i + 1]) for i in places], np.int64).reshape(-1, 2)

@@ -59,7 +59,5 @@ def remarks(memory: Array, robot: Robot, status: str) -> list[str]:
     told = [trip_of(memory, robot)[2]] if memory[HAS_TRIPPED] and status != "tripped" else []
     for place, kind in ((BAD, "measurement"), (REFUSED, "command")):
         if count := int(memory[place]):
-            told.append(
-                f"refused {count} {kind}{'s' if count > 1 else ''} that {'were' if count > 1 else 'was'} no number"
-            )
+            told.append(f"refused {count} {kind}{'s' if count > 1 else ''} with numbers that are not finite")
     return told

@@ -32,7 +32,7 @@ class Safety(Settings, frozen=True):
         joint_error: Largest error of an arm joint, one number or one per joint [rad or m].
         weights: Largest Frobenius norm of every array of weights; larger ones are scaled back at every sample.
         timeout: Age of the measurement or of the command at which it trips [s]; that of ros2_controllers by default.
-        ramp: Time in which a torque goes to zero: all of it without measurements, the last command without commands [s].
+        ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].
         stop_time: How long a tripped run goes on, to show the stop [s].
         hold_rate: Rate of the integral that holds the arm against gravity [1/s].
 
@@ -92,7 +92,7 @@ class Safety(Settings, frozen=True):
             if not gains[i] > self.hold_rate * inertias[i]:
                 raise ConfigError(
                     f"{self.hold_rate:g} 1/s: a stop would swing '{robot.velocity_names[i]}'",
-                    why=f"its feedback over its inertia is {gains[i] / inertias[i]:.3g} 1/s, and the integral is faster",
+                    why=f"feedback over inertia is {gains[i] / inertias[i]:.3g} 1/s, and the integral is faster",
                     fix="use a smaller hold_rate, or more feedback",
                     key="safety.hold_rate",
                 )

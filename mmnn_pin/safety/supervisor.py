@@ -51,7 +51,7 @@ def accept(row: Array, at: IntArray, time: float, is_new: bool, memory: Array) -
 @compiled
 def has_ended(time: float, numbers: Array, memory: Array) -> bool:
     """Whether a tripped run has shown its stop for long enough."""
-    return memory[HAS_TRIPPED] > 0.0 and time - memory[TIME] >= numbers[STOP_TIME] - EARLY
+    return memory[HAS_TRIPPED] > 0.0 and time - memory[TIME] >= numbers[STOP_TIME] - 5e-10
 
 
 @compiled
