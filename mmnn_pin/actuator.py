@@ -127,7 +127,7 @@ class Actuator(Settings, frozen=True):
         for column, name in columns.items():
             table[:, column] = each(f"actuator.{name}", getattr(self, name), len(table))
         lags = each("actuator.lag", self.lag, len(table))
-        table[:, LAG] = [1.0 if lag == 0 else -math.expm1(-dt / lag) for lag in lags]
+        table[:, LAG] = [0.0 if lag == 0 else math.exp(-dt / lag) for lag in lags]
         table[:, LIMIT] = limits("actuator.torque_limit", self.torque_limit, robot.effort_limits)
         table[:, SPEED] = limits("actuator.speed_limit", self.speed_limit, speed_limits(robot))
         table[:, PLACE] = places if len(places) == len(table) else -1
@@ -213,7 +213,7 @@ def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, s
             u = 0.0
         if dead[i] > 0.0:
             u = 0.0
-        states[i, TORQUE] += m[LAG] * (u - states[i, TORQUE])
+        states[i, TORQUE] = u + m[LAG] * (states[i, TORQUE] - u)
         states[i, DRAWN] = drawn(states[i, TORQUE], w, voltage, m)
         u = states[i, TORQUE]
         if m[GAP] > 0.0:

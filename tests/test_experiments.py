@@ -88,7 +88,7 @@ def test_overrides_change_what_is_run() -> None:
     ("setting", "key"),
     [
         ("time.duration='long'", "time.duration"),
-        ("two_layer.F=[1, 'x']", "two_layer.F[1]"),
+        ("two_layer.F=[1, 'x']", "two_layer.F.1"),
         ("feedback.base=-1", "feedback.base"),
         ("robust.ZB=[1, nan]", "robust.ZB"),
         ("time.plant_step=0.0003", "time.plant_step"),

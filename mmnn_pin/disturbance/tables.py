@@ -52,11 +52,10 @@ def pushes(disturbances: Sequence[Disturbance], robot: Robot) -> Array:
     Raises:
         UnknownName: A push on a velocity that the robot does not have.
     """
-    rows = [
-        [place(one.on, robot.velocity_names, f"disturbances.{i}.on", "velocity"), SHAPES[one.shape], one.force, one.frequency,
-         one.start, one.end]
-        for i, one in of_type(Push, disturbances)
-    ]  # fmt: skip
+    rows = []
+    for i, one in of_type(Push, disturbances):
+        on = place(one.on, robot.velocity_names, f"disturbances.{i}.on", "velocity")
+        rows.append((on, SHAPES[one.shape], one.force, one.frequency, one.start, one.end))
     return np.array(rows, float).reshape(-1, PUSH)
 
 
