@@ -155,11 +155,15 @@ def require_read_encoders(loop: Loop) -> None:
 
 
 def stopping_gains(loop: Loop) -> Array:
-    """Gains on nu by which a supervisor brakes, (p,): the controller's feedback, or 20 1/s times the inertias."""
+    """Gains on nu by which a supervisor brakes, (p,): the controller's feedback, or 20 1/s times the inertias.
+
+    In the latter case `G M^-1` has no eigenvalue beyond half of what would be deadbeat in one control period.
+    """
     if isinstance(loop.controller, CompiledController):
         return loop.controller.feedback_gain(loop.robot.layout)
     M = Dynamics(loop.nominal or loop.robot).mass_matrix(loop.robot.neutral_position())
-    return min(STOP_BANDWIDTH, 0.5 / loop.timing.control_period) / np.diag(np.linalg.inv(M))
+    fastest = float(np.linalg.eigvals(np.linalg.solve(M, np.diag(np.diag(M)))).real.max())
+    return min(STOP_BANDWIDTH, 0.5 / (loop.timing.control_period * fastest)) * np.diag(M)
 
 
 def places_of_weights(loop: Loop, memory: Memory | object) -> IntArray:

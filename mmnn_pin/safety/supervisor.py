@@ -20,6 +20,7 @@ TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H,
 # Memory: numbers, then the last good measurement, the last torque (p), per motor the time above its limit, per joint
 # where it is held and the integral of its error, the last command of a controller that fell silent (p).
 HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED, MEMORY = range(14)
+EARLY = 5e-10  # half a nanosecond, as times are rounded [s]
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS = range(9)
@@ -51,7 +52,7 @@ def accept(row: Array, at: IntArray, time: float, is_new: bool, memory: Array) -
 @compiled
 def has_ended(time: float, numbers: Array, memory: Array) -> bool:
     """Whether a tripped run has shown its stop for long enough."""
-    return memory[HAS_TRIPPED] > 0.0 and time - memory[TIME] >= numbers[STOP_TIME] - 5e-10
+    return memory[HAS_TRIPPED] > 0.0 and time - memory[TIME] >= numbers[STOP_TIME] - EARLY
 
 
 @compiled
@@ -104,6 +105,8 @@ def supervise(
     fine = arrived
     for i in range(p):
         fine = fine and math.isfinite(tau[i])
+    for i in range(at[PSI_HAT], at[TORQUE]):  # what else came with a broken command is no number either
+        row[i] = row[i] if math.isfinite(row[i]) else 0.0
     if memory[HAS_TRIPPED] == 0.0:
         if fine:
             memory[COMMANDED] = time
@@ -111,13 +114,11 @@ def supervise(
             memory[REFUSED] += arrived
             step_in = True
             copy_to(last[:p], tau)
-            for i in range(at[PSI_HAT], at[TORQUE]):  # what else it made of a broken command is no number either
-                row[i] = row[i] if math.isfinite(row[i]) else 0.0
         if memory[GOOD] == 0.0:
             tau[:] = 0.0
-        if time - memory[HEARD] > numbers[TIMEOUT]:
+        if time - memory[HEARD] > numbers[TIMEOUT] + EARLY:
             trip(time, DEAF, 0, time - memory[HEARD], numbers[TIMEOUT], memory)
-        elif time - memory[COMMANDED] > numbers[TIMEOUT]:
+        elif time - memory[COMMANDED] > numbers[TIMEOUT] + EARLY:
             trip(time, LOST, 0, time - memory[COMMANDED], numbers[TIMEOUT], memory)
     row[at[STATE]] = STEPPED_IN if step_in else RUNNING
     if memory[HAS_TRIPPED] > 0.0:
@@ -177,7 +178,7 @@ def stop(row: Array, at: IntArray, time: float, numbers: Array, memory: Array, n
     gains = numbers[NUMBERS + motors + p :]
     K, hold = gains[p + n :], last[p + motors :]
     stale = hold[2 * n :]
-    if memory[GOOD] == 0.0 or time - memory[HEARD] > numbers[TIMEOUT]:
+    if memory[GOOD] == 0.0 or time - memory[HEARD] > numbers[TIMEOUT] + EARLY:
         row[at[STATE]], memory[ACTED] = RAMPING, 0.0
         left = numbers[RAMP] - (time - max(memory[TIME], memory[HEARD] + numbers[TIMEOUT]))
         for i in range(p):  # these factors multiply to a straight line
@@ -211,7 +212,7 @@ def clip(time: float, tau: Array, E: Array, E_inv: Array, numbers: Array, memory
         over = abs(u) > limit
         clipped = clipped or over
         above[j] = above[j] + numbers[H] if over else 0.0
-        if above[j] > numbers[TORQUE_TIME]:
+        if above[j] > numbers[TORQUE_TIME] + EARLY:
             trip(time, OVER_TORQUE, j, abs(u), limit, memory)
     if clipped:
         within(tau, E, E_inv, numbers)
