@@ -420,7 +420,7 @@ def test_a_trip_leaves_its_last_samples_and_its_config_in_the_recording(tmp_path
     before = run.time < run.outcome.time + 1e-9
     assert before.sum() >= 100 and run.time[-1] == pytest.approx(run.outcome.time + 0.02)
     assert all(np.isfinite(run[name]).all() for name in run.names)
-    assert run.meta["safety"]["speed"] == 1.2 and "disturbances" in str(run.meta["config"])
+    assert run.meta["safety"]["speed"] == 1.2 and "disturbances" in run.config_text
 
 
 def test_a_run_that_ends_while_it_stops_has_tripped():

@@ -6,7 +6,17 @@ nu: they are the `f` of `M nudot + C nu + gravity + friction = tau + f`, and the
 
 from .effects import BRAKE, EARLY, mark, push
 from .settings import Block, Commands, DeadMotor, Disturbance, Frozen, Messages, Payload, Push
-from .tables import commands, corruption, gusts, lateness, payload, pushes, require_in_time, windows
+from .tables import (
+    commands,
+    corruption,
+    gusts,
+    lateness,
+    payload,
+    pushes,
+    require_in_time,
+    require_long_enough,
+    windows,
+)
 
 __all__ = [
     "BRAKE",
@@ -28,5 +38,6 @@ __all__ = [
     "push",
     "pushes",
     "require_in_time",
+    "require_long_enough",
     "windows",
 ]

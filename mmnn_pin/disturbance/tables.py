@@ -15,18 +15,27 @@ from .effects import PUSH, SHAPES
 from .settings import Commands, Disturbance, Messages, Payload, Push, Window
 
 
-def require_in_time(disturbances: Sequence[Disturbance], timing: Timing) -> None:
-    """Refuse what would never happen.
+def require_in_time(disturbances: Sequence[Disturbance], duration: float) -> None:
+    """Refuse what would never happen in a run of this duration [s].
 
     Raises:
-        ConfigError: One that begins when the run is over, or is over before the plant has made a step.
+        ConfigError: A disturbance that begins when the run is over.
     """
     for i, one in enumerate(disturbances):
-        if one.start >= timing.duration:
-            what, why = f"{one.start:g} s", f"the run ends at {timing.duration:g} s"
+        if one.start >= duration:
+            what, why = f"{one.start:g} s", f"the run ends at {duration:g} s"
             raise ConfigError(what, why=why, fix="begin earlier, or run longer", key=f"disturbances.{i}.start")
-        if isinstance(one, Window) and one.end - one.start < timing.plant_step * (1 - 1e-9):
-            what, why = f"{one.end - one.start:g} s long", f"the plant's step is {timing.plant_step:g} s"
+
+
+def require_long_enough(disturbances: Sequence[Disturbance], step: float) -> None:
+    """Refuse what could fall between two steps of the plant [s].
+
+    Raises:
+        ConfigError: A disturbance that is over before the plant has made a step.
+    """
+    for i, one in enumerate(disturbances):
+        if isinstance(one, Window) and one.end - one.start < step * (1 - 1e-9):
+            what, why = f"{one.end - one.start:g} s long", f"the plant's step is {step:g} s"
             raise ConfigError(what, why=why, fix="end later", key=f"disturbances.{i}.end")
 
 

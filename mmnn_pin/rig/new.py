@@ -36,7 +36,7 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
         UnknownName: A joint that does not exist.
     """
     robot, layout, timing, events = loop.robot, loop.robot.layout, loop.timing, loop.disturbances
-    disturbance.require_in_time(events, timing)
+    disturbance.require_long_enough(events, timing.plant_step)
     late, added = disturbance.lateness(events, timing), disturbance.corruption(events, timing)
     frozen = disturbance.windows(disturbance.Frozen, events, measured_joints(robot))
     motors = loop.actuator.motors(robot, timing.plant_step)
