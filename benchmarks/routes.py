@@ -1,7 +1,7 @@
 """A worker for our own routes: `routes.py SECONDS FOLDER [TIAGO.urdf]`.
 
-A request is `loop`, `compiled`, `whole_loop`, `whole_compiled`, `tiago_compiled`, `chain N` (arm joints),
-`batch KIND RUNS THREADS` (KIND `same` or `masses`), `parts ENGINE` (microseconds of each part of a step), or
+A request is `loop`, `compiled`, `tiago_compiled`, or one of these after `alone_`, `file_` or `whole_`; `chain N` (arm
+joints), `batch KIND RUNS THREADS` (KIND `same` or `masses`), `parts ENGINE` (microseconds of each part of a step), or
 `work FILE` (what the peers need).
 """
 
@@ -26,16 +26,35 @@ SECONDS, FOLDER = float(sys.argv[1]), Path(sys.argv[2])
 GIVEN = Path(sys.argv[3]) if len(sys.argv) > 3 else None
 
 
-def steps(loop: Loop) -> Prepare:
-    """The steps of a loop recorded in memory; reference, flattened tree and the check of the gains beforehand."""
+class Nothing:
+    """A sink that takes nothing."""
+
+    def append_block(self, rows: Any, step_times: Any) -> None:
+        """Rows."""
+
+    def weights(self, time: float, arrays: Any) -> None:
+        """Weights."""
+
+
+def steps(loop: Loop, sink: str = "memory") -> Prepare:
+    """The steps of a loop; reference, flattened tree and the check of the gains beforehand.
+
+    Args:
+        loop: The loop.
+        sink: "memory" or "file" for a recording, "alone" for none.
+    """
+    file = FOLDER / f"{loop.robot.name}_{loop.engine}.h5" if sink == "file" else None
 
     def prepare() -> Timed:
         engine = loop.engine_at()
 
         def run() -> dict[str, Any]:
-            with Recorder(loop.robot.layout, loop.facts()) as recorder:
-                outcome = loop.stream(engine, recorder)
-                recorder.finish(outcome, loop.final(engine))
+            if sink == "alone":
+                outcome = loop.stream(engine, Nothing())
+            else:
+                with Recorder(loop.robot.layout, loop.facts(), file, force=True) as recorder:
+                    outcome = loop.stream(engine, recorder)
+                    recorder.finish(outcome, loop.final(engine))
             assert outcome.status == "completed", outcome.message
             return {"steps": loop.timing.samples, "robot": loop.robot.name, "joints": loop.robot.layout.arm}
 
@@ -99,6 +118,19 @@ def peer_file(file: str) -> Prepare:
     return lambda: run
 
 
+def tiago() -> Loop:
+    """TIAGo without hand, or where it is not installed a mobile base with a 7-joint arm."""
+    file = find_tiago(GIVEN)
+    return replace(arm_loop(load(file) if file else chain(7, FOLDER), SECONDS), engine="compiled")
+
+
+LOOPS: dict[str, Callable[[], Loop]] = {
+    "loop": lambda: thesis_loop(SECONDS, engine="ordinary"),
+    "compiled": lambda: thesis_loop(SECONDS, engine="compiled"),
+    "tiago_compiled": tiago,
+}
+
+
 def route(name: str) -> Prepare:
     """A route by name.
 
@@ -106,16 +138,11 @@ def route(name: str) -> Prepare:
         ValueError: There is none of that name.
     """
     kind, *rest = name.split()
-    if kind in ("loop", "whole_loop"):
-        loop = thesis_loop(SECONDS, engine="ordinary")
-        return whole(loop) if kind == "whole_loop" else steps(loop)
-    if kind in ("compiled", "whole_compiled"):
-        loop = thesis_loop(SECONDS, engine="compiled")
-        return whole(loop) if kind == "whole_compiled" else steps(loop)
-    if kind == "tiago_compiled":
-        file = find_tiago(GIVEN)
-        robot = load(file) if file else chain(7, FOLDER)
-        return steps(replace(arm_loop(robot, SECONDS), engine="compiled"))
+    first, _, others = kind.partition("_")
+    sink, engine = (first, others) if first in ("alone", "file", "whole") else ("", kind)
+    if engine in LOOPS:
+        loop = LOOPS[engine]()
+        return whole(loop) if sink == "whole" else steps(loop, sink or "memory")
     if kind == "chain":
         return steps(replace(arm_loop(chain(int(rest[0]), FOLDER), min(SECONDS, 1.0)), engine="compiled"))
     if kind == "batch":

@@ -27,6 +27,12 @@ Sample = dict[str, Any]
 Ask = Callable[[], Sample]
 SECTIONS = ("steps", "growth", "rollouts", "peers", "startup", "parts")
 CONTRACT = ("loop", "compiled", "plain_python", "tiago_compiled")
+SINKS = {
+    "memory": ("loop", "compiled", "tiago_compiled"),
+    "alone": ("loop", "compiled", "tiago_compiled"),
+    "file": ("loop", "compiled"),
+    "whole": ("loop", "compiled"),
+}
 PACKAGES = ("mmnn_pin", "pin", "numpy", "numba", "scipy", "llvmlite")
 
 
@@ -87,7 +93,7 @@ def step_routes(options: argparse.Namespace, ours: Worker, plain: Worker) -> dic
     """One run of each engine."""
     if "steps" not in options.only:
         return {}
-    names = ("loop", "compiled", "whole_loop", "whole_compiled", "tiago_compiled")
+    names = [*SINKS["memory"], *(f"{sink}_{name}" for sink in ("alone", "file", "whole") for name in SINKS[sink])]
     return {name: asking(ours, name) for name in names} | {"plain_python": asking(plain, "loop")}
 
 
@@ -140,20 +146,29 @@ def per_step(samples: Sequence[Sample], clock: str = "wall") -> float:
 
 def summary(samples: Mapping[str, list[Sample]]) -> dict[str, Any]:
     """Medians, ratios and the exponent."""
-    steps = {name: samples[name] for name in samples if name in (*CONTRACT, "whole_loop", "whole_compiled")}
+    others = [f"{sink}_{name}" for sink, names in SINKS.items() for name in names]
+    steps = {name: samples[name] for name in samples if name in (*CONTRACT, *others)}
     wall = {name: per_step(found) for name, found in steps.items()}
     chains = {int(name.split()[1]): per_step(found) for name, found in samples.items() if name.startswith("chain")}
     batches = {name: found for name, found in samples.items() if name.startswith(("same", "masses"))}
     tiago = samples["tiago_compiled"][0] if "tiago_compiled" in samples else {}
     return {
         "us_per_step": {name: wall.get(name) for name in CONTRACT},
-        "us_per_step_whole_run": {name: wall.get(f"whole_{name}") for name in ("loop", "compiled")},
+        **{
+            f"us_per_step_{key}": {name: wall.get(f"{sink}_{name}") for name in SINKS[sink]}
+            for sink, key in (("alone", "alone"), ("file", "file"), ("whole", "whole_run"))
+        },
+        "best_us_per_step": {name: min(1e6 * s["wall"] / s["steps"] for s in found) for name, found in steps.items()},
         "cpu_us_per_step": {name: per_step(found, "cpu") for name, found in steps.items()},
         "ratios": ratios(wall),
         "robots": {"loop": "platform_arm", "tiago_compiled": {key: tiago.get(key) for key in ("robot", "joints")}},
         "growth": {"joints_to_us": chains, "exponent": exponent(chains)},
         "rollouts_per_s": {
             name.replace(" ", "_"): median(sample["rollouts"] / sample["wall"] for sample in found)
+            for name, found in batches.items()
+        },
+        "best_rollouts_per_s": {
+            name.replace(" ", "_"): max(sample["rollouts"] / sample["wall"] for sample in found)
             for name, found in batches.items()
         },
         "peers": {name: peer(name, samples[f"peer {name}"], wall) for name in PEERS if f"peer {name}" in samples},
@@ -201,7 +216,7 @@ def thousand(options: argparse.Namespace, folder: Path) -> dict[str, float]:
     runs = 2 if options.quick else 1000
     with Worker("routes.py", *ours_arguments(options.seconds, folder)) as worker:
         sample = worker.ask(f"batch masses {runs} {os.cpu_count() or 1}")
-    return {"runs": runs, "seconds": sample["wall"], "peak_mb": sample["peak_mb"]}
+    return {"runs": runs, "seconds": sample["wall"], "cpu_seconds": sample["cpu"], "peak_mb": sample["peak_mb"]}
 
 
 def start_up(options: argparse.Namespace) -> dict[str, dict[str, float]]:

@@ -29,15 +29,14 @@ import numpy as np
 from .compiled import compiled
 from .errors import ConfigError
 from .model.dynamics import Dynamics
+from .model.limits import Numbers, each, limits, speed_limits
 from .model.robot import Robot
 from .model.sampling import random_state
 from .settings import Settings, require_gain
 from .signals import Array
 
-Numbers = float | tuple[float, ...]
-
 # Columns of the motors' table; a limit that is not there is inf.
-GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, PLACE, WIDTH = range(13)
+GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, BRAKE, PLACE, WIDTH = range(14)
 # Supply: voltage (0 for none), resistance of the battery, steps of the PWM between 0 and the voltage (0 for none).
 VOLTAGE, BATTERY, LEVELS = 0, 1, 2
 # What a motor remembers: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, the
@@ -65,6 +64,8 @@ class Actuator(Settings, frozen=True):
         stiffness: Of the flank [N m/rad or N/m].
         damping: Of the flank [N m s/rad or N s/m].
         rotor_friction: Coulomb friction on the motor's side [N m or N].
+        brake: Torque per speed of a motor whose windings are shorted, which a supervisor does when it has to stop
+            without measurements [N m s/rad or N s/m].
 
     Raises:
         ConfigError: A number is out of its range or missing, with the key path.
@@ -84,6 +85,7 @@ class Actuator(Settings, frozen=True):
     stiffness: Numbers = 500.0
     damping: Numbers = 0.5
     rotor_friction: Numbers = 0.0
+    brake: Numbers = 0.0
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
@@ -116,14 +118,16 @@ class Actuator(Settings, frozen=True):
             dt: Step of the plant [s].
 
         Raises:
-            ConfigError: Not one number per motor; a rotor heavier than what its gear drives.
+            ConfigError: Not one number per motor; a rotor heavier than what its gear drives, a brake too strong for the
+            step, a battery that breaks down.
         """
         table = np.zeros((robot.layout.motors, WIDTH))
         places = [robot.position_names.index(name) for name in robot.actuator_names if name in robot.position_names]
         if len(places) < len(table) and np.any(np.asarray(self.gap) > 0):
             raise ConfigError("a base that forces drive has no gears", fix="leave the gap out", key="actuator.gap")
         columns = {GAIN: "torque_gain", KT: "torque_constant", RESISTANCE: "resistance", GAP: "gap"}
-        columns |= {ROTOR: "rotor_inertia", STIFFNESS: "stiffness", DAMPING: "damping", FRICTION: "rotor_friction"}
+        columns |= {ROTOR: "rotor_inertia", STIFFNESS: "stiffness", DAMPING: "damping"}
+        columns |= {FRICTION: "rotor_friction", BRAKE: "brake"}
         for column, name in columns.items():
             table[:, column] = each(f"actuator.{name}", getattr(self, name), len(table))
         lags = each("actuator.lag", self.lag, len(table))
@@ -131,7 +135,7 @@ class Actuator(Settings, frozen=True):
         table[:, LIMIT] = limits("actuator.torque_limit", self.torque_limit, robot.effort_limits)
         table[:, SPEED] = limits("actuator.speed_limit", self.speed_limit, speed_limits(robot))
         table[:, PLACE] = places if len(places) == len(table) else -1
-        self._require_light(robot, table)
+        self._require_light(robot, table, dt)
         if self.battery_resistance * np.sum(1.0 / table[:, RESISTANCE]) >= 1.0:
             parallel = 1.0 / np.sum(1.0 / table[:, RESISTANCE])
             why, fix = f"all windings in parallel have {parallel:.3g} Ohm: its voltage breaks down", "use less"
@@ -142,53 +146,62 @@ class Actuator(Settings, frozen=True):
         """Voltage, the battery's resistance, steps of the PWM, (3,)."""
         return np.array([self.voltage or 0.0, self.battery_resistance, self.pwm_levels], float)
 
-    def _require_light(self, robot: Robot, table: Array) -> None:
-        """No rotor is heavier than what its gear drives, together with the others, anywhere; see the top."""
+    def _require_light(self, robot: Robot, table: Array, dt: float) -> None:
+        """No rotor is heavier than what its gear drives, together with the others, anywhere; see the top.
+
+        A brake is explicit: what it takes in a step must not be more than there is, for which `dt brake` stands for J.
+        """
         geared = table[:, GAP] > 0
-        if not geared.any():
-            return
-        dynamics, rng = Dynamics(robot), np.random.default_rng(0)
-        E = robot.E[:, geared] * np.sqrt(table[geared, ROTOR])
-        for i in range(PLACES):
-            position = robot.neutral_position() if i == 0 else random_state(robot, rng)[0]
-            shares, directions = np.linalg.eigh(E.T @ np.linalg.solve(dynamics.mass_matrix(position), E))
-            if shares[-1] > 1.0:
-                worst = int(np.flatnonzero(geared)[np.argmax(np.abs(directions[:, -1]))])
-                rotor = table[worst, ROTOR]
-                raise ConfigError(
-                    f"a rotor of {rotor:.3g} at '{robot.actuator_names[worst]}'",
-                    why=f"its gear drives {rotor / shares[-1]:.3g}, and the flank's torque is held over a step",
-                    fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
-                    key="actuator.rotor_inertia",
-                )
+        worst, driven = heaviest(robot, np.where(geared, table[:, ROTOR], 0.0))
+        if worst >= 0:
+            raise ConfigError(
+                f"a rotor of {table[worst, ROTOR]:.3g} at '{robot.actuator_names[worst]}'",
+                why=f"its gear drives {driven:.3g}, and the flank's torque is held over a step",
+                fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
+                key="actuator.rotor_inertia",
+            )
+        worst, driven = heaviest(robot, np.where(geared, 0.0, dt * table[:, BRAKE]))
+        for i in np.flatnonzero(geared & (dt * table[:, BRAKE] > table[:, ROTOR])):
+            worst, driven = int(i), table[i, ROTOR]
+        if worst >= 0:
+            raise ConfigError(
+                f"{table[worst, BRAKE]:.3g} at '{robot.actuator_names[worst]}'",
+                why=f"it brakes an inertia of {driven:.3g}, and is held over a step of {dt:g} s",
+                fix=f"use less than {driven / dt:.3g}, or a shorter time.plant_step",
+                key="actuator.brake",
+            )
 
 
-def each(key: str, value: Numbers, count: int, kind: str = "motor") -> Array:
-    """One number per motor, or per joint.
+def heaviest(robot: Robot, rotors: Array) -> tuple[int, float]:
+    """Motor whose rotor is heavier than what it drives, and what that is; -1 where none is.
 
-    Raises:
-        ConfigError: Neither one number nor one for each.
+    Args:
+        robot: The robot.
+        rotors: (motors,) inertias on the motors' side, 0 for none.
     """
-    given = np.asarray(value, float)
-    if given.shape not in ((), (count,)):
-        raise ConfigError(f"{given.size} numbers for {count} {kind}s", fix=f"give one, or one per {kind}", key=key)
-    return np.broadcast_to(given, (count,))
-
-
-def limits(key: str, value: Literal["urdf"] | Numbers | None, urdf: Array, kind: str = "motor") -> Array:
-    """Limits of all motors or joints: those of the URDF, given ones, or inf for None; errors as in `each`."""
-    return urdf if isinstance(value, str) else each(key, math.inf if value is None else value, urdf.size, kind)
-
-
-def speed_limits(robot: Robot) -> Array:
-    """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
-    names, limits = robot.full_velocity_names, robot.model.velocityLimit
-    found = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
-    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in found], float)
+    if not rotors.any():
+        return -1, math.inf
+    dynamics, rng, E = Dynamics(robot), np.random.default_rng(0), robot.E * np.sqrt(rotors)
+    for i in range(PLACES):
+        position = robot.neutral_position() if i == 0 else random_state(robot, rng)[0]
+        shares, directions = np.linalg.eigh(E.T @ np.linalg.solve(dynamics.mass_matrix(position), E))
+        if shares[-1] > 1.0:
+            worst = int(np.argmax(np.abs(directions[:, -1])))
+            return worst, float(rotors[worst] / shares[-1])
+    return -1, math.inf
 
 
 @compiled
-def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, supply: Array, states: Array) -> None:
+def drive(
+    dt: float,
+    command: Array,
+    speed: Array,
+    dead: Array,
+    shorted: int,
+    motors: Array,
+    supply: Array,
+    states: Array,
+) -> None:
     """One step of the plant: what the motors give to their joints under a command, into `states`.
 
     Args:
@@ -196,6 +209,7 @@ def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, s
         command: (motors,) commanded torque [N m or N].
         speed: (motors,) speed of the joints [rad/s or m/s].
         dead: (motors,) 1 for a motor without current.
+        shorted: How many motors, from the first on, have their windings shorted.
         motors: (motors, WIDTH) table of settings.
         supply: (3,) voltage, resistance of the battery, steps of the PWM.
         states: (motors, STATES + 1), moved on; the last column becomes the torque on the joint.
@@ -216,6 +230,8 @@ def drive(dt: float, command: Array, speed: Array, dead: Array, motors: Array, s
         states[i, TORQUE] = u + m[LAG] * (states[i, TORQUE] - u)
         states[i, DRAWN] = drawn(states[i, TORQUE], w, voltage, m)
         u = states[i, TORQUE]
+        if i < shorted:
+            u -= m[BRAKE] * w
         if m[GAP] > 0.0:
             u = through_gap(dt, u, speed[i], m, states[i])
         states[i, STATES] = u

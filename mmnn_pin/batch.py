@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,7 +15,8 @@ import numpy as np
 from .errors import ConfigError, InputError
 from .loop import Loop
 from .metrics import Reducer, Windows
-from .recorder import Recorder
+from .one_thread import one_thread
+from .recorder import Recorder, known
 from .recording import Outcome, Recording
 from .signals import Array
 
@@ -28,7 +29,7 @@ class Run:
         outcome: How it ended; `interrupted` at 0 s for a run that was not started before Ctrl-C.
         metrics: Numbers of the run, see `Reducer.result`; empty if it was not started.
         final: Position, nu and the controller's memory at the end.
-        recording: All signals, where they were asked for.
+        recording: The signals, where they were asked for.
     """
 
     outcome: Outcome
@@ -37,12 +38,13 @@ class Run:
     recording: Recording | None = None
 
 
+@one_thread
 def simulate_many(
     loops: Sequence[Loop],
     *,
     memories: Sequence[Any] | None = None,
     windows: Windows = ((0.0, 1.0), (1.0, 5.0)),
-    keep: bool = False,
+    keep: bool | Collection[str] = False,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Run]:
@@ -56,13 +58,15 @@ def simulate_many(
         loops: What to run.
         memories: Controllers' memories to start from, one per loop; None for new ones.
         windows: Intervals for the RMS errors [s].
-        keep: Keep all signals of all runs in memory.
+        keep: Keep the signals of all runs in memory: True for all of them, or the names of some, as
+            `keep=("z", "e")`; `time` comes with them, and the weights at the start and the end.
         workers: Threads; by default one per core.
         progress: Called with the number of runs done and of all runs.
 
     Raises:
         ConfigError: No runs, not one memory per run or one of another controller, less than one worker, or more memory
             needed than there is; before anything runs.
+        UnknownName: A signal to keep that does not exist.
     """
     if not loops:
         raise ConfigError("no runs", fix="give at least one loop")
@@ -71,6 +75,9 @@ def simulate_many(
     workers = (os.cpu_count() or 1) if workers is None else workers
     if workers < 1:
         raise ConfigError(f"{workers} workers", fix="use at least one")
+    keep = (keep,) if isinstance(keep, str) else keep
+    if not isinstance(keep, bool):
+        known(keep)
     require_memory(needed_bytes(loops, keep, workers))
     starts = memories if memories is not None else [None] * len(loops)
     require_fit(loops, starts)
@@ -106,17 +113,19 @@ def simulate_many(
             stop.set()
 
 
-def simulate(loop: Loop, memory: Any, windows: Windows, keep: bool, cancelled: Callable[[], bool]) -> Run:
+def simulate(
+    loop: Loop, memory: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
+) -> Run:
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
-    if not keep:
+    if keep is not True:
         loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
     engine, layout = loop.engine_at(memory), loop.robot.layout
     facts = loop.facts() | {"loop": engine.name}
     reducer = Reducer.of(layout, facts, windows)
-    if not keep:
+    if keep is False:
         outcome = loop.judged(loop.stream(engine, reducer, cancelled=cancelled), engine)
         return Run(outcome, reducer.result(), loop.final(engine))
-    with Recorder(layout, facts) as recorder:
+    with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
         outcome = loop.judged(loop.stream(engine, Both(reducer, recorder), cancelled=cancelled), engine)
         recording = recorder.finish(outcome, loop.final(engine))
     return Run(outcome, reducer.result(), loop.final(engine), recording)
@@ -154,14 +163,19 @@ def require_fit(loops: Sequence[Loop], memories: Sequence[Any]) -> None:
                 raise
 
 
-def needed_bytes(loops: Sequence[Loop], keep: bool, workers: int) -> int:
-    """Memory that signals, weights and references take [bytes]; a recording takes two more copies as it is closed."""
-    weights = [recorded_weights(loop) if keep else 0 for loop in loops]
-    sizes = sorted(
-        8 * (loop.timing.samples * loop.robot.layout.width + w) for loop, w in zip(loops, weights, strict=True)
-    )
-    in_flight = sum(sizes[-workers:])
-    return sum(sizes) + 2 * in_flight if keep else in_flight
+def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:
+    """Memory that signals, weights and references take [bytes]; reading a recording's signals copies them once more."""
+    in_flight = sum(sorted(8 * loop.timing.samples * loop.robot.layout.width for loop in loops)[-workers:])
+    return in_flight + 8 * sum(kept_numbers(loop, keep) for loop in loops)
+
+
+def kept_numbers(loop: Loop, keep: bool | Collection[str]) -> int:
+    """How many numbers are kept of a run."""
+    layout = loop.robot.layout
+    if isinstance(keep, bool):
+        return (loop.timing.samples * layout.width + recorded_weights(loop)) if keep else 0
+    where = [layout.where(name) for name in {"time", *keep}]
+    return loop.timing.samples * sum(columns.stop - columns.start for columns in where)
 
 
 def recorded_weights(loop: Loop) -> int:

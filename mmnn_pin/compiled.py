@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 # less time. One that does allocate fails to compile, loudly.
 LEAN: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
+MARKS = (b"@compiled", b"@inlined", b"@spliced")
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -43,7 +44,7 @@ def cache_folder() -> Path | None:
     package = Path(__file__).parent
     for source in sorted(package.rglob("*.py")):
         text = source.read_bytes()
-        if b"@compiled" in text or source.name == "signals.py":  # signals.py: numbers that compiled code freezes
+        if any(mark in text for mark in MARKS) or source.name == "signals.py":  # numbers that compiled code freezes
             digest.update(str(source.relative_to(package)).encode() + b"\0" + text)
     folder = cache_root() / digest.hexdigest()[:16]
     try:
@@ -59,16 +60,27 @@ def is_warm() -> bool:
     return os.environ.get("NUMBA_DISABLE_JIT", "0") == "1" or (folder is not None and any(folder.rglob("*.nbi")))
 
 
-def compiled(function: F) -> F:
+def compiled(function: F, **options: Any) -> F:
     """Compile a function of scalars and float64 arrays; division by zero gives inf or nan as in numpy."""
     folder = cache_folder()
     config: Any = numba.config
     before = config.CACHE_DIR
     config.CACHE_DIR = "" if folder is None else str(folder)
     try:
-        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **LEAN)(function))
+        given: dict[str, Any] = LEAN | options
+        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **given)(function))
     finally:
         config.CACHE_DIR = before
+
+
+def inlined(function: F) -> F:
+    """Compile a function also into its callers: handing over arrays takes longer than a little arithmetic."""
+    return compiled(function, forceinline=True)
+
+
+def spliced(function: F) -> F:
+    """Copy a function into the source of its one or two callers: as fast, and nothing is compiled twice."""
+    return compiled(function, inline="always")
 
 
 @compiled

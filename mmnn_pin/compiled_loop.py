@@ -306,7 +306,7 @@ class CompiledLoop:
             method=METHODS[timing.integrator],
             kind=numbers.kind,
             uses_model=uses_model,
-            start_energy=energy_of(self.body, self.work, position, nu),
+            start_energy=self._energy(position, nu),
         )
 
     @property
@@ -320,3 +320,8 @@ class CompiledLoop:
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
             self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
         )  # fmt: skip
+
+    def _energy(self, position: Array, nu: Array) -> float:
+        evaluate(self.body, self.work, position, nu)
+        potential = potential_energy(self.body.tree, position, self.work.scratch) if self.body.feels_gravity else 0.0
+        return 0.5 * quadratic(self.work.M, nu) + potential

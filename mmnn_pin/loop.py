@@ -24,6 +24,7 @@ from .kinematic import Kinematic
 from .model.dynamics import Dynamics
 from .model.payload import carrying
 from .model.robot import Robot
+from .one_thread import one_thread
 from .ordinary_loop import OrdinaryLoop
 from .plant.contact.floor import Contact
 from .recorder import Recorder
@@ -107,6 +108,7 @@ class Loop:
             if robot is not None and (robot.layout.wheels, robot.layout.rig) != (wheels, rig):
                 object.__setattr__(self, name, replace(robot, layout=replace(robot.layout, wheels=wheels, rig=rig)))
 
+    @one_thread
     def run(
         self,
         path: str | Path | None = None,
@@ -230,6 +232,7 @@ class Loop:
         floor = {"contact": msgspec.to_builtins(self.contact)} if self.plant == "contact" else {}
         return self.robot.facts() | own | believed | rig | {"plant": self.plant} | floor
 
+    @one_thread
     def require_stable_gains(self) -> None:
         """Judge the sampled PD loop at ten places along the reference.
 

@@ -43,7 +43,7 @@ def precompile() -> None:
 
 
 def call_control_blocks() -> None:
-    """Call what stands before the plant: reference, measurement, velocity command, torque, guard."""
+    """Call what stands before the plant: reference, measurement, velocity command, torque, guard; and what sums up."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p = layout.new_row(), layout.offsets, layout.dof
     controller, wiring = Neural(), Wiring(layout, 0.001, 1)
@@ -53,10 +53,12 @@ def call_control_blocks() -> None:
     before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
     law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values)
     after_torque(row, at, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
+    sums, windows = np.zeros(1), np.zeros((1, 2))
+    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 
 
 def call_plant_blocks() -> None:
-    """Call the dynamics, the integrators and what sums up the rows."""
+    """Call the dynamics and the integrators."""
     robot = load("platform_arm")
     layout, body = robot.layout, body_of(robot)
     work, nv, p = new_work(body), layout.full, layout.dof
@@ -72,8 +74,6 @@ def call_plant_blocks() -> None:
         body.base, work.L, work.rest, work.grip, y, work.ydot,
     )  # fmt: skip
     rk4_stage(0, 0.001, y, work.ydot, work.total, work.trial)
-    sums, windows = np.zeros(1), np.zeros((1, 2))
-    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 
 
 if __name__ == "__main__":

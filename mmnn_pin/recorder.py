@@ -6,11 +6,13 @@ Rows gather in a buffer and go to the file when it is full or 0.25 s old, so a k
 from __future__ import annotations
 
 import hashlib
+import math
 import platform
 import time
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -19,11 +21,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .errors import UnknownName
 from .recording import Outcome, Recording
 from .run_file import Arrays, Columns, RunFile, decode, encode
 from .signals import SIGNALS, Array, Layout
 
-BUFFER_ROWS = 1024
+BUFFER_ROWS = 1024  # of a file
+BLOCK_BYTES = 1 << 22  # of a recording in memory: from this size on numpy asks for large pages, which are faster to get
 WRITE_PERIOD = 0.25  # [s] of wall clock
 
 
@@ -38,24 +42,36 @@ class Recorder:
             `position_names` (nv) and `actuator_names` for the columns' labels; anything else that JSON can hold.
         path: File to write; None keeps everything in memory.
         force: Replace an existing file.
+        signals: Names of the signals to keep beside `time`; None for all.
 
     Raises:
         RecordingError: The file exists (without `force`), another run writes it, or it cannot be created.
+        UnknownName: A signal that does not exist.
     """
 
     def __init__(
-        self, layout: Layout, meta: Mapping[str, Any], path: str | Path | None = None, force: bool = False
+        self,
+        layout: Layout,
+        meta: Mapping[str, Any],
+        path: str | Path | None = None,
+        force: bool = False,
+        signals: Collection[str] | None = None,
     ) -> None:
         facts = _facts(meta)
         texts: dict[str, str] = {name: facts.pop(name) for name in ("config", "urdf") if name in facts}
         columns = _columns(layout, facts)
+        if signals is not None:
+            columns = {name: about for name, about in columns.items() if name in ("time", *known(signals))}
         self._store: RunFile | _Memory = (
             _Memory(layout, columns, facts, texts)
             if path is None
             else RunFile(Path(path), force, layout, columns, facts, texts)
         )
-        self._rows, self._step_times = np.empty((BUFFER_ROWS, layout.width)), np.empty(BUFFER_ROWS)
+        self._width, self._size, self._period = layout.width, BUFFER_ROWS, WRITE_PERIOD
+        if path is None:
+            self._size, self._period = max(BUFFER_ROWS, -(-BLOCK_BYTES // (8 * layout.width))), math.inf
         self._filled, self._written = 0, time.perf_counter()
+        self._rows, self._step_times = self._buffers()
         self._weight_shapes: dict[str, tuple[int, ...]] = {}
 
     def append(self, row: Array, step_time: float = 0.0) -> None:
@@ -64,8 +80,8 @@ class Recorder:
         Raises:
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
-        if row.shape != self._rows.shape[1:]:
-            raise ValueError(f"a row has shape {self._rows.shape[1:]}, not {row.shape}")
+        if row.shape != (self._width,):
+            raise ValueError(f"a row has shape {(self._width,)}, not {row.shape}")
         self._rows[self._filled] = row
         self._step_times[self._filled] = step_time
         self._filled += 1
@@ -77,12 +93,12 @@ class Recorder:
         Raises:
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
-        if rows.ndim != 2 or rows.shape[1] != self._rows.shape[1]:
-            raise ValueError(f"rows have shape (k, {self._rows.shape[1]}), not {rows.shape}")
+        if rows.ndim != 2 or rows.shape[1] != self._width:
+            raise ValueError(f"rows have shape (k, {self._width}), not {rows.shape}")
         times = np.broadcast_to(np.asarray(step_times, float), len(rows))
         done = 0
         while done < len(rows):
-            count = min(len(rows) - done, BUFFER_ROWS - self._filled)
+            count = min(len(rows) - done, self._size - self._filled)
             end = self._filled + count
             self._rows[self._filled : end] = rows[done : done + count]
             self._step_times[self._filled : end] = times[done : done + count]
@@ -128,7 +144,7 @@ class Recorder:
                 self._store.close()
 
     def _write_when_due(self) -> None:
-        if self._filled == BUFFER_ROWS or time.perf_counter() - self._written > WRITE_PERIOD:
+        if self._filled == self._size or time.perf_counter() - self._written > self._period:
             self._write()
 
     def _write(self) -> None:
@@ -136,23 +152,31 @@ class Recorder:
             raise ValueError("this run is finished")
         if self._filled:
             self._store.write(self._rows[: self._filled], self._step_times[: self._filled])
+            if isinstance(self._store, _Memory):  # it keeps these
+                self._rows, self._step_times = self._buffers()
         self._filled, self._written = 0, time.perf_counter()
+
+    def _buffers(self) -> tuple[Array, Array]:
+        return np.empty((self._size, self._width)), np.empty(self._size)
 
 
 class _Memory:
-    """Keeps a run as a list of blocks."""
+    """Keeps a run as a list of blocks; signals are taken out of them when they are asked for."""
 
     def __init__(
         self, layout: Layout, columns: dict[str, Columns], meta: dict[str, Any], texts: dict[str, str]
     ) -> None:
-        self.layout, self.columns, self.meta, self.texts = layout, columns, meta, texts
-        self.blocks, self.step_times = [np.empty((0, layout.width))], [np.empty(0)]
+        self.columns, self.meta, self.texts = columns, meta, texts
+        self.kept = np.concatenate([np.arange(layout.width)[layout.where(name)] for name in columns])
+        self.ends = np.cumsum([len(about.labels) for about in columns.values()])
+        self.blocks, self.step_times = [np.empty((0, self.kept.size))], [np.empty(0)]
         self.snapshots: dict[str, list[NDArray[Any]]] = {}
         self.is_open = True
 
     def write(self, rows: Array, step_times: Array) -> None:
-        self.blocks.append(rows.copy())
-        self.step_times.append(step_times.copy())
+        whole = self.kept.size == rows.shape[1] and 2 * rows.nbytes > BLOCK_BYTES  # else a small part of its buffer
+        self.blocks.append(rows if whole else rows[:, self.kept])
+        self.step_times.append(step_times)
 
     def weights(self, snapshot: Arrays) -> None:
         for name, array in snapshot.items():
@@ -160,14 +184,12 @@ class _Memory:
 
     def finish(self, outcome: Outcome, final: Arrays) -> Recording:
         self.close()
-        rows = np.concatenate(self.blocks)
-        parts: dict[str, Arrays] = {f"signals/{name}": {name: self._signal(rows, name)} for name in self.columns}
-        parts["timing/step_time"] = {"step_time": np.concatenate(self.step_times)}
-        parts |= {"weights": {name: np.stack(arrays) for name, arrays in self.snapshots.items()}, "final": final}
+        parts: dict[str, Arrays] = {"timing/step_time": {"step_time": np.concatenate(self.step_times)}, "final": final}
+        parts["weights"] = {name: np.stack(arrays) for name, arrays in self.snapshots.items()}
         return Recording(
             columns=self.columns,
-            rows=len(rows),
-            read=parts.__getitem__,
+            rows=sum(map(len, self.blocks)),
+            read=lambda where: parts[where] if where in parts else self._signal(where.removeprefix("signals/")),
             meta=self.meta,
             texts=self.texts,
             outcome=outcome,
@@ -176,11 +198,13 @@ class _Memory:
     def close(self) -> None:
         self.is_open = False
 
-    def _signal(self, rows: Array, name: str) -> Array:
-        columns = rows[:, self.layout.where(name)]
-        return np.ascontiguousarray(columns[:, 0] if columns.shape[1] == 1 else columns)
+    def _signal(self, name: str) -> Arrays:
+        end, size = self.ends[list(self.columns).index(name)], len(self.columns[name].labels)
+        columns = np.concatenate([rows[:, end - size : end] for rows in self.blocks])
+        return {name: columns[:, 0] if size == 1 else columns}
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of Python, of this package and of what its numbers come from."""
     found = {"python": platform.python_version()}
@@ -194,7 +218,7 @@ def versions() -> dict[str, str]:
 
 def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     """What is known of the run, when it was made and by which versions; as it will read back."""
-    facts = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "versions": versions(), **meta}
+    facts = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "versions": dict(versions()), **meta}
     if "urdf" in facts:
         facts.setdefault("urdf_sha256", hashlib.sha256(facts["urdf"].encode()).hexdigest())
     return {name: decode(encode(value)) for name, value in facts.items()}
@@ -218,6 +242,19 @@ def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:
             own = (name,) if size == 1 else tuple(f"{name}[{i}]" for i in range(size))
             columns[name] = Columns(layout.unit(name), labels.get(kind, own))
     return columns
+
+
+def known(signals: Collection[str]) -> Collection[str]:
+    """Names of signals that exist, on some robot.
+
+    Raises:
+        UnknownName: One does not.
+    """
+    names = [name for name, *_ in SIGNALS]
+    for name in signals:
+        if name not in names:
+            raise UnknownName("signal", name, names, key="signals")
+    return signals
 
 
 def _names(facts: Mapping[str, Any], key: str, count: int) -> tuple[str, ...]:

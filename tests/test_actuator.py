@@ -30,13 +30,13 @@ DT = 0.001
 patient = settings(max_examples=10 if config.DISABLE_JIT else 60, deadline=None)
 
 
-def driven(actuator, commands, speeds=0.0, robot=ARM, dt=DT, dead=0.0):
+def driven(actuator, commands, speeds=0.0, robot=ARM, dt=DT, dead=0.0, shorted=0):
     """What motors give under commands (N,) or (N, m) at speeds (N,) or (N, m): torques (N, m), last states."""
     table, count = actuator.motors(robot, dt), robot.layout.motors
     commands, speeds = (per_motor(values, len(commands), count) for values in (commands, speeds))
     states, torques = np.zeros((count, motor.STATES + 1)), []
     for u, w in zip(commands, speeds, strict=True):
-        motor.drive(dt, u, w, np.full(count, dead), table, actuator.supply(), states)
+        motor.drive(dt, u, w, np.full(count, dead), shorted, table, actuator.supply(), states)
         torques.append(states[:, motor.STATES].copy())
     return np.array(torques), states
 
@@ -87,6 +87,14 @@ def test_a_dead_motor_gives_nothing():
     assert not driven(Actuator(), np.full(5, 9.0), dead=1.0)[0].any()
 
 
+def test_shorted_windings_brake_those_that_are_shorted():
+    speeds = np.array([[2.0, -3.0]])
+    torque = driven(Actuator(brake=(4.0, 5.0)), [[0.0, 0.0]], speeds, shorted=1)[0]
+    np.testing.assert_array_equal(torque, [[-8.0, 0.0]])
+    np.testing.assert_array_equal(driven(Actuator(brake=4.0), [[0.0, 0.0]], speeds, shorted=2)[0], [[-8.0, 12.0]])
+    assert not driven(Actuator(brake=4.0), [[0.0, 0.0]], speeds)[0].any()
+
+
 # --- The supply -------------------------------------------------------------------------------------------------------
 
 MOTOR = {"voltage": 24.0, "torque_constant": 0.4, "resistance": 0.5}
@@ -109,7 +117,7 @@ def test_a_free_motor_runs_up_to_the_speed_where_its_voltage_is_used_up():
     inertia, dt, w, actuator = 0.02, 1e-4, 0.0, Actuator(**MOTOR)
     table, states, speeds = actuator.motors(ARM, dt), np.zeros((2, motor.STATES + 1)), []
     for _ in range(3000):
-        motor.drive(dt, np.full(2, 1e3), np.full(2, w), np.zeros(2), table, actuator.supply(), states)
+        motor.drive(dt, np.full(2, 1e3), np.full(2, w), np.zeros(2), 0, table, actuator.supply(), states)
         w += dt * states[0, motor.STATES] / inertia
         speeds.append(w)
     times, rate = dt * np.arange(1, 3001), 0.4**2 / (0.5 * inertia)
@@ -363,6 +371,7 @@ def test_a_gap_costs_accuracy_and_hammers():
         ({"stiffness": 0.0}, r"actuator\.stiffness"),
         ({"damping": -1.0}, r"actuator\.damping"),
         ({"rotor_friction": -1.0}, r"actuator\.rotor_friction"),
+        ({"brake": -1.0}, r"actuator\.brake"),
     ],
 )
 def test_numbers_out_of_range_are_refused(arguments, text):
@@ -387,6 +396,15 @@ def test_a_rotor_heavier_than_what_it_drives_is_refused():
     _, rows = two_masses(lambda t: 0.0, 0.1, 1e-3, 0.05, gear, (0.0, 1.0), 0.0)
     energy = 0.05 * rows[:, 1] ** 2 + 0.025 * rows[:, 2] ** 2
     assert energy.max() > 0.05  # more than at the start
+
+
+def test_a_brake_too_strong_for_the_step_is_refused():
+    """Held over a step it would turn back what it brakes: dt brake <= inertia, that of the rotor if there is a gap."""
+    robot = wheel()
+    Actuator(brake=49.0).motors(robot, DT)
+    for actuator, most in ((Actuator(brake=51.0), 50), (Actuator(brake=11.0, gap=0.1, rotor_inertia=0.01), 10)):
+        with pytest.raises(ConfigError, match=rf"actuator\.brake.*'axle'.*less than {most}"):
+            actuator.motors(robot, DT)
 
 
 def test_a_battery_that_breaks_down_is_refused():

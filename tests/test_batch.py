@@ -193,6 +193,19 @@ def test_python_controllers_run_beside_compiled_ones():
     assert runs[0].recording.weights["count"][-1] == TIMING.samples
 
 
+@pytest.mark.parametrize("keep", [("z", "e"), ["slip"], "z"])
+def test_signals_kept_by_name_are_those_of_the_whole_recording(keep):
+    loops, memories = different()
+    named = simulate_many(loops, memories=memories, keep=keep, workers=2)
+    for run, whole in zip(named, simulate_many(loops, memories=memories, keep=True), strict=True):
+        names = ("time", *[name for name in ([keep] if isinstance(keep, str) else keep) if name in whole.recording])
+        assert run.recording.names == names
+        for name in names:
+            np.testing.assert_array_equal(run.recording[name], whole.recording[name])
+        assert run.metrics == pytest.approx(whole.metrics, rel=0, abs=0, nan_ok=True)
+        assert run.outcome == whole.outcome and len(run.recording) == len(whole.recording)
+
+
 # --- Bad input, refused before anything runs --------------------------------------------------------------------------
 
 
@@ -236,6 +249,12 @@ def test_bad_arguments_are_refused_before_anything_runs(arguments, text):
 
 
 @pytest.mark.usefixtures("nothing_runs")
+def test_a_signal_to_keep_that_does_not_exist_is_refused():
+    with pytest.raises(UnknownName, match="unknown signal 'zz'"):
+        simulate_many([BASIC], keep=("e", "zz"))
+
+
+@pytest.mark.usefixtures("nothing_runs")
 def test_more_memory_than_the_machine_has_is_refused_with_both_numbers():
     endless = replace(BASIC, timing=Timing(duration=1e6))
     with pytest.raises(ConfigError, match=r"need \d[\d.e+]* GiB, \d[\d.e+]* GiB are free"):
@@ -247,9 +266,12 @@ def test_memory_is_counted_per_run_kept_and_per_worker_otherwise(monkeypatch):
     size = 8 * TIMING.samples * ROBOT.layout.width
     monkeypatch.setattr(batch, "free_bytes", lambda: 6 * size)
     light = replace(BASIC, controller=PD(GAINS))  # no weights
+    named = 5 * ROBOT.layout.width // (1 + 2 * ROBOT.layout.dof)
     for keep, runs, workers, fits in (
-        (True, 4, 1, True),
-        (True, 5, 1, False),
+        (True, 5, 1, True),
+        (True, 6, 1, False),
+        (("nu", "psi"), named, 1, True),
+        (("nu", "psi"), named + 1, 1, False),
         (False, 50, 6, True),
         (False, 50, 7, False),
     ):

@@ -113,9 +113,9 @@ def test_jacobian_of_a_linear_robot(monkeypatch):
     slope[0, 4] = 3.0
     monkeypatch.setattr(flatness, "run", lambda case, numbers, places: (places @ slope) * widths)
     numbers = (Number("a", 0, 1, ""), Number("b", 0, 1, ""))
-    found = flatness.left_by_jacobian(None, numbers, np.array([0.5, 0.5]))
-    np.testing.assert_allclose(found["left"], [1 / np.sqrt(10), 1.0])
-    assert found["singular_values"][0] == pytest.approx(3.0)
+    left, singular_values = flatness.left_by_jacobian(None, numbers, np.array([0.5, 0.5]))
+    np.testing.assert_allclose(left, [1 / np.sqrt(10), 1.0])
+    assert singular_values[0] == pytest.approx(3.0)
 
 
 def test_walk_fills_what_meets_enough_and_nothing_else(monkeypatch):
@@ -132,6 +132,7 @@ def test_walk_fills_what_meets_enough_and_nothing_else(monkeypatch):
     start = np.array([0.3, 0.6, 0.5]) + 0.02 * np.random.default_rng(1).standard_normal((24, 3))
     walked, accepted = flatness.walk(None, numbers, start, 11, flatness.Effort(chains=24, steps=600))
     assert np.all(meets(walked) == 11) and 0.1 < accepted < 0.9
+    assert 0 < flatness.unsure(walked) < 0.1 < flatness.unsure(np.sort(walked, axis=0))
     expected = [(0.21, 0.39), (0.33, 0.87), (0.05, 0.95)]
     for i, (low, high) in enumerate(expected):
         np.testing.assert_allclose(np.quantile(walked[:, i], (0.05, 0.95)), (low, high), atol=0.06)

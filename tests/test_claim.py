@@ -14,7 +14,6 @@ pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 ROOT = Path(__file__).parents[1]
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of five seconds, uncompiled")
-CONTROLLERS = ("pd", "two_layer", "one_layer", "gain_of_two_layer", "gain_of_one_layer")
 
 
 @pytest.fixture(autouse=True)
@@ -27,30 +26,33 @@ def saved():
     return json.loads((ROOT / "studies" / "chapter4" / "summary.json").read_text(encoding="utf-8"))
 
 
-def made_up(two, one, draws, **others):
-    """Rows of one condition and reference with these errors, base and arm alike."""
-    values = {"two_layer": two, "one_layer": one} | {
-        f"gain_of_{n}": np.full(len(two), 2.0) for n in ("two_layer", "one_layer")
-    }
-    values |= {"pd": np.full(len(two), 4.0)} | others
+def made_up(two, one, **others):
+    """Rows of one condition and motion with these errors, (tunings, draws), base and arm alike."""
+    two, one = np.atleast_2d(two), np.atleast_2d(one)
+    values = {"two_layer": two, "one_layer": one, "pd": np.full(two.shape, 4.0)}
+    values |= {f"gain_of_{n}": np.full(two.shape, 2.0) for n in ("two_layer", "one_layer")}
+    values |= {f"integral_of_{n}": np.full(two.shape, np.nan) for n in ("two_layer", "one_layer")}
+    values |= {name: np.atleast_2d(value) for name, value in others.items()}
     rows = []
-    for k in range(len(two)):
-        row = {"draw": int(draws[k]), "reference": "line", "condition": "thesis"}
-        for name in CONTROLLERS:
-            error = float(values[name][k])
+    for k, i in np.ndindex(two.shape):
+        row = {"draw": i, "reference": "line", "condition": "thesis", "tuning": k}
+        for name, errors in values.items():
+            error = None if np.isnan(errors[k, i]) else float(errors[k, i])
             row |= {f"{name}.{part}.{window}": error for part in ("base", "arm") for window in ("whole", "tracking")}
-            row[f"{name}.diverged"] = bool(np.isinf(error))
+            row[f"{name}.diverged"] = None if error is None else bool(np.isinf(error))
         rows.append(row)
     return rows
 
 
-def test_draws_repeat_stay_in_range_and_differ_between_training_and_test():
-    from studies.chapter4.claim import TEST, TRAINING
+def test_draws_repeat_stay_in_range_and_differ_between_test_and_every_tuning():
+    from studies.chapter4.claim import TEST
     from studies.chapter4.draws import MASSES, PERIODS, RANGES, draw
+    from studies.chapter4.tuning import training
 
-    test, training = ([draw(stream, i) for i in range(60)] for stream in (TEST, TRAINING))
+    test = [draw(TEST, i) for i in range(60)]
     assert draw(TEST, 17).facts == test[17].facts
-    assert not {d.seed for d in test} & {d.seed for d in training}
+    seeds = [d.seed for d in test] + [d.seed for tuning in range(3) for d, _ in training(20, tuning)]
+    assert len(set(seeds)) == 120
     for d in test:
         for name, (low, high, *_) in RANGES.items():
             assert np.all((low <= np.array(d.numbers[name])) & (np.array(d.numbers[name]) <= high))
@@ -59,25 +61,38 @@ def test_draws_repeat_stay_in_range_and_differ_between_training_and_test():
     assert K.min() < 5 < 10 < K.max() and len(test[0].numbers[MASSES]) == 3
 
 
-def test_every_pair_of_motions_comes_equally_often():
+def test_what_the_thesis_prints_is_not_drawn():
+    from studies.chapter4.claim import TEST
+    from studies.chapter4.draws import draw
+    from studies.chapter4.unstated import chapter4
+
+    thesis = chapter4(0.002)
+    for d in (draw(TEST, i).experiment() for i in range(20)):
+        assert d.one_layer.centre_range == thesis.one_layer.centre_range == 10
+        assert (d.kinematic.kx, d.kinematic.ky, d.kinematic.kth, d.feedback) == (10, 64, 16, thesis.feedback)
+        assert (d.two_layer.F, d.two_layer.G, d.two_layer.kappa) == ((1, 0.2), (1, 0.2), 1)
+        assert (d.one_layer.beta, d.one_layer.mu) == ((0.5, 0.5), 0.35)
+
+
+def test_every_motion_comes_equally_often():
     from collections import Counter
 
-    from studies.chapter4.draws import REFERENCES, motions
+    from studies.chapter4.draws import REFERENCES, motion
 
-    pairs = Counter(frozenset(motions(i)) for i in range(120))
-    assert len(pairs) == 6 and set(pairs.values()) == {20}
-    assert Counter(name for i in range(120) for name in motions(i)) == dict.fromkeys(REFERENCES, 60)
+    assert Counter(motion(i) for i in range(120)) == dict.fromkeys(REFERENCES, 30)
 
 
 def test_both_networks_of_a_draw_meet_the_same_robot_gains_and_start():
-    from studies.chapter4.claim import TEST, with_rates
+    from studies.chapter4.choices import TUNED, choice, with_choice
+    from studies.chapter4.claim import TEST
     from studies.chapter4.draws import REFERENCES, draw, loop
 
-    d, tuned = draw(TEST, 3), {"beta1": 1.0, "beta2": 2.0, "mu": 0.1, "width": 5.0, "centre_range": 2.0}
-    for values in (None, tuned):
+    d = draw(TEST, 3)
+    for places in (None, 0.3):
         loops = []
         for name in ("two_layer", "one_layer"):
-            experiment = with_rates(d.experiment(), name, values if name == "one_layer" else None)
+            chosen = None if places is None else choice(name, np.full(len(TUNED[name]), places))
+            experiment = with_choice(d.experiment(), name, chosen)
             loops.append(loop(experiment, d.robot, "eight", experiment.controller(name)))
         a, b = loops
         assert a.robot is b.robot and a.trajectory is b.trajectory is REFERENCES["eight"][1]
@@ -85,23 +100,74 @@ def test_both_networks_of_a_draw_meet_the_same_robot_gains_and_start():
             assert getattr(a, name) == getattr(b, name)
         assert a.controller.feedback == b.controller.feedback and a.controller.robust == b.controller.robust
         assert a.controller.network.hidden == b.controller.network.hidden == 22
-    assert (b.controller.network.beta, b.controller.network.width) == ((1.0, 2.0), 5.0)
+    assert chosen["centres"] == b.controller.network.centres == "diagonal"
+    assert b.controller.network.beta == (chosen["beta1"], chosen["beta2"]) != (0.5, 0.5)
+    for name in ("mu", "width", "centre_range"):
+        assert getattr(b.controller.network, name) == chosen[name]
 
 
-def test_tuning_starts_at_the_printed_rates_with_as_many_numbers_for_each():
-    from studies.chapter4.claim import TUNED
-    from studies.chapter4.unstated import at, chapter4
+def test_tuning_starts_at_the_thesis_s_numbers_and_may_choose_every_one_of_the_network():
+    from dataclasses import fields
 
-    assert len(TUNED["two_layer"]) == len(TUNED["one_layer"])
-    experiment, middle = chapter4(0.002), {k: at(v, np.full(5, 0.5)) for k, v in TUNED.items()}
-    two, one = experiment.two_layer, experiment.one_layer
-    F1, F2, G1, G2, kappa = (middle["two_layer"][k] for k in ("F1", "F2", "G1", "G2", "kappa"))
-    np.testing.assert_allclose([F1, F2, G1, G2, kappa], [*two.F, *two.G, two.kappa])
-    np.testing.assert_allclose([middle["one_layer"][k] for k in ("beta1", "beta2", "mu")], [*one.beta, one.mu])
+    from mmnn_pin.torque.neural import OneLayer, TwoLayer
+    from studies.chapter4.choices import TUNED, choice, with_choice
+    from studies.chapter4.unstated import chapter4
+
+    experiment = chapter4(0.002)
+    for name, kind in (("two_layer", TwoLayer), ("one_layer", OneLayer)):
+        middle = choice(name, np.full(len(TUNED[name]), 0.5))
+        network, thesis = getattr(with_choice(experiment, name, middle), name), getattr(experiment, name)
+        for key in ("F", "G", "kappa", "v_range", "beta", "mu", "centre_range"):
+            if hasattr(thesis, key):
+                np.testing.assert_allclose(getattr(network, key), getattr(thesis, key))
+        names = kind.__struct_fields__ if hasattr(kind, "__struct_fields__") else [f.name for f in fields(kind)]
+        changed = getattr(with_choice(experiment, name, choice(name, np.full(len(TUNED[name]), 0.2))), name)
+        same = [key for key in names if getattr(changed, key) == getattr(thesis, key)]
+        assert same in (["hidden"], ["hidden", "centres"])  # 0.2 is on the diagonal, as it is
+
+
+@pytest.mark.parametrize("centres", ["diagonal", "random"])
+def test_level_is_the_mean_square_of_the_gaussians_at_zero(centres):
+    from mmnn_pin.torque.neural import OneLayer
+    from studies.chapter4.choices import level
+
+    chosen = {"width": 12.0, "centre_range": 4.0, "centres": centres}
+    units = 22 if centres == "diagonal" else 40000
+    W, V = np.zeros((units, 2)), np.zeros((22, units))
+    OneLayer(hidden=units, **chosen).initialise(W, V, np.random.default_rng(0))
+    phi = np.exp(-np.sum(V**2, axis=0) / (2 * 12.0**2))
+    assert level(chosen) == pytest.approx(np.mean(phi**2), rel=0.01)
+    assert level({**chosen, "width": 1e6}) == pytest.approx(1.0)
+
+
+@SIMULATES
+def test_a_network_without_inputs_is_one_leaky_integral_of_the_error():
+    """The integral that is left of a network, against the sum over its own recorded errors."""
+    from msgspec.structs import replace as with_settings
+
+    from studies.chapter4.choices import INPUTS, integral_only, with_choice
+    from studies.chapter4.unstated import chapter4
+
+    one = {"beta1": 2.0, "beta2": 0.9, "mu": 0.2, "width": 20.0, "centre_range": 3.0, "centres": "diagonal"}
+    two = {"F1": 0.7, "F2": 0.4, "G1": 3.0, "G2": 1.0, "kappa": 0.1, "v_range": 1.0, "initial": "random"}
+    for name, chosen, gain, leakage in (("one_layer", one, 2.0, 0.4), ("two_layer", two, 0.7 / 4, 0.07)):
+        left = integral_only(name, chosen)
+        if name == "one_layer":  # the same gain and leakage as its Gaussians have at zero
+            m = np.mean(np.exp(-INPUTS * np.linspace(-3.0, 3.0, 22) ** 2 / 20.0**2))
+            assert left["beta1"] == pytest.approx(2.0 * m) and left["beta1"] * left["mu"] == pytest.approx(0.4)
+            gain = 2.0 * m
+        experiment = with_choice(chapter4(0.002), name, left)
+        experiment = with_settings(experiment, time=with_settings(experiment.time, duration=0.5))
+        run = experiment.loop(experiment.load_robot(), experiment.controller(name)).run()
+        total, expected = np.zeros(2), []
+        for z in run["z"]:
+            expected.append(total.copy())
+            total = total + 22 * gain * z - leakage * np.linalg.norm(z) * total
+        np.testing.assert_allclose(run["psi_hat"][:, :2], expected, rtol=1e-6, atol=1e-9)
 
 
 def test_errors_are_rms_distances_and_a_lost_run_has_none():
-    from studies.chapter4.claim import errors
+    from studies.chapter4.judging import errors
     from studies.chapter4.rollouts import Rollout
 
     pose = np.zeros((1000, 3))
@@ -116,45 +182,82 @@ def test_errors_are_rms_distances_and_a_lost_run_has_none():
 def test_a_run_that_is_lost_loses_and_one_that_both_lose_is_nobodys():
     from studies.chapter4.verdict import verdict
 
-    two, one = np.array([1.0, 1.0, np.inf, np.inf]), np.array([2.0, np.inf, 1.0, np.inf])
-    found = verdict(made_up(two, one, np.arange(4)))["thesis"]["line"]
-    part = found["base.tracking"]
-    assert (part["two_layer_wins"]["share"], part["one_layer_wins"]["share"], part["both_lost"]) == (0.5, 0.25, 1)
-    assert found["lost"] == {"pd": 0, "two_layer": 2, "one_layer": 2} and found["pairs"] == 4
+    two, one = np.array([1.0, 1.0, np.inf, np.inf, 3.0]), np.array([2.0, np.inf, 1.0, np.inf, 2.0])
+    found = verdict(made_up(two, one))["thesis"]["line"]
+    wins = found["base.tracking"]["two_layer_wins"]
+    assert (wins["share"], wins["of"]) == (0.5, 4)
+    assert found["lost"] == {"pd": 0, "two_layer": 2, "one_layer": 2} and found["draws"] == 5
 
 
-def test_ratio_is_gain_times_learning():
+def test_ratio_is_gain_times_learning_and_what_was_not_run_is_left_out():
     from studies.chapter4.verdict import verdict
 
     n = 25
-    rows = made_up(np.full(n, 1.0), np.full(n, 3.0), np.arange(n), gain_of_two_layer=np.full(n, 1.5))
+    gain = np.where(np.arange(n) < 10, 1.5, np.nan)
+    rows = made_up(np.full(n, 1.0), np.full(n, 3.0), gain_of_two_layer=gain)
     part = verdict(rows)["thesis"]["line"]["both.tracking"]
     ratio, gain, learning = (part[key]["median"] for key in ("ratio", "gain", "learning"))
     assert ratio == pytest.approx(1 / 3) and gain == pytest.approx(0.75) and ratio == pytest.approx(gain * learning)
-    assert part["two_layer_idle"]["share"] == 0 and part["one_layer_harms"]["share"] == 1
+    assert part["two_layer_idle"] | {"interval": None} == {"share": 0, "of": 10, "interval": None}
+    assert part["one_layer_harms"]["share"] == 1 and part["two_layer_to_integral"]["median"] is None
 
 
-def test_intervals_are_wilsons_and_cover_when_pairs_of_a_draw_go_together():
-    from studies.chapter4.verdict import middle, share, wilson
+def test_every_tuning_meets_every_other():
+    from studies.chapter4.verdict import verdict
+
+    two, one = np.array([[1.0, 1.0], [3.0, 3.0]]), np.array([[2.0, 2.0], [0.5, 4.0]])
+    part = verdict(made_up(two, one))["thesis"]["all"]["arm.tracking"]
+    assert part["pairs"] == [[1.0, 0.5], [0.0, 0.5]]
+    assert part["two_layer_wins"]["share"] == 0.5 and part["two_layer_wins"]["of"] == 8
+
+
+def test_splits_are_by_what_was_drawn():
+    from studies.chapter4.verdict import verdict
+
+    rows = made_up(np.array([1.0, 1.0, 3.0]), np.full(3, 2.0))
+    for row, initial in zip(rows, ("zero", "random", "random"), strict=True):
+        row["initial"] = initial
+    found = verdict(rows)["thesis"]
+    shares = {name: found[f"initial {name}"]["base.tracking"]["two_layer_wins"]["share"] for name in ("zero", "random")}
+    assert shares == {"zero": 1.0, "random": 0.5}
+
+
+def test_interval_of_draws_alone_is_wilsons():
+    from studies.chapter4.crossed import share, wilson
 
     exact = binomtest(15, 50).proportion_ci(method="wilson")
     assert wilson(0.3, 50) == pytest.approx((exact.low, exact.high), rel=1e-6)
-    rng, draws, hits = np.random.default_rng(0), np.repeat(np.arange(50), 4), np.zeros(3)
+    yes = np.arange(2000) < 600
+    exact = binomtest(600, 2000).proportion_ci(method="wilson")
+    assert share(yes, np.full(2000, True))["interval"] == pytest.approx((exact.low, exact.high), rel=2e-3)
+
+
+@pytest.mark.parametrize("luck", [(0.0, 0.0, 1.0), (0.7, 0.7, 1.0), (1.0, 0.3, 0.5), (1.0, 1.0, 0.2)])
+def test_intervals_cover_the_luck_of_both_tunings_and_of_the_draws(luck):
+    """Log ratios of a random effect of each; what is covered is the mean over all tunings and draws there are."""
+    from studies.chapter4.crossed import middle, share
+
+    rng, hits, blind = np.random.default_rng(0), np.zeros(2), 0
     for _ in range(300):
-        values = (rng.normal(size=50)[:, None] + 0.5 * rng.normal(size=(50, 4))).ravel()
-        intervals = share(values > 0, draws), middle(np.exp(values), draws), share(values > 0, np.arange(200))
-        for i, (entry, truth) in enumerate(zip(intervals, (0.5, 1.0, 0.5), strict=True)):
+        a, b, d = (size * rng.normal(size=n) for size, n in zip(luck, (3, 3, 60), strict=True))
+        values = a[:, None, None] + b[:, None] + d + 0.3 * rng.normal(size=(3, 3, 60))
+        known = np.full(values.shape, True)
+        for i, (entry, truth) in enumerate(((share(values > 0, known), 0.5), (middle(np.exp(values)), 1.0))):
             hits[i] += entry["interval"][0] <= truth <= entry["interval"][1]
-    assert np.all(hits[:2] / 300 > 0.9)
-    assert hits[2] / 300 < 0.85, "pairs taken as independent would claim too much"
+        one = share(values[0, 0] > 0, known[0, 0])["interval"]  # one tuning each, as if it were all there is
+        blind += one[0] <= 0.5 <= one[1]
+    assert np.all(hits / 300 > 0.92)
+    if luck[0]:
+        assert blind / 300 < 0.7, "draws alone would claim too much"
 
 
 @SIMULATES
 def test_a_network_that_does_not_learn_is_pd_at_its_gain():
     from msgspec.structs import replace as with_settings
 
-    from studies.chapter4.claim import KEPT, TEST, at_gain
+    from studies.chapter4.claim import TEST, at_gain
     from studies.chapter4.draws import draw, loop
+    from studies.chapter4.judging import KEPT
     from studies.chapter4.rollouts import roll_out
 
     d = draw(TEST, 5)
@@ -171,14 +274,18 @@ def test_a_network_that_does_not_learn_is_pd_at_its_gain():
 @SIMULATES
 def test_the_first_rows_of_the_claim_come_out_again(saved):
     """The saved medians need all draws; the rows of a draw need only itself."""
-    from studies.chapter4.claim import TEST, compare
-    from studies.chapter4.draws import draw, motions
+    from studies.chapter4.claim import TEST, compare, conditions
+    from studies.chapter4.draws import draw, motion
 
-    rates = {"tuned": {name: entry["values"] for name, entry in saved["claim"]["tuned"].items()}}
-    rows = compare(rates, 1, 2)
-    assert [row["reference"] for row in rows] == list(motions(1))
-    assert all(row["seed"] == draw(TEST, 1).seed and row["condition"] == "tuned" for row in rows)
-    assert compare(rates, 0, 2)[2:] == rows
+    wanted = conditions(saved["claim"]["tuned"]["learners"])
+    rows = compare(wanted, 1, 2)
+    tunings = len(wanted["tuned"])
+    assert [(row["condition"], row["tuning"]) for row in rows] == [
+        ("thesis", 0),
+        *(("tuned", k) for k in range(tunings)),
+    ]
+    assert all(row["seed"] == draw(TEST, 1).seed and row["reference"] == motion(1) for row in rows)
+    assert [row for row in compare(wanted, 0, 2) if row["draw"] == 1] == rows
 
 
 def test_the_document_is_what_the_saved_summary_gives(saved):
@@ -197,6 +304,28 @@ def test_numbers_are_written_with_three_digits_and_shares_in_percent():
     assert [percent(x) for x in (0.5, 0.996, 0.004, 1.0, None)] == ["50 %", "99.6 %", "0.4 %", "100 %", "-"]
 
 
+def test_sentences_follow_the_numbers():
+    from studies.chapter4.document import changed, own, parts, wins
+
+    assert [wins({"interval": i}) for i in ([0.51, 0.6], [0.2, 0.49], [0.4, 0.6], None)] == [
+        "two-layer better",
+        "one-layer better",
+        "undecided",
+        "undecided",
+    ]
+    intervals = ([0.95, 1.05], [0.5, 0.95], [1.02, 1.3], [0.8, 1.3], [0.8, None], [1.5, None])
+    assert [own({"interval": i}).split()[0] for i in intervals] == ["does", "is", "is", "cannot", "cannot", "is"]
+    assert "better" in own({"interval": [0.5, 0.95]}) and "worse" in own({"interval": [1.5, None]})
+    harm = {"pd": 2.0, "gain": 0.2, "learning": -0.5, "learning_share": None}
+    assert parts(harm) == "10.0 − 25.0 (worse than PD)"
+    assert parts(harm | {"learning": 0.6, "learning_share": 0.75}) == "10.0 + 30.0 (learning 75 %)"
+    errors = {"rms": {"pose_error.x": 1.0, "e.arm_1_joint": 1.0}}
+    same, other = {"two_layer": errors, "one_layer": errors}, {"rms": {"pose_error.x": 1.0, "e.arm_1_joint": 0.8}}
+    assert changed([same | {"reading": "a"}, same | {"reading": "b"}, same | {"one_layer": other, "reading": "c"}]) == [
+        "c"
+    ]
+
+
 @SIMULATES
 def test_a_little_of_the_study_runs_and_gives_the_document_all_it_tells(saved, monkeypatch, tmp_path):
     """The variants and readings have tests of their own; all else runs here, with next to no trials."""
@@ -207,8 +336,8 @@ def test_a_little_of_the_study_runs_and_gives_the_document_all_it_tells(saved, m
     monkeypatch.setattr(command, "read_otherwise", lambda say: saved["readings"])
     summary = json.loads(json.dumps(command.study(command.QUICK, tmp_path)))
     assert summary.keys() == saved.keys()
-    assert "| both tuned | fast arm |" in render(summary)
+    assert "| both tuned | 2 | fast arm |" in render(summary)
     rows = (tmp_path / "draws.csv").read_text(encoding="utf-8").splitlines()
-    assert len(rows) == 1 + command.QUICK.draws * 2 * 2 and "nan" not in "".join(rows)
+    assert len(rows) == 1 + command.QUICK.draws * (1 + command.QUICK.tuning.tunings) and "nan" not in "".join(rows)
     assert {file.name for file in (tmp_path / "figures").iterdir()} == {"intervals.png", "flatness.png", "claim.png"}
     assert len((tmp_path / "trials.csv").read_text(encoding="utf-8").splitlines()) > 3 * 10

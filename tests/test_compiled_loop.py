@@ -248,7 +248,7 @@ def test_ctrl_c_keeps_whole_samples(engine):
 
     def progress(time: float) -> None:
         if not timers:
-            timers.append(threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)))
+            timers.append(threading.Timer(0.005, os.kill, (os.getpid(), signal.SIGINT)))
             timers[0].start()
 
     endless = loop(duration=0.4 if config.DISABLE_JIT and engine == "compiled" else 400.0, engine=engine)

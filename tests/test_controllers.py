@@ -576,10 +576,10 @@ def test_the_example_runs_and_its_controller_is_the_better_one() -> None:
 # --- what a module imports is what it may know
 
 PACKAGE = Path(mmnn_pin.__file__).parent
-FEET = {"errors", "compiled", "settings", "signals", "timing"}  # what every block may stand on
+FEET = {"errors", "compiled", "one_thread", "settings", "signals", "timing"}  # what every block may stand on
 BLOCKS = {"reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing", "sampled"}
 RECORDS = {"recorder", "recording", "run_file", "metrics"}
-LOOPS = {"start", "loop", "ordinary_loop", "compiled_loop", "sample", "batch", "precompile", "recorded_robot"}
+LOOPS = {"start", "rig", "loop", "ordinary_loop", "compiled_loop", "sample", "batch", "precompile", "recorded_robot"}
 USES = {"experiments", "proof", "study", "show"}
 
 

@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from scipy.special import expit
 
 from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
+from mmnn_pin.experiments.readings import readings, told
 from mmnn_pin.kinematic import command
 from mmnn_pin.model.world_frame import WorldFrame
 from mmnn_pin.signals import INDEX, Array, Layout
@@ -182,6 +183,18 @@ def test_the_networks_input_grows_along_a_straight_line() -> None:
     positions = np.linalg.norm(e.trajectory(layout).table(times, layout)[:, :3], axis=1)
     np.testing.assert_allclose(positions, 0.3 * times)
     assert "pose_ref" in e.inputs.signals
+
+
+@compiled_only
+def test_without_the_position_the_one_layer_networks_arm_is_better_and_the_two_layer_networks_as_good() -> None:
+    """Gap (c) over 5 s: q_vd out of the input, then Appendix B's short one."""
+    rows = told(readings(load_experiment("chapter4"), "x"))
+    rms = {row["reading"]: {name: row[name]["rms"] for name in ("two_layer", "one_layer")} for row in rows}
+    for reading, falls in (("no absolute position", 0.1), ("Appendix B's short input", 0.25)):
+        for key in ("pose_error.x", "pose_error.y", "pose_error.phi", "e.arm_1_joint", "e.arm_2_joint"):
+            two, one = (rms[reading][name][key] / rms["as it is"][name][key] for name in ("two_layer", "one_layer"))
+            assert abs(two - 1) < 0.03
+            assert one < 1 - falls or not key.startswith("e.")
 
 
 def test_a_discrete_update_can_grow_where_the_continuous_law_decays() -> None:

@@ -99,6 +99,25 @@ def test_blocks_and_single_rows_record_the_same(pieces):
     np.testing.assert_array_equal(rec["q"], single["q"])
 
 
+@pytest.mark.parametrize("where", ["memory", "file"])
+@pytest.mark.parametrize("count", [7, 9000])  # a small part of a block in memory, and more than one
+def test_chosen_signals_are_recorded_and_no_others(where, count, tmp_path):
+    rows = rows_of(count)
+    recorder = Recorder(LAYOUT, META, tmp_path / "run.h5" if where == "file" else None, signals=("z", "q", "energy"))
+    recorder.append_block(rows)
+    rec = recorder.finish(DONE)
+    assert rec.names == ("time", "q", "z", "energy") and len(rec) == count
+    for name in rec:
+        np.testing.assert_array_equal(rec[name].reshape(count, -1), rows[:, LAYOUT.where(name)])
+    with pytest.raises(UnknownName, match="'nu'"):
+        rec["nu"]
+
+
+def test_a_signal_to_record_must_exist():
+    with pytest.raises(UnknownName, match=r"signals: .*'zz'.*did you mean 'z'"):
+        Recorder(LAYOUT, META, signals=("zz",))
+
+
 def test_rows_are_copied():
     recorder, row = Recorder(LAYOUT, META), LAYOUT.new_row()
     weights = np.zeros(3)

@@ -360,24 +360,63 @@ def test_a_stop_brakes_the_base():
 
 
 def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
-    from mmnn_pin.safety.supervisor import check_motion
+    from mmnn_pin.safety.supervisor import NUMBERS, check_motion
     from mmnn_pin.signals import INDEX, Layout
 
     layout = Layout(base=3, arm=0, full=3, motors=3, rig=1)
     row, at, memory = layout.new_row(), layout.offsets, np.zeros(50)
     row[at[INDEX["velocity"]] : at[INDEX["velocity"]] + 3] = 0.3, 0.4, 0.0
     for limit, tripped in ((0.51, 0.0), (0.49, 1.0)):
-        numbers = np.concatenate((np.full(10, np.inf), np.full(3, np.inf), [limit, limit, np.inf], np.zeros(3)))
+        numbers = np.concatenate((np.full(NUMBERS + 3, np.inf), [limit, limit, np.inf], np.zeros(3)))
         check_motion(row, at, 0.0, numbers, memory, 3)
         assert memory[0] == tripped
 
 
 def test_a_stop_works_under_a_controller_whose_gains_are_not_known():
     controller = Given(lambda t: [50.0, 0.0, 1.0, 0.0])
-    run = run_of(Safety(speed=0.32, stop_time=1.0), 1.2, controller=controller)
+    run = run_of(Safety(speed=0.32, stop_time=1.0, settle=9.0), 1.2, controller=controller)
     require_tripped(run, "velocity[0]")
     k = round(run.outcome.time / H)
     assert np.abs(run["nu"][-1]).max() < 0.05 * np.abs(run["nu"][k]).max()
+
+
+def test_a_stop_that_does_not_bring_the_robot_to_rest_goes_on_without_feedback():
+    """Somebody keeps pushing: after `settle` the torque ramps to zero, and shorted windings brake what they can."""
+    pushed, final = Push(on="w", force=300.0, start=0.02), {}
+    for brake in (0.0, 20.0):
+        safety = Safety(yaw_rate=0.2, settle=0.1, rest=0.05, ramp=0.02, stop_time=0.3)
+        run = run_of(safety, 0.5, disturbances=(pushed,), actuator=Actuator(brake=brake, torque_limit=1e6))
+        require_tripped(run, "velocity[1]")
+        gave_up = run.time > run.outcome.time + 0.1 + 1e-9
+        assert (states(run)[gave_up] == RAMPING).all()
+        assert (states(run)[(run.time > run.outcome.time - 1e-9) & ~gave_up] == STOPPING).all()
+        assert not run["torque"][-1].any()
+        final[brake] = abs(run["nu"][-1, 1])
+    assert final[20.0] < 0.5 * final[0.0]
+
+
+def test_shorted_windings_brake_the_base_at_once_and_the_arm_is_held():
+    """Where the drive motors have a brake, the base needs no feedback: `applied` is -brake times the wheels' speed."""
+    pushed = Push(on="w", force=300.0, start=0.02, end=0.08)
+    actuator = Actuator(brake=(20.0, 20.0, 0.0, 0.0))
+    run = run_of(Safety(yaw_rate=0.2, stop_time=0.5), 0.7, controller=PD(), disturbances=(pushed,), actuator=actuator)
+    require_tripped(run, "velocity[1]")
+    k = round(run.outcome.time / H)
+    assert not run["torque"][k:, :2].any() and run["torque"][k:, 2:].any() and (states(run)[k:] == STOPPING).all()
+    wheels = run["nu"] @ ROBOT.E[:, :2]
+    middle = 0.5 * (wheels[k:-1] + wheels[k + 1 :])
+    np.testing.assert_allclose(run["applied"][k:-1, :2], -20.0 * middle, atol=0.05 * 20.0 * np.abs(middle).max())
+    assert np.abs(run["nu"][-1, :2]).max() < 0.1 * np.abs(run["nu"][k:, :2]).max()
+
+
+def test_a_slow_sensor_is_no_reason_to_stop_blindly():
+    """Measurements every 20 ms, control every 2 ms: between two of them the stop keeps its feedback."""
+    pushed = Push(on="w", force=300.0, start=0.02, end=0.08)
+    timing = Timing(0.4, H, 0.001, 0.02)
+    weak = PD(Feedback(100.0, 1.0))
+    run = run_of(Safety(yaw_rate=0.2, stop_time=0.1), controller=weak, disturbances=(pushed,), timing=timing)
+    require_tripped(run, "velocity[1]")
+    assert (states(run)[round(run.outcome.time / H) :] == STOPPING).all()
 
 
 def test_a_stop_keeps_the_motors_within_their_torque():
@@ -458,14 +497,14 @@ def test_the_worst_day_of_all_ends_in_a_stop():
 NAMES = ("torque", "speed", "yaw_rate", "joint_speed", "position_error", "heading_error", "joint_error", "weights")
 
 
-@pytest.mark.parametrize("name", [*NAMES, "timeout"])
+@pytest.mark.parametrize("name", [*NAMES, "timeout", "rest"])
 @pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
 def test_a_limit_is_a_finite_number_above_zero(name, value):
     with pytest.raises(ConfigError, match=rf"safety\.{name}"):
         Safety(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["torque_time", "ramp", "stop_time", "hold_rate"])
+@pytest.mark.parametrize("name", ["torque_time", "ramp", "stop_time", "settle", "hold_rate"])
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf])
 def test_a_time_is_a_finite_number(name, value):
     Safety(**{name: 0.0})

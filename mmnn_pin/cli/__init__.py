@@ -6,6 +6,7 @@ recorded is kept). Whatever is slow to import is imported inside the commands.
 
 from __future__ import annotations
 
+import os
 import sys
 import traceback
 from collections.abc import Sequence
@@ -26,6 +27,9 @@ from .readings import readings
 from .replay import replay
 from .report import report
 from .run import run
+
+for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+    os.environ.setdefault(_library, "1")  # see one_thread.py; read when numpy is imported
 
 
 class Commands(click.Group):

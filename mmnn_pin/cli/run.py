@@ -19,6 +19,7 @@ from .options import examples, shared, understanding
 from .output import DONE, FAILED, STOPPED, compile_if_cold, progress_bar, say, say_json
 
 if TYPE_CHECKING:
+    from ..experiments.cases import Matrix
     from ..experiments.runner import Result
 
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
         "mmnn run chapter4 --set 'reference.base={type = \"circle\", radius = 1.0, speed = 0.3}'",
         "mmnn run track --robot my_robot.urdf --wheels left_joint,right_joint --lock head_joint=0.2",
         "mmnn run track --plant contact              wheels that may slip, in MuJoCo",
+        "mmnn run faults                            what sensors, motors and the world can do to a run",
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
@@ -64,8 +66,11 @@ def run(
     """Run EXPERIMENT with all its controllers from equal starts and compare them.
 
     EXPERIMENT is a bundled name (see `mmnn list`) or the path of a TOML file. Writes one HDF5 recording per controller
-    and the pictures that the experiment asks for. Ctrl-C ends the run and keeps what is recorded (exit code 130).
+    and the pictures that the experiment asks for. An experiment with cases runs all controllers in each of them and
+    gives every run a verdict (exit code 1 if one fails). Ctrl-C ends the run and keeps what is recorded (exit code
+    130).
     """
+    from ..experiments.cases import run_cases
     from ..experiments.config import load_experiment
     from ..experiments.runner import run_experiment
 
@@ -81,7 +86,13 @@ def run(
             stop_if_pressed()
             show(controller, fraction)
 
-        result = run_experiment(asked, name, out=folder, force=force, progress=progress)
+        if asked.cases:
+            matrix = run_cases(asked, name, out=folder, force=force, progress=progress)
+        else:
+            result = run_experiment(asked, name, out=folder, force=force, progress=progress)
+    if asked.cases:
+        tell_cases(matrix, folder, as_json)
+        return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
     drawn = draw(result, folder)
     if as_json:
         say_json(result.to_dict() | {"plots": {plot: str(file) for plot, file in drawn.items()}})
@@ -157,6 +168,17 @@ def tell(result: Result, pictures: list[Path]) -> None:
     files = [recording.path for recording in result.recordings.values() if recording.path]
     for file in [*files, *pictures]:
         say(f"wrote {file}")
+
+
+def tell_cases(matrix: Matrix, folder: Path, as_json: bool) -> None:
+    """Print the verdicts on all cases, and where the recordings are."""
+    from ..show import cases
+
+    if as_json:
+        say_json(matrix.to_dict())
+        return
+    say(cases.render(matrix, colour=sys.stdout.isatty()) + "\n")
+    say(f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5")
 
 
 def exit_code(result: Result) -> int:

@@ -185,7 +185,7 @@ def parse_value(text: str) -> Any:
         return text
 
 
-def config_error(error: msgspec.ValidationError, path: Path, table: Any = None) -> ConfigError:
+def config_error(error: msgspec.ValidationError, path: Path | None, table: Any = None) -> ConfigError:
     """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`".
 
     Args:

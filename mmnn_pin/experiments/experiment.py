@@ -28,6 +28,7 @@ from ..torque.controller import CompiledController, Feedback, TorqueController, 
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from .inertia import effective_inertia
+from .tolerance import Case, Tolerance
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
 ARM_PROFILES = {"sine": Sine, "hold": Hold, "minimum_jerk": MinimumJerk}
@@ -176,6 +177,8 @@ class Experiment(Settings, frozen=True):
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
+        cases: Changes of this experiment, name to case; with them it runs once in each, and every run gets a verdict.
+        tolerance: What a case asks of its runs.
 
     Raises:
         UnknownName: A controller, a plot or a plant that does not exist.
@@ -211,6 +214,8 @@ class Experiment(Settings, frozen=True):
     disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
+    cases: dict[str, Case] = msgspec.field(default_factory=dict)
+    tolerance: Tolerance = Tolerance()
 
     def __post_init__(self) -> None:
         if not self.controllers:

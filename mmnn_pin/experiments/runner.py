@@ -151,6 +151,21 @@ def require_free(files: Sequence[Path], force: bool) -> None:
             raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=folder)
 
 
+def require_runnable(experiment: Experiment, robot: Robot) -> None:
+    """Refuse what cannot run, before anything is written.
+
+    Raises:
+        InputError: Bad reference, gains or blocks.
+    """
+    for controller in in_order(experiment.controllers):
+        if controller not in EFFECTIVE:
+            loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
+            loop.require_stable_gains()
+            loop.start.state(robot, loop.table()[0])
+            if experiment.plant == "contact" or loop.robot.layout.rig or not loop.sensor.exact:
+                loop.engine_at()
+
+
 def run_experiment(
     experiment: Experiment,
     name: str,
@@ -175,13 +190,7 @@ def run_experiment(
     files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}
     robot = experiment.load_robot()
     config = msgspec.structs.replace(experiment, overrides=robot.said).to_json()
-    for controller in in_order(wanted):
-        if controller not in EFFECTIVE:
-            loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
-            loop.require_stable_gains()
-            loop.start.state(robot, loop.table()[0])
-            if experiment.plant == "contact":
-                loop.engine_at()
+    require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
     notes = reference_notes(experiment, robot)

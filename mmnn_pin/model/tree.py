@@ -8,6 +8,7 @@ carries them, and so are wheels that are alike all around their axis: of these o
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 import pinocchio as pin
@@ -18,6 +19,7 @@ from mmnn_pin.model.tree_check import verify
 from mmnn_pin.model.tree_motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, Tree
 
 PLANAR = "JointModelPlanar"
+UPPER = np.triu_indices(3)
 ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"} | {
     "JointModelRevoluteUnaligned",
     "JointModelRevoluteUnboundedUnaligned",
@@ -123,11 +125,12 @@ def _homogeneous(rotation: Array, translation: Array) -> Array:
     return pin.SE3(rotation, translation).homogeneous
 
 
-def _turned(axis: Array) -> Array:
-    """Rotation whose z is the axis; a permutation with signs where the axis is one of x, y, z."""
+@lru_cache(maxsize=1000)
+def _turned(axis: tuple[float, float, float]) -> Array:
+    """Rotation whose z is the axis, homogeneous; a permutation with signs where the axis is one of x, y, z."""
     x = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
     x /= np.linalg.norm(x)
-    return np.column_stack((x, np.cross(axis, x), axis))
+    return _homogeneous(np.column_stack((x, np.cross(axis, x), axis)), np.zeros(3))
 
 
 def _displaced(kind: int, axis: Array, q: float) -> Array:
@@ -139,9 +142,10 @@ def _displaced(kind: int, axis: Array, q: float) -> Array:
 
 def _moments(inertia: pin.Inertia) -> Array:
     """`int (x, 1)(x, 1)' dm` of a body, shape (4, 4)."""
-    m, c = inertia.mass, inertia.lever
-    about_centre = 0.5 * np.trace(inertia.inertia) * np.eye(3) - inertia.inertia
-    return np.block([[about_centre + m * np.outer(c, c), m * c[:, None]], [m * c[None, :], np.array([[m]])]])
+    m, c = inertia.mass, np.append(inertia.lever, 1.0)
+    moments = m * np.outer(c, c)
+    moments[:3, :3] += 0.5 * np.trace(inertia.inertia) * np.eye(3) - inertia.inertia
+    return moments
 
 
 def _lump(model: pin.Model, T: Array, rest: Array) -> list[_Body]:
@@ -155,7 +159,7 @@ def _lump(model: pin.Model, T: Array, rest: Array) -> list[_Body]:
             at = at @ model.jointPlacements[j].homogeneous
             kind, axis = _axis(joint)
             if T[k].any():
-                turned = _homogeneous(_turned(axis), np.zeros(3))
+                turned = _turned(tuple(axis))
                 body, at = _Body(body, kind, k, at @ turned), turned.T
                 bodies.append(body)
             else:
@@ -193,7 +197,7 @@ def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, fram
     numbers = np.zeros((len(rows), NUMBER.weight + max(stop - first for first, stop in spans)))
     for row, body, T_row, (first, stop) in zip(numbers, rows, T_rows, spans, strict=True):
         P, H = body.moments, body.placement
-        row[: NUMBER.weight] = *H[:3, :3].ravel(), *H[:3, 3], P[3, 3], *P[:3, 3], *P[np.triu_indices(3)]
+        row[: NUMBER.weight] = *H[:3, :3].ravel(), *H[:3, 3], P[3, 3], *P[:3, 3], *P[UPPER]
         row[NUMBER.weight : NUMBER.weight + stop - first] = T_row[first:stop]
     return Tree(
         links=np.array(

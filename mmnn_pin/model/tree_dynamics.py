@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from mmnn_pin.compiled import compiled
+from mmnn_pin.compiled import compiled, inlined, spliced
 from mmnn_pin.model.tree_motion import (
     AT,
     BASE,
@@ -41,7 +41,7 @@ from mmnn_pin.model.tree_motion import (
 )
 
 
-@compiled
+@inlined
 def _gravity(gravity: Vector, frame: Vector, level: int, position: Array) -> Vector:
     """Gravity in O."""
     x, y, z = gravity
@@ -51,7 +51,7 @@ def _gravity(gravity: Vector, frame: Vector, level: int, position: Array) -> Vec
     return x, y, z
 
 
-@compiled
+@spliced
 def _sum_masses(links: Indices, numbers: Array, scratch: Array) -> None:
     """Moments of every body with all that it carries: `Sigma + d mc' + mc d' + m d d'` about a point d away."""
     for k in range(10):
@@ -76,7 +76,7 @@ def _sum_masses(links: Indices, numbers: Array, scratch: Array) -> None:
                 k += 1
 
 
-@compiled
+@spliced
 def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector, Vector]:
     """Linear and angular momentum of a body with all that it carries, moving along axis i at rate 1."""
     w, s, mc = get(scratch, i, AT.w), get(scratch, i, AT.s), get(scratch, body, AT.all_moment)
@@ -87,7 +87,7 @@ def _momentum(i: int, body: int, scratch: Array) -> tuple[Vector, Vector]:
     return linear, angular
 
 
-@compiled
+@spliced
 def _couple(
     links: Indices, numbers: Array, i: int, j: int, linear: Vector, angular: Vector, scratch: Array, M: Array
 ) -> None:
@@ -102,7 +102,7 @@ def _couple(
                 M[first_j + b, first_i + a] += x
 
 
-@compiled
+@spliced
 def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Array) -> None:
     """`M = T' M_full T` after `place`, by composite bodies."""
     _sum_masses(links, numbers, scratch)
@@ -120,7 +120,7 @@ def _mass(links: Indices, numbers: Array, rotors: Array, scratch: Array, M: Arra
             _couple(links, numbers, i, base, linear, angular, scratch, M)
 
 
-@compiled
+@spliced
 def _push_base(numbers: Array, omega: float, g: Vector, velocity: Vector, acceleration: Vector, scratch: Array) -> None:
     """Motion of the reference of the base, from its `(vx, vy, w)` and their rates, and the force it takes."""
     x, y, w = velocity
@@ -135,7 +135,7 @@ def _push_base(numbers: Array, omega: float, g: Vector, velocity: Vector, accele
     put(scratch, BASE.w, AT.torque, (0.0, 0.0, inertia * alpha + cx * ay - cy * ax))
 
 
-@compiled
+@spliced
 def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> None:
     """Motion of the reference of body i on body j, and the force it takes, `F` and `N` of the heading."""
     omega_ref, alpha, k = get(scratch, j, AT.omega_ref), get(scratch, j, AT.alpha), AT.second
@@ -155,7 +155,7 @@ def _push(j: int, i: int, speed: float, speed_rate: float, scratch: Array) -> No
     put(scratch, i, AT.torque, torque)
 
 
-@compiled
+@spliced
 def _pull(links: Indices, numbers: Array, i: int, force: Vector, torque: Vector, scratch: Array, out: Array) -> None:
     """Add what joint i takes of a force, through its row of T."""
     tau = dot(get(scratch, i, AT.w), torque) + dot(get(scratch, i, AT.s), force)
@@ -164,7 +164,7 @@ def _pull(links: Indices, numbers: Array, i: int, force: Vector, torque: Vector,
         out[first + k] += numbers[i, NUMBER.weight + k] * tau
 
 
-@compiled
+@spliced
 def _inverse(
     links: Indices,
     numbers: Array,
@@ -194,7 +194,7 @@ def _inverse(
         _pull(links, numbers, i, get(scratch, BASE.w, AT.force), get(scratch, BASE.w, AT.torque), scratch, out)
 
 
-@compiled
+@inlined
 def terms(tree: Tree, position: Array, nu: Array, scratch: Array, M: Array, h: Array) -> None:
     """Reduced mass matrix and bias forces, `M = T' M T` and `h = T' (C(q, T nu) T nu + g)`.
 
@@ -230,7 +230,7 @@ def psi(tree: Tree, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array,
     psi_again(tree, position, nu_ref, nudot_ref, scratch, out)
 
 
-@compiled
+@inlined
 def psi_again(tree: Tree, position: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
     """`psi` where `scratch` still holds this state, from `terms` or `psi` just before."""
     g, rotors = _gravity(tree.gravity, tree.frame, tree.level, position), tree.rotors

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mmnn_pin.compiled import compiled
+from mmnn_pin.compiled import compiled, inlined, spliced
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -173,7 +173,7 @@ def times(table: Array, i: int, k: int, a: Vector) -> Vector:
     )
 
 
-@compiled
+@inlined
 def rate(links: Indices, numbers: Array, i: int, nu: Array) -> float:
     """Row i of T times nu."""
     first, x = links[i, LINK.first], 0.0
@@ -182,13 +182,13 @@ def rate(links: Indices, numbers: Array, i: int, nu: Array) -> float:
     return x
 
 
-@compiled
+@spliced
 def base_rates(links: Indices, numbers: Array, nu: Array) -> Vector:
     """`(vx, vy, w)` of the base."""
     return rate(links, numbers, BASE.vx, nu), rate(links, numbers, BASE.vy, nu), rate(links, numbers, BASE.w, nu)
 
 
-@compiled
+@spliced
 def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Array) -> None:
     """Rotation and origin of body i; its parent's are known."""
     j, q, k = links[i, LINK.parent], position[links[i, LINK.coordinate]], NUMBER.rotation
@@ -209,7 +209,7 @@ def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Arr
         scratch[i, AT.origin + row] = scratch[j, AT.origin + row] + x
 
 
-@compiled
+@inlined
 def first_moment(numbers: Array, i: int, scratch: Array) -> Vector:
     """First moment of body i."""
     mc = get(numbers, i, NUMBER.moment)
@@ -217,7 +217,7 @@ def first_moment(numbers: Array, i: int, scratch: Array) -> Vector:
     return dot(rx, mc), dot(ry, mc), dot(rz, mc)
 
 
-@compiled
+@spliced
 def _weigh(numbers: Array, i: int, scratch: Array) -> None:
     """Moments of body i: `R mc`, `R Sigma R'`."""
     k = NUMBER.second
@@ -229,7 +229,7 @@ def _weigh(numbers: Array, i: int, scratch: Array) -> None:
     put(scratch, i, AT.second + 3, (dot(ry, y), dot(ry, z), dot(rz, z)))
 
 
-@compiled
+@spliced
 def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
     """Axis and lever of joint i, their rates, and the angular velocity of the body."""
     omega = get(scratch, links[i, LINK.parent], AT.omega)
@@ -245,7 +245,7 @@ def _move(links: Indices, i: int, speed: float, scratch: Array) -> None:
     put(scratch, i, AT.whirl, cross(omega, get(scratch, i, AT.moment)))
 
 
-@compiled
+@spliced
 def place(links: Indices, numbers: Array, position: Array, nu: Array, scratch: Array) -> None:
     """Where all bodies are and how they move, into `scratch`: what the dynamics start from."""
     put(scratch, BASE.w, AT.omega, (0.0, 0.0, rate(links, numbers, BASE.w, nu)))

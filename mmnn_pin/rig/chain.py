@@ -15,7 +15,8 @@ from ..sensing.encoders import COUNT, PERIOD, RECEIVED
 from ..signals import INDEX, Array, IntArray
 from .parts import Rig
 
-APPLIED, DISTURBANCE, TORQUE, PSI_HAT = (INDEX[name] for name in ("applied", "disturbance", "torque", "psi_hat"))
+APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
+TORQUE, PSI_HAT = INDEX["torque"], INDEX["psi_hat"]
 
 
 @compiled
@@ -48,7 +49,7 @@ def sense(
         is_new = rig.sensor[RECEIVED] != before
         measured = rig.sensor[RECEIVED] * rig.sensors[PERIOD]
     if rig.supervised:
-        safety.accept(row, at, measured, is_new, rig.guard)
+        safety.accept(row, at, measured, time, is_new, rig.guard)
 
 
 @compiled
@@ -139,7 +140,7 @@ def act(k: int, time: float, dt: float, row: Array, at: IntArray, rig: Rig) -> N
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], rig.tau)
     if rig.driven:
         mark(time, rig.dead, rig.is_dead, 1.0)
-        motor.drive(dt, rig.command, rig.speed, rig.is_dead, rig.motors, rig.supply, rig.states)
+        motor.drive(dt, rig.command, rig.speed, rig.is_dead, shorted(row, at, rig), rig.motors, rig.supply, rig.states)
         for i in range(rig.tau.size):
             rig.tau[i] = 0.0
             for j in range(rig.command.size):
@@ -150,6 +151,17 @@ def act(k: int, time: float, dt: float, row: Array, at: IntArray, rig: Rig) -> N
         for i in range(rig.tau.size):
             rig.tau[i] += rig.force[i]
             rig.total[i] += rig.force[i]
+
+
+@compiled
+def shorted(row: Array, at: IntArray, rig: Rig) -> int:
+    """How many motors, from the first on, have their windings shorted by the supervisor."""
+    if not rig.supervised or row[at[SAFETY]] < safety.STOPPING:
+        return 0
+    n = rig.encoders.size - rig.W.shape[1]
+    if row[at[SAFETY]] == safety.RAMPING:
+        return int(rig.command.size)
+    return int(rig.command.size - n) if rig.limits[safety.SHORT] > 0.0 else 0
 
 
 @compiled

@@ -7,15 +7,16 @@ from typing import Literal
 
 import numpy as np
 
-from ..actuator import Numbers, each, limits, speed_limits
 from ..errors import ConfigError
 from ..model.dynamics import Dynamics
+from ..model.limits import Numbers, each, limits, speed_limits
 from ..model.robot import Robot
 from ..settings import Settings, require_gain
 from ..signals import Array, Layout
-from .supervisor import COMMANDED, HEARD, MEMORY
+from .supervisor import BLIND, COMMANDED, HEARD, MEMORY
 
-MAY_BE_ZERO = ("torque_time", "stop_time", "hold_rate", "ramp")
+MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
+FRESH = 5.5  # measurements that fail to come before a stop does without
 
 
 class Safety(Settings, frozen=True):
@@ -34,6 +35,8 @@ class Safety(Settings, frozen=True):
         timeout: Age of the measurement or of the command at which it trips [s]; that of ros2_controllers by default.
         ramp: Time in which torque goes to zero: all of it without measurements, the last command without commands [s].
         stop_time: How long a tripped run goes on, to show the stop [s].
+        settle: Time in which feedback has to bring the robot to rest; after it the stop does without [s].
+        rest: Measured speed that counts as rest then [m/s, rad/s].
         hold_rate: Rate of the integral that holds the arm against gravity, slower where the feedback is too weak for it
             [1/s].
 
@@ -52,7 +55,9 @@ class Safety(Settings, frozen=True):
     weights: float | None = None
     timeout: float = 0.5
     ramp: float = 0.25
-    stop_time: float = 1.0
+    stop_time: float = 1.5
+    settle: float = 0.5
+    rest: float = 0.1
     hold_rate: float = 2.0
 
     def __post_init__(self) -> None:
@@ -64,7 +69,9 @@ class Safety(Settings, frozen=True):
             if name not in MAY_BE_ZERO and not np.all(np.asarray(value) > 0):
                 raise ConfigError(f"{value}", fix="use a number > 0", key=f"safety.{name}")
 
-    def numbers(self, robot: Robot, period: float, gains: Array, K: Array) -> Array:
+    def numbers(
+        self, robot: Robot, period: float, gains: Array, K: Array, short: bool = False, arrivals: float = 0.0
+    ) -> Array:
         """Settings as numbers for one robot.
 
         Args:
@@ -72,6 +79,8 @@ class Safety(Settings, frozen=True):
             period: Control period [s].
             gains: (p,) feedback that brakes and holds, on the velocities.
             K: (n,) gain of the filtered arm error.
+            short: Whether shorted windings brake the base.
+            arrivals: Time between two measurements [s]; 0 for the control period.
 
         Raises:
             ConfigError: Not one number per motor or per joint.
@@ -85,6 +94,7 @@ class Safety(Settings, frozen=True):
             self._calm_rate(robot, gains),
             period,
         ]
+        own += [self.settle, self.rest, float(short), FRESH * (arrivals or period)]
         base = [some(self.speed)] * (layout.base - 1) + [some(self.yaw_rate)] if layout.base else []
         urdf = speed_limits(robot)[layout.motors - layout.arm :]
         joint_speed = limits("safety.joint_speed", self.joint_speed, urdf, "joint")
@@ -110,4 +120,5 @@ def new_memory(layout: Layout, start: float = 0.0) -> Array:
     message = layout.pose + layout.base + 2 * layout.arm
     memory = np.zeros(MEMORY + message + 2 * layout.dof + layout.motors + 2 * layout.arm)
     memory[HEARD] = memory[COMMANDED] = start
+    memory[BLIND] = -1.0
     return memory

@@ -16,10 +16,12 @@ PSI_HAT, TORQUE = INDEX["psi_hat"], INDEX["torque"]
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
 # Settings: numbers, then per motor the torque limit, per velocity the speed limit and the feedback gain, per joint the
 # error limit and the gain K.
-TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H, NUMBERS = range(10)
+TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H = range(9)
+SETTLE, REST, SHORT, FRESH, NUMBERS = range(9, 14)
 # Memory: numbers, then the last good measurement, the last torque (p), per motor the time above its limit, per joint
 # where it is held and the integral of its error, the last command of a controller that fell silent (p).
-HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED, MEMORY = range(14)
+HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED = range(13)
+ARRIVED, BLIND, GIVEN_UP, MEMORY = range(13, 17)
 EARLY = 5e-10  # half a nanosecond, as times are rounded [s]
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
@@ -27,13 +29,14 @@ NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, 
 
 
 @compiled
-def accept(row: Array, at: IntArray, time: float, is_new: bool, memory: Array) -> None:
+def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, memory: Array) -> None:
     """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
 
     Args:
         row: (width,) row of signals with pose, velocity, q, qdot as received.
         at: Offsets of the signals.
         time: When it was measured [s].
+        now: When it came [s].
         is_new: Whether it is another one than last time.
         memory: The supervisor's memory.
     """
@@ -43,7 +46,7 @@ def accept(row: Array, at: IntArray, time: float, is_new: bool, memory: Array) -
     memory[HELD] = 0.0 if fine else 1.0
     if fine and is_new:
         copy_to(row[first : first + size], memory[MEMORY : MEMORY + size])
-        memory[HEARD], memory[GOOD] = time, memory[GOOD] + 1.0
+        memory[HEARD], memory[ARRIVED], memory[GOOD] = time, now, memory[GOOD] + 1.0
     elif not fine:
         memory[BAD] += is_new
         copy_to(memory[MEMORY : MEMORY + size], row[first : first + size])
@@ -172,33 +175,45 @@ def check_motion(row: Array, at: IntArray, time: float, numbers: Array, memory: 
 
 @compiled
 def stop(row: Array, at: IntArray, time: float, numbers: Array, memory: Array, n: int, motors: int) -> None:
-    """Brake the base and hold the arm; without fresh measurements let the torque go to zero."""
+    """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
     p = at[TORQUE + 1] - at[TORQUE]
     tau, last = row[at[TORQUE] : at[TORQUE + 1]], memory[MEMORY + at[QDOT + 1] - at[POSE] :]
     gains = numbers[NUMBERS + motors + p :]
     K, hold = gains[p + n :], last[p + motors :]
     stale = hold[2 * n :]
-    if memory[GOOD] == 0.0 or time - memory[HEARD] > numbers[TIMEOUT] + EARLY:
-        row[at[STATE]], memory[ACTED] = RAMPING, 0.0
-        left = numbers[RAMP] - (time - max(memory[TIME], memory[HEARD] + numbers[TIMEOUT]))
+    if time - memory[TIME] > numbers[SETTLE] and moves(row, at, p, n, numbers[REST]):
+        memory[GIVEN_UP] = 1.0
+    if memory[GIVEN_UP] > 0.0 or memory[GOOD] == 0.0 or time - memory[ARRIVED] > numbers[FRESH]:
+        if memory[BLIND] < 0.0:
+            memory[BLIND], memory[ACTED] = time, 0.0
+        row[at[STATE]], left = RAMPING, numbers[RAMP] - (time - memory[BLIND])
         for i in range(p):  # these factors multiply to a straight line
             tau[i] = last[i] * left / (left + numbers[H]) if left > 0.0 else 0.0
         return
-    row[at[STATE]] = STOPPING
+    row[at[STATE]], memory[BLIND] = STOPPING, -1.0
     if memory[ACTED] == 0.0:  # hold the arm where it is now
         memory[ACTED] = 1.0
         for i in range(n):
             hold[i], hold[n + i] = row[at[Q] + i], 0.0
         for i in range(p):
             stale[i] = last[i] if memory[CODE] == LOST and time == memory[TIME] else 0.0
-    left = max(0.0, numbers[RAMP] - (time - memory[TIME]))
-    fade = left / (numbers[RAMP] + numbers[H])
+    fade = max(0.0, numbers[RAMP] - (time - memory[TIME])) / (numbers[RAMP] + numbers[H])
     for i in range(p - n):
-        tau[i] = fade * stale[i] - gains[i] * row[at[VELOCITY] + i]
+        feedback = 0.0 if numbers[SHORT] > 0.0 else -gains[i] * row[at[VELOCITY] + i]
+        tau[i] = fade * stale[i] + feedback
     for i in range(n):
         e, j = hold[i] - row[at[Q] + i], p - n + i
         hold[n + i] += numbers[H] * numbers[HOLD_RATE] * e
         tau[j] = fade * stale[j] + gains[j] * (K[i] * (e + hold[n + i]) - row[at[QDOT] + i])
+
+
+@compiled
+def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
+    """Whether a measured velocity is not at rest."""
+    fastest = 0.0
+    for i in range(p):
+        fastest = max(fastest, abs(row[at[VELOCITY] + i] if i < p - n else row[at[QDOT] + i - (p - n)]))
+    return fastest > rest
 
 
 @compiled

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -72,7 +73,7 @@ class Sensor(Settings, frozen=True):
     @property
     def exact(self) -> bool:
         """Whether the controller gets the true state at once."""
-        return self == Sensor(bandwidth=self.bandwidth)
+        return self == _exact(self.bandwidth, self.side)
 
     def on(self, robot: Robot, period: float) -> Sensing:
         """The sensors of one robot.
@@ -125,6 +126,11 @@ class Sensor(Settings, frozen=True):
             what = f"{given.size} numbers for {joints} joints"
             raise ConfigError(what, fix="give one number or one per joint", key=f"sensor.{name}")
         return np.concatenate((np.full(wheels, of_wheels), np.broadcast_to(given, joints)))
+
+
+@lru_cache(maxsize=100)
+def _exact(bandwidth: float, side: Literal["joint", "motor"]) -> Sensor:
+    return Sensor(bandwidth=bandwidth, side=side)
 
 
 @dataclass(frozen=True, eq=False)

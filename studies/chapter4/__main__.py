@@ -24,12 +24,14 @@ from mmnn_pin.show.figure import save
 
 from .calibration import Budget as Searches
 from .calibration import Trials, calibrate
-from .claim import LEARNERS, PARTS, Row, accuracy, claim, tune
-from .claim import Budget as Tuning
-from .document import publish, render
+from .claim import Row, accuracy, claim, conditions
+from .document import publish, render, same_fit
 from .draws import PERIODS, RANGES, REFERENCES
 from .flatness import Effort, flatness
+from .judging import PARTS
 from .plots import claim_figure, flatness_figure, intervals_figure, ranges_of
+from .tuning import Budget as Tuning
+from .tuning import tunings
 from .unstated import CASES
 from .variants import read_otherwise, run_variants
 from .verdict import verdict, what_decides
@@ -46,6 +48,7 @@ class Amount:
         effort: The flatness's.
         tuning: The claim's, for each learner.
         draws: The claim's test draws.
+        explained: For how many of them gain and integral are run, too: medians need fewer draws than shares.
         chunk: How many of them are run at a time.
         checked: How many of them are run again with a finer plant.
     """
@@ -54,11 +57,12 @@ class Amount:
     effort: Effort = field(default_factory=Effort)
     tuning: Tuning = field(default_factory=Tuning)
     draws: int = 1000
-    chunk: int = 25
-    checked: int = 6
+    explained: int = 200
+    chunk: int = 50
+    checked: int = 8
 
 
-QUICK = Amount(Searches(1, 12, 2), Effort(2, 4, 2, 12), Tuning(2, 1, 9), draws=4, chunk=4, checked=1)
+QUICK = Amount(Searches(1, 12, 2), Effort(2, 4, 2, 12, 1), Tuning(2, 2, 7), draws=8, explained=4, chunk=4, checked=1)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -92,12 +96,16 @@ def study(amount: Amount, out: Path) -> dict[str, Any]:
     summary["calibration"], tried = calibrate(amount.searches, say)
     write_trials(out / "trials.csv", tried)
     found = summary["calibration"][FITTED.name]
+    if not same_fit(summary["variants"]["figures"], found):
+        say(f"chapter4.figures.toml holds another fit; now it is {found['values']}")
     summary["flatness"] = flatness(FITTED, tried[FITTED.name], found["values"], amount.effort, say)
     rows = claimed(amount, summary, say)
     write_rows(out / "draws.csv", rows)
     for name, figure in {
         "intervals": intervals_figure(fits(summary)),
-        "flatness": flatness_figure(summary["flatness"]["numbers"], ranges_of(found["numbers"])),
+        "flatness": flatness_figure(
+            summary["flatness"]["numbers"], ranges_of(found["numbers"]), summary["flatness"]["enough"]
+        ),
         "claim": claim_figure(rows),
     }.items():
         save(figure, figures / f"{name}.png")
@@ -115,21 +123,18 @@ def study(amount: Amount, out: Path) -> dict[str, Any]:
 
 def claimed(amount: Amount, summary: dict[str, Any], say: Any) -> list[Row]:
     """Tune, test and judge; the verdict goes into the summary, the rows are returned."""
-    tuned = {}
-    for name in LEARNERS:
-        tuned[name] = tune(name, amount.tuning)
-        say(f"tuned {name}: {tuned[name]['cost_as_printed']:.3f} to {min(tuned[name]['costs']):.3f}")
-    rates = {"thesis": dict.fromkeys(LEARNERS), "tuned": {name: tuned[name]["values"] for name in LEARNERS}}
-    rows = claim(rates, amount.draws, amount.chunk, say)
+    tuned = tunings(amount.tuning, say)
+    wanted = conditions(tuned["learners"])
+    rows = claim(wanted, amount.draws, amount.explained, amount.chunk, say)
     summary["claim"] = {
         "tuned": tuned,
-        "training_draws": amount.tuning.draws,
+        "explained": min(amount.explained, amount.draws),
         "ranges": {name: {"lower": low, "upper": high, "unit": unit} for name, (low, high, unit, _) in RANGES.items()},
         "periods": PERIODS,
         "references": {name: words for name, (words, _) in REFERENCES.items()},
         "verdict": verdict(rows),
-        "decides": {name: decides([row for row in rows if row["condition"] == name]) for name in rates},
-        "accuracy": accuracy(rates, amount.checked),
+        "decides": {name: decides([row for row in rows if row["condition"] == name]) for name in wanted},
+        "accuracy": accuracy(wanted, amount.checked),
     }
     return rows
 

@@ -34,7 +34,7 @@ REFERENCES: dict[str, tuple[str, Trajectory]] = {
 BODIES = ("root", "arm_1_joint", "arm_2_joint")
 MASSES = "mass factor of platform, link 1, link 2"
 # What is drawn: from where to where, uniformly or (log) uniformly in the logarithm. K, Kz1, Kz2 and ZB are the same for
-# both networks of a draw, and so is everything else that both have.
+# both networks of a draw, and so is everything else that both have. What the thesis prints is not drawn.
 RANGES: dict[str, tuple[float, float, str, str]] = {
     MASSES: (0.7, 1.4, "", "log"),
     "mount": (0.0, 0.3, "m", ""),
@@ -47,7 +47,6 @@ RANGES: dict[str, tuple[float, float, str, str]] = {
     "Kz2": (0.02, 1.0, "", "log"),
     "ZB": (0.3, 10.0, "", "log"),
     "width": (1.0, 12.0, "", "log"),
-    "centre_range": (3.0, 10.0, "", ""),
     "v_range": (0.05, 1.5, "", ""),
     "start behind": (0.0, 0.02, "m", ""),
     "start aside": (-0.005, 0.005, "m", ""),
@@ -101,9 +100,7 @@ class Draw:
             kinematic=with_settings(base.kinematic, K=x["K"]),
             robust=with_settings(base.robust, base=x["Kz1"], arm=x["Kz2"], ZB=(x["ZB"], x["ZB"])),
             two_layer=with_settings(base.two_layer, v_range=x["v_range"], initial=self.initial),
-            one_layer=with_settings(
-                base.one_layer, width=x["width"], centre_range=x["centre_range"], centres=self.centres
-            ),
+            one_layer=with_settings(base.one_layer, width=x["width"], centres=self.centres),
             start=with_settings(base.start, pose_offset=(-x["start behind"], x["start aside"], 0.0)),
         )
 
@@ -128,10 +125,9 @@ def draw(stream: int, i: int) -> Draw:
     )
 
 
-def motions(i: int) -> tuple[str, str]:
-    """The two references of draw i; all pairs come equally often."""
-    names = list(REFERENCES)
-    return names[i % 4], names[(i + 1 + i // 4 % 3) % 4]
+def motion(i: int) -> str:
+    """The motion of draw i; all come equally often."""
+    return list(REFERENCES)[i % len(REFERENCES)]
 
 
 def loop(experiment: Experiment, robot: Robot, reference: str, controller: CompiledController) -> Loop:

@@ -1,7 +1,8 @@
 """How flat the optimum is: which unstated numbers the figures determine, and which they leave open.
 
 Three answers that need not agree: each number moved alone; all of them together, as a random walk through everything
-that still meets eleven intervals; and the linear one, from the Jacobian of the twelve extremes.
+that still meets eleven intervals; and the linear one, from the Jacobian of the twelve extremes, which holds where it
+was taken: at the best, and at places of the walk.
 """
 
 from __future__ import annotations
@@ -32,12 +33,14 @@ class Effort:
         chains: Walkers, an even number.
         steps: Steps of each.
         refit: Trials of the search at every other sample time.
+        slopes: Places of the walk at which the linear answer is asked for, too.
     """
 
     places: int = 21
     chains: int = 24
     steps: int = 60
     refit: int = 180
+    slopes: int = 8
 
 
 def flatness(
@@ -49,9 +52,11 @@ def flatness(
     enough = min(ENOUGH, int(met(run(case, numbers, best[None]))[0]))
     alone = moved_alone(case, numbers, best, enough, effort.places)
     say("moved every number alone")
-    left = left_by_jacobian(case, numbers, best)
     walked, accepted = walk(case, numbers, starts(tried, effort.chains), enough, effort)
     say(f"walked through what meets {enough}: {len(walked)} places, {accepted:.0%} of the steps accepted")
+    left, singular_values = left_by_jacobian(case, numbers, best)
+    last = walked[-effort.chains :]
+    elsewhere = [left_by_jacobian(case, numbers, place)[0] for place in last[:: max(1, len(last) // effort.slopes)]]
     rows = []
     for i, number in enumerate(numbers):
         low, high = np.quantile(walked[:, i], (0.05, 0.95))
@@ -64,14 +69,17 @@ def flatness(
                 "alone": [number.at(u) for u in alone[i]],
                 "together": [number.at(low), number.at(high)],
                 "share_left": float((high - low) / 0.9),
-                "linear_left": float(left["left"][i]),
+                "best_inside": bool(low <= best[i] <= high),
+                "linear_left": float(left[i]),
+                "linear_left_elsewhere": np.quantile([other[i] for other in elsewhere], (0, 0.5, 1)).tolist(),
             }
         )
     return {
         "enough": enough,
         "numbers": rows,
-        "singular_values": left["singular_values"],
-        "walk": {"places": len(walked), "accepted": accepted, "chains": effort.chains},
+        "singular_values": singular_values.tolist(),
+        "slopes": len(elsewhere),
+        "walk": {"places": len(walked), "accepted": accepted, "chains": effort.chains, "unsure": unsure(walked)},
         "sample_times": sample_times(case, values, effort, say),
     }
 
@@ -98,9 +106,10 @@ def stretch(grid: Array, enough: Array, best: float) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def left_by_jacobian(case: Case, numbers: Sequence[Number], best: Array, step: float = 0.01) -> dict[str, list[float]]:
-    """Linear answer: with J the extremes' change, in widths of their intervals, over a number's whole range.
+def left_by_jacobian(case: Case, numbers: Sequence[Number], best: Array, step: float = 0.01) -> tuple[Array, Array]:
+    """Linear answer at a place, and the singular values of J.
 
+    J is the extremes' change, in widths of their intervals, over a number's whole range.
     A uniform prior over the range and a uniform error over the interval have the same variance, 1/12, so that the share
     of a number's spread that the twelve intervals leave is `sqrt(diag((I + J' J)^-1))`.
     """
@@ -108,7 +117,7 @@ def left_by_jacobian(case: Case, numbers: Sequence[Number], best: Array, step: f
     sides = [run(case, numbers, middle + sign * step * np.eye(len(best))) for sign in (1, -1)]
     J = ((sides[0] - sides[1]) / (2 * step)).T / widths()[:, None]
     left = np.sqrt(np.diag(np.linalg.inv(np.eye(len(best)) + J.T @ J)))
-    return {"left": left.tolist(), "singular_values": np.linalg.svd(J, compute_uv=False).tolist()}
+    return left, np.linalg.svd(J, compute_uv=False)
 
 
 def widths() -> Array:
@@ -153,6 +162,14 @@ def walk(case: Case, numbers: Sequence[Number], places: Array, enough: int, effo
         if step >= effort.steps // 2:
             kept.append(places[short == 0].copy())
     return np.vstack(kept), accepted / (effort.steps * len(places))
+
+
+def unsure(walked: Array) -> float:
+    """How far the ends of the middle 90 % differ between the first and the second half of a walk, at most; 0 to 1."""
+    if len(walked) < 2:
+        return 1.0
+    first, second = (np.quantile(half, (0.05, 0.95), axis=0) for half in np.array_split(walked, 2))
+    return float(np.abs(first - second).max())
 
 
 def run(case: Case, numbers: Sequence[Number], places: Array) -> Array:

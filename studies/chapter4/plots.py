@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmnn_pin.show.figure import new_figure, styled
+from mmnn_pin.show.figure import Look, add_legend, new_figure, styled
 
 from .claim import Row
 from .draws import REFERENCES
-from .unstated import LEARNERS, MOUNT, Number
-from .verdict import column
+from .unstated import MOUNT, Number
+from .verdict import JUDGED, across
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,13 +35,14 @@ def intervals_figure(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure
     axes.axvspan(0, 1, color="0.87", linewidth=0)
     first = next(iter(found.values()))
     names = [f"{row['figure']}, {quantity(row['curve'])}, {row['statistic']}" for row in first]
+    looks: list[tuple[str, Look]] = []
     for i, (label, rows) in enumerate(found.items()):
+        look: Look = {"marker": MARKS[i], "color": (*COLOURS, "#000000")[i], "markersize": 5, "linestyle": "none"}
+        looks.append((label, look))
         offset = 0.16 * (i - (len(found) - 1) / 2)
         where = [(row["value"] - row["lower"]) / (row["upper"] - row["lower"]) for row in rows]
         shown = np.clip(where, -REACH, 1 + REACH)
-        axes.plot(
-            shown, np.arange(len(rows)) + offset, MARKS[i], color=(*COLOURS, "#000000")[i], markersize=5, label=label
-        )
+        axes.plot(shown, np.arange(len(rows)) + offset, **look)
         for k, (at, there) in enumerate(zip(where, shown, strict=True)):
             if at != there:
                 right = at > there
@@ -58,14 +59,7 @@ def intervals_figure(found: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure
     axes.invert_yaxis()
     axes.set_xlim(-REACH - 0.5, 1 + REACH + 0.5)
     axes.set_xlabel("place relative to the thesis's tick interval (grey), in its widths")
-    figure.legend(
-        loc="outside upper left",
-        ncols=2,
-        frameon=False,
-        title="Extremes of figures 4.2 to 4.4",
-        alignment="left",
-        title_fontproperties={"weight": "bold", "size": 12},
-    )
+    add_legend(figure, "Extremes of figures 4.2 to 4.4", looks)
     return figure
 
 
@@ -75,20 +69,23 @@ def quantity(curve: str) -> str:
 
 
 @styled
-def flatness_figure(numbers: Sequence[Mapping[str, Any]], ranges: Mapping[str, Number]) -> Figure:
+def flatness_figure(numbers: Sequence[Mapping[str, Any]], ranges: Mapping[str, Number], enough: int) -> Figure:
     """Per number the stretch that keeps enough intervals met: moved alone, and with all others moving too."""
+    bar: Look = {"solid_capstyle": "butt", "linewidth": 9}
+    whole, together, alone, best = looks = {
+        "range searched": {**bar, "color": "0.85", "zorder": 1},
+        f"{enough} met, all others free (middle 90 %)": {**bar, "color": "#56B4E9", "zorder": 2},
+        f"{enough} met, moved alone": {**bar, "color": "#0072B2", "linewidth": 3, "zorder": 3},
+        "best": {"color": "black", "marker": "o", "markersize": 5, "linestyle": "none", "zorder": 4},
+    }
     figure = new_figure(7.2, 4.4)
     axes = figure.subplots()
     for i, row in enumerate(numbers):
         place = ranges[row["name"]].place
-        axes.plot([0, 1], [i, i], color="0.85", linewidth=9, solid_capstyle="butt", zorder=1)
-        axes.plot(
-            [place(v) for v in row["together"]], [i, i], color="#56B4E9", linewidth=9, solid_capstyle="butt", zorder=2
-        )
-        axes.plot(
-            [place(v) for v in row["alone"]], [i, i], color="#0072B2", linewidth=3, solid_capstyle="butt", zorder=3
-        )
-        axes.plot(place(row["best"]), i, "o", color="black", markersize=5, zorder=4)
+        axes.plot([0, 1], [i, i], **looks[whole])
+        axes.plot([place(v) for v in row["together"]], [i, i], **looks[together])
+        axes.plot([place(v) for v in row["alone"]], [i, i], **looks[alone])
+        axes.plot(place(row["best"]), i, **looks[best])
         for x, value, side in ((0, row["range"][0], "right"), (1, row["range"][1], "left")):
             axes.annotate(
                 f"{value:g}",
@@ -109,71 +106,39 @@ def flatness_figure(numbers: Sequence[Mapping[str, Any]], ranges: Mapping[str, N
     axes.grid(False)
     axes.tick_params(length=0)
     axes.spines[["bottom", "left"]].set_visible(False)
-    from matplotlib.lines import Line2D
-
-    looks = [
-        Line2D([], [], color="0.85", linewidth=9),
-        Line2D([], [], color="#56B4E9", linewidth=9),
-        Line2D([], [], color="#0072B2", linewidth=3),
-        Line2D([], [], color="black", marker="o", linestyle="none"),
-    ]
-    labels = ["range searched", "11 met, all others free (middle 90 %)", "11 met, moved alone", "best"]
-    figure.legend(
-        looks,
-        labels,
-        loc="outside upper left",
-        ncols=2,
-        frameon=False,
-        title="What the figures determine",
-        alignment="left",
-        title_fontproperties={"weight": "bold", "size": 12},
-    )
+    add_legend(figure, "What the figures determine", list(looks.items()))
     return figure
 
 
 @styled
 def claim_figure(rows: Sequence[Row]) -> Figure:
-    """Share of the draws in which the ratio two-layer to one-layer is below a value, per reference, part and rates."""
+    """Share of the comparisons in which the ratio two-layer to one-layer is below a value, per motion and part."""
     figure = new_figure(7.2, 5.6)
     conditions = list(dict.fromkeys(row["condition"] for row in rows))
-    grid = figure.subplots(len(conditions), 2, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(len(conditions), len(JUDGED), sharex=True, sharey=True, squeeze=False)
+    looks: dict[str, Look] = {
+        name: {"color": colour, "linestyle": dash}
+        for name, colour, dash in zip(REFERENCES, COLOURS, DASHES, strict=True)
+    }
     for line, condition in zip(grid, conditions, strict=True):
-        for axes, part in zip(line, ("base", "arm"), strict=True):
+        for axes, part in zip(line, JUDGED, strict=True):
             axes.set_title(f"{part}, {RATES[condition]}", loc="left")
             axes.axvline(1, color="0.4", linewidth=1)
             axes.axhline(0.5, color="0.75", linewidth=0.8)
-            for k, reference in enumerate(REFERENCES):
+            for reference, look in looks.items():
                 mine = [row for row in rows if row["condition"] == condition and row["reference"] == reference]
-                two, one = (column(mine, name, part, "tracking") for name in LEARNERS)
+                two, one = across(mine, part, "tracking")
                 with np.errstate(all="ignore"):
-                    ratio = np.sort((two / one)[~(np.isinf(two) & np.isinf(one))])
-                share = np.arange(1, len(ratio) + 1) / len(mine)
-                axes.step(
-                    np.clip(ratio, 1e-3, 1e3),
-                    share,
-                    where="post",
-                    color=COLOURS[k],
-                    linestyle=DASHES[k],
-                    label=reference,
-                )
+                    ratio = (two / one).ravel()
+                known = np.sort(ratio[~np.isnan(ratio)])
+                axes.step(np.clip(known, 1e-3, 1e3), np.arange(1, len(known) + 1) / len(known), where="post", **look)
     grid[0][0].set(xscale="log", xlim=(0.02, 20), ylim=(0, 1))
-    grid[0][0].set_xticks([0.03, 0.1, 0.3, 1, 3, 10], ["0.03", "0.1", "0.3", "1", "3", "10"])
+    grid[0][0].set_xticks([0.1, 1, 10], ["0.1", "1", "10"])
     grid[0][0].minorticks_off()
-    for axes in grid[-1]:
-        axes.set_xlabel("RMS error, two-layer / one-layer\n(left of 1 the two-layer network is better)")
+    grid[-1][1].set_xlabel("RMS error, two-layer / one-layer (left of 1 the two-layer network is better)")
     for line in grid:
-        line[0].set_ylabel("share of the draws")
-    handles, labels = grid[0][0].get_legend_handles_labels()
-    figure.legend(
-        handles,
-        labels,
-        loc="outside upper left",
-        ncols=4,
-        frameon=False,
-        title="The claim, at equal feedback gains",
-        alignment="left",
-        title_fontproperties={"weight": "bold", "size": 12},
-    )
+        line[0].set_ylabel("share of the comparisons")
+    add_legend(figure, "The claim, at equal feedback gains", list(looks.items()))
     return figure
 
 

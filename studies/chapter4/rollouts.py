@@ -6,11 +6,14 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from threading import Event
 
 import numpy as np
 
 from mmnn_pin import Loop, Robot
 from mmnn_pin.signals import Array, Layout
+
+LOADED = Event()  # set once this process has the compiled code
 
 
 @dataclass(frozen=True)
@@ -65,9 +68,11 @@ def roll_out(loops: Sequence[Loop], names: Sequence[str]) -> list[Rollout]:
         outcome = loop.stream(engine, keep)
         return Rollout(outcome.status == "completed", {n: np.vstack(parts) for n, parts in keep.blocks.items()})
 
-    first = [one(loop) for loop in loops[:1]]  # it compiles, or loads the compiled code, before threads compete for it
+    alone = [] if LOADED.is_set() else loops[:1]  # it compiles, or loads the compiled code: no threads compete for it
+    first = [one(loop) for loop in alone]
+    LOADED.set()
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        return first + list(pool.map(one, loops[1:]))
+        return first + list(pool.map(one, loops[len(alone) :]))
 
 
 def with_mount(robot: Robot, x: float) -> Robot:

@@ -42,6 +42,7 @@ def numbers_of(result: Result) -> dict[str, Any]:
         "metrics": metrics,
         "improvement": told["comparison"]["improvement"],
         "unfair": told["comparison"]["unfair"],
+        "messages": [run["message"] for run in told["runs"].values() if run["message"]],
     }
 
 

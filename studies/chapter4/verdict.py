@@ -6,131 +6,117 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from mmnn_pin.signals import Array
 
-from .claim import PARTS, WINDOWS, Row
+from .claim import THESIS, Row
+from .crossed import middle, share
 from .draws import RANGES, REFERENCES
+from .judging import PARTS, WINDOWS
 from .unstated import LEARNERS
 
-Flags = NDArray[np.bool_]
 IDLE = 0.01  # a learner within this of PD at its own gain has learned nothing that shows
 ALL = "all"
 JUDGED = (*PARTS, "both")
+SPLITS = {"initial": ("zero", "random"), "centres": ("diagonal", "random")}  # what else a draw decides, as printed
 
 
 def verdict(rows: Sequence[Row]) -> dict[str, Any]:
-    """Condition to reference (or `all` of them) to part and window to numbers, for JSON."""
+    """Condition to group of draws (all, a motion, a split) to part and window to numbers, for JSON."""
     found: dict[str, Any] = {}
     for condition in dict.fromkeys(row["condition"] for row in rows):
         mine = [row for row in rows if row["condition"] == condition]
-        chosen = {ALL: mine} | {name: [row for row in mine if row["reference"] == name] for name in REFERENCES}
-        found[condition] = {name: of_reference(part) for name, part in chosen.items()}
+        groups = {ALL: mine} | {name: [row for row in mine if row["reference"] == name] for name in REFERENCES}
+        if condition == THESIS:  # a tuned network has its own
+            for key, values in SPLITS.items():
+                groups |= {f"{key} {value}": [row for row in mine if row.get(key) == value] for value in values}
+        found[condition] = {name: of_group(group) for name, group in groups.items() if group}
     return found
 
 
-def of_reference(rows: Sequence[Row]) -> dict[str, Any]:
-    """Numbers of one reference, or of all pooled."""
-    draws = np.array([row["draw"] for row in rows])
+def of_group(rows: Sequence[Row]) -> dict[str, Any]:
+    """Numbers of some draws."""
+    runs = {name: sum(row[f"{name}.diverged"] for row in rows) for name in LEARNERS}
+    first = [row for row in rows if row["tuning"] == rows[0]["tuning"]]
     return {
-        "pairs": len(rows),
-        "draws": len(set(draws.tolist())),
-        "lost": {name: int(sum(row[f"{name}.diverged"] for row in rows)) for name in ("pd", *LEARNERS)},
-        **{f"{part}.{window}": of_part(rows, draws, part, window) for part in JUDGED for window in WINDOWS},
+        "draws": len(first),
+        "tunings": len(rows) // len(first),
+        "lost": {"pd": int(sum(row["pd.diverged"] for row in first))} | {name: int(n) for name, n in runs.items()},
+        **{f"{part}.{window}": of_part(rows, part, window) for part in JUDGED for window in WINDOWS},
     }
 
 
-def of_part(rows: Sequence[Row], draws: Array, part: str, window: str) -> dict[str, Any]:
-    """Who wins, by how much, and why, for the base or the arm in one window."""
-    two, one, gain_two, gain_one, pd = (
-        column(rows, name, part, window) for name in (*LEARNERS, *(f"gain_of_{name}" for name in LEARNERS), "pd")
-    )
+def of_part(rows: Sequence[Row], part: str, window: str) -> dict[str, Any]:
+    """Who wins, by how much, and why, for the base, the arm or both in one window."""
+    pd = column(rows, "pd", part, window)[:1, None]
+    two, one = across(rows, part, window)
+    gain_two, gain_one = across(rows, part, window, "gain_of_")
+    integral_two, integral_one = across(rows, part, window, "integral_of_")
     with np.errstate(all="ignore"):
-        learns = one / gain_one < 1 - IDLE
+        ratio = two / one
+        decided = ~(np.isinf(two) & np.isinf(one))
+        learns = decided & (one / gain_one < 1 - IDLE)
         return {
-            "two_layer_wins": share(two < one, draws),
-            "one_layer_wins": share(one < two, draws),
-            "both_lost": int(np.sum(np.isinf(two) & np.isinf(one))),
-            "ratio": middle(two / one, draws),
-            "gain": middle(gain_two / gain_one, draws),
-            "learning": middle((two / gain_two) / (one / gain_one), draws),
-            "two_layer_by_learning": middle(two / gain_two, draws),
-            "one_layer_by_learning": middle(one / gain_one, draws),
-            "two_layer_to_pd": middle(two / pd, draws),
-            "one_layer_to_pd": middle(one / pd, draws),
-            "two_layer_idle": share(np.abs(two / gain_two - 1) < IDLE, draws),
-            "one_layer_idle": share(np.abs(one / gain_one - 1) < IDLE, draws),
-            "one_layer_harms": share(one / gain_one > 1 + IDLE, draws),
-            "two_layer_harms": share(two / gain_two > 1 + IDLE, draws),
-            "wins_where_one_layer_learns": share((two < one)[learns], draws[learns]),
+            "two_layer_wins": share(two < one, decided),
+            "pairs": [[share(a < b, ~(np.isinf(a) & np.isinf(b)))["share"] for b in one[0]] for a in two[:, 0]],
+            "ratio": middle(ratio),
+            "gain": middle(gain_two / gain_one),
+            "learning": middle((two / gain_two) / (one / gain_one)),
+            "wins_where_one_layer_learns": share(two < one, learns),
+            "errors": {
+                name: middle(found)["median"] for name, found in zip(("pd", *LEARNERS), (pd, two, one), strict=True)
+            },
+            **of_learner("two_layer", two, gain_two, pd, integral_two),
+            **of_learner("one_layer", one, gain_one, pd, integral_one),
         }
 
 
+def of_learner(name: str, error: Array, at_gain: Array, pd: Array, integral: Array) -> dict[str, Any]:
+    """One network beside PD at its own gain, PD, and its integral alone."""
+    learned = error / at_gain
+    known = ~np.isnan(learned)
+    return {
+        f"{name}_by_learning": middle(learned),
+        f"{name}_to_pd": middle(error / pd),
+        f"{name}_to_integral": middle(error / integral),
+        f"{name}_idle": share(np.abs(learned - 1) < IDLE, known),
+        f"{name}_harms": share(learned > 1 + IDLE, known),
+    }
+
+
+def across(rows: Sequence[Row], part: str, window: str, prefix: str = "") -> tuple[Array, Array]:
+    """Errors of the networks, (tunings, 1, draws) and (1, tunings, draws): against each other they give all pairs."""
+    two, one = (column(rows, prefix + name, part, window) for name in LEARNERS)
+    return two[:, None], one[None]
+
+
 def column(rows: Sequence[Row], name: str, part: str, window: str) -> Array:
-    """Errors of a controller, inf where its run was lost; for `both` the geometric mean of base and arm."""
+    """Errors of a controller, (tunings, draws): inf where its run was lost, nan where it was not run.
+
+    For `both` the geometric mean of base and arm.
+    """
     if part == "both":
         return np.sqrt(column(rows, name, "base", window) * column(rows, name, "arm", window))
-    return np.array([float(row[f"{name}.{part}.{window}"]) for row in rows])
-
-
-def share(yes: Flags, draws: Array) -> dict[str, Any]:
-    """Share of pairs with its 95 % interval."""
-    if not len(yes):
-        return {"share": None, "interval": None, "of": 0}
-    found = float(np.mean(yes))
-    return {"share": found, "interval": list(wilson(found, effective_number(yes, draws))), "of": len(yes)}
-
-
-def middle(ratios: Array, draws: Array) -> dict[str, Any]:
-    """Median of ratios, where their middle 90 % lie, and the median's 95 % interval; what both lost is left out.
-
-    The interval has its ends where the share of pairs below is at the ends of the interval of one half (Woodruff).
-    """
-    known = ~np.isnan(ratios)
-    if not known.any():
-        return {"median": None, "interval": None, "middle_90": None}
-    values, median = ratios[known], quantile(ratios[known], 0.5)
-    below = values <= (np.inf if median is None else median)
-    interval = [quantile(values, q) for q in wilson(0.5, effective_number(below, draws[known]))]
-    return {"median": median, "interval": interval, "middle_90": [quantile(values, q) for q in (0.05, 0.95)]}
-
-
-def quantile(values: Array, q: float) -> float | None:
-    """Quantile, an observed value; None for infinity."""
-    found = float(np.quantile(values, q, method="inverted_cdf"))
-    return found if np.isfinite(found) else None
-
-
-def effective_number(yes: Flags, draws: Array) -> float:
-    """How many independent pairs say as much about a share as these, of which those of one draw go together.
-
-    `p (1 - p) / variance`, the variance of p from the sums over whole draws; the number of draws where all agree.
-    """
-    p, groups = float(np.mean(yes)), len(set(draws.tolist()))
-    sums = np.bincount(np.unique(draws, return_inverse=True)[1], weights=np.asarray(yes, float) - p)
-    variance = float(np.sum(sums**2)) / len(yes) ** 2 * groups / max(1, groups - 1)
-    return min(len(yes), p * (1 - p) / variance) if variance > 0 else groups
-
-
-def wilson(p: float, n: float, z: float = 1.959964) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share p of n."""
-    middle, half = p + z**2 / (2 * n), z * float(np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2)))
-    return max(0.0, (middle - half) / (1 + z**2 / n)), min(1.0, (middle + half) / (1 + z**2 / n))
+    found = [np.nan if row[key] is None else float(row[key]) for row in rows for key in [f"{name}.{part}.{window}"]]
+    tunings, draws = np.array([row["tuning"] for row in rows]), np.array([row["draw"] for row in rows])
+    order = np.lexsort((draws, tunings))
+    return np.array(found)[order].reshape(len(set(tunings.tolist())), -1)
 
 
 def what_decides(rows: Sequence[Row], part: str) -> list[dict[str, Any]]:
-    """Spearman's correlation of the ratio two-layer to one-layer with every number drawn, strongest first."""
-    two, one = (column(rows, name, part, "tracking") for name in LEARNERS)
-    known = ~(np.isinf(two) & np.isinf(one))
+    """Spearman's correlation of the ratio two-layer to one-layer with every number drawn, strongest first.
+
+    With several tunings, of the median over their pairs.
+    """
+    first = sorted((row for row in rows if row["tuning"] == rows[0]["tuning"]), key=lambda row: row["draw"])
+    two, one = across(rows, part, "tracking")
     with np.errstate(all="ignore"):
-        ratio = (two / one)[known]
-    names = [name for name in (*RANGES, "period") if name in rows[0]] + [
-        n for n in rows[0] if n.startswith("mass factor")
-    ]
+        ratio = np.median(two / one, axis=(0, 1))
+    known = ~np.isnan(ratio)  # somebody arrived in every pair
+    numbers = [name for name in (*RANGES, "period") if name in first[0]]
     found = []
-    for name in names:
-        value = np.array([float(row[name]) for row in rows])[known]
-        found.append({"name": name, "correlation": float(spearmanr(value, ratio).statistic)})
+    for name in [*numbers, *(name for name in first[0] if name.startswith("mass factor"))]:
+        value = np.array([float(row[name]) for row in first])[known]
+        found.append({"name": name, "correlation": float(spearmanr(value, ratio[known]).statistic)})
     return sorted(found, key=lambda entry: -abs(entry["correlation"]))

@@ -1,0 +1,159 @@
+"""Experiments in cases: changes of keys, verdicts on runs, and the fault matrix that comes with the package."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from mmnn_pin.cli import main
+from mmnn_pin.errors import ConfigError, InputError, UnknownName
+from mmnn_pin.experiments.cases import judge, merged, run_cases, with_case
+from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.experiments.tolerance import Case, Tolerance
+from mmnn_pin.recorder import Recorder
+from mmnn_pin.recording import Outcome
+from mmnn_pin.show import cases as shown
+from mmnn_pin.signals import Layout
+
+LAYOUT = Layout(base=2, arm=2, full=7, motors=4)
+NAMES = {"velocity_names": ("v", "w", "a", "b"), "actuator_names": ("l", "r", "a", "b"), "control_period": 0.01}
+LOOSE = Tolerance(settle=0.5, pose=0.05, joint=0.05, runaway=0.3)
+
+
+def recording(outcome=None, *, away=0.0, turned=0.0, joint=0.0, speed=0.0, drive=0.0, broken=False):
+    """Two seconds in which the last second is off by the given errors, and moves at the given speed."""
+    rows, late = np.zeros((200, LAYOUT.width)), slice(100, None)
+    rows[:, LAYOUT.where("time")] = 0.01 * np.arange(200)[:, None]
+    rows[late, LAYOUT.where("true_pose_error")] = (0.6 * away, 0.8 * away, turned)
+    rows[late, LAYOUT.where("true_e")] = (0.0, -joint)
+    rows[late, LAYOUT.where("nu")] = (0.0, speed, 0.0, 0.0)
+    rows[150:, LAYOUT.where("position")] = (drive, 0, 0, 0, 0, 0, 0)
+    if broken:
+        rows[120, LAYOUT.where("psi")] = np.nan
+    with Recorder(LAYOUT, NAMES) as recorder:
+        recorder.append_block(rows, np.zeros(200))
+        return recorder.finish(outcome or Outcome("completed", 2.0))
+
+
+TRIPPED = Outcome("tripped", 1.2, "e[0]", "tripped at t = 1.2 s: joint error of a 0.21, 0.01 over its limit of 0.2")
+
+
+@pytest.mark.parametrize(
+    ("outcome", "errors", "kind", "says"),
+    [
+        (None, {"away": 0.049, "joint": 0.049}, "tracked", "within"),
+        (None, {"away": 0.051}, "failed", "not stopped: pose 0.051 over 0.05"),
+        (None, {"joint": 0.06}, "failed", "not stopped: joint 0.06"),
+        (None, {"turned": 0.2}, "failed", "not stopped: heading 0.2"),
+        (None, {"broken": True}, "failed", "psi not finite"),
+        (TRIPPED, {"away": 0.2}, "stopped", "joint error of a"),
+        (TRIPPED, {"away": 0.4}, "failed", "0.4 m away when it tripped"),
+        (TRIPPED, {"speed": 0.03}, "failed", "the base moves at 0.03"),
+        (TRIPPED, {"drive": 0.5}, "failed", "it drove 0.5 m after the trip"),
+        (TRIPPED, {"broken": True}, "failed", "psi not finite"),
+        (Outcome("diverged", 1.0, "nu[0]", "nu[0] left its bounds"), {}, "failed", "left its bounds"),
+        (Outcome("interrupted", 1.0, "", "stopped by Ctrl-C"), {}, "interrupted", "Ctrl-C"),
+    ],
+)
+def test_a_run_tracked_or_was_stopped_safely_or_failed(outcome, errors, kind, says):
+    verdict = judge(recording(outcome, **errors), LOOSE)
+    assert verdict.kind == kind and says in verdict.text
+
+
+def test_errors_count_after_settling_only():
+    assert judge(recording(away=1.0), Tolerance(settle=1.9999)).kind == "tracked"  # no sample is that late
+    assert judge(recording(away=1.0), Tolerance(settle=1.95)).kind == "failed"
+
+
+def test_tables_merge_and_lists_are_replaced():
+    table = {"a": {"b": 1, "c": [1, 2]}, "d": 3}
+    assert merged(table, {"a": {"c": [5]}, "e": {"f": 1}}) == {"a": {"b": 1, "c": [5]}, "d": 3, "e": {"f": 1}}
+    assert table == {"a": {"b": 1, "c": [1, 2]}, "d": 3}
+
+
+FAULTS = load_experiment("faults")
+
+
+def changed(**cases):
+    return msgspec.structs.replace(FAULTS, cases={name: Case("a case", keys) for name, keys in cases.items()})
+
+
+@pytest.mark.parametrize(
+    ("keys", "error", "where"),
+    [
+        ({"sensr": {}}, ConfigError, "cases.mine.set"),
+        ({"time": {"duration": "long"}}, ConfigError, "cases.mine.set.time.duration"),
+        ({"sensor": {"loss": 1.5}}, ConfigError, "cases.mine.set.sensor.loss"),
+        ({"actuator": {"gap": 0.1}}, ConfigError, "cases.mine.set.actuator.rotor_inertia"),
+        ({"plant": "lunar"}, UnknownName, "cases.mine.set.plant"),
+    ],
+)
+def test_a_case_that_changes_what_is_not_there_is_named(keys, error, where):
+    with pytest.raises(error) as caught:
+        with_case(changed(mine=keys), "mine")
+    assert caught.value.key == where
+
+
+def test_a_case_that_cannot_run_is_refused_before_anything_is_written(tmp_path):
+    joint = {"disturbances": [{"type": "dead_motor", "joint": "tail"}]}
+    with pytest.raises(InputError, match="tail") as caught:
+        run_cases(changed(fine={}, mine=joint), "x", out=tmp_path / "out")
+    assert "cases.mine" in str(caught.value.key) and not (tmp_path / "out").exists()
+
+
+def test_a_robot_that_runs_on_while_its_sensors_see_nothing_fails():
+    """Without limits nothing stops it, and what the sensors say looks well."""
+    frozen = {"disturbances": [{"type": "frozen_encoder", "joint": "arm_1_joint", "start": 0.5}], "safety": None}
+    short = changed(none={}, frozen=frozen)
+    time = msgspec.structs.replace(short.time, duration=1.5)
+    matrix = run_cases(msgspec.structs.replace(short, controllers=("pd",), time=time), "x")
+    assert matrix.verdicts["none"]["pd"].kind == "tracked"
+    assert matrix.verdicts["frozen"]["pd"].kind == "failed" and "joint" in matrix.verdicts["frozen"]["pd"].text
+    assert not matrix.completed and matrix.count("failed") == 1
+    text = shown.render(matrix)
+    assert "FAILED: not stopped: joint" in text and "2 runs: 1 tracked, 0 stopped, 1 failed" in text
+
+
+def test_every_cell_of_the_fault_matrix_tracks_or_is_stopped_safely(tmp_path, capsys):
+    """The bundled matrix as the command runs it: at least 20 faults, three controllers, no cell without a verdict."""
+    out = tmp_path / "out"
+    assert main(["run", "faults", "--json", "--out", str(out)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    cells = found["comparison"]["verdicts"]
+    assert len(cells) - 1 >= 20 and all(set(row) == {"pd", "one_layer", "two_layer"} for row in cells.values())
+    kinds = {cell["kind"] for row in cells.values() for cell in row.values()}
+    assert kinds == {"tracked", "stopped"}
+    assert {cell["kind"] for cell in cells["none"].values()} == {"tracked"}
+    for case in ("sensor_killed", "nan_forever", "frozen_arm", "blocked_wheel", "command_lost"):
+        assert {cell["kind"] for cell in cells[case].values()} == {"stopped"}, case
+    assert len(list(out.rglob("*.h5"))) == 3 * len(cells)
+    assert main(["run", "faults", "--out", str(out)]) == 2 and "--force" in capsys.readouterr().err
+
+
+def test_a_fault_that_fails_makes_the_command_fail(tmp_path, capsys):
+    arguments = ["--controller", "pd", "--set", "time.duration=1.5", "--set", "tolerance.pose=1e-6"]
+    keep = ["--set", 'cases={none={title="no fault"}}']
+    assert main(["run", "faults", *arguments, *keep, "--out", str(tmp_path / "out")]) == 1
+    assert "FAILED: not stopped: pose" in capsys.readouterr().out
+
+
+def test_recordings_say_which_case_they_are(tmp_path):
+    time = msgspec.structs.replace(FAULTS.time, duration=0.5)
+    one = replace_controllers(changed(quiet={}), time)
+    matrix = run_cases(one, "faults", out=tmp_path)
+    assert (tmp_path / "quiet" / "pd.h5").is_file()
+    assert matrix.results["quiet"].recordings["pd"].meta["experiment"] == "faults/quiet"
+
+
+def replace_controllers(experiment, time):
+    return msgspec.structs.replace(experiment, controllers=("pd",), time=time)
+
+
+def test_verdicts_are_data():
+    verdict = judge(recording(), LOOSE)
+    assert replace(verdict, kind="failed").kind == "failed"
+    assert msgspec.to_builtins(verdict)["kind"] == "tracked"
