@@ -149,7 +149,7 @@ class Actuator(Settings, frozen=True):
     def _require_light(self, robot: Robot, table: Array, dt: float) -> None:
         """No rotor is heavier than what its gear drives, together with the others, anywhere; see the top.
 
-        A brake is explicit: what it takes in a step must not be more than there is, for which `dt brake` stands for J.
+        A brake on a joint is explicit: in a step it must not take more than there is; `dt brake` stands for J.
         """
         geared = table[:, GAP] > 0
         worst, driven = heaviest(robot, np.where(geared, table[:, ROTOR], 0.0))
@@ -161,8 +161,6 @@ class Actuator(Settings, frozen=True):
                 key="actuator.rotor_inertia",
             )
         worst, driven = heaviest(robot, np.where(geared, 0.0, dt * table[:, BRAKE]))
-        for i in np.flatnonzero(geared & (dt * table[:, BRAKE] > table[:, ROTOR])):
-            worst, driven = int(i), table[i, ROTOR]
         if worst >= 0:
             raise ConfigError(
                 f"{table[worst, BRAKE]:.3g} at '{robot.actuator_names[worst]}'",
@@ -230,8 +228,8 @@ def drive(
         states[i, TORQUE] = u + m[LAG] * (states[i, TORQUE] - u)
         states[i, DRAWN] = drawn(states[i, TORQUE], w, voltage, m)
         u = states[i, TORQUE]
-        if i < shorted:
-            u -= m[BRAKE] * w
+        if i < shorted:  # implicit in the rotor, where there is one
+            u = (u - m[BRAKE] * w) / (1.0 + (dt * m[BRAKE] / m[ROTOR] if m[GAP] > 0.0 else 0.0))
         if m[GAP] > 0.0:
             u = through_gap(dt, u, speed[i], m, states[i])
         states[i, STATES] = u
@@ -272,10 +270,13 @@ def through_gap(dt: float, u: float, joint: float, m: Array, state: Array) -> fl
         free_pushed = (state[ROTOR_SPEED] + dt * (u - push) / m[ROTOR]) / most
         pushed = slowed(free_pushed, dt * m[FRICTION] / (m[ROTOR] * most))
         torque = push + grip * pushed
-        if torque * flank > 0.0:
-            free = pushed
-        else:
+        if torque * flank <= 0.0:
             torque = 0.0
+        elif abs(state[AHEAD]) < half and (state[AHEAD] + dt * (pushed - joint) - flank) * flank < 0.0:
+            touching = joint + (flank - state[AHEAD]) / dt  # it was hit before it was there
+            free, torque = touching, m[ROTOR] * (free - touching) / dt
+        else:
+            free = pushed
     state[ROTOR_SPEED] = free
     state[AHEAD] += dt * (free - joint)
     return torque

@@ -35,6 +35,8 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.rig import sense
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.show.plots import torque_figure
+from mmnn_pin.show.replay.events import events_of
 
 ROBOT = load("platform_arm")
 LEFT, ARM = ROBOT.base.wheels[0].joint, ROBOT.joint_names[0]
@@ -287,6 +289,40 @@ def test_the_exact_sensor_is_the_state():
     row, at, y = engine.row, loop.robot.layout.offsets, engine.y
     sense(0, 0.0, row, at, y[:7], y[7:11], loop.robot.arm_index, engine.rig)
     np.testing.assert_array_equal(row[loop.robot.layout.where("pose")], y[:3])
+
+
+# --- What is shown ----------------------------------------------------------------------------------------------------
+
+
+def test_a_replay_colours_what_the_supervisor_did():
+    events = (Commands(fault="nan", start=T, end=1.5 * T), Messages(fault="lost", start=2 * T))
+    run = loop_of({"safety": Safety(timeout=T, ramp=T, stop_time=T), "disturbances": events}).run()
+    assert run.outcome.status == "tripped"
+    found = {(event.kind, event.text.partition(":")[0]): event for event in events_of(run)}
+    assert set(found) == {
+        ("stop", "tripped"),
+        ("limit", "the supervisor clips a torque or holds a value"),
+        ("stop", "stopped without feedback"),
+    }
+    assert found["stop", "tripped"].start == run.outcome.time and found["stop", "tripped"].end == np.inf
+    assert found["limit", "the supervisor clips a torque or holds a value"].start == pytest.approx(T, abs=0.003)
+    interrupted = loop_of({"safety": Safety(timeout=T, ramp=T), "disturbances": events}).run()
+    assert "stop" in {event.kind for event in events_of(interrupted)}
+
+
+def test_the_torque_figure_shows_what_motors_gave_and_when_the_run_was_stopped():
+    case = {"actuator": Actuator(lag=0.01), "safety": Safety(joint_speed=1.0, stop_time=2 * T)}
+    runs = {"ideal": loop_of({}).run(), "real": loop_of(case).run()}
+    figure = torque_figure(runs)
+    legend = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert legend[2:] == ["given by the motors", "stopped by the supervisor"] and "tripped at" in legend[1]
+    given = runs["real"]["applied"]
+    shown = [line.get_ydata() for axes in figure.axes for line in axes.lines]
+    for j in range(4):
+        assert any(len(line) == len(given) and np.array_equal(line, given[:, j]) for line in shown)
+    assert all(axes.patches for axes in figure.axes)
+    plain = torque_figure({"ideal": runs["ideal"]})
+    assert len(plain.legends[0].get_texts()) == 1 and not any(axes.patches for axes in plain.axes)
 
 
 # --- The contact plant ------------------------------------------------------------------------------------------------

@@ -67,6 +67,8 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
         short = bool(layout.base) and bool(np.all(motors[: layout.motors - layout.arm, motor.BRAKE] > 0.0))
         arrivals = max(timing.control_period, timing.measurement_period)
         limits = loop.safety.numbers(robot, timing.control_period, gains, K, short, arrivals)
+        if not motors[:, motor.BRAKE].any():  # nothing brakes but feedback
+            limits[safety.SETTLE] = np.inf
     p, m, nv = layout.dof, layout.motors, layout.full
     guard = safety.new_memory(layout)
     parts = (sensing.init(), np.zeros((m, motor.STATES + 1)), guard, np.zeros(len(frozen)), np.zeros(p))
