@@ -8,13 +8,15 @@ All numbers are those at the joint, gears included. Friction of the gears belong
 experiment's `[friction]`) and sticks with the integrator `stick`.
 
 **Supply.** A direct-current motor: the drive asks for the voltage `R u / kt + kt w`, gets it within the supply and in
-whole steps of the PWM, and the torque is `kt (V - kt w) / R`. The supply sags by the battery's resistance times the
-sum of the currents.
+whole steps of the PWM, and the torque is `kt (V - kt w) / R`. Its bridge takes the share `V / supply` of the winding's
+current from the battery, whose voltage sags by its resistance times the sum of what the motors took in the last step.
 
 **Backlash.** Two masses with a gap between them, a two-sided contact: the rotor (inertia J) turns freely inside the gap
-and presses on the flank with a spring and a damper that never pulls. The rotor moves by implicit Euler, which is stable
-however stiff the flank; the joint feels the flank's torque, held over a step. The rotor's inertia is then here, not in
-the robot's armature.
+and presses on the flank with a spring and a damper that never pulls. It starts in the middle, at the joint's speed. The
+rotor moves by implicit Euler, which is stable however stiff the flank; the joint feels the flank's torque, held over a
+step. The rotor's inertia is then here, not in the robot's armature. What a held torque gives the joint too much in a
+step is `dt^2 u' E' M^-1 E u / 2`, what implicit Euler takes from the rotors `dt^2 u' J^-1 u / 2`: rotors lighter than
+what they drive never gain energy, and others are refused.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.limits import Numbers, each, limits, speed_limits
 from .model.robot import Robot
+from .model.sampling import random_state
 from .settings import Settings, require_gain
 from .signals import Array
 
@@ -36,9 +39,10 @@ from .signals import Array
 GAIN, LIMIT, SPEED, LAG, KT, RESISTANCE, GAP, ROTOR, STIFFNESS, DAMPING, FRICTION, BRAKE, PLACE, WIDTH = range(14)
 # Supply: voltage (0 for none), resistance of the battery, steps of the PWM between 0 and the voltage (0 for none).
 VOLTAGE, BATTERY, LEVELS = 0, 1, 2
-# What a motor remembers: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, its
-# current. `drive` also leaves the sum of what it gave to the joint since `clear`.
-TORQUE, AHEAD, ROTOR_SPEED, CURRENT, SUM, STATES = range(6)
+# What a motor remembers: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, the
+# current that it draws from the supply, and the sum of what it gave to the joint in this control period.
+TORQUE, AHEAD, ROTOR_SPEED, DRAWN, SUM, STATES = range(6)
+PLACES = 20  # at which a rotor is compared with what it drives
 
 
 class Actuator(Settings, frozen=True):
@@ -53,7 +57,7 @@ class Actuator(Settings, frozen=True):
         voltage: Voltage of the supply [V]; None for a supply without end, and then no PWM and no sag.
         torque_constant: kt at the joint, torque per current and back-EMF per speed alike [N m/A]; with a voltage.
         resistance: Of the winding [Ohm]; with a voltage.
-        battery_resistance: Of the supply [Ohm]; its voltage sags by this times the sum of all currents.
+        battery_resistance: Of the supply [Ohm], less than that of all windings in parallel.
         pwm_levels: Steps of the PWM between 0 and the voltage; 0 for a continuous voltage.
         gap: Backlash of the gear, from flank to flank [rad or m]; 0 for none.
         rotor_inertia: Inertia on the motor's side of the gap, seen from the joint [kg m^2 or kg]; needed with a gap.
@@ -92,9 +96,11 @@ class Actuator(Settings, frozen=True):
             value = getattr(self, name)
             if value is not None and value != "urdf" and not np.all(np.asarray(value) > 0):
                 raise ConfigError(f"{value}", fix="use a number > 0", key=f"actuator.{name}")
-        if self.voltage is None and (self.pwm_levels or self.battery_resistance):
-            name = "pwm_levels" if self.pwm_levels else "battery_resistance"
-            raise ConfigError("a supply without a voltage", fix="give actuator.voltage, too", key=f"actuator.{name}")
+        for name, unset in (("torque_constant", 1), ("resistance", 1), ("battery_resistance", 0), ("pwm_levels", 0)):
+            if self.voltage is None and getattr(self, name) != unset:
+                raise ConfigError(
+                    "a supply without a voltage", fix="give actuator.voltage, too", key=f"actuator.{name}"
+                )
         if np.any(np.asarray(self.gap) > 0) and not np.all(np.asarray(self.rotor_inertia) > 0):
             what, why = "a gap without a rotor", "inside the gap the rotor moves alone"
             raise ConfigError(what, why=why, fix="give actuator.rotor_inertia > 0", key="actuator.rotor_inertia")
@@ -112,47 +118,75 @@ class Actuator(Settings, frozen=True):
             dt: Step of the plant [s].
 
         Raises:
-            ConfigError: Not one number per motor; a rotor heavier than what its gear drives.
+            ConfigError: Not one number per motor; a rotor heavier than what its gear drives, a brake too strong for the
+            step, a battery that breaks down.
         """
         table = np.zeros((robot.layout.motors, WIDTH))
         places = [robot.position_names.index(name) for name in robot.actuator_names if name in robot.position_names]
         if len(places) < len(table) and np.any(np.asarray(self.gap) > 0):
             raise ConfigError("a base that forces drive has no gears", fix="leave the gap out", key="actuator.gap")
         columns = {GAIN: "torque_gain", KT: "torque_constant", RESISTANCE: "resistance", GAP: "gap"}
-        columns |= {
-            ROTOR: "rotor_inertia",
-            STIFFNESS: "stiffness",
-            DAMPING: "damping",
-            FRICTION: "rotor_friction",
-            BRAKE: "brake",
-        }
+        columns |= {ROTOR: "rotor_inertia", STIFFNESS: "stiffness", DAMPING: "damping"}
+        columns |= {FRICTION: "rotor_friction", BRAKE: "brake"}
         for column, name in columns.items():
             table[:, column] = each(f"actuator.{name}", getattr(self, name), len(table))
         lags = each("actuator.lag", self.lag, len(table))
-        table[:, LAG] = [1.0 if lag == 0 else -math.expm1(-dt / lag) for lag in lags]
+        table[:, LAG] = [0.0 if lag == 0 else math.exp(-dt / lag) for lag in lags]
         table[:, LIMIT] = limits("actuator.torque_limit", self.torque_limit, robot.effort_limits)
         table[:, SPEED] = limits("actuator.speed_limit", self.speed_limit, speed_limits(robot))
         table[:, PLACE] = places if len(places) == len(table) else -1
-        self._require_light(robot, table)
+        self._require_light(robot, table, dt)
+        if self.battery_resistance * np.sum(1.0 / table[:, RESISTANCE]) >= 1.0:
+            parallel = 1.0 / np.sum(1.0 / table[:, RESISTANCE])
+            why, fix = f"all windings in parallel have {parallel:.3g} Ohm: its voltage breaks down", "use less"
+            raise ConfigError(f"{self.battery_resistance:g} Ohm", why=why, fix=fix, key="actuator.battery_resistance")
         return table
 
     def supply(self) -> Array:
         """Voltage, the battery's resistance, steps of the PWM, (3,)."""
         return np.array([self.voltage or 0.0, self.battery_resistance, self.pwm_levels], float)
 
-    def _require_light(self, robot: Robot, table: Array) -> None:
-        """A held flank torque moves the joint stably while the rotor is lighter than what it drives."""
-        if not table[:, GAP].any():
-            return
-        M = robot.E.T @ np.linalg.inv(Dynamics(robot).mass_matrix(robot.neutral_position())) @ robot.E
-        for i, name in enumerate(robot.actuator_names):
-            if table[i, GAP] > 0 and table[i, ROTOR] * M[i, i] > 1.0:
-                raise ConfigError(
-                    f"a rotor of {table[i, ROTOR]:.3g} at '{name}'",
-                    why=f"behind its gear there is {1 / M[i, i]:.3g}, and the flank's torque is held over a step",
-                    fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
-                    key="actuator.rotor_inertia",
-                )
+    def _require_light(self, robot: Robot, table: Array, dt: float) -> None:
+        """No rotor is heavier than what its gear drives, together with the others, anywhere; see the top.
+
+        A brake on a joint is explicit: in a step it must not take more than there is; `dt brake` stands for J.
+        """
+        geared = table[:, GAP] > 0
+        worst, driven = heaviest(robot, np.where(geared, table[:, ROTOR], 0.0))
+        if worst >= 0:
+            raise ConfigError(
+                f"a rotor of {table[worst, ROTOR]:.3g} at '{robot.actuator_names[worst]}'",
+                why=f"its gear drives {driven:.3g}, and the flank's torque is held over a step",
+                fix="use a smaller rotor_inertia, or leave part of it in the joint's armature",
+                key="actuator.rotor_inertia",
+            )
+        worst, driven = heaviest(robot, np.where(geared, 0.0, dt * table[:, BRAKE]))
+        if worst >= 0:
+            raise ConfigError(
+                f"{table[worst, BRAKE]:.3g} at '{robot.actuator_names[worst]}'",
+                why=f"it brakes an inertia of {driven:.3g}, and is held over a step of {dt:g} s",
+                fix=f"use less than {driven / dt:.3g}, or a shorter time.plant_step",
+                key="actuator.brake",
+            )
+
+
+def heaviest(robot: Robot, rotors: Array) -> tuple[int, float]:
+    """Motor whose rotor is heavier than what it drives, and what that is; -1 where none is.
+
+    Args:
+        robot: The robot.
+        rotors: (motors,) inertias on the motors' side, 0 for none.
+    """
+    if not rotors.any():
+        return -1, math.inf
+    dynamics, rng, E = Dynamics(robot), np.random.default_rng(0), robot.E * np.sqrt(rotors)
+    for i in range(PLACES):
+        position = robot.neutral_position() if i == 0 else random_state(robot, rng)[0]
+        shares, directions = np.linalg.eigh(E.T @ np.linalg.solve(dynamics.mass_matrix(position), E))
+        if shares[-1] > 1.0:
+            worst = int(np.argmax(np.abs(directions[:, -1])))
+            return worst, float(rotors[worst] / shares[-1])
+    return -1, math.inf
 
 
 @compiled
@@ -180,7 +214,7 @@ def drive(
     """
     voltage, count = supply[VOLTAGE], command.size
     for i in range(count):
-        voltage -= supply[BATTERY] * abs(states[i, CURRENT])
+        voltage -= supply[BATTERY] * states[i, DRAWN]
     for i in range(count):
         m = motors[i]
         w = states[i, ROTOR_SPEED] if m[GAP] > 0.0 else speed[i]
@@ -191,11 +225,11 @@ def drive(
             u = 0.0
         if dead[i] > 0.0:
             u = 0.0
-        states[i, TORQUE] += m[LAG] * (u - states[i, TORQUE])
-        states[i, CURRENT] = states[i, TORQUE] / m[KT]
+        states[i, TORQUE] = u + m[LAG] * (states[i, TORQUE] - u)
+        states[i, DRAWN] = drawn(states[i, TORQUE], w, voltage, m)
         u = states[i, TORQUE]
-        if i < shorted:
-            u -= m[BRAKE] * w
+        if i < shorted:  # implicit in the rotor, where there is one
+            u = (u - m[BRAKE] * w) / (1.0 + (dt * m[BRAKE] / m[ROTOR] if m[GAP] > 0.0 else 0.0))
         if m[GAP] > 0.0:
             u = through_gap(dt, u, speed[i], m, states[i])
         states[i, STATES] = u
@@ -214,6 +248,15 @@ def supplied(u: float, w: float, voltage: float, supply: Array, m: Array) -> flo
 
 
 @compiled
+def drawn(torque: float, w: float, voltage: float, m: Array) -> float:
+    """Current that a motor's bridge takes from the supply; negative where it brakes."""
+    current = torque / m[KT]
+    if voltage <= 0.0:
+        return 0.0
+    return min(max((m[RESISTANCE] * current + m[KT] * w) / voltage, -1.0), 1.0) * current
+
+
+@compiled
 def through_gap(dt: float, u: float, joint: float, m: Array, state: Array) -> float:
     """Torque of the flanks on the joint; rotor speed and its lead over the joint move on by implicit Euler."""
     free = slowed(state[ROTOR_SPEED] + dt * u / m[ROTOR], dt * m[FRICTION] / m[ROTOR])
@@ -227,10 +270,13 @@ def through_gap(dt: float, u: float, joint: float, m: Array, state: Array) -> fl
         free_pushed = (state[ROTOR_SPEED] + dt * (u - push) / m[ROTOR]) / most
         pushed = slowed(free_pushed, dt * m[FRICTION] / (m[ROTOR] * most))
         torque = push + grip * pushed
-        if torque * flank > 0.0:
-            free = pushed
-        else:
+        if torque * flank <= 0.0:
             torque = 0.0
+        elif abs(state[AHEAD]) < half and (state[AHEAD] + dt * (pushed - joint) - flank) * flank < 0.0:
+            touching = joint + (flank - state[AHEAD]) / dt  # it was hit before it was there
+            free, torque = touching, m[ROTOR] * (free - touching) / dt
+        else:
+            free = pushed
     state[ROTOR_SPEED] = free
     state[AHEAD] += dt * (free - joint)
     return torque

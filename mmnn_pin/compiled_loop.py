@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from .compiled import compiled, copy_to
-from .disturbance import BRAKE, mark
+from .disturbance.effects import BRAKE, EARLY, mark
 from .model.dynamics import Dynamics
 from .model.reduction import friction, quadratic, spread
 from .model.robot import Robot
@@ -197,7 +197,7 @@ def advance(
     for k in range(first, last):
         now, asked = k * plan.steps % plan.per_measurement == 0, True
         if rig is not None:
-            if k * plan.h + 5e-10 >= rig.pick:
+            if k * plan.h + EARLY >= rig.pick:
                 if rig.shift[1] == 0.0:
                     before = energy_of(body, work, position, nu)
                     rig.shift[0], rig.shift[1] = energy_of(loaded, work, position, nu) - before, 1.0

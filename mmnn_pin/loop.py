@@ -30,7 +30,7 @@ from .plant.contact.floor import Contact
 from .recorder import Recorder
 from .recording import Outcome, Recording
 from .reference import Trajectory
-from .safety import HAS_TRIPPED, TRIPPED, Safety, trip_of
+from .safety import HAS_TRIPPED, TRIPPED, Safety, remarks, trip_of
 from .sampled import require_stable, sampled_loop, viscous_friction
 from .sensing import Sensor
 from .signals import INDEX, SIGNALS, Array, Layout
@@ -335,6 +335,8 @@ class Loop:
         """
         outcome = self._stream(engine, sink, first, progress, cancelled)
         found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
+        if engine.rig is not None and engine.rig.supervised:
+            found = remarks(engine.rig.guard, self.robot, outcome.status) + found
         return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
 
     def _stream(
@@ -358,8 +360,8 @@ class Loop:
                     done = int(engine.counter[0])
                     sink.append_block(engine.rows[:done], engine.step_times[:done])
                     k += done
-                if bad == TRIPPED and engine.rig is not None:
-                    return Outcome("tripped", *trip_of(engine.rig.guard, self.robot))
+                if bad == TRIPPED:
+                    break
                 if bad >= 0:
                     return diverged(engine.row, self.robot.layout, bad, k * h, sink)
                 if progress is not None:
@@ -369,7 +371,7 @@ class Loop:
         except KeyboardInterrupt:
             return Outcome("interrupted", k * h, message=f"stopped by Ctrl-C at t = {k * h:g} s")
         if weights := self.controller.weights(memory):
-            sink.weights(samples * h, weights)
+            sink.weights(k * h, weights)
         if engine.rig is not None and engine.rig.supervised and engine.rig.guard[HAS_TRIPPED]:
             return Outcome("tripped", *trip_of(engine.rig.guard, self.robot))
         return Outcome("completed", samples * h)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from . import disturbance
+from .disturbance.effects import BRAKE, EARLY, mark
 from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
@@ -195,12 +195,12 @@ class OrdinaryLoop:
         plant, dt = self.plant, self.loop.timing.plant_step
         plant.motor_speeds(rig.speed)
         act(k, time, dt, self.row, self.at, rig)
-        disturbance.mark(time, rig.blocked, plant.hold, disturbance.BRAKE)
+        mark(time, rig.blocked, plant.hold, BRAKE)
         plant.step(rig.tau, rig.force)
 
     def pick_up(self, time: float, rig: Rig) -> None:
         """Carry the payload once its time has come; what energy comes with it is no error of the balance."""
-        if self.loaded is None or time + 5e-10 < rig.pick:
+        if self.loaded is None or time + EARLY < rig.pick:
             return
         plant, before = self.plant, self.energy()
         plant.carry(self.loaded)

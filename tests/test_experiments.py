@@ -10,7 +10,7 @@ import pytest
 
 from mmnn_pin import InputError, Recording, load_experiment, run_experiment
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
-from mmnn_pin.experiments.config import bundled, known_keys, override, parse_value
+from mmnn_pin.experiments.config import bundled, keys_of, kind_at, override, parse_value
 from mmnn_pin.experiments.experiment import CONTROLLERS, EFFECTIVE, Experiment
 from mmnn_pin.experiments.runner import Result, in_order
 from mmnn_pin.metrics import as_columns, metrics
@@ -88,7 +88,7 @@ def test_overrides_change_what_is_run() -> None:
     ("setting", "key"),
     [
         ("time.duration='long'", "time.duration"),
-        ("two_layer.F=[1, 'x']", "two_layer.F[1]"),
+        ("two_layer.F=[1, 'x']", "two_layer.F.1"),
         ("feedback.base=-1", "feedback.base"),
         ("robust.ZB=[1, nan]", "robust.ZB"),
         ("time.plant_step=0.0003", "time.plant_step"),
@@ -136,9 +136,12 @@ def test_a_base_without_a_path_is_refused() -> None:
 
 
 def test_known_keys_follow_the_settings() -> None:
-    assert known_keys(None) == Experiment.__struct_fields__
-    assert known_keys("two_layer") == ("hidden", "F", "G", "kappa", "initial", "v_range")
-    assert known_keys("seed") == known_keys("no.such.key") == ()
+    assert keys_of(kind_at(None)) == Experiment.__struct_fields__
+    assert keys_of(kind_at("two_layer")) == ("hidden", "F", "G", "kappa", "initial", "v_range")
+    assert keys_of(kind_at("seed")) == keys_of(kind_at("no.such.key")) == ()
+    table = {"disturbances": [{"type": "push"}, {"type": "commands"}]}
+    assert keys_of(kind_at("disturbances.1", table)) == ("start", "end", "fault")
+    assert "torque_time" in keys_of(kind_at("safety"))
 
 
 def test_experiments_are_found_by_name_and_by_path(tmp_path: Path) -> None:

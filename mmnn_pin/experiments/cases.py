@@ -102,14 +102,15 @@ def with_case(experiment: Experiment, name: str) -> Experiment:
     Raises:
         ConfigError: The case sets an unknown key, or a value of the wrong type or range.
     """
-    from .config import config_error
+    from .config import config_error, require_disturbances
 
     case = experiment.cases[name]
     table = merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
     try:
+        require_disturbances(table.get("disturbances"))
         return msgspec.convert(table, Experiment)
     except msgspec.ValidationError as error:
-        found = config_error(error, None)
+        found = config_error(error, None, table)
         found.key = f"cases.{name}.set.{found.key or ''}".rstrip(".")
         raise found from error
     except InputError as error:

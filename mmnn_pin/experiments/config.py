@@ -8,14 +8,17 @@ import tomllib
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, get_args
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
+from ..disturbance import Disturbance
 from ..errors import ConfigError, InputError, UnknownName
 from ..model.overrides import Overrides
 from .experiment import Experiment
 
+UNIONS = (Union, UnionType)
 FOLDER = Path(__file__).parent
 
 
@@ -54,9 +57,10 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
         override(table, text)
     try:
         require_overrides(table.get("overrides", {}))
+        require_disturbances(table.get("disturbances"))
         return msgspec.convert(table, Experiment)
     except msgspec.ValidationError as error:
-        raise config_error(error, path) from error
+        raise config_error(error, path, table) from error
     except InputError as error:
         error.file = error.file or path
         raise
@@ -74,6 +78,21 @@ def require_overrides(table: Any) -> None:
         except InputError as error:
             error.key = f"overrides.{error.key}"
             raise
+
+
+def require_disturbances(items: Any) -> None:
+    """Judge every disturbance by itself: its errors do not know its place in the list.
+
+    Raises:
+        ConfigError: A value out of range, with the key path of an experiment.
+    """
+    for i, item in enumerate(items if isinstance(items, list) else ()):
+        with suppress(msgspec.ValidationError):  # told with its path when the whole experiment is read
+            try:
+                msgspec.convert(item, Disturbance)
+            except InputError as error:
+                error.key = f"disturbances.{i}.{(error.key or '').removeprefix('disturbances.')}"
+                raise
 
 
 def find(name_or_path: str | Path) -> Path:
@@ -166,25 +185,67 @@ def parse_value(text: str) -> Any:
         return text
 
 
-def config_error(error: msgspec.ValidationError, path: Path | None) -> ConfigError:
-    """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`"."""
+def config_error(error: msgspec.ValidationError, path: Path | None, table: Any = None) -> ConfigError:
+    """The key path and a line of advice out of a message such as "Expected `int` - at `$.seed`".
+
+    Args:
+        error: From the conversion.
+        path: File of the experiment.
+        table: What was converted; tells which of several types a table is.
+    """
     message, _, where = str(error).partition(" - at ")
-    key = where.strip("`").removeprefix("$").removeprefix(".") or None
-    fix = ""
+    key = re.sub(r"\[(\d+)\]", r".\1", where.strip("`").removeprefix("$")).removeprefix(".") or None
+    kind, known = kind_at(key, table), tuple[str, ...]()
     if unknown := re.search(r"unknown field `(\w+)`", message):
-        message = f"unknown key '{unknown[1]}'"
-        known = known_keys(key)
-        fix = f"there is: {', '.join(known)}" if known else ""
-    return ConfigError(message, fix=fix, file=path, key=key)
+        message, known = f"unknown key '{unknown[1]}'", keys_of(kind)
+    elif missing := re.search(r"missing required field `(\w+)`", message):
+        message, known = f"the key '{missing[1]}' is missing", tags_of(kind) if missing[1] == "type" else ()
+    elif key and (wrong := re.fullmatch(r"Invalid value '(.*)'", message)):
+        message, known = f"unknown type '{wrong[1]}'", tags_of(kind_at(key.rpartition(".")[0], table))
+    elif wrong := re.fullmatch(r"Invalid enum value '?(.*?)'?", message):
+        message, known = f"unknown value '{wrong[1]}'", words_of(kind)
+        known += ("or a number",) if float in get_args(kind) else ()
+    return ConfigError(message, fix=f"there is: {', '.join(known)}" if known else "", file=path, key=key)
 
 
-def known_keys(key: str | None) -> tuple[str, ...]:
-    """Keys that exist at a key path; none where the path does not lead to settings."""
+def kind_at(key: str | None, table: Any = None) -> Any:
+    """The type that stands at a key path, of a table with a `type` the one that it says; None where there is none."""
     kind: Any = Experiment
     for part in (key or "").split("."):
-        if part:
-            kind = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part)
-            kind = next((k for k in get_args(kind) if k is not type(None)), kind)  # `Robust | None` is Robust
-        if not (isinstance(kind, type) and issubclass(kind, msgspec.Struct)):
-            return ()
-    return tuple(f.encode_name for f in msgspec.structs.fields(kind))
+        if isinstance(kind, type) and issubclass(kind, msgspec.Struct) and part:
+            kind, table = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part), inside(table, part)
+        elif get_origin(kind) in (tuple, list) and part:
+            kind, table = get_args(kind)[0], inside(table, part)
+        elif part:
+            return None
+        kinds = tuple(k for k in get_args(kind) if k is not type(None)) if get_origin(kind) in UNIONS else (kind,)
+        named = [k for k in kinds if len(kinds) > 1 and inside(table, "type") in tags_of(k)]
+        kind = named[0] if named else kinds[0] if len(kinds) == 1 else Union[kinds]  # noqa: UP007
+    return kind
+
+
+def inside(table: Any, part: str) -> Any:
+    """What a table or a list holds at a part of a key path; None where it does not."""
+    if isinstance(table, list):
+        return table[int(part)] if part.isdecimal() and int(part) < len(table) else None
+    return table.get(part) if isinstance(table, dict) else None
+
+
+def keys_of(kind: Any) -> tuple[str, ...]:
+    """Keys of settings; none of anything else."""
+    is_settings = isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+    return tuple(f.encode_name for f in msgspec.structs.fields(kind)) if is_settings else ()
+
+
+def tags_of(kind: Any) -> tuple[str, ...]:
+    """What a key `type` can say, for one kind of settings or several."""
+    kinds = get_args(kind) or (kind,)
+    found = [k.__struct_config__.tag for k in kinds if isinstance(k, type) and issubclass(k, msgspec.Struct)]
+    return tuple(str(tag) for tag in found if tag is not None)
+
+
+def words_of(kind: Any) -> tuple[str, ...]:
+    """Words that stand for a value, such as those of `Literal["true", "odometry"]`."""
+    if get_origin(kind) is Literal:
+        return tuple(map(str, get_args(kind)))
+    return tuple(word for part in get_args(kind) for word in words_of(part)) if get_origin(kind) in UNIONS else ()

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from ..actuator import Actuator
-from ..disturbance import Disturbance
+from ..disturbance import Disturbance, require_in_time
 from ..errors import ConfigError, UnknownName
 from ..kinematic import Kinematic
 from ..loop import PLANTS, Loop
@@ -234,6 +234,7 @@ class Experiment(Settings, frozen=True):
             raise ConfigError(f"{self.seed}", fix="use an integer from 0 to 2^63 - 1", key="seed")
         if not (np.isfinite(self.weights_interval) and self.weights_interval > 0):
             raise ConfigError(f"{self.weights_interval} s", fix="use a number > 0", key="weights_interval")
+        require_in_time(self.disturbances, self.time.duration)
 
     def load_robot(self) -> Robot:
         """The true robot, with the experiment's friction.

@@ -80,12 +80,16 @@ class Result:
         return [row for row in figure_ranges(self.recordings) if row["figure"].startswith(figures)]
 
     def torque_limits(self) -> list[dict[str, Any]]:
-        """Per actuator its effort limit (None without one) and every controller's peak torque [N m or N]."""
+        """Per actuator its effort limit (None without one) and every controller's peak torque [N m or N].
+
+        The torque is the one that the motors gave, where they are simulated.
+        """
         if not self.recordings:
             return []
         first = next(iter(self.recordings.values()))
         limits = first.meta["effort_limits"]
-        peaks = {name: as_columns(r["motor_torque"]) for name, r in self.recordings.items() if len(r)}
+        given = {name: "applied" if "applied" in r else "motor_torque" for name, r in self.recordings.items()}
+        peaks = {name: as_columns(r[given[name]]) for name, r in self.recordings.items() if len(r)}
         return [
             {
                 "actuator": actuator,

@@ -14,21 +14,21 @@ from .robot import Robot
 Numbers = float | tuple[float, ...]
 
 
-def each(key: str, value: Numbers, motors: int) -> Array:
-    """One number per motor.
+def each(key: str, value: Numbers, count: int, kind: str = "motor") -> Array:
+    """One number per motor, or per joint.
 
     Raises:
-        ConfigError: Neither one number nor one per motor.
+        ConfigError: Neither one number nor one for each.
     """
     given = np.asarray(value, float)
-    if given.shape not in ((), (motors,)):
-        raise ConfigError(f"{given.size} numbers for {motors} motors", fix="give one, or one per motor", key=key)
-    return np.broadcast_to(given, (motors,))
+    if given.shape not in ((), (count,)):
+        raise ConfigError(f"{given.size} numbers for {count} {kind}s", fix=f"give one, or one per {kind}", key=key)
+    return np.broadcast_to(given, (count,))
 
 
-def limits(key: str, value: Literal["urdf"] | Numbers | None, urdf: Array) -> Array:
-    """Limits of all motors: those of the URDF, given ones, or inf for None."""
-    return urdf if isinstance(value, str) else each(key, math.inf if value is None else value, urdf.size)
+def limits(key: str, value: Literal["urdf"] | Numbers | None, urdf: Array, kind: str = "motor") -> Array:
+    """Limits of all motors or joints: those of the URDF, given ones, or inf for None; errors as in `each`."""
+    return urdf if isinstance(value, str) else each(key, math.inf if value is None else value, urdf.size, kind)
 
 
 def speed_limits(robot: Robot) -> Array:

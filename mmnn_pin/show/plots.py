@@ -31,6 +31,7 @@ from .figure import (
     styled,
     styles_of,
 )
+from .rig_marks import draw_given, looks_of_given, shade_stops
 from .units import column_units, milli
 
 if TYPE_CHECKING:
@@ -81,6 +82,8 @@ def errors_figure(recordings: Recordings) -> Figure:
 def torque_figure(recordings: Recordings) -> Figure:
     """Generalized force on the base and torques of the motors, these with `meta["effort_limits"]` if it is there.
 
+    Beside what was commanded, thin, what imperfect motors gave.
+
     Raises:
         RecordingError: No recording, or none that holds these signals.
     """
@@ -89,7 +92,7 @@ def torque_figure(recordings: Recordings) -> Figure:
     base = [panel for panel in panels if panel.label in on_base]
     arm = [] if motors else [panel for panel in panels if panel.label not in on_base]
     columns = [("Force on the base", base), *_columns("Arm", arm), *_columns("Motors", motors)]
-    figure = _overlay("Torques", recordings, columns, drawstyle="steps-post")
+    figure = _overlay("Torques", recordings, columns, "steps-post", looks_of_given(recordings))
     metas = [recording.meta for recording in recordings.values()]
     known = {
         k: v
@@ -98,7 +101,10 @@ def torque_figure(recordings: Recordings) -> Figure:
         for k, v in zip(m["actuator_names"], m["effort_limits"], strict=True)
     }
     for axes, panel in zip(figure.axes, (panel for _, column in columns for panel in column), strict=True):
-        if panel.signal == "motor_torque" and np.isfinite(limit := known.get(panel.label, np.inf)):
+        if panel.signal != "motor_torque":
+            continue
+        draw_given(axes, panel.label, recordings, styles_of(recordings))
+        if np.isfinite(limit := known.get(panel.label, np.inf)):
             _draw_effort_limit(axes, limit, panel.unit)
     return figure
 
@@ -234,9 +240,13 @@ def _columns(heading: str, panels: list[Panel]) -> list[tuple[str, list[Panel]]]
 
 
 def _overlay(
-    title: str, recordings: Recordings, columns: Sequence[tuple[str, list[Panel]]], drawstyle: str = "default"
+    title: str,
+    recordings: Recordings,
+    columns: Sequence[tuple[str, list[Panel]]],
+    drawstyle: str = "default",
+    more: Sequence[tuple[str, Look]] = (),
 ) -> Figure:
-    """All recordings in every panel; a column's panels share its height and its time axis."""
+    """All recordings in every panel; a column's panels share its height and its time axis; `more` is in the legend."""
     columns = [(heading, panels) for heading, panels in columns if panels]
     _require(recordings, columns, title.lower())
     rows = max(len(panels) for _, panels in columns)
@@ -257,7 +267,8 @@ def _overlay(
                 if len(values := panel.values(recording)):
                     mark_end(axes, recording, styles[name], recording.time, values)
         figure.align_ylabels(list(stack))
-    add_legend(figure, title, [(legend_label(name, rec), styles[name].line) for name, rec in recordings.items()])
+    looks = [(legend_label(name, rec), styles[name].line) for name, rec in recordings.items()]
+    add_legend(figure, title, [*looks, *more, *shade_stops(figure.axes, recordings)])
     return figure
 
 

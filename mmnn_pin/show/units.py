@@ -10,7 +10,7 @@ from ..recording import Recording
 def column_units(recording: Recording, name: str) -> list[str]:
     """Unit of every column of a signal: those of the base, then those of the arm by the types of its joints."""
     labels = recording.labels(name)
-    if name in ("position", "motor_torque"):
+    if name in ("position", "motor_torque", "applied"):
         return [of_joint(name, label, prismatic_joints(recording.urdf)) for label in labels]
     base, _, arm = recording.unit(name).partition("; ")
     if " or " in base:
@@ -27,7 +27,7 @@ def column_units(recording: Recording, name: str) -> list[str]:
 def of_joint(name: str, label: str, slides: set[str]) -> str:
     """Unit of one joint's position, or of one motor's torque; the base is pushed along x and y and turned."""
     sliding = label in slides or label in (("x", "y") if name == "position" else ("base_x", "base_y"))
-    return {"position": ("rad", "m"), "motor_torque": ("N m", "N")}[name][sliding]
+    return (("rad", "m") if name == "position" else ("N m", "N"))[sliding]
 
 
 def milli(unit: str) -> str:

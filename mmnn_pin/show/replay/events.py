@@ -1,4 +1,4 @@
-"""What happened in a run and is coloured while it lasts: how it ended, wheels that slipped, motors at their limits.
+"""What happened in a run and is coloured while it lasts: how it ended, a supervisor's stops, slip, motors at limits.
 
 An event colours the bodies of its joints, or the whole robot, and a stretch of the scrub bar. Another kind of event
 is another function in `SOURCES`.
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...metrics import as_columns
 from ...plant.contact.slip import SLIPPING
 from ...recording import Recording
+from ...safety import RAMPING, STEPPED_IN, STOPPING
 from ...signals import Array
 from ..units import prismatic_joints
 
@@ -57,6 +58,18 @@ def early_end(recording: Recording) -> Iterator[Event]:
         yield Event("stop", outcome.time, np.inf, f"{outcome.status}: {why}")
 
 
+def supervised(recording: Recording) -> Iterator[Event]:
+    """What a supervisor did: a torque clipped or a value held, and a stop, under feedback or without."""
+    if "safety" not in recording:
+        return
+    state = np.asarray(recording["safety"])
+    for kind, code, text in SUPERVISED:
+        if code == STOPPING and recording.outcome.status == "tripped":
+            continue  # its end tells it, with the reason
+        for start, end in stretches(recording.time, state == code):
+            yield Event(kind, start, end, text)
+
+
 def slipping(recording: Recording) -> Iterator[Event]:
     """Wheels that slip, on the contact plant, a stretch of time each."""
     if "slip" not in recording:
@@ -87,7 +100,12 @@ def stretches(time: Array, holds: NDArray[np.bool_]) -> Iterator[tuple[float, fl
             yield float(time[part[0]]), float(time[part[-1]])
 
 
-SOURCES: tuple[Callable[[Recording], Iterator[Event]], ...] = (early_end, slipping, at_limits)
+SUPERVISED: tuple[tuple[Kind, float, str], ...] = (
+    ("limit", STEPPED_IN, "the supervisor clips a torque or holds a value"),
+    ("stop", STOPPING, "the supervisor stops the robot"),
+    ("stop", RAMPING, "stopped without feedback: the torque goes to zero"),
+)
+SOURCES: tuple[Callable[[Recording], Iterator[Event]], ...] = (early_end, supervised, slipping, at_limits)
 
 
 def events_of(recording: Recording) -> list[Event]:

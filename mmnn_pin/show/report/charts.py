@@ -26,7 +26,7 @@ LARGEST = 1e30  # what single precision and a plot can still hold
 ABOUT = {
     "errors": "Reference minus robot. Pose errors are in the base frame.",
     "path": "Arrows show the heading, ten along each path.",
-    "torque": "Dashed lines are the motors' limits where they are near; the plant does not enforce them.",
+    "torque": "Dashed lines are the motors' limits where they are near; only motors that are simulated keep them.",
     "psi": "Grey is the true \u03a8 of the Pinocchio model, what is to be learned; the curve is what was learned. A "
     "small tracking error does not mean that \u03a8 was learned.",
     "gains": "All that multiplies z (base) or r (arm) in the torque. PD at a learner's effective gain has the same.",
