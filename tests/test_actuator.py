@@ -399,7 +399,7 @@ def test_a_rotor_heavier_than_what_it_drives_is_refused():
 
 
 def test_a_brake_too_strong_for_the_step_is_refused():
-    """Held over a step it would turn back what it brakes; behind a gap it is implicit in the rotor, so always stable."""
+    """Held over a step it would turn back what it brakes; behind a gap it is implicit in the rotor and stable."""
     robot = wheel()
     Actuator(brake=49.0).motors(robot, DT)
     with pytest.raises(ConfigError, match=r"actuator\.brake.*'axle'.*less than 50"):
