@@ -223,7 +223,8 @@ class Loop:
     def facts(self) -> dict[str, Any]:
         """What a recording should know of this run."""
         own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
-        own |= {"kinematic": msgspec.to_builtins(self.kinematic)}
+        own |= {"kinematic": msgspec.to_builtins(self.kinematic), "time": msgspec.to_builtins(self.timing)}
+        own |= {"controller_settings": self.controller.facts()}
         believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
         rig = {} if self.sensor.exact else {"sensor": msgspec.to_builtins(self.sensor)}
         rig |= {} if self.actuator.perfect else {"actuator": msgspec.to_builtins(self.actuator)}

@@ -1,0 +1,146 @@
+"""The run that is looked into: its robot, its rows, its gains, and the learner built again from its recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import msgspec
+import numpy as np
+
+from ..errors import RecordingError
+from ..kinematic import Kinematic, command
+from ..model.dynamics import Dynamics
+from ..model.robot import Robot
+from ..plant.integrators import ORDER
+from ..recorded_robot import recorded_robot
+from ..recording import Recording
+from ..sensing import exact
+from ..signals import Array, Layout
+from ..timing import Timing
+from .learner import Learner, recorded_learner
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A recorded run and what it was made of.
+
+    Attributes:
+        recording: The run.
+        robot: Its true robot.
+        kinematic: Gains of its kinematic layer.
+        timing: Its periods.
+        rows: (N, width) its signals as rows; those up to the first that is not finite.
+        learner: The learner, or None where the controller of the run has none.
+    """
+
+    recording: Recording
+    robot: Robot
+    kinematic: Kinematic
+    timing: Timing
+    rows: Array
+    learner: Learner | None
+
+    @classmethod
+    def of(cls, recording: Recording) -> Subject:
+        """Everything from a recording.
+
+        Raises:
+            RecordingError: It holds less than two rows that are finite, or does not tell its robot, gains or periods.
+            InputError: Its robot cannot be built.
+        """
+        if not recording.urdf.strip():
+            why = "without it there is no truth to compare with"
+            raise RecordingError("the recording does not hold its robot's URDF", why=why, file=recording.path)
+        robot = recorded_robot(recording)
+        for key, what in (("kinematic", "gains of its kinematic layer"), ("time", "periods")):
+            if key not in recording.meta:
+                why = "an older mmnn_pin wrote it"
+                raise RecordingError(f"the recording does not tell the {what}", why=why, file=recording.path)
+        layout = _layout(recording, robot)
+        rows = finite_rows(recording, layout)
+        if len(rows) < 2:
+            why = f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}"
+            raise RecordingError("too short to tell anything", why=why, fix="run longer", file=recording.path)
+        return cls(
+            recording,
+            robot,
+            msgspec.convert(recording.meta["kinematic"], Kinematic),
+            msgspec.convert(recording.meta["time"], Timing),
+            rows,
+            recorded_learner(recording, layout),
+        )
+
+    @property
+    def layout(self) -> Layout:
+        """Where the signals stand in the rows; those of wheels' contacts are left out."""
+        return self.robot.layout
+
+    @property
+    def controller(self) -> str:
+        """Name of the controller."""
+        return str(self.recording.meta.get("controller", "the controller"))
+
+    @property
+    def plant(self) -> str:
+        """`ideal` or `contact`."""
+        return str(self.recording.meta.get("plant", "ideal"))
+
+    @property
+    def order(self) -> int:
+        """Order of the plant's integrator."""
+        return ORDER[self.timing.integrator]
+
+    @property
+    def exact_sensors(self) -> bool:
+        """Whether the controller was told the true state at every control sample."""
+        return "sensor" not in self.recording.meta and self.timing.steps_per_measurement == self.timing.steps_per_control
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """Pinocchio's dynamics of the true robot."""
+        return Dynamics(self.robot)
+
+    @cached_property
+    def true_rows(self) -> Array:
+        """The rows as they were if the sensors told the true state: command, errors and Psi of the truth."""
+        if self.exact_sensors:
+            return self.rows
+        rows, layout, arm = self.rows.copy(), self.layout, self.robot.arm_index
+        gains, K = self.kinematic.base_gains(layout.base), self.kinematic.arm_gains(layout)
+        for row in rows:
+            position, nu = row[layout.where("position")], row[layout.where("nu")]
+            exact(row, layout.offsets, position, nu, arm)
+            command(row, layout.offsets, gains, K)
+            self.dynamics.refresh(position, nu)
+            args = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi"))
+            self.dynamics.refresh_psi(*args)
+        return rows
+
+    def signal(self, name: str) -> Array:
+        """A signal of the run, (N, size)."""
+        return self.rows[:, self.layout.where(name)]
+
+
+def _layout(recording: Recording, robot: Robot) -> Layout:
+    """The robot's layout.
+
+    Raises:
+        RecordingError: The recording lacks signals of it, as one does that another version wrote.
+    """
+    layout = robot.layout
+    for name in ("time", "position", "nu", "psi", "psi_hat", "torque", "robust", "nu_ref", "nudot_ref", "effective_gain"):
+        if name not in recording:
+            raise RecordingError(f"the signal '{name}' is not in the recording", file=recording.path)
+    return layout
+
+
+def finite_rows(recording: Recording, layout: Layout) -> Array:
+    """Rows of a recording, (N, width), up to the first one that is not finite."""
+    rows = np.zeros((len(recording), layout.width))
+    for name in recording:
+        where = layout.where(name)
+        if where.stop > where.start:
+            rows[:, where] = recording[name].reshape(len(recording), -1)
+    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    return rows[: bad[0]] if len(bad) else rows
