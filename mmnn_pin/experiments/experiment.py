@@ -46,7 +46,8 @@ ORACLES = ("computed_torque",)
 LEARNERS = ("two_layer", "one_layer")
 # Pictures that a run can write; `show.plots` draws them.
 PLOTS = (
-    *("errors", "torque", "psi", "gains", "path", "weights", "lyapunov", "residuals", "step-times"),
+    *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
+    *("fvu", "frozen", "shares", "ranks", "lyapunov", "lyapunov-terms", "equality"),
     *("figure-4.2", "figure-4.3", "figure-4.4"),
 )
 

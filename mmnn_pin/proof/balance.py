@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import DOP853
 
+from ..errors import RecordingError
 from ..kinematic import command
 from ..model.reduction import position_rate, quadratic
 from ..sensing import exact
@@ -26,7 +27,7 @@ from .between import Between
 from .subject import Subject
 
 TOLERANCE = 1e-6
-BUDGET = 50_000  # evaluations of the dynamics unless every period is asked for: a few seconds
+BUDGET = 50_000  # evaluations of the dynamics: a few seconds
 ROUNDING = 1e-15  # relative, of what s is the difference of
 
 
@@ -68,25 +69,32 @@ class Balance:
         return max(self.identity, self.recorded if self.order >= 4 else 0.0) <= TOLERANCE
 
 
-def balance(subject: Subject, every: bool = False, progress: Callable[[float], None] | None = None) -> Balance:
-    """Check the equality over the control periods of a run on the ideal plant.
+def balance(subject: Subject, budget: float = BUDGET, progress: Callable[[float], None] | None = None) -> Balance:
+    """Check the equality over the control periods of a run.
 
     Args:
         subject: The run.
-        every: Look at every period, however long it takes.
+        budget: Evaluations of the dynamics after which no further period is looked at; inf looks at all.
         progress: Called with the fraction done.
+
+    Raises:
+        RecordingError: The run is on the contact plant.
     """
+    if subject.plant != "ideal":
+        why = "its wheels may slip, and then nu does not move by the reduced model"
+        raise RecordingError(f"no equality on the {subject.plant} plant", why=why, file=subject.recording.path)
     periods, motion = len(subject.rows) - 1, Motion(subject)
     found: dict[int, tuple[float, ...]] = {}
     for k in evenly(periods):
-        if motion.evaluations > BUDGET and not every:
+        if motion.evaluations > budget:
             break
         found[k] = motion.over(k)
         if progress is not None:
-            progress(max(len(found) / periods, 0.0 if every else motion.evaluations / BUDGET))
+            progress(max(len(found) / periods, motion.evaluations / budget))
     places = np.array(sorted(found))
-    numbers = np.array([found[k] for k in places]).T
-    return Balance(subject.signal("time")[places, 0], *numbers, periods, subject.order)
+    increment, model, work, scale = np.array([found[k] for k in places]).T
+    time = subject.signal("time")[places, 0]
+    return Balance(time, increment, model, work, scale, periods, subject.order)
 
 
 def evenly(count: int) -> list[int]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from ..signals import Array
@@ -38,7 +40,7 @@ def windows(time: Array, count: int) -> Array:
 def fvu_in(edges: Array, time: Array, psi: Array, psi_hat: Array) -> Array:
     """FVU in every window [a, b), (count, p); see `fvu`."""
     places = np.searchsorted(time, edges - 1e-9)
-    return np.array([fvu(psi[a:b], psi_hat[a:b]) for a, b in zip(places[:-1], places[1:], strict=True)])
+    return np.array([fvu(psi[a:b], psi_hat[a:b]) for a, b in pairwise(places)])
 
 
 def worst(values: Array) -> float:

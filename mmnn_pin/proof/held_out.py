@@ -127,8 +127,8 @@ def arm_profiles(robot: Robot, q: Array, qdot: Array) -> tuple[tuple[Sine, ...],
     room = np.where(np.isfinite(upper - lower), (upper - lower) / 2, np.inf)
     swing = np.minimum(np.where(moves, half, SWING * np.minimum(room, 1.0)), MARGIN * room)
     middle = np.clip((q.max(axis=0) + q.min(axis=0)) / 2, lower + swing, upper - swing)
-    numbers = np.column_stack((swing, 2 * np.pi / rates, middle)).tolist()
-    profiles = tuple(Sine(*each, GOLDEN * i) for i, each in enumerate(numbers))
+    numbers = zip(swing.tolist(), (2 * np.pi / rates).tolist(), middle.tolist(), strict=True)
+    profiles = tuple(Sine(a, period, at, GOLDEN * i) for i, (a, period, at) in enumerate(numbers))
     return profiles, max((profile.period for profile in profiles), default=0.0)
 
 
@@ -150,5 +150,7 @@ def recorded_under_computed_torque(subject: Subject, robot: Robot, wanted: HeldO
     )
     run = loop.run()
     if run.outcome.status != "completed":
-        raise RecordingError("no held-out trajectory", why=f"computed torque does not get through: {run.outcome.message}")
+        raise RecordingError(
+            "no held-out trajectory", why=f"computed torque does not get through: {run.outcome.message}"
+        )
     return finite_rows(run, robot.layout)

@@ -37,8 +37,11 @@ class Ideal:
         V: (nx, h) hidden weights V*; those that are fixed, for a one-layer network.
         norm: `|Z*|_F` of the weights that are learned: what ZB bounds.
         distance: `|Z* - Z|_F` at the end of the run.
+        distance_W: `|W* - W|_F` at the end of the run.
+        distance_V: `|V* - V|_F` at the end of the run; 0 for hidden weights that are fixed.
         start_distance: The same at its start.
         learned_norm: `|Z|_F` at the end of the run.
+        assumed: The ZB that the run's robust term counts with; NaN without a robust term.
         eps: (m,) largest |Psi - W*' sigma(V*' x)| on the visited set per component [N, N m].
         eps_N: Largest Euclidean norm of the same in the network's coordinates.
         unexplained: (m,) fraction of variance that they leave.
@@ -48,8 +51,11 @@ class Ideal:
     V: Array
     norm: float
     distance: float
+    distance_W: float
+    distance_V: float
     start_distance: float
     learned_norm: float
+    assumed: float
     eps: Array
     eps_N: float
     unexplained: Array
@@ -126,8 +132,11 @@ def judged(learner: Learner, i: int, W: Array, V: Array, target: Array, hidden: 
         V=V,
         norm=norm(W, V),
         distance=norm(W - end[f"W{i}"], V - end[f"V{i}"]),
+        distance_W=float(np.linalg.norm(W - end[f"W{i}"])),
+        distance_V=float(np.linalg.norm(V - end[f"V{i}"])) if both else 0.0,
         start_distance=norm(W - start[f"W{i}"], V - start[f"V{i}"]),
         learned_norm=norm(end[f"W{i}"], end[f"V{i}"]),
+        assumed=float("nan") if learner.controller.robust is None else learner.controller.robust.ZB[i - 1],
         eps=np.abs(error).max(axis=0) * scale,
         eps_N=float(np.linalg.norm(error, axis=1).max()),
         unexplained=(error**2).mean(axis=0) / variances(target),

@@ -160,4 +160,6 @@ def last(recording: Recording, start: Memory) -> tuple[Memory, float]:
         if all(np.isfinite(values[k]).all() for values in recording.weights.values()):
             put(memory, recording.weights, k)
             return memory, float(times[k])
-    raise RecordingError("the recording holds no weights", why="its run ended before", fix="run again", file=recording.path)
+    raise RecordingError(
+        "the recording holds no weights", why="its run ended before", fix="run again", file=recording.path
+    )

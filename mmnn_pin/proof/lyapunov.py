@@ -108,7 +108,8 @@ def lyapunov(
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed
     time = subject.signal("time")[starts, 0]
-    return Lyapunov(time, h, *(value[here] for value in values), np.asarray(measured), terms, missed)
+    at_start = [value[here] for value in values]
+    return Lyapunov(time, h, at_start[0], at_start[1], at_start[2], np.asarray(measured), terms, missed)
 
 
 def powers(subject: Subject, rows: Array, true: Array) -> dict[str, Array]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError, RecordingError
+from ..experiments.experiment import CONTROLLERS
 from ..metrics import halves
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
@@ -155,8 +156,8 @@ def require_psi_hat(subject: Subject, psi_hat: Array) -> None:
     """
     if psi_hat.any():
         return
-    own = "controller_settings" in subject.recording.meta and subject.recording.meta["controller_settings"]
-    why = "its output is zero throughout" if own else "it estimates nothing, or does not tell"
+    own = subject.controller not in CONTROLLERS
+    why = "a controller of your own hands over a torque, not what it takes for Psi" if own else "it estimates nothing"
     raise RecordingError(f"{subject.controller} gives no Psi_hat", why=why, file=subject.recording.path)
 
 
@@ -208,6 +209,6 @@ def network_of(learner: Learner, i: int, activations: Array) -> Network:
         name={1: "base", 2: "arm"}[i],
         ranks={name: effective_rank(W) for name, W in weights.items()},
         numerical={name: numerical_rank(W) for name, W in weights.items()},
-        singular={name: np.linalg.svd(W, compute_uv=False) for name, W in weights.items()},
+        singular={name: np.asarray(np.linalg.svd(W, compute_uv=False), float) for name, W in weights.items()},
         excitation=excitation(activations),
     )

@@ -33,6 +33,7 @@ class Excitation:
         directions: Eigenvalues above 1e-6 of the largest: directions in which weights can be told from one another.
         units: Number of units.
         rank: Effective rank of the activations (N, h).
+        singular: Their singular values, largest first.
     """
 
     smallest: float
@@ -40,16 +41,18 @@ class Excitation:
     directions: int
     units: int
     rank: float
+    singular: Array
 
 
 def excitation(activations: Array, visible: float = 1e-6) -> Excitation:
     """Excitation of activations (N, h) over the visited set."""
-    values = np.linalg.svd(activations, compute_uv=False) ** 2 / len(activations)
-    values = np.pad(values, (0, activations.shape[1] - len(values)))
+    singular = np.linalg.svd(activations, compute_uv=False)
+    values = np.pad(singular, (0, activations.shape[1] - len(singular))) ** 2 / len(activations)
     return Excitation(
         smallest=float(values[-1]),
         largest=float(values[0]),
         directions=int((values > visible * values[0]).sum()),
         units=len(values),
         rank=effective_rank(activations),
+        singular=np.asarray(singular, float),
     )

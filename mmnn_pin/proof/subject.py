@@ -20,6 +20,8 @@ from ..signals import Array, Layout
 from ..timing import Timing
 from .learner import Learner, recorded_learner
 
+NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
+
 
 @dataclass(frozen=True, eq=False)
 class Subject:
@@ -31,7 +33,6 @@ class Subject:
         kinematic: Gains of its kinematic layer.
         timing: Its periods.
         rows: (N, width) its signals as rows; those up to the first that is not finite.
-        learner: The learner, or None where the controller of the run has none.
     """
 
     recording: Recording
@@ -39,7 +40,6 @@ class Subject:
     kinematic: Kinematic
     timing: Timing
     rows: Array
-    learner: Learner | None
 
     @classmethod
     def of(cls, recording: Recording) -> Subject:
@@ -57,8 +57,8 @@ class Subject:
             if key not in recording.meta:
                 why = "an older mmnn_pin wrote it"
                 raise RecordingError(f"the recording does not tell the {what}", why=why, file=recording.path)
-        layout = _layout(recording, robot)
-        rows = finite_rows(recording, layout)
+        require_signals(recording)
+        rows = finite_rows(recording, robot.layout)
         if len(rows) < 2:
             why = f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}"
             raise RecordingError("too short to tell anything", why=why, fix="run longer", file=recording.path)
@@ -68,7 +68,6 @@ class Subject:
             msgspec.convert(recording.meta["kinematic"], Kinematic),
             msgspec.convert(recording.meta["time"], Timing),
             rows,
-            recorded_learner(recording, layout),
         )
 
     @property
@@ -94,7 +93,13 @@ class Subject:
     @property
     def exact_sensors(self) -> bool:
         """Whether the controller was told the true state at every control sample."""
-        return "sensor" not in self.recording.meta and self.timing.steps_per_measurement == self.timing.steps_per_control
+        every = self.timing.steps_per_control % self.timing.steps_per_measurement == 0
+        return "sensor" not in self.recording.meta and every
+
+    @cached_property
+    def learner(self) -> Learner | None:
+        """The learner, or None where the controller of the run has none; errors as in `recorded_learner`."""
+        return recorded_learner(self.recording, self.layout)
 
     @cached_property
     def dynamics(self) -> Dynamics:
@@ -122,17 +127,15 @@ class Subject:
         return self.rows[:, self.layout.where(name)]
 
 
-def _layout(recording: Recording, robot: Robot) -> Layout:
-    """The robot's layout.
+def require_signals(recording: Recording) -> None:
+    """Refuse a recording without the signals that everything here is made of.
 
     Raises:
-        RecordingError: The recording lacks signals of it, as one does that another version wrote.
+        RecordingError: With the name of the first that is missing.
     """
-    layout = robot.layout
-    for name in ("time", "position", "nu", "psi", "psi_hat", "torque", "robust", "nu_ref", "nudot_ref", "effective_gain"):
+    for name in NEEDED:
         if name not in recording:
             raise RecordingError(f"the signal '{name}' is not in the recording", file=recording.path)
-    return layout
 
 
 def finite_rows(recording: Recording, layout: Layout) -> Array:

@@ -147,4 +147,5 @@ def weights_part(
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
     largest = np.abs(recorded).max()
-    return WeightsPart(*found, missed / largest if largest else missed)
+    value, leakage, remainder, step = found
+    return WeightsPart(value, leakage, remainder, step, missed / largest if largest else missed)
