@@ -37,6 +37,17 @@ def windows(time: Array, count: int) -> Array:
     return np.linspace(START, end, count + 1) if end > START + period else np.zeros(0)
 
 
+def error_in(edges: Array, time: Array, psi: Array, psi_hat: Array) -> Array:
+    """Mean squared error in every window over the variance of Psi in all of them together, (count, p).
+
+    Unlike `fvu_in` it does not explode where Psi hardly varies; the mean over equal windows is the FVU of the whole.
+    """
+    places = np.searchsorted(time, edges - 1e-9)
+    whole = slice(places[0], places[-1])
+    variance = fvu(psi[whole], psi[whole] + 1.0)  # 1 / variance, NaN where Psi does not vary
+    return np.array([((psi[a:b] - psi_hat[a:b]) ** 2).mean(axis=0) * variance for a, b in pairwise(places)])
+
+
 def fvu_in(edges: Array, time: Array, psi: Array, psi_hat: Array) -> Array:
     """FVU in every window [a, b), (count, p); see `fvu`."""
     places = np.searchsorted(time, edges - 1e-9)

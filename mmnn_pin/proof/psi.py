@@ -20,7 +20,7 @@ from ..model.robot import Robot
 from ..signals import Array, Layout
 from ..torque.network import numerical_rank
 from . import held_out as held
-from .fvu import START, fvu, fvu_in, windows
+from .fvu import START, error_in, fvu, fvu_in, windows
 from .learner import Learner, said
 from .payload import loaded, usual_payload
 from .rank import Excitation, effective_rank, excitation
@@ -82,7 +82,8 @@ class Psi:
         halves: Components of the base and of the arm.
         online: FVU online after the first 0.5 s, (p,).
         edges: Edges of the windows, (n + 1,) [s].
-        windows: FVU online in each of them, (n, p).
+        windows: FVU online in each of them, (n, p), with the variance that Psi has there.
+        errors: Error online in each of them over the variance of the whole run, (n, p); their mean is `online`.
         shares: Part of the torque to its share, (p,) each.
         sizes: Part of the torque to its RMS over that of the torque, (p,) each.
         frozen: Final weights held fixed, by name: `same`, `held_out`, `payload`; empty for a controller that learns
@@ -97,6 +98,7 @@ class Psi:
     online: Array
     edges: Array
     windows: Array
+    errors: Array
     shares: dict[str, Array]
     sizes: dict[str, Array]
     frozen: dict[str, Frozen]
@@ -139,6 +141,7 @@ def psi_of(
         online=fvu(psi[counts], psi_hat[counts]),
         edges=edges,
         windows=fvu_in(edges, time, psi, psi_hat),
+        errors=error_in(edges, time, psi, psi_hat),
         shares=shares(torque[counts], psi_hat[counts], robust[counts]),
         sizes=sizes(torque[counts], psi_hat[counts], robust[counts]),
         frozen=frozen,

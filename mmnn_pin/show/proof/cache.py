@@ -9,7 +9,7 @@ from ...errors import InputError
 from ...proof.proof import Proof
 from ...recording import Recording
 
-BUDGET = 15_000  # evaluations of the dynamics for a figure: about a second
+BUDGET = 5_000  # evaluations of the dynamics for one of several runs: a fraction of a second
 PROOFS: WeakKeyDictionary[Recording, Proof] = WeakKeyDictionary()
 
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 Recordings = Mapping[str, Recording]
 
-COLOURS = ("#009E73", "#56B4E9", "#0072B2", "#CC79A7", "#E69F00", "#D55E00", "#666666", "#F0E442", "#999999")
+COLOURS = ("#009E73", "#56B4E9", "#0072B2", "#CC79A7", "#E69F00", "#D55E00", "#666666", "#882255", "#999999")
 SHOWN = 1e-3  # terms that add less than this share of the largest are left out
 
 
@@ -59,24 +59,28 @@ def terms_figure(recordings: Recordings) -> Figure:
     found = {name: proof.lyapunov for name, proof in having(recordings, "lyapunov", "the Lyapunov function").items()}
     figure = new_figure(7.5, 2.4 * len(found) + 1.4)
     stack = figure.subplots(len(found), 1, sharex=True, squeeze=False)[:, 0]
-    looks: dict[str, Look] = {}
-    colour_of = dict(zip(TERMS, COLOURS, strict=True))
+    shown: set[str] = set()
+    looks: dict[str, Look] = {
+        term: {"color": color, "linewidth": 1.6} for term, color in zip(TERMS, COLOURS, strict=True)
+    }
+    looks["V - V(0)"] = {"color": "black", "linewidth": 1.2, "linestyle": (0, (5, 1.6))}
     for axes, (name, v) in zip(stack, found.items(), strict=True):
         stride = v.time[1] - v.time[0] if len(v.time) > 1 else v.period
         sums = {term: np.cumsum(values) * stride for term, values in v.terms.items()}
         largest = max(np.abs(values).max() for values in sums.values())
         for term, values in sums.items():
             if np.abs(values).max() > SHOWN * largest:
-                looks[term] = {"color": colour_of[term], "linewidth": 1.6}
                 axes.plot(v.time, values, **looks[term])
-        looks["V - V(0)"] = {"color": "black", "linewidth": 1.2, "linestyle": (0, (5, 1.6))}
-        axes.plot(v.time, v.total - v.total[0], **looks["V - V(0)"])
+                shown.add(term)
+        axes.plot(v.time, v.total - v.total[0], **change)
         axes.axhline(0.0, color="0.75", linewidth=0.8, zorder=1)
         axes.set_yscale("symlog", linthresh=max(1e-2 * largest, 1e-300))
         axes.set_ylabel("added to V [SI]")
         axes.set_title(plain(name), loc="left")
     stack[-1].set_xlabel("time [s]")
-    add_legend(figure, "What makes V fall and grow", list(looks.items()))
+    add_legend(
+        figure, "What makes V fall and grow", [(t, look) for t, look in looks.items() if t in {*shown, "V - V(0)"}]
+    )
     return figure
 
 

@@ -46,8 +46,8 @@ def psi_dict(psi: Psi) -> dict[str, Any]:
         return {"components": each(values)} | {part: number(worst(values[where])) for part, where in psi.halves.items()}
 
     windows = [
-        {"from": number(a), "to": number(b), **judged(row)}
-        for a, b, row in zip(psi.edges[:-1], psi.edges[1:], psi.windows, strict=True)
+        {"from": number(a), "to": number(b), **judged(row), "of_run_variance": each(error)}
+        for a, b, row, error in zip(psi.edges[:-1], psi.edges[1:], psi.windows, psi.errors, strict=True)
     ]
     return {
         "online": judged(psi.online),

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import RecordingError
-from ...proof.fvu import fvu_in, windows
+from ...experiments.experiment import ORACLES
+from ...proof.fvu import error_in, windows
 from ...proof.proof import Proof
 from ...recording import Recording
 from ...signals import Array
@@ -24,18 +25,21 @@ Recordings = Mapping[str, Recording]
 SLICES = 20  # windows of the curve over time
 FROZEN = {"same": "the run's own", "held_out": "held out", "payload": "with a payload"}
 MARKERS = {"same": "o", "held_out": "^", "payload": "s"}
+PARTS = {"feedback": "feedback", "network": r"network, $\hat\Psi$", "robust": "robust term"}
 SHADES = {"feedback": "#999999", "network": "#0072B2", "robust": "#D55E00"}
 FLOOR = 1e-17
 
 
 @styled
 def fvu_figure(recordings: Recordings) -> Figure:
-    """FVU of every component: online over time, and with frozen weights at the right.
+    """FVU of every component: its course online, and with frozen weights at the right.
+
+    The course is the error of each window over the variance of the whole run: its mean is the FVU online.
 
     Raises:
         RecordingError: No recording with a Psi_hat.
     """
-    proofs = having(recordings, "psi", "FVU")
+    proofs = estimating(recordings, "FVU")
     labels = next(iter(proofs.values())).psi.labels
     figure = new_figure(7.5, 1.35 * len(labels) + 1.3)
     grid = figure.subplots(len(labels), 2, sharex="col", sharey="row", squeeze=False, width_ratios=(4, 1))
@@ -51,7 +55,7 @@ def fvu_figure(recordings: Recordings) -> Figure:
             for x, (kind, told) in enumerate(proof.psi.frozen.items()):
                 right.plot(x + 0.15 * place, told.fvu[i], MARKERS[kind], color=styles[name].color, markersize=5)
     grid[-1, 0].set_xlabel("time [s]")
-    grid[0, 0].set_title("online, in windows")
+    grid[0, 0].set_title("online: error over the run's variance")
     grid[0, 1].set_title("frozen")
     grid[-1, 1].set_xticks(range(3), ["own", "held\nout", "pay-\nload"])
     grid[-1, 1].set_xlim(-0.5, 2.5 + 0.15 * len(proofs))
@@ -105,7 +109,7 @@ def shares_figure(recordings: Recordings) -> Figure:
     Raises:
         RecordingError: No recording with a Psi_hat.
     """
-    proofs = having(recordings, "psi", "shares of the torque")
+    proofs = estimating(recordings, "shares of the torque")
     labels = next(iter(proofs.values())).psi.labels
     figure = new_figure(7.5, 0.32 * len(labels) * len(proofs) + 0.4 * len(proofs) + 1.3)
     stack = figure.subplots(len(proofs), 1, sharex=True, squeeze=False)[:, 0]
@@ -122,8 +126,7 @@ def shares_figure(recordings: Recordings) -> Figure:
         axes.set_title(plain(name), loc="left")
     stack[-1].set_xlabel("share of the torque")
     looks: list[tuple[str, Look]] = [
-        ({"robust": "robust term"}.get(part, part), {"color": color, "linewidth": 7, "solid_capstyle": "butt"})
-        for part, color in SHADES.items()
+        (PARTS[part], {"color": color, "linewidth": 7, "solid_capstyle": "butt"}) for part, color in SHADES.items()
     ]
     add_legend(figure, "Where the torque came from", looks)
     return figure
@@ -157,11 +160,19 @@ def ranks_figure(recordings: Recordings) -> Figure:
                 axes.set_yscale("log")
     for axes, kind in zip(grid[0], [*kinds, "activations"], strict=True):
         axes.set_title({"W": "W", "V": "V"}.get(kind, kind))
+    for axes in grid.flat:
+        axes.xaxis.get_major_locator().set_params(integer=True)
     for axes in grid[-1]:
         axes.set_xlabel("number")
     looks = [(legend_label(name, recordings[name]), styles[name].line) for name in proofs]
     add_legend(figure, "Singular values: how many units count", looks)
     return figure
+
+
+def estimating(recordings: Recordings, what: str) -> dict[str, Proof]:
+    """Proofs of the runs with a Psi_hat of their own; those told the true model only where there is no other."""
+    proofs = having(recordings, "psi", what)
+    return {n: p for n, p in proofs.items() if p.subject.controller not in ORACLES} or proofs
 
 
 def having(recordings: Recordings, part: str, what: str) -> dict[str, Proof]:
@@ -177,10 +188,10 @@ def having(recordings: Recordings, part: str, what: str) -> dict[str, Proof]:
 
 
 def sliced(proof: Proof) -> tuple[Array, Array]:
-    """Edges (n + 1,) of windows and the FVU online in each (n, p), NaN where Psi does not vary."""
+    """Edges (n + 1,) of windows and the error online in each over the variance of the whole run (n, p)."""
     time = proof.subject.signal("time")[:, 0]
     edges = windows(time, SLICES)
-    return edges, fvu_in(edges, time, proof.subject.signal("psi"), proof.subject.signal("psi_hat"))
+    return edges, error_in(edges, time, proof.subject.signal("psi"), proof.subject.signal("psi_hat"))
 
 
 def line_of(style: Style) -> dict[str, Any]:

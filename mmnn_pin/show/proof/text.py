@@ -18,6 +18,7 @@ from ...proof.psi import Psi
 from ...signals import Array
 from ..table import WIDTH, number
 
+SHARES = {"feedback": "feedback", "network": "network, Psi_hat", "robust": "robust term"}
 PARTS = {"pose": "V1 of the pose", "motion": "s' M s / 2", "weights": "weights' part"}
 
 
@@ -93,14 +94,14 @@ def psi_table(psi: Psi) -> Table:
         table.add_row(first, second, *(number(value) for value in values))
 
     row("FVU online", f"{psi.edges[0]:.3g} to {psi.edges[-1]:.4g} s", psi.online)
-    for a, b, values in zip(psi.edges[:-1], psi.edges[1:], psi.windows, strict=True):
-        row("", f"{a:.3g} to {b:.4g} s", values)
+    for a, b, values in zip(psi.edges[:-1], psi.edges[1:], psi.errors, strict=True):
+        row("  of the run's variance" if a == psi.edges[0] else "", f"{a:.3g} to {b:.4g} s", values)
     table.add_section()
     for name, told in psi.frozen.items():
         row("FVU frozen" if name == "same" else "", told.about, told.fvu)
     table.add_section()
     for i, (part, values) in enumerate(psi.shares.items()):
-        row("share of the torque" if i == 0 else "", {"robust": "robust term"}.get(part, part), values)
+        row("share of the torque" if i == 0 else "", SHARES[part], values)
     return table
 
 
