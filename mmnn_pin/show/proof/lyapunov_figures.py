@@ -63,7 +63,7 @@ def terms_figure(recordings: Recordings) -> Figure:
     looks: dict[str, Look] = {
         term: {"color": color, "linewidth": 1.6} for term, color in zip(TERMS, COLOURS, strict=True)
     }
-    looks["V - V(0)"] = {"color": "black", "linewidth": 1.2, "linestyle": (0, (5, 1.6))}
+    change: Look = {"color": "black", "linewidth": 1.2, "linestyle": (0, (5, 1.6))}
     for axes, (name, v) in zip(stack, found.items(), strict=True):
         stride = v.time[1] - v.time[0] if len(v.time) > 1 else v.period
         sums = {term: np.cumsum(values) * stride for term, values in v.terms.items()}
@@ -78,9 +78,8 @@ def terms_figure(recordings: Recordings) -> Figure:
         axes.set_ylabel("added to V [SI]")
         axes.set_title(plain(name), loc="left")
     stack[-1].set_xlabel("time [s]")
-    add_legend(
-        figure, "What makes V fall and grow", [(t, look) for t, look in looks.items() if t in {*shown, "V - V(0)"}]
-    )
+    kept = [(term, look) for term, look in looks.items() if term in shown]
+    add_legend(figure, "What makes V fall and grow", [*kept, ("V - V(0)", change)])
     return figure
 
 
