@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -18,7 +18,9 @@ from ...proof.psi import Psi
 from ...signals import Array
 from ..table import WIDTH, number
 
-SHARES = {"feedback": "feedback", "network": "network, Psi_hat", "robust": "robust term"}
+FROZEN = {"same": "frozen,\nown run", "held_out": "frozen,\nheld out", "payload": "frozen,\npayload"}
+SHARES = {"feedback": "feed-\nback", "network": "network,\nPsi_hat", "robust": "robust\nterm"}
+MOST_WINDOWS = 8  # columns that a terminal has room for
 PARTS = {"pose": "V1 of the pose", "motion": "s' M s / 2", "weights": "weights' part"}
 
 
@@ -42,7 +44,7 @@ def parts(proof: Proof) -> Iterator[str | Table]:
     """Sentences and tables, in order."""
     if proof.has("psi"):
         yield from verdicts(proof.psi)
-        yield psi_table(proof.psi)
+        yield from psi_tables(proof.psi)
         if proof.psi.networks:
             yield network_table(proof)
     if proof.has("lyapunov"):
@@ -82,26 +84,27 @@ def judgement(online: float, same: float, other: float) -> str:
     return f"{told}: it {known}{' where it was not trained' if math.isfinite(other) else ''}."
 
 
-def psi_table(psi: Psi) -> Table:
-    """FVU online and frozen, shares of the torque: a column per component."""
+def psi_tables(psi: Psi) -> Iterator[str | Table]:
+    """FVU online and frozen and shares of the torque, then the online error in windows: a row per component."""
+    columns = {"online": psi.online} | {FROZEN[name]: told.fvu for name, told in psi.frozen.items()}
+    columns |= {SHARES[part]: values for part, values in psi.shares.items()}
+    yield component_table("FVU, then shares of the torque", psi, columns)
+    if psi.frozen:
+        yield "\n".join(f"{FROZEN[name].replace(chr(10), ' ')}: {told.about}" for name, told in psi.frozen.items())
+    if len(psi.errors) <= MOST_WINDOWS:
+        edges = zip(psi.edges[:-1], psi.edges[1:], psi.errors, strict=True)
+        spans = {f"{a:.3g} to\n{b:.4g} s": values for a, b, values in edges}
+        yield component_table("Error online over the run's variance", psi, spans)
+
+
+def component_table(title: str, psi: Psi, columns: Mapping[str, Array]) -> Table:
+    """Columns of one number per component."""
     table = Table(box=SIMPLE_HEAD, padding=0)
-    table.add_column("Psi", overflow="fold")
-    table.add_column("", overflow="fold")
-    for label in psi.labels:
-        table.add_column(f"  {label.removesuffix('_joint')}", justify="right", no_wrap=True)
-
-    def row(first: str, second: str, values: Array) -> None:
-        table.add_row(first, second, *(number(value) for value in values))
-
-    row("FVU online", f"{psi.edges[0]:.3g} to {psi.edges[-1]:.4g} s", psi.online)
-    for a, b, values in zip(psi.edges[:-1], psi.edges[1:], psi.errors, strict=True):
-        row("  of the run's variance" if a == psi.edges[0] else "", f"{a:.3g} to {b:.4g} s", values)
-    table.add_section()
-    for name, told in psi.frozen.items():
-        row("FVU frozen" if name == "same" else "", told.about, told.fvu)
-    table.add_section()
-    for i, (part, values) in enumerate(psi.shares.items()):
-        row("share of the torque" if i == 0 else "", SHARES[part], values)
+    table.add_column(title, overflow="fold", vertical="bottom")
+    for head in columns:
+        table.add_column("\n".join(f"  {line}" for line in head.split("\n")), justify="right", no_wrap=True)
+    for i, label in enumerate(psi.labels):
+        table.add_row(label.removesuffix("_joint"), *(number(values[i]) for values in columns.values()))
     return table
 
 
@@ -172,11 +175,14 @@ def balance_sentence(found: Balance) -> str:
     """Whether the equality holds, with its worst errors."""
     verdict = "holds" if found.holds else "IS VIOLATED"
     first = "" if found.order >= 4 else f", an integrator of order {found.order}"
-    return (
+    text = (
         f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {verdict}. Worst relative error over {len(found.time):,} of "
         f"{found.periods:,} control periods: {small(found.identity)} along the motion of DOP853, "
         f"{small(found.recorded)} between the recorded states{first}; tolerance {TOLERANCE:g}."
     )
+    if found.holds or found.identity > TOLERANCE:
+        return text
+    return f"{text} Model and command are right; the recorded states do not follow them: plant steps too long?"
 
 
 def signed(value: float) -> str:

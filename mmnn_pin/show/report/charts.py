@@ -31,8 +31,8 @@ ABOUT = {
     "small tracking error does not mean that \u03a8 was learned.",
     "gains": "All that multiplies z (base) or r (arm) in the torque. PD at a learner's effective gain has the same.",
     "weights": "Frobenius norm of all weights of a network.",
-    "fvu": "Mean squared error of \u03a8\u0302 in each window over the variance of \u03a8 in the whole run. The mean of "
-    "a curve is its FVU online; the best constant has 1.",
+    "fvu": "Mean squared error of \u03a8\u0302 in each window over the variance of \u03a8 in the whole run. The mean "
+    "of a curve is its FVU online; the best constant has 1.",
     "lyapunov": "V = V1(pose error) + s\u1d40Ms/2 + the weights' errors (3.53), with the corrected V1 and ideal "
     "weights from an offline fit; the errors' part; and the measured change of V, its axis logarithmic on both sides "
     "of zero.",
