@@ -12,7 +12,6 @@ from ..errors import RecordingError
 from ..kinematic import Kinematic, command
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
-from ..plant.integrators import ORDER
 from ..recorded_robot import recorded_robot
 from ..recording import Recording
 from ..sensing import exact
@@ -84,11 +83,6 @@ class Subject:
     def plant(self) -> str:
         """`ideal` or `contact`."""
         return str(self.recording.meta.get("plant", "ideal"))
-
-    @property
-    def order(self) -> int:
-        """Order of the plant's integrator."""
-        return ORDER[self.timing.integrator]
 
     @property
     def exact_sensors(self) -> bool:

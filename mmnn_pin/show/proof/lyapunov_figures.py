@@ -85,22 +85,25 @@ def terms_figure(recordings: Recordings) -> Figure:
 
 @styled
 def equality_figure(recordings: Recordings) -> Figure:
-    """Relative error of `d/dt (s' M s / 2) = s' (Psi - tau + d)` over every control period that was looked at.
+    """Relative errors of `d/dt (s' M s / 2) = s' (Psi - tau + d)` over the control periods that were looked at.
+
+    Above along the motion of DOP853, below between the recorded states; between them how far these are from the plant's
+    own steps (see `Balance`).
 
     Raises:
         RecordingError: No recording of a run on the ideal plant.
     """
     found = {name: proof.balance for name, proof in having(recordings, "balance", "the equality").items()}
     styles = styles_of(recordings)
-    figure = new_figure(7.5, 5.2)
-    upper, lower = figure.subplots(2, 1, sharex=True, sharey=True)
-    for axes, words in ((upper, "along DOP853"), (lower, "between the\nrecorded states")):
+    figure = new_figure(7.5, 6.5)
+    upper, middle, lower = figure.subplots(3, 1, sharex=True, sharey=True)
+    for axes, words in ((upper, "model"), (middle, "plant's steps"), (lower, "recorded\nstates")):
         axes.axhline(TOLERANCE, color="0.35", linewidth=0.9, linestyle=(0, (4, 3)))
-        axes.set(yscale="log", ylabel=f"relative error,\n{words}")
+        axes.set(yscale="log", ylabel=words)
     for name, b in found.items():
         look = {"color": styles[name].color, "marker": ".", "markersize": 2.5, "linestyle": "none"}
-        upper.plot(b.time, np.maximum(np.abs(b.model - b.work) / b.scale, 1e-17), **look)
-        lower.plot(b.time, np.maximum(np.abs(b.increment - b.work) / b.scale, 1e-17), **look)
+        for axes, error in ((upper, b.model - b.work), (middle, b.increment - b.again), (lower, b.increment - b.work)):
+            axes.plot(b.time, np.maximum(np.abs(error) / b.scale, 1e-17), **look)
     lower.set_xlabel("time [s]")
     dots: list[tuple[str, Look]] = [
         (legend_label(name, recordings[name]), {"color": styles[name].color, "marker": "o", "linestyle": "none"})

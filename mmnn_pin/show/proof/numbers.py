@@ -111,8 +111,8 @@ def balance_dict(found: Balance) -> dict[str, Any]:
     """Worst relative errors of the equality."""
     return {
         "model": number(found.identity),
+        "steps": number(found.steps),
         "recorded": number(found.recorded),
-        "integrator_order": found.order,
         "tolerance": TOLERANCE,
         "periods": len(found.time),
         "of": found.periods,

@@ -173,16 +173,12 @@ def spans_sentence(growth: Growth) -> str:
 
 def balance_sentence(found: Balance) -> str:
     """Whether the equality holds, with its worst errors."""
-    verdict = "holds" if found.holds else "IS VIOLATED"
-    first = "" if found.order >= 4 else f", an integrator of order {found.order}"
-    text = (
-        f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {verdict}. Worst relative error over {len(found.time):,} of "
-        f"{found.periods:,} control periods: {small(found.identity)} along the motion of DOP853, "
-        f"{small(found.recorded)} between the recorded states{first}; tolerance {TOLERANCE:g}."
+    return (
+        f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {'holds' if found.holds else 'IS VIOLATED'}. Worst relative "
+        f"errors over {len(found.time):,} of {found.periods:,} control periods: model and command "
+        f"{small(found.identity)}, recorded states against the plant's own steps {small(found.steps)} (tolerance "
+        f"{TOLERANCE:g}); equality between the recorded states {small(found.recorded)}."
     )
-    if found.holds or found.identity > TOLERANCE:
-        return text
-    return f"{text} Model and command are right; the recorded states do not follow them: plant steps too long?"
 
 
 def signed(value: float) -> str:

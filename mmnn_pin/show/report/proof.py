@@ -88,5 +88,4 @@ def equality(proof: Proof) -> Cell:
     if not proof.has("balance"):
         return Cell("")
     found = proof.balance
-    value = max(found.identity, found.recorded if found.order >= 4 else 0.0)
-    return Cell(small(value), "" if found.holds else "bad")
+    return Cell(small(max(found.identity, found.steps)), "" if found.holds else "bad")
