@@ -1,4 +1,4 @@
-"""Runs for the tests of what a run proves: small robots of every kind, learners that learn something in half a second."""
+"""Runs for the tests of what a run proves: small robots of every kind, learners that learn in half a second."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def run(request: pytest.FixtureRequest) -> tuple[str, Subject]:
 
 
 def test_the_equality_holds_over_every_period(run: tuple[str, Subject]) -> None:
-    kind, subject = run
+    _, subject = run
     found = balance(subject)
     assert len(found.time) == found.periods == round(DURATION / PERIOD) - 1
     assert found.identity < 0.1 * TOLERANCE and found.steps < 0.1 * TOLERANCE and found.holds
@@ -48,7 +48,7 @@ def test_it_holds_whatever_the_torque_and_the_sensors_are() -> None:
     assert np.abs(held).max() > 1e-3  # the controller did not know the true alpha
 
 
-def drop(name: str, rows: int = 0):
+def drop(name: str):
     """A command that forgets a part of itself."""
     command = module.command
 
@@ -166,11 +166,8 @@ def test_few_periods_are_spread_evenly() -> None:
 def test_no_equality_on_the_contact_plant() -> None:
     subject = Subject.of(loop_of("differential", duration=DURATION).run())
     subject.recording.meta["plant"] = "contact"
-    with pytest.raises(RecordingError, match="contact plant: its wheels may slip"):
-        try:
-            balance(subject)
-        except RecordingError as error:
-            raise RecordingError(f"{error.what}: {error.why}") from error
+    with pytest.raises(RecordingError, match="contact plant"):
+        balance(subject)
 
 
 def test_the_reference_between_samples_is_the_reference() -> None:
@@ -188,7 +185,7 @@ def test_the_reference_between_samples_is_the_reference() -> None:
             at = layout.where(name)
             np.testing.assert_allclose(row[at], exact[k, at.start - where.start : at.stop - where.start], atol=1e-6)
         for coefficients in (between.base[:, k], between.arm[:, k]):
-            value, rate, second = polynomial(coefficients, 0.3 * h)
+            _, rate, second = polynomial(coefficients, 0.3 * h)
             ahead, behind = (polynomial(coefficients, 0.3 * h + d) for d in (step, -step))
             np.testing.assert_allclose(rate, (ahead[0] - behind[0]) / (2 * step), atol=1e-6)
             np.testing.assert_allclose(second, (ahead[1] - behind[1]) / (2 * step), atol=1e-5)

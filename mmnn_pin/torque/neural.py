@@ -8,11 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Literal
 
-import msgspec
 import numpy as np
 
 from ..errors import ConfigError, UnknownName
-from ..settings import Settings, require_gains
+from ..settings import Settings, plain, require_gains
 from ..signals import Array, Layout
 from . import law
 from .controller import CompiledController, Feedback, Law, Memory, Wiring, per_velocity, split
@@ -282,7 +281,7 @@ class Neural(CompiledController):
 
     def facts(self) -> dict[str, Any]:
         """All settings, as JSON has them."""
-        return {f.name: msgspec.to_builtins(getattr(self, f.name)) for f in fields(self)}
+        return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 
     def findings(self, memory: Memory) -> list[str]:
         """What the weights show after a run: layers that have collapsed to rank one."""
