@@ -55,6 +55,7 @@ class Network:
         leakage: kappa, or mu.
         weigh_W: Factor of |Wt|^2; 0 where W is not learned.
         weigh_V: Factor of |Vt|^2; 0 where V is not learned.
+        sigmoid: Whether it is a two-layer network, whose update of W subtracts `sigma' V' x`.
         c: `s' Psi` over the product that the network sees.
         scale_out: (m,) torque over the network's output.
     """
@@ -64,6 +65,7 @@ class Network:
     leakage: float
     weigh_W: float
     weigh_V: float
+    sigmoid: bool
     c: float
     scale_out: Array
 
@@ -77,7 +79,7 @@ class Network:
         both = isinstance(controller.network, TwoLayer)
         rates = [rate if controller.learning and learned else 0.0 for rate, learned in ((rate_W, True), (rate_V, both))]
         weigh_W, weigh_V = (c * h / (2 * rate * dt) if rate > 0 else 0.0 for rate in rates)
-        return cls(ideal, part, leakage if any(rates) else 0.0, weigh_W, weigh_V, c, scale_out)
+        return cls(ideal, part, leakage if any(rates) else 0.0, weigh_W, weigh_V, both, c, scale_out)
 
     def value(self, W: Array, V: Array) -> float:
         """Its part of V."""
@@ -87,12 +89,11 @@ class Network:
         """Leakage and remainder [W]: x (nx,), sigma (h,), s and psi (m,) as the network sees them."""
         Wt, Vt = self.ideal.W - W, self.ideal.V - V
         w = psi - W.T @ sigma
+        slope = sigma * (1 - sigma) if self.sigmoid else np.zeros_like(sigma)
         if self.weigh_V > 0:
-            slope = sigma * (1 - sigma)
             w = w - W.T @ (slope * (Vt.T @ x))
-            sigma = sigma - slope * (V.T @ x)
         if self.weigh_W > 0:
-            w = w - Wt.T @ sigma
+            w = w - Wt.T @ (sigma - slope * (V.T @ x))
         inner = (Wt * W).sum() * (self.weigh_W > 0) + (Vt * V).sum() * (self.weigh_V > 0)
         return self.c * self.leakage * float(np.sqrt(s @ s) * inner), self.c * float(s @ w)
 
