@@ -96,7 +96,7 @@ def lyapunov(
     rows, true = subject.rows[at], subject.true_rows[at]
     pose, motion = pose_of(subject, true), motion_energy(subject, true)
     weights = None
-    if subject.learner is not None and ideal:
+    if ideal and subject.learner is not None:
         weights = weights_part(subject.learner, ideal, subject.rows, at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
