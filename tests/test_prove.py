@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -292,3 +295,38 @@ def judgement_number(proof: Proof) -> str:
     from mmnn_pin.show.table import number
 
     return number(worst(proof.psi.online[proof.psi.halves["arm"]]))
+
+
+# -- the documents --
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENT = (ROOT / "docs/proof.md").read_text()
+
+
+def numbers_of(line: str) -> list[float]:
+    return [float(number) for number in re.findall(r"(?<![\w.])\d+\.?\d*(?:e-\d+)?(?![\w.]*\d)", line)]
+
+
+@compiled_only
+def test_the_example_prints_what_the_document_says(tmp_path: Path) -> None:
+    script = ROOT / "examples/fast_adaptation.py"
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=True)
+    printed = done.stdout.splitlines()
+    told = [line for line in DOCUMENT.splitlines() if line.startswith(("    two_layer  FVU", "    integrator FVU"))]
+    assert len(printed) == len(told) == 2
+    for one, other in zip(printed, told, strict=True):
+        assert numbers_of(one) == pytest.approx(numbers_of(other), rel=0.05, abs=1e-4)
+
+
+@compiled_only
+def test_the_documents_table_is_what_the_command_says() -> None:
+    experiment = load_experiment("track")
+    robot = experiment.load_robot()
+    run = experiment.loop(robot, experiment.controller("two_layer", robot=robot)).run(
+        meta={"config": experiment.to_json()}
+    )
+    psi = Proof(run).psi
+    for half, where in psi.halves.items():
+        (row,) = (line for line in DOCUMENT.splitlines() if line.startswith(f"| {half} |"))
+        found = [worst(psi.online[where]), *(worst(psi.frozen[n].fvu[where]) for n in ("same", "held_out", "payload"))]
+        assert found == pytest.approx(numbers_of(row), rel=0.06)
