@@ -44,7 +44,7 @@ def test_it_holds_whatever_the_torque_and_the_sensors_are() -> None:
     assert not subject.exact_sensors
     found = balance(subject)
     assert found.holds
-    held = subject.true_rows[:, subject.layout.where("nu_ref")] - subject.signal("nu_ref")
+    held = subject.truth(subject.rows)[:, subject.layout.where("nu_ref")] - subject.signal("nu_ref")
     assert np.abs(held).max() > 1e-3  # the controller did not know the true alpha
 
 

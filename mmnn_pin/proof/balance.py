@@ -18,7 +18,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import DOP853
 
 from ..errors import RecordingError
 from ..kinematic import command
@@ -140,6 +139,8 @@ class Motion:
 
     def over(self, k: int) -> tuple[float, ...]:
         """Increment, its like along the motion and the plant's steps, work, scale [J] over period k; see `Balance`."""
+        from scipy.integrate import DOP853  # slow to import
+
         start, end = (self._state(row) for row in (self.rows[k], self.rows[k + 1]))
         self.k, self.view["torque"][:] = k, self.rows[k][self.layout.where("torque")]
         before = self._energy(0.0, start)

@@ -8,7 +8,6 @@ angles, rates and accelerations.
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly
 
 from ..signals import INDEX, Array, Layout
 
@@ -23,6 +22,8 @@ class Between:
     """
 
     def __init__(self, rows: Array, layout: Layout, period: float) -> None:
+        from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly  # slow to import
+
         time = np.arange(len(rows)) * period
         velocity, acceleration, q, qdot, qddot = (
             rows[:, layout.where(name)]

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
 from scipy.special import expit
 
 from ..signals import Array
@@ -96,6 +95,8 @@ def variances(target: Array) -> Array:
 
 def hidden_weights(x: Array, target: Array, V: Array) -> Array:
     """V (nx, h) of least penalised squares from a start, W following from it (variable projection)."""
+    from scipy.optimize import minimize  # slow to import
+
     variance = variances(target)
 
     def cost(values: Array) -> tuple[float, Array]:

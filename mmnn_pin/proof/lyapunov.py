@@ -93,7 +93,8 @@ def lyapunov(
     starts = np.arange(0, count, -(-count // most))
     at = np.unique(np.concatenate((starts, starts + 1)))
     here, there = np.searchsorted(at, starts), np.searchsorted(at, starts + 1)
-    rows, true = subject.rows[at], subject.true_rows[at]
+    rows = subject.rows[at]
+    true = subject.truth(rows)
     pose, motion = pose_of(subject, true), motion_energy(subject, true)
     weights = None
     if ideal and subject.learner is not None:

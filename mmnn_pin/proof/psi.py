@@ -28,6 +28,7 @@ from .shares import shares, sizes
 from .subject import Subject
 
 WINDOWS = 5
+MOST = 20_000  # rows of a run along which frozen weights are evaluated, evenly spread
 Progress = Callable[[str, float], None]
 
 
@@ -169,25 +170,25 @@ def known(
 ) -> tuple[dict[str, Frozen], list[Network], list[str]]:
     """What the final weights say; the networks; what could not be told."""
     show = progress or (lambda what, fraction: None)
-    robot, rows, remarks = subject.robot, subject.rows, list[str]()
-    time = subject.signal("time")[:, 0]
+    robot, remarks, where = subject.robot, list[str](), subject.layout.where
+    rows = subject.rows[:: -(-len(subject.rows) // MOST)]
+    time = rows[:, where("time")][:, 0]
     show("frozen weights", 0.1)
     visited = said(learner, learner.end, rows)
-    frozen = {"same": Frozen("the run's own trajectory", time, subject.signal("psi"), visited.psi_hat)}
+    frozen = {"same": Frozen("the run's own trajectory", time, rows[:, where("psi")], visited.psi_hat)}
     show("frozen weights", 0.3)
     try:
         wanted = held.held_out(subject)
         seen = held.recorded_under_computed_torque(subject, robot, wanted, learner.controller.feedback)
         show("frozen weights", 0.7)
         told = said(learner, learner.end, seen).psi_hat
-        at = subject.layout.where
-        frozen["held_out"] = Frozen(wanted.about, seen[:, at("time")][:, 0], seen[:, at("psi")], told)
+        frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], told)
     except InputError as error:
         remarks.append(f"no held-out trajectory: {' '.join(str(error).split())}")
     mass = usual_payload(robot) if payload is None else payload
-    where = "at the arm's tip" if robot.joint_names else "on the base"
+    place = "at the arm's tip" if robot.joint_names else "on the base"
     truth = psi_along(loaded(robot, mass), rows, subject.layout)
-    frozen["payload"] = Frozen(f"the same with {mass:.3g} kg {where}", time, truth, visited.psi_hat)
+    frozen["payload"] = Frozen(f"the same with {mass:.3g} kg {place}", time, truth, visited.psi_hat)
     show("frozen weights", 1.0)
     networks = [network_of(learner, i, visited.activations[i]) for i, _ in learner.networks]
     return frozen, networks, remarks

@@ -100,20 +100,19 @@ class Subject:
         """Pinocchio's dynamics of the true robot."""
         return Dynamics(self.robot)
 
-    @cached_property
-    def true_rows(self) -> Array:
-        """The rows as they were if the sensors told the true state: command, errors and Psi of the truth."""
+    def truth(self, rows: Array) -> Array:
+        """Rows as they were if the sensors told the true state: measurement, command, errors and Psi of the truth."""
         if self.exact_sensors:
-            return self.rows
-        rows, layout, arm = self.rows.copy(), self.layout, self.robot.arm_index
+            return rows
+        rows, layout, arm = rows.copy(), self.layout, self.robot.arm_index
         gains, K = self.kinematic.base_gains(layout.base), self.kinematic.arm_gains(layout)
         for row in rows:
             position, nu = row[layout.where("position")], row[layout.where("nu")]
             exact(row, layout.offsets, position, nu, arm)
             command(row, layout.offsets, gains, K)
             self.dynamics.refresh(position, nu)
-            args = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi"))
-            self.dynamics.refresh_psi(*args)
+            nu_ref, nudot_ref, psi = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi"))
+            self.dynamics.refresh_psi(nu_ref, nudot_ref, psi)
         return rows
 
     def signal(self, name: str) -> Array:
