@@ -9,6 +9,8 @@ import pytest
 from proofs import KINDS, PERIOD, SLOW, learner, loop_of, robot_of_kind, subject_of
 
 from mmnn_pin import Line, Timing, Trajectory, load_experiment
+from mmnn_pin.actuator import Actuator
+from mmnn_pin.disturbance import Block, Payload, Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.proof import balance as module
@@ -108,13 +110,18 @@ def changed(subject: Subject, name: str, factor: float) -> Subject:
     return replace(subject, rows=rows)
 
 
+def more_torque(subject: Subject) -> Subject:
+    subject.given.torque[:] *= 1.001
+    return subject
+
+
 @pytest.mark.parametrize("what", ["torque", "velocity", "mass", "friction"])
 def test_a_recording_of_another_plant_is_found(what: str) -> None:
     """The model alone is right then; the recorded states do not follow it."""
     subject = Subject.of(loop_of("differential", duration=DURATION).run())
     robot = robot_of_kind("differential")
     other = {
-        "torque": lambda: changed(subject, "torque", 1.001),
+        "torque": lambda: more_torque(subject),
         "velocity": lambda: changed(subject, "nu", 1.001),
         "mass": lambda: replace(subject, robot=robot.with_masses(1.01)),
         "friction": lambda: replace(subject, robot=robot.with_friction(robot.viscous + 0.1)),
@@ -196,3 +203,53 @@ def test_a_straight_line_far_away_is_judged_by_its_rounding() -> None:
     loop = loop_of("differential", duration=0.02)
     far = Trajectory(Line(1.0, (1000.0, -700.0, 0.3)), loop.trajectory.arm)
     assert balance(Subject.of(replace(loop, trajectory=far).run())).holds
+
+
+# -- with motors, pushes and a payload --
+
+
+def rigged(integrator: str = "rk4", steps: int = 1, **more: object) -> Subject:
+    loop = loop_of("fixed", **more)
+    timing = Timing(DURATION, PERIOD, PERIOD / steps, integrator=integrator)  # type: ignore[arg-type]
+    return Subject.of(replace(loop, timing=timing).run())
+
+
+def test_external_forces_and_motors_are_part_of_it() -> None:
+    """D is the recorded push, tau what the motors gave: lag, limit, a sine of force."""
+    push = Push(on="joint_0", force=2.0, shape="sine", frequency=20.0)
+    actuator = Actuator(lag=0.003, torque_gain=0.9)
+    subject = rigged(disturbances=(push,), actuator=actuator)
+    found = balance(subject)
+    assert found.holds and found.steps < 0.1 * TOLERANCE and not subject.given.varies
+    assert np.abs(subject.given.push).max() > 1 and np.abs(subject.given.torque - subject.signal("torque")).max() > 0.1
+    for name in ("push", "torque"):
+        broken = rigged(disturbances=(push,), actuator=actuator)
+        given = {"push": 0 * broken.given.push, "torque": broken.signal("torque")}[name]
+        object.__setattr__(broken.given, name, given)
+        assert not balance(broken).holds
+
+
+def test_what_varies_within_a_period_is_not_made_again() -> None:
+    subject = rigged(steps=2, actuator=Actuator(lag=0.003))
+    found = balance(subject)
+    assert subject.given.varies and np.isnan(found.steps) and found.holds and found.identity < TOLERANCE
+    constant = rigged(steps=2, disturbances=(Push(on="joint_0", force=2.0, start=5 * PERIOD, end=9 * PERIOD),))
+    assert not constant.given.varies and balance(constant).steps < 0.1 * TOLERANCE
+    assert rigged(steps=2, disturbances=(Push(on="joint_0", force=2.0, start=5.5 * PERIOD),)).given.varies
+
+
+def test_a_payload_changes_the_dynamics_where_it_is_picked_up() -> None:
+    load = Payload(mass=1.0, start=10 * PERIOD, at=(0.0, 0.0, 0.1))
+    subject = rigged(disturbances=(load,))
+    found = balance(subject)
+    assert found.holds and found.steps < 0.1 * TOLERANCE
+    before, after = (subject.dynamics(t).mass_matrix(subject.robot.neutral_position()) for t in (0.0, 0.05))
+    assert np.abs(after - before).max() > 1e-3
+    object.__setattr__(subject.given, "pick", np.inf)
+    assert not balance(subject).holds
+
+
+def test_a_blocked_joint_has_no_equality() -> None:
+    subject = rigged("stick", disturbances=(Block(joint="joint_1", start=5 * PERIOD),))
+    with pytest.raises(RecordingError, match="no equality"):
+        balance(subject)

@@ -10,6 +10,8 @@ import sympy as sp
 from proofs import KINDS, PERIOD, SLOW, learner, loop_of, subject_of
 from scipy.special import expit
 
+from mmnn_pin.actuator import Actuator
+from mmnn_pin.disturbance import Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.proof.errors import pose_part
@@ -200,3 +202,16 @@ def test_growth_finds_when_and_why() -> None:
     assert found.work["feedback"] == pytest.approx(-1.0) and set(PREDICTED) < set(TERMS)
     falls = growth(Lyapunov(h * np.arange(n), h, nothing, nothing, nothing, -1 - nothing, terms, 0.0))
     assert falls.samples == 0 and falls.why == {} and falls.spans == ()
+
+
+def test_motors_and_pushes_have_terms_of_their_own() -> None:
+    """With them the terms still add up, and what is left for `hold` is as small as without."""
+    more = {"actuator": Actuator(torque_gain=0.8), "disturbances": (Push(on="joint_0", force=2.0),)}
+    subject = Subject.of(loop_of("fixed", duration=DURATION, **more).run())
+    v = lyapunov(subject, most=10**6)
+    assert np.abs(v.terms["motors"]).max() > 0 and np.abs(v.terms["push"]).max() > 0
+    np.testing.assert_allclose(np.sum(list(v.terms.values()), axis=0), v.measured, rtol=1e-9, atol=1e-9)
+    assert np.abs(np.cumsum(v.terms["hold"]) * PERIOD).max() < 0.1 * np.ptp(v.total)
+    s = subject.signal("nu_ref") - subject.signal("nu")
+    np.testing.assert_allclose(v.terms["push"], -2.0 * s[:-1, 0])
+    np.testing.assert_allclose(v.terms["motors"], 0.2 * (s * subject.signal("torque")).sum(axis=1)[:-1])

@@ -2,14 +2,14 @@
 
 With `s = nu_ref - nu` of the true state, `Mdot = C + C'` makes this an equality for any torque:
 
-    d/dt (s' M s / 2) = s' (Psi - tau + d),        d the external force, here 0
+    d/dt (s' M s / 2) = s' (Psi - tau + d),        d = -f, f the external force
 
 It needs M, C, gravity, friction, the command with its analytic derivative, the reference, the torque and the integrator
-all to be right. Over a control period, in which tau is held, the right side is integrated along the motion that starts
-at the recorded state: DOP853 (order 8) on Pinocchio's matrices. Inside the period alpha follows the true state, and the
-reference is that of `between`. The run itself came from the plant's integrator, so the recorded states are held to two
-things: to the plant's own steps, made again from the recorded state under the recorded torque, and to the equality,
-which they miss by what these steps miss the motion.
+all to be right. Over a control period, in which tau and f are held, the right side is integrated along the motion that
+starts at the recorded state: DOP853 (order 8) on Pinocchio's matrices. Inside the period alpha follows the true state,
+and the reference is that of `between`. The run itself came from the plant's integrator, so the recorded states are held
+to two things: to the plant's own steps, made again from the recorded state under the recorded torque, and to the
+equality, which they miss by what these steps miss the motion.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Balance:
         time: Start of each period [s].
         increment: Change of s' M s / 2 between the recorded states at its ends [J].
         model: The same along the motion that DOP853 gives from its start [J].
-        again: The same along the plant's own steps from its start [J].
+        again: The same along the plant's own steps from its start [J]; NaN where torque or force change within control
+            periods, of which a recording has the means.
         work: Integral of s' (Psi - tau) along the motion of DOP853 [J].
         scale: Root mean square of s' (Psi - tau) times the period [J], at least what rounding leaves undecided.
         periods: How many the run has; fewer are looked at, evenly spread, when the dynamics are slow to compute.
@@ -62,7 +63,10 @@ class Balance:
 
     @property
     def steps(self) -> float:
-        """Largest relative difference between the recorded states and the plant's own steps: state, torque, engine."""
+        """Largest relative difference between the recorded states and the plant's own steps: state, torque, engine.
+
+        NaN where these cannot be made again.
+        """
         return float((np.abs(self.increment - self.again) / self.scale).max())
 
     @property
@@ -73,7 +77,7 @@ class Balance:
     @property
     def holds(self) -> bool:
         """Whether the equality holds for the model, and the recorded states are the plant's."""
-        return max(self.identity, self.steps) <= TOLERANCE
+        return self.identity <= TOLERANCE and not self.steps > TOLERANCE
 
 
 def balance(subject: Subject, budget: float = BUDGET, progress: Callable[[float], None] | None = None) -> Balance:
@@ -85,8 +89,11 @@ def balance(subject: Subject, budget: float = BUDGET, progress: Callable[[float]
         progress: Called with the fraction done.
 
     Raises:
-        RecordingError: The run is on the contact plant.
+        RecordingError: The run is on the contact plant, or a joint is blocked in it.
     """
+    if subject.given.blocked:
+        why = "a joint is blocked, which is no friction of the model"
+        raise RecordingError("no equality", why=why, file=subject.recording.path)
     if subject.plant != "ideal":
         why = "its wheels may slip, and then nu does not move by the reduced model"
         raise RecordingError(f"no equality on the {subject.plant} plant", why=why, file=subject.recording.path)
@@ -125,11 +132,13 @@ class Motion:
 
     def __init__(self, subject: Subject) -> None:
         layout = self.layout = subject.layout
-        self.rows, self.dynamics, self.evaluations = subject.rows, subject.dynamics, 0
+        self.subject, self.rows, self.evaluations = subject, subject.rows, 0
+        self.dynamics = subject.dynamics(0.0)
         self.row, self.at, self.arm = layout.new_row(), layout.offsets, subject.robot.arm_index
         self.gains, self.K = subject.kinematic.base_gains(layout.base), subject.kinematic.arm_gains(layout)
         self.h, self.steps = subject.timing.control_period, subject.timing.steps_per_control
-        self.plant = IdealPlant(subject.robot, subject.timing.plant_step, subject.timing.integrator)
+        robots, timing = (subject.robot, subject.given.loaded or subject.robot), subject.timing
+        self.plants = [IdealPlant(robot, timing.plant_step, timing.integrator) for robot in robots]
         self.between = Between(subject.rows, layout, self.h)
         names = ("pose_ref", "velocity_ref", "nu_ref", "nudot_ref", "psi", "torque")
         self.view = {name: self.row[layout.where(name)] for name in names}
@@ -142,7 +151,9 @@ class Motion:
         from scipy.integrate import DOP853  # slow to import
 
         start, end = (self._state(row) for row in (self.rows[k], self.rows[k + 1]))
-        self.k, self.view["torque"][:] = k, self.rows[k][self.layout.where("torque")]
+        given = self.subject.given
+        self.k, self.view["torque"][:] = k, given.torque[k] + given.push[k]
+        self.dynamics = self.subject.dynamics(float(self.rows[k][0]))
         before = self._energy(0.0, start)
         flow = self._flow(0.0, start)
         tolerance = np.full(start.size, 1e-12)
@@ -162,7 +173,10 @@ class Motion:
 
     def _stepped(self, start: Array, end: Array) -> Array:
         """Where the plant's own steps lead over the period, with the reference of its end."""
-        plant, tau, there = self.plant, self.view["torque"].copy(), end.copy()
+        if self.subject.given.varies:
+            return np.full_like(end, np.nan)
+        tau, there = self.view["torque"].copy(), end.copy()
+        plant = self.plants[int(self.dynamics is not self.subject.dynamics(-1.0))]
         plant.start(start[self.position], start[self.nu])
         for _ in range(self.steps):
             plant.step(tau)

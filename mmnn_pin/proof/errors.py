@@ -68,10 +68,11 @@ def pose_of(subject: Subject, rows: Array) -> PosePart:
 
 def motion_energy(subject: Subject, rows: Array) -> Array:
     """`s' M s / 2` along rows of the truth (k, width) [J]."""
-    where, dynamics = subject.layout.where, subject.dynamics
+    where, times = subject.layout.where, rows[:, subject.layout.where("time")][:, 0].tolist()
     positions, velocities = (np.ascontiguousarray(rows[:, where(name)]) for name in ("position", "nu"))
     s, found = rows[:, where("nu_ref")] - velocities, np.zeros(len(rows))
-    for k, (position, nu) in enumerate(zip(positions, velocities, strict=True)):
+    for k, (time, position, nu) in enumerate(zip(times, positions, velocities, strict=True)):
+        dynamics = subject.dynamics(time)
         dynamics.refresh(position, nu)
         found[k] = s[k] @ dynamics.M @ s[k] / 2
     return found

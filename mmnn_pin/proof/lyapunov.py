@@ -30,10 +30,12 @@ TERMS = {
     "leakage": "kappa |s| tr(Zt' Z): the weights are pulled to zero",
     "remainder": "s' w: what of Psi - Psi_hat no update of the weights cancels",
     "sensors": "the controller's s is not the true one",
+    "motors": "-s' (torque of the motors - torque asked for)",
+    "push": "-s' f: external forces",
     "step": "the update of the weights is a step, not a flow",
     "hold": "torque and weights are held over a control period",
 }
-PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "remainder", "sensors")
+PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "remainder", "sensors", "motors", "push")
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +103,7 @@ def lyapunov(
         weights = weights_part(subject.learner, ideal, subject.rows, at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
-    rates = powers(subject, rows[here], true[here])
+    rates = powers(subject, rows[here], true[here], subject.given.torque[starts], subject.given.push[starts])
     terms = {"pose": pose.decay[here], "coupling": pose.coupling[here]} | rates
     if weights is not None:
         terms |= {"leakage": weights.leakage[here], "remainder": weights.remainder[here], "step": weights.step[there]}
@@ -113,19 +115,29 @@ def lyapunov(
     return Lyapunov(time, h, at_start[0], at_start[1], at_start[2], np.asarray(measured), terms, missed)
 
 
-def powers(subject: Subject, rows: Array, true: Array) -> dict[str, Array]:
-    """`s' (Psi - tau)` taken apart along rows (k, width), and along the same rows of the truth [W]."""
+def powers(subject: Subject, rows: Array, true: Array, torque: Array, push: Array) -> dict[str, Array]:
+    """`s' (Psi - tau - f)` taken apart [W].
+
+    Args:
+        subject: The run.
+        rows: (k, width) rows of it.
+        true: The same rows of the truth.
+        torque: (k, p) what the motors gave.
+        push: (k, p) external forces f.
+    """
     where = subject.layout.where
 
     def s(table: Array) -> Array:
         return table[:, where("nu_ref")] - np.hstack((table[:, where("velocity")], table[:, where("qdot")]))
 
     psi, psi_hat, robust, tau = (rows[:, where(name)] for name in ("psi", "psi_hat", "robust", "torque"))
-    told = s(rows)
-    truly = (s(true) * (true[:, where("psi")] - tau)).sum(axis=1)
+    told, really = s(rows), s(true)
+    truly = (really * (true[:, where("psi")] - tau)).sum(axis=1)
     return {
         "feedback": -(told * (tau - psi_hat - robust)).sum(axis=1),
         "robust": -(told * robust).sum(axis=1),
         "remainder": (told * (psi - psi_hat)).sum(axis=1),
         "sensors": truly - (told * (psi - tau)).sum(axis=1),
+        "motors": -(really * (torque - tau)).sum(axis=1),
+        "push": -(really * push).sum(axis=1),
     }

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pinocchio as pin
 
+from ..model.payload import carrying
 from ..model.robot import Robot
 from ..signals import Array
 
@@ -26,10 +25,8 @@ def loaded(robot: Robot, mass: float) -> Robot:
     The tip is the point of the last arm joint's body that is farthest from the joint, among the frames and joints
     that it carries.
     """
-    model = robot.model.copy()
-    joint = model.getJointId(robot.joint_names[-1]) if robot.joint_names else 1
-    model.inertias[joint] += pin.Inertia(mass, tip(model, joint, bool(robot.joint_names)), np.zeros((3, 3)))
-    return replace(robot, model=model)
+    joint = robot.model.getJointId(robot.joint_names[-1]) if robot.joint_names else 1
+    return carrying(robot, mass, at=tuple(tip(robot.model, joint, bool(robot.joint_names))))
 
 
 def tip(model: pin.Model, joint: int, of_arm: bool) -> Array:

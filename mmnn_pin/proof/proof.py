@@ -6,6 +6,8 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from ..errors import InputError, RecordingError
 from ..recording import Recording
 from .balance import BUDGET, TOLERANCE, Balance, balance
@@ -105,7 +107,12 @@ class Proof:
         if self.has("lyapunov") and self.lyapunov.missed > MISSED:
             what = f"stepped again, the learner misses the recorded Psi_hat by {self.lyapunov.missed:.1e}"
             found.append(f"{what}: another version made the run, and V has not quite its weights")
-        if self.has("balance") and self.balance.recorded > TOLERANCE:
+        if np.isfinite(subject.given.pick) and subject.given.pick < subject.signal("time")[-1, 0]:
+            found.append(f"M and with it V jump where the payload is picked up, at {subject.given.pick:g} s")
+        if self.has("balance") and subject.given.varies:
+            what = "motors or pushes vary within control periods, of which the recording has the means"
+            found.append(f"{what}: only model and command are held to the equality")
+        elif self.has("balance") and self.balance.recorded > TOLERANCE:
             what = f"the plant's integrator, {subject.timing.integrator} at {subject.timing.plant_step:g} s"
             found.append(f"{what}, moves the states off the equality by up to {self.balance.recorded:.1e}")
         return found

@@ -17,6 +17,7 @@ from ..recording import Recording
 from ..sensing import exact
 from ..signals import Array, Layout
 from ..timing import Timing
+from .given import Given
 from .learner import Learner, recorded_learner
 
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
@@ -88,7 +89,7 @@ class Subject:
     def exact_sensors(self) -> bool:
         """Whether the controller was told the true state at every control sample."""
         every = self.timing.steps_per_control % self.timing.steps_per_measurement == 0
-        return "sensor" not in self.recording.meta and every
+        return "sensor" not in self.recording.meta and not self.given.senses and every
 
     @cached_property
     def learner(self) -> Learner | None:
@@ -96,9 +97,17 @@ class Subject:
         return recorded_learner(self.recording, self.layout)
 
     @cached_property
-    def dynamics(self) -> Dynamics:
-        """Pinocchio's dynamics of the true robot."""
-        return Dynamics(self.robot)
+    def given(self) -> Given:
+        """What motors, pushes and a payload gave to the robot."""
+        return Given.of(self.recording, self.robot, self.timing)
+
+    @cached_property
+    def _dynamics(self) -> tuple[Dynamics, Dynamics]:
+        return Dynamics(self.robot), Dynamics(self.given.loaded or self.robot)
+
+    def dynamics(self, time: float) -> Dynamics:
+        """Pinocchio's dynamics of the robot in the control period that begins at a time [s]."""
+        return self._dynamics[int(time + 5e-10 >= self.given.pick)]
 
     def truth(self, rows: Array) -> Array:
         """Rows as they were if the sensors told the true state: measurement, command, errors and Psi of the truth."""
@@ -110,9 +119,10 @@ class Subject:
             position, nu = row[layout.where("position")], row[layout.where("nu")]
             exact(row, layout.offsets, position, nu, arm)
             command(row, layout.offsets, gains, K)
-            self.dynamics.refresh(position, nu)
             nu_ref, nudot_ref, psi = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi"))
-            self.dynamics.refresh_psi(nu_ref, nudot_ref, psi)
+            dynamics = self.dynamics(float(row[layout.where("time")][0]))
+            dynamics.refresh(position, nu)
+            dynamics.refresh_psi(nu_ref, nudot_ref, psi)
         return rows
 
     def signal(self, name: str) -> Array:

@@ -19,7 +19,19 @@ if TYPE_CHECKING:
 
 Recordings = Mapping[str, Recording]
 
-COLOURS = ("#009E73", "#56B4E9", "#0072B2", "#CC79A7", "#E69F00", "#D55E00", "#666666", "#882255", "#999999")
+COLOURS = (
+    "#009E73",
+    "#56B4E9",
+    "#0072B2",
+    "#CC79A7",
+    "#E69F00",
+    "#D55E00",
+    "#666666",
+    "#44AA99",
+    "#000000",
+    "#882255",
+    "#999999",
+)
 SHOWN = 1e-3  # terms that add less than this share of the largest are left out
 
 

@@ -173,11 +173,12 @@ def spans_sentence(growth: Growth) -> str:
 
 def balance_sentence(found: Balance) -> str:
     """Whether the equality holds, with its worst errors."""
+    steps = small(found.steps) if math.isfinite(found.steps) else "not known"
     return (
         f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {'holds' if found.holds else 'IS VIOLATED'}. Worst relative "
         f"errors over {len(found.time):,} of {found.periods:,} control periods: model and command "
-        f"{small(found.identity)}, recorded states against the plant's own steps {small(found.steps)} (tolerance "
-        f"{TOLERANCE:g}); equality between the recorded states {small(found.recorded)}."
+        f"{small(found.identity)}, recorded states against the plant's own steps {steps} (tolerance {TOLERANCE:g}); "
+        f"equality between the recorded states {small(found.recorded)}."
     )
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from ...proof.balance import TOLERANCE
 from ...proof.fvu import worst
 from ...proof.proof import Proof
@@ -88,4 +90,4 @@ def equality(proof: Proof) -> Cell:
     if not proof.has("balance"):
         return Cell("")
     found = proof.balance
-    return Cell(small(max(found.identity, found.steps)), "" if found.holds else "bad")
+    return Cell(small(np.nanmax((found.identity, found.steps))), "" if found.holds else "bad")
