@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import h5py
+import msgspec
 import numpy as np
 import pytest
 from proofs import SLOW, learner, loop_of
@@ -18,8 +19,10 @@ from test_report import Page
 from mmnn_pin import PD, Feedback, Recording, TorqueController, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
+from mmnn_pin.experiments.config import recorded_experiment
 from mmnn_pin.proof.fvu import worst
 from mmnn_pin.proof.proof import Proof
+from mmnn_pin.safety import Safety
 from mmnn_pin.show.proof import cache
 from mmnn_pin.show.proof.figures import PROOF_FIGURES
 from mmnn_pin.show.proof.lyapunov_figures import equality_figure, lyapunov_figure, terms_figure
@@ -330,3 +333,18 @@ def test_the_documents_table_is_what_the_command_says() -> None:
         (row,) = (line for line in DOCUMENT.splitlines() if line.startswith(f"| {half} |"))
         found = [worst(psi.online[where]), *(worst(psi.frozen[n].fvu[where]) for n in ("same", "held_out", "payload"))]
         assert found == pytest.approx(numbers_of(row), rel=0.06)
+
+
+def test_runs_with_faults_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Motors, a supervisor and events without an end, whose config has an infinite time in it."""
+    experiment = load_experiment("chapter4", ("time.duration=0.02", 'disturbances=[{type="push", on="v", force=9.0}]'))
+    experiment = msgspec.structs.replace(experiment, safety=Safety(weights=1e-3))
+    robot = experiment.load_robot()
+    loop = experiment.loop(robot, experiment.controller("two_layer", robot=robot))
+    loop.run(tmp_path / "run.h5", meta={"config": experiment.to_json()})
+    assert recorded_experiment(Recording.open(tmp_path / "run.h5")) == experiment
+    code, found, _ = told(capsys, tmp_path / "run.h5")
+    assert code == 0 and found["equality"]["holds"] and found["lyapunov"]["terms"]["push"] < 0
+    # the supervisor scales the weights: stepping the learner again does not give them
+    assert found["lyapunov"]["parts"]["weights"] == {"start": 0.0, "end": 0.0}
+    assert any("under a supervisor" in remark for remark in found["remarks"])

@@ -49,7 +49,9 @@ class Given:
         rows, p = len(recording), robot.layout.dof
         torque, push = recording["torque"].reshape(rows, p), np.zeros((rows, p))
         if driven:
-            torque = recording["applied"].reshape(rows, -1) @ robot.E.T
+            applied = recording["applied"].reshape(rows, -1) @ robot.E.T
+            driven = not np.allclose(applied, torque, rtol=1e-9, atol=1e-9 * np.abs(torque).max(initial=0.0))
+            torque = applied if driven else torque
         if "disturbance" in recording:
             push = recording["disturbance"].reshape(rows, p)
         _, load = payload(events)

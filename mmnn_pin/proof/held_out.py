@@ -13,10 +13,10 @@ import msgspec
 import numpy as np
 
 from ..errors import RecordingError
+from ..experiments.config import recorded_experiment
 from ..experiments.experiment import Experiment
 from ..loop import Loop
 from ..model.robot import Robot
-from ..recording import Recording
 from ..reference import BasePath, Eight, Holonomic, Sine, Trajectory
 from ..signals import Array
 from ..start import Start
@@ -54,26 +54,11 @@ def held_out(subject: Subject) -> HeldOut:
     Raises:
         InputError: The config cannot be read, or its trajectory does not suit the robot.
     """
-    experiment = config_of(subject.recording)
+    experiment = recorded_experiment(subject.recording)
     if experiment is not None and experiment.held_out is not None:
         duration = experiment.held_out.duration
         return HeldOut(experiment.held_out_of(subject.robot), duration, "as [held_out] of its config says")
     return usual(subject, subject.rows if experiment is None else whole_reference(subject, experiment))
-
-
-def config_of(recording: Recording) -> Experiment | None:
-    """The experiment of a recording; None where it was made without one.
-
-    Raises:
-        RecordingError: Another version wrote it.
-    """
-    if not recording.config_text:
-        return None
-    try:
-        return msgspec.json.decode(recording.config_text, type=Experiment)
-    except msgspec.DecodeError as error:
-        why = f"another version of mmnn_pin wrote it: {error}"
-        raise RecordingError("its config cannot be read", why=why, file=recording.path) from error
 
 
 def whole_reference(subject: Subject, experiment: Experiment) -> Array:

@@ -132,7 +132,7 @@ def weights_part(
         # weights that this sample's output uses: those from before the step, or from after it (Appendix B)
         look = n in wanted
         used = {i: (W.copy(), V.copy()) for i, (W, V) in weights.items()} if not first else {}
-        missed = max(missed, float(np.abs(stepper.step(row) - recorded[n]).max()))
+        missed = float(np.maximum(missed, np.abs(stepper.step(row) - recorded[n]).max()))
         if first and (look or n + 1 in wanted):
             used = {i: (W.copy(), V.copy()) for i, (W, V) in weights.items()}
         if look:
@@ -147,6 +147,6 @@ def weights_part(
         before = used or before
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
-    largest = np.abs(recorded).max()
+    largest, missed = np.abs(recorded).max(), missed if np.isfinite(missed) else np.inf
     value, leakage, remainder, step = found
     return WeightsPart(value, leakage, remainder, step, missed / largest if largest else missed)

@@ -99,11 +99,11 @@ def lyapunov_dict(v: Lyapunov, growth: Growth) -> dict[str, Any]:
             for part in ("pose", "motion", "weights")
         },
         "terms": {name: number(value) for name, value in growth.work.items()},
-        "growing_share": growth.samples,
-        "rise": growth.rise,
-        "fall": growth.fall,
+        "growing_share": number(growth.samples),
+        "rise": number(growth.rise),
+        "fall": number(growth.fall),
         "largest_where_growing": growth.why,
-        "spans": [{"from": s.start, "to": s.end, "rise": s.rise, "term": s.why} for s in growth.spans],
+        "spans": [{"from": s.start, "to": s.end, "rise": number(s.rise), "term": s.why} for s in growth.spans],
     }
 
 

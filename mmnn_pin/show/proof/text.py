@@ -158,8 +158,9 @@ def terms_table(growth: Growth) -> Table:
         table.add_column(head, overflow="fold")
     table.add_column("  adds to V", justify="right", no_wrap=True)
     table.add_column("  leads its growth", justify="right", no_wrap=True)
+    largest = max(map(abs, growth.work.values()))
     for name, words in TERMS.items():
-        if growth.work[name]:
+        if abs(growth.work[name]) > 1e-9 * largest:
             share = growth.why.get(name, 0.0)
             table.add_row(name, words, signed(growth.work[name]), f"{100 * share:.0f} %" if share else "")
     return table
