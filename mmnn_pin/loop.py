@@ -13,7 +13,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
-import msgspec
 import numpy as np
 
 from .actuator import Actuator
@@ -33,6 +32,7 @@ from .reference import Trajectory
 from .safety import HAS_TRIPPED, TRIPPED, Safety, remarks, trip_of
 from .sampled import require_stable, sampled_loop, viscous_friction
 from .sensing import Sensor
+from .settings import plain
 from .signals import INDEX, SIGNALS, Array, Layout
 from .start import FIRST_REFERENCE, Bounds, Start
 from .timing import Timing
@@ -223,13 +223,14 @@ class Loop:
     def facts(self) -> dict[str, Any]:
         """What a recording should know of this run."""
         own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
-        own |= {"kinematic": msgspec.to_builtins(self.kinematic)}
+        own |= {"kinematic": plain(self.kinematic), "time": plain(self.timing)}
+        own |= {"controller_settings": self.controller.facts()}
         believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
-        rig = {} if self.sensor.exact else {"sensor": msgspec.to_builtins(self.sensor)}
-        rig |= {} if self.actuator.perfect else {"actuator": msgspec.to_builtins(self.actuator)}
-        rig |= {} if self.safety is None else {"safety": msgspec.to_builtins(self.safety)}
-        rig |= {"disturbances": msgspec.to_builtins(self.disturbances)} if self.disturbances else {}
-        floor = {"contact": msgspec.to_builtins(self.contact)} if self.plant == "contact" else {}
+        rig = {} if self.sensor.exact else {"sensor": plain(self.sensor)}
+        rig |= {} if self.actuator.perfect else {"actuator": plain(self.actuator)}
+        rig |= {} if self.safety is None else {"safety": plain(self.safety)}
+        rig |= {"disturbances": plain(self.disturbances)} if self.disturbances else {}
+        floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
         return self.robot.facts() | own | believed | rig | {"plant": self.plant} | floor
 
     @one_thread

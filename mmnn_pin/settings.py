@@ -14,6 +14,11 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Base of all settings; a child checks its own values in `__post_init__`."""
 
 
+def plain(settings: Any) -> Any:
+    """Settings as JSON has them; numbers of numpy become numbers."""
+    return msgspec.to_builtins(settings, enc_hook=lambda value: np.asarray(value).tolist())
+
+
 def require_gains(settings: Settings, section: str, *names: str) -> None:
     """Refuse numbers that are negative or not finite.
 

@@ -23,6 +23,7 @@ from .model import model
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, printable, say, say_json
 from .plot import plot
+from .prove import prove
 from .readings import readings
 from .replay import replay
 from .report import report
@@ -70,7 +71,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-for command in (run, readings, model, plot, replay, report, export, inspect, check, list_):
+for command in (run, readings, model, plot, prove, replay, report, export, inspect, check, list_):
     mmnn.add_command(command)
 
 

@@ -14,8 +14,9 @@ from typing import Any, Literal, Union, get_args, get_origin
 import msgspec
 
 from ..disturbance import Disturbance
-from ..errors import ConfigError, InputError, UnknownName
+from ..errors import ConfigError, InputError, RecordingError, UnknownName
 from ..model.overrides import Overrides
+from ..recording import Recording
 from .experiment import Experiment
 
 UNIONS = (Union, UnionType)
@@ -64,6 +65,28 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     except InputError as error:
         error.file = error.file or path
         raise
+
+
+def recorded_experiment(recording: Recording) -> Experiment | None:
+    """The experiment of a recording; None where it was run without one.
+
+    Raises:
+        RecordingError: Another version wrote it.
+    """
+    if not recording.config_text:
+        return None
+    try:
+        return msgspec.convert(without_null(msgspec.json.decode(recording.config_text)), Experiment)
+    except (msgspec.DecodeError, InputError) as error:
+        why = f"another version of mmnn_pin wrote it: {' '.join(str(error).split())}"
+        raise RecordingError("its config cannot be read", why=why, file=recording.path) from error
+
+
+def without_null(value: Any) -> Any:
+    """A value of JSON without what is null there: what is None by default, and times that are inf by default."""
+    if isinstance(value, dict):
+        return {key: without_null(item) for key, item in value.items() if item is not None}
+    return [without_null(item) for item in value] if isinstance(value, list) else value
 
 
 def require_overrides(table: Any) -> None:

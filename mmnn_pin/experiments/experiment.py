@@ -10,7 +10,7 @@ import numpy as np
 
 from ..actuator import Actuator
 from ..disturbance import Disturbance, require_in_time
-from ..errors import ConfigError, UnknownName
+from ..errors import ConfigError, InputError, UnknownName
 from ..kinematic import Kinematic
 from ..loop import PLANTS, Loop
 from ..model.overrides import Overrides
@@ -46,7 +46,8 @@ ORACLES = ("computed_torque",)
 LEARNERS = ("two_layer", "one_layer")
 # Pictures that a run can write; `show.plots` draws them.
 PLOTS = (
-    *("errors", "torque", "psi", "gains", "path", "weights", "lyapunov", "residuals", "step-times"),
+    *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
+    *("fvu", "frozen", "shares", "ranks", "lyapunov", "lyapunov-terms", "equality"),
     *("figure-4.2", "figure-4.3", "figure-4.4"),
 )
 
@@ -85,6 +86,16 @@ class ReferenceTables(Settings, frozen=True):
     base: dict[str, Any] | None = None
     heading: dict[str, Any] | None = None
     arm: tuple[dict[str, Any], ...] | dict[str, Any] = ()
+
+
+class HeldOut(ReferenceTables, frozen=True):
+    """A reference that no learner is trained on, by which `mmnn prove` judges what it knows.
+
+    Args:
+        duration: Its length [s].
+    """
+
+    duration: float = 10.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -179,6 +190,7 @@ class Experiment(Settings, frozen=True):
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, and every run gets a verdict.
         tolerance: What a case asks of its runs.
+        held_out: The held-out trajectory; None for one that follows from the reference (see `proof.held_out`).
 
     Raises:
         UnknownName: A controller, a plot or a plant that does not exist.
@@ -216,6 +228,7 @@ class Experiment(Settings, frozen=True):
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
     tolerance: Tolerance = Tolerance()
+    held_out: HeldOut | None = None
 
     def __post_init__(self) -> None:
         if not self.controllers:
@@ -299,6 +312,16 @@ class Experiment(Settings, frozen=True):
     def trajectory_of(self, robot: Robot) -> Trajectory:
         """The reference for a robot, within the limits of its joints; errors as in `trajectory`."""
         return self.trajectory(robot.layout, (robot.lower[robot.arm_index], robot.upper[robot.arm_index]))
+
+    def held_out_of(self, robot: Robot) -> Trajectory:
+        """The held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
+        assert self.held_out is not None
+        tables = ReferenceTables(self.held_out.base, self.held_out.heading, self.held_out.arm)
+        try:
+            return msgspec.structs.replace(self, reference=tables).trajectory_of(robot)
+        except InputError as error:
+            error.key = (error.key or "").replace("reference", "held_out", 1) or None
+            raise
 
     def inertia(self, robot: Robot) -> Array | None:
         """Effective inertias along the reference, (p,); None when nothing is scaled by them."""

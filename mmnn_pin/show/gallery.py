@@ -11,12 +11,18 @@ from ..recording import Recording
 from .figure import save
 from .monitors import MONITORS
 from .plots import FIGURES
+from .proof.figures import PROOF_FIGURES
 from .thesis_figures import THESIS_FIGURES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PICTURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {**FIGURES, **MONITORS, **THESIS_FIGURES}
+PICTURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {
+    **FIGURES,
+    **MONITORS,
+    **PROOF_FIGURES,
+    **THESIS_FIGURES,
+}
 
 
 def write_pictures(recordings: Mapping[str, Recording], names: Iterable[str], folder: Path) -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""Figures that look inside a run: norms of the weights, the Lyapunov function, residuals, times of the steps."""
+"""Figures that look inside a run: norms of the weights, residuals, times of the steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from ..errors import RecordingError
 from ..recording import Recording
 from ..signals import Array
 from .figure import add_legend, legend_label, limits, mark_end, new_figure, scale_rows, styled, styles_of
-from .lyapunov import lyapunov
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,28 +38,6 @@ def weights_figure(recordings: Recordings) -> Figure:
         kept = {n: (r.time, r["weight_norm"][:, column]) for n, r in recordings.items() if "weight_norm" in r}
         panels[rf"$\Vert Z\Vert_F$ of the {network}'s network"] = {n: c for n, c in kept.items() if c[1].any()}
     return stacked("Norms of the weights", recordings, panels)
-
-
-@styled
-def lyapunov_figure(recordings: Recordings) -> Figure:
-    """V of the pose and of the velocities, and its derivative; see `lyapunov` for what is in it and what is not.
-
-    Raises:
-        RecordingError: No recording, or one that does not tell its robot or its gains.
-    """
-    found = {name: lyapunov(recording) for name, recording in recordings.items() if len(recording)}
-    panels: dict[str, Curves] = {
-        "V [SI]": {name: (v.time, v.total) for name, v in found.items()},
-        "dV/dt [SI/s]": {name: (v.time, v.derivative) for name, v in found.items()},
-    }
-    figure = stacked("Lyapunov function of the errors, without the weights' part", recordings, panels)
-    values, rates = figure.axes
-    values.set_yscale("log")
-    values.autoscale(axis="y")
-    largest = max((float(np.abs(v.derivative).max(initial=0.0)) for v in found.values()), default=1.0)
-    rates.set_yscale("symlog", linthresh=1e-5 * largest or 1.0)
-    rates.autoscale(axis="y")
-    return figure
 
 
 @styled
@@ -102,7 +79,6 @@ def step_times_figure(recordings: Recordings) -> Figure:
 
 MONITORS: Mapping[str, Callable[[Recordings], Figure]] = {
     "weights": weights_figure,
-    "lyapunov": lyapunov_figure,
     "residuals": residuals_figure,
     "step-times": step_times_figure,
 }

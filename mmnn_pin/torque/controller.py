@@ -123,6 +123,10 @@ class TorqueController(ABC):
         """Named arrays to be recorded at intervals."""
         return {}
 
+    def facts(self) -> dict[str, Any]:
+        """Settings that a recording should hold."""
+        return {}
+
 
 class CompiledController(ABC):
     """A controller of this package: a `Law` and a `Memory` for the compiled step.
@@ -157,6 +161,10 @@ class CompiledController(ABC):
 
     def weights(self, memory: Memory) -> dict[str, Array]:
         """Named views of what is learned, to be recorded at intervals."""
+        return {}
+
+    def facts(self) -> dict[str, Any]:
+        """Settings that a recording should hold; of a learner enough for `recorded_learner` to build it again."""
         return {}
 
 

@@ -5,13 +5,13 @@ The networks see measured and commanded signals only; this module never imports 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from ..errors import ConfigError, UnknownName
-from ..settings import Settings, require_gains
+from ..settings import Settings, plain, require_gains
 from ..signals import Array, Layout
 from . import law
 from .controller import CompiledController, Feedback, Law, Memory, Wiring, per_velocity, split
@@ -278,6 +278,10 @@ class Neural(CompiledController):
         """W1, V1 (base) and W2, V2 (arm); V holds the fixed centres of a one-layer network and is left out there."""
         letters = "WV" if isinstance(self.network, TwoLayer) else "W"
         return {name: memory[name] for name in memory.shapes if name[0] in letters}
+
+    def facts(self) -> dict[str, Any]:
+        """All settings, as JSON has them."""
+        return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 
     def findings(self, memory: Memory) -> list[str]:
         """What the weights show after a run: layers that have collapsed to rank one."""

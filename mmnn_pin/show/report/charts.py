@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
 from ...recording import Recording
 from ...signals import Array, IntArray
 from ..figure import scale_rows, styles_of
-from ..lyapunov import lyapunov
 from ..monitors import NETWORKS, RESIDUALS
 from ..plots import Panel, base_labels, distance, distinct, error_panels, learners, panels_of
+from ..proof.cache import proofs_with
+from ..proof.psi_figures import sliced
 from ..replay.blob import Blob
 from ..replay.scene import label
 
@@ -31,9 +31,11 @@ ABOUT = {
     "small tracking error does not mean that \u03a8 was learned.",
     "gains": "All that multiplies z (base) or r (arm) in the torque. PD at a learner's effective gain has the same.",
     "weights": "Frobenius norm of all weights of a network.",
-    "lyapunov": "V = V1(pose error) + s\u1d40Ms/2 with the corrected V1, and its derivative from recorded signals. The "
-    "thesis's V also has the weights' errors, which need the ideal weights and are not in a recording: where this V "
-    "rises, the proof is not refuted. The derivative's axis is logarithmic on both sides of zero.",
+    "fvu": "Mean squared error of \u03a8\u0302 in each window over the variance of \u03a8 in the whole run. The mean "
+    "of a curve is its FVU online; the best constant has 1.",
+    "lyapunov": "V = V1(pose error) + s\u1d40Ms/2 + the weights' errors (3.53), with the corrected V1 and ideal "
+    "weights from an offline fit; the errors' part; and the measured change of V, its axis logarithmic on both sides "
+    "of zero.",
     "residuals": "What should be zero: motion that the wheels forbid (contact plant), and energy out of nowhere.",
 }
 
@@ -51,6 +53,11 @@ class Section:
     key: str
     title: str
     panels: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def proves(self) -> bool:
+        """Whether it stands with what is proved."""
+        return self.key in ("fvu", "lyapunov")
 
     @property
     def about(self) -> str:
@@ -79,6 +86,7 @@ class Charts:
             "psi": ("\u03a8 and what was learned of it", self.psi),
             "gains": ("Effective gains", self.gains),
             "weights": ("Norms of the weights", self.weights),
+            "fvu": ("What is left unexplained of \u03a8", self.fvu),
             "lyapunov": ("Lyapunov function", self.lyapunov),
             "residuals": ("Residuals", self.residuals),
         }
@@ -162,19 +170,27 @@ class Charts:
             if found := {name: curve for name, curve in kept.items() if curve[1].any()}:
                 yield self.curves(f"network of the {network}", "", found)
 
+    def fvu(self) -> Iterator[dict[str, Any]]:
+        """Error online in windows, a panel per component."""
+        proofs, _ = proofs_with(learners(self.recordings), "psi")
+        found = {name: sliced(proof) for name, proof in proofs.items()}
+        for i, name in enumerate(next(iter(proofs.values())).psi.labels if proofs else ()):
+            # every value is held to the end of its window
+            curves = {n: (edges, np.append(v[:, i], v[-1, i])) for n, (edges, v) in found.items()}
+            yield self.curves(f"\u03a8 of {name}", "", curves) | {"scale": "log", "step": True}
+
     def lyapunov(self) -> Iterator[dict[str, Any]]:
-        """V and its derivative."""
-        values, rates = {}, {}
-        for name, recording in self.recordings.items():
-            try:
-                found = lyapunov(recording)
-            except InputError as error:
-                self.skipped.append(f"no Lyapunov function of {name}: {error.what}")
-                continue
-            values[name], rates[name] = (found.time, found.total), (found.time, found.derivative)
-        if values:
-            yield self.curves("V", "SI", values) | {"scale": "log"}
-            yield self.curves("dV/dt", "SI/s", rates) | {"scale": "symlog"}
+        """V, its part without the weights, and its measured change."""
+        proofs, reasons = proofs_with(self.recordings, "lyapunov")
+        self.skipped += [f"no Lyapunov function of {reason}" for reason in reasons]
+        if not proofs:
+            return
+        found = {name: proof.lyapunov for name, proof in proofs.items()}
+        yield self.curves("V", "SI", {n: (v.time, v.total) for n, v in found.items()}) | {"scale": "log"}
+        if any(v.weights.any() for v in found.values()):
+            parts = {n: (v.time, v.pose + v.motion) for n, v in found.items()}
+            yield self.curves("errors' part of V", "SI", parts) | {"scale": "log"}
+        yield self.curves("dV/dt", "SI/s", {n: (v.time, v.measured) for n, v in found.items()}) | {"scale": "symlog"}
 
     def residuals(self) -> Iterator[dict[str, Any]]:
         """What should be zero."""

@@ -22,6 +22,7 @@ from ..replay.page import title_of
 from ..replay.scene import label
 from .charts import Charts, dash
 from .origin import command_of, facts_of
+from .proof import proved
 from .results import controller_of, result_of
 from .robots import SAMPLES, SEED, About, robots_of
 from .tables import tables_of
@@ -83,6 +84,7 @@ def report(
             runs=runs_of(result),
             tables=list(tables_of(result)),
             charts=charts,
+            proved=proved(result.recordings),
             data=charts.pack(),
             replay=replayed,
             robots=robots,

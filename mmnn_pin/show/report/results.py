@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-import msgspec
-
 from ...errors import RecordingError
+from ...experiments.config import recorded_experiment
 from ...experiments.experiment import CONTROLLERS, Experiment, ReferenceTables
 from ...experiments.runner import Result
 from ...metrics import metrics
@@ -50,12 +49,8 @@ def controller_of(name: str, recording: Recording) -> str:
 
 def experiment_of(recording: Recording) -> Experiment:
     """The experiment of a recording; without a config one that says as much as the recording does."""
-    if recording.config_text:
-        try:
-            return msgspec.json.decode(recording.config_text, type=Experiment)
-        except msgspec.DecodeError as error:
-            why = f"another version of mmnn_pin wrote it: {error}"
-            raise RecordingError("its config cannot be read", why=why, file=recording.path) from error
+    if (experiment := recorded_experiment(recording)) is not None:
+        return experiment
     period = float(recording.meta["control_period"])
     duration = len(recording) * period
     facts: dict[str, Any] = {"robot": str(recording.meta.get("robot", "")), "seed": int(recording.meta.get("seed", 0))}

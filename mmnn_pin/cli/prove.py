@@ -1,0 +1,80 @@
+"""`mmnn prove`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import click
+
+from ..errors import InputError, RecordingError
+from .options import examples, shared
+from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
+
+
+@click.command(
+    short_help="Tell whether a run learned Psi, and whether its Lyapunov function falls.",
+    epilog=examples(
+        "mmnn prove runs/chapter4/two_layer.h5",
+        "mmnn prove runs/track/two_layer.h5 --payload 3 --plots proof",
+        "mmnn prove runs/chapter4/pd.h5 --every-period --json",
+    ),
+)
+@click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
+@click.option(
+    "--payload",
+    type=click.FloatRange(0, 1e6, min_open=True),
+    metavar="KG",
+    help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
+)
+@click.option(
+    "--windows", type=click.IntRange(1, 1000), default=5, show_default=True, help="Windows of the online FVU."
+)
+@click.option(
+    "--every-period", is_flag=True, help="Check the equality over every control period, however long it takes."
+)
+@click.option("--plots", type=click.Path(path_type=Path), metavar="DIR", help="Write the figures to this folder.")
+@click.option("--force", is_flag=True, help="Replace existing figures.")
+@shared
+def prove(
+    run: Path,
+    payload: float | None,
+    windows: int,
+    every_period: bool,
+    plots: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
+    """Judge one recording: Psi_hat against the truth, the Lyapunov function, the equality behind it.
+
+    Psi: fraction of variance unexplained (FVU) online and with the final weights held fixed, on the run's own
+    trajectory, on one held out, and with a payload; shares of the torque; ranks and excitation of the networks; ideal
+    weights by an offline fit. Lyapunov function: V, its derivative term by term, when and why it grows. Equality: the
+    energy of the errors over every control period. Exit code 1 when the equality is violated.
+    """
+    from ..proof.balance import BUDGET
+    from ..proof.proof import Proof, sentence
+    from ..recording import Recording
+    from ..show.proof.figures import write_proof
+    from ..show.proof.numbers import to_dict
+    from ..show.proof.text import render
+
+    if run.is_dir():
+        raise RecordingError("a folder", why="one run is judged at a time", fix="name a recording in it", file=run)
+    recording = Recording.open(run)
+    if not len(recording):
+        raise RecordingError("holds no rows", why="the run ended before its first sample", file=run)
+    compile_if_cold()
+    with progress_bar() as show:
+        budget = float("inf") if every_period else BUDGET
+        proof = Proof(recording, payload=payload, windows=windows, budget=budget, progress=show)
+        missing = proof.missing
+    if len(missing) == 4:
+        raise InputError("nothing to tell", why="; ".join(map(sentence, missing.values())), file=run)
+    files = {} if plots is None else write_proof(proof, plots, force)
+    if as_json:
+        say_json(to_dict(proof) | ({} if plots is None else {"files": {k: str(v) for k, v in files.items()}}))
+    else:
+        say(render(proof, colour=sys.stdout.isatty()))
+        say("\n".join(f"wrote {file}" for file in files.values())) if files else None
+    return DONE if proof.holds else FAILED

@@ -1,0 +1,147 @@
+"""All that is told of one run: each part when it is first asked for, and why a part cannot be had."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..errors import InputError, RecordingError
+from ..recording import Recording
+from .balance import BUDGET, TOLERANCE, Balance, balance
+from .growth import Growth, growth
+from .ideal import Ideal, ideal_weights
+from .lyapunov import Lyapunov, lyapunov
+from .psi import WINDOWS, Psi, psi_of
+from .subject import Subject
+
+PARTS = ("psi", "ideal", "lyapunov", "balance")
+MISSED = 1e-6  # relative difference of Psi_hat beyond which the weights of a run are not its weights
+
+
+class Proof:
+    """What a run proves. Every part is computed once, when it is first asked for, and may raise an `InputError`.
+
+    Args:
+        recording: The run.
+        payload: Load for the frozen weights [kg]; None for a usual one.
+        windows: Number of windows of the online FVU.
+        budget: Evaluations of the dynamics that the balance may take; inf looks at every control period.
+        progress: Called with what is being done and the fraction done.
+
+    Raises:
+        InputError: The run's robot cannot be built, or its recording does not hold what all parts need.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        *,
+        payload: float | None = None,
+        windows: int = WINDOWS,
+        budget: float = BUDGET,
+        progress: Callable[[str, float], None] | None = None,
+    ) -> None:
+        self.subject, self.payload, self.windows, self.budget = Subject.of(recording), payload, windows, budget
+        self._progress, self.missed = progress, 0.0
+
+    @cached_property
+    def psi(self) -> Psi:
+        """Psi_hat against the truth, see `psi_of`."""
+        return psi_of(self.subject, self.payload, self.windows, self._progress)
+
+    @cached_property
+    def ideal(self) -> dict[int, Ideal]:
+        """Ideal weights of the networks, see `ideal_weights`.
+
+        Raises:
+            RecordingError: The controller has no networks.
+        """
+        learner = self.subject.learner
+        if learner is None:
+            why = f"{self.subject.controller} is no network of this package"
+            raise RecordingError("no ideal weights", why=why, file=self.subject.recording.path)
+        return ideal_weights(self.subject, learner)
+
+    @cached_property
+    def lyapunov(self) -> Lyapunov:
+        """V along the run and the terms of its derivative, with the weights' part where there are ideal weights."""
+        show = self._show("Lyapunov function")
+        if self.has("ideal"):
+            found = lyapunov(self.subject, self.ideal, progress=show)
+            if found.missed <= MISSED:
+                return found
+            self.missed = found.missed
+        return lyapunov(self.subject, progress=show)
+
+    @cached_property
+    def growth(self) -> Growth:
+        """When and why V grows."""
+        return growth(self.lyapunov)
+
+    @cached_property
+    def balance(self) -> Balance:
+        """Whether the energy of the errors changes as the model says, see `balance`."""
+        return balance(self.subject, self.budget, self._show("equality"))
+
+    @cached_property
+    def missing(self) -> dict[str, InputError]:
+        """The parts that cannot be had, and why; computes all of them."""
+        return {name: error for name in PARTS if (error := self._try(name)) is not None}
+
+    def has(self, part: str) -> bool:
+        """Whether a part can be had; computes it."""
+        return self._try(part) is None
+
+    def remarks(self) -> list[str]:
+        """What to know before believing the numbers, one line each."""
+        subject, found = self.subject, []
+        outcome = subject.recording.outcome
+        if outcome.status != "completed":
+            found.append(f"the run was {outcome.status}; told is the time before {subject.signal('time')[-1, 0]:.3g} s")
+        idle = {"psi", "ideal"} <= self.missing.keys()  # a controller without Psi_hat: one line says it
+        found += [sentence(error) for name, error in self.missing.items() if not (idle and name == "ideal")]
+        if subject.plant != "ideal":
+            found.append(f"Psi is that of wheels that roll; on the {subject.plant} plant they may slip")
+        if self.has("psi"):
+            found += self.psi.remarks
+            if self.psi.frozen and self.psi.weights_time < outcome.time - subject.timing.control_period / 2:
+                found.append(f"frozen weights are those of t = {self.psi.weights_time:.3g} s, the last that are known")
+        if self.missed:
+            what = f"stepped again, the learner misses the recorded Psi_hat by {self.missed:.1e} of its largest value"
+            found.append(f"{what}, as under a supervisor or another version: V is without the weights' part")
+        if np.isfinite(subject.given.pick) and subject.given.pick < subject.signal("time")[-1, 0]:
+            found.append(f"M and with it V jump where the payload is picked up, at {subject.given.pick:g} s")
+        if self.has("balance") and subject.given.varies:
+            what = "motors or pushes may vary within control periods, of which the recording has the means"
+            found.append(f"{what}: only model and command are held to the equality")
+        elif self.has("balance") and self.balance.recorded > TOLERANCE:
+            what = f"the plant's integrator, {subject.timing.integrator} at {subject.timing.plant_step:g} s"
+            found.append(f"{what}, moves the states off the equality by up to {self.balance.recorded:.1e}")
+        return found
+
+    @property
+    def holds(self) -> bool:
+        """False only where the equality was checked and failed."""
+        return not self.has("balance") or self.balance.holds
+
+    def _try(self, part: str) -> InputError | None:
+        errors: dict[str, InputError | None] = self.__dict__.setdefault("_errors", {})
+        if part not in errors:
+            try:
+                getattr(self, part)
+                errors[part] = None
+            except InputError as error:
+                errors[part] = error
+        return errors[part]
+
+    def _show(self, what: str) -> Callable[[float], Any] | None:
+        show = self._progress
+        return None if show is None else lambda fraction: show(what, min(1.0, fraction))
+
+
+def sentence(error: InputError) -> str:
+    """What and why of an error, on one line."""
+    return " ".join(": ".join(part for part in (error.what, error.why) if part).split())

@@ -1,0 +1,193 @@
+"""A proof for a terminal: sentences that judge, tables with the numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from ...proof.balance import TOLERANCE, Balance
+from ...proof.fvu import worst
+from ...proof.growth import Growth
+from ...proof.lyapunov import TERMS, Lyapunov
+from ...proof.proof import Proof
+from ...proof.psi import Psi
+from ...signals import Array
+from ..table import WIDTH, number
+
+FROZEN = {"same": "frozen,\nown run", "held_out": "frozen,\nheld out", "payload": "frozen,\npayload"}
+SHARES = {"feedback": "feed-\nback", "network": "network,\nPsi_hat", "robust": "robust\nterm"}
+MOST_WINDOWS = 8  # columns that a terminal has room for
+PARTS = {"pose": "V1 of the pose", "motion": "s' M s / 2", "weights": "weights' part"}
+
+
+def render(proof: Proof, colour: bool = False, width: int = WIDTH) -> str:
+    """The whole proof as text of at most `width` columns."""
+    console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
+    subject = proof.subject
+    with console.capture() as capture:
+        console.print(f"{subject.controller} on {subject.robot.name}", style="bold", highlight=False)
+        for part in parts(proof):
+            if isinstance(part, str):
+                console.print(part, highlight=False, markup=False)
+            else:
+                console.print(part)
+        for remark in proof.remarks():
+            console.print(f"note: {remark}", style="italic", highlight=False, markup=False)
+    return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+
+def parts(proof: Proof) -> Iterator[str | Table]:
+    """Sentences and tables, in order."""
+    if proof.has("psi"):
+        yield from verdicts(proof.psi)
+        yield from psi_tables(proof.psi)
+        if proof.psi.networks:
+            yield network_table(proof)
+    if proof.has("lyapunov"):
+        yield lyapunov_sentence(proof.lyapunov, proof.growth)
+        yield terms_table(proof.growth)
+        if spans := spans_sentence(proof.growth):
+            yield spans
+    if proof.has("balance"):
+        yield balance_sentence(proof.balance)
+
+
+def verdicts(psi: Psi) -> Iterator[str]:
+    """Per network one sentence: does it know Psi, or only follow it?"""
+    for half, where in psi.halves.items():
+        online = worst(psi.online[where])
+        if not psi.frozen:
+            yield f"{half}: FVU online {number(online)}; nothing is learned, so there are no weights to hold fixed."
+            continue
+        same, other = (
+            worst(psi.frozen[name].fvu[where]) if name in psi.frozen else math.nan for name in ("same", "held_out")
+        )
+        yield f"{half}: {judgement(online, same, other)}"
+
+
+def judgement(online: float, same: float, other: float) -> str:
+    """In words what FVU online, frozen on the run's own trajectory and frozen on a held-out one say together."""
+    told = f"FVU online {number(online)}, frozen {number(same)} on the same trajectory"
+    told += f", {number(other)} on one held out" if math.isfinite(other) else ""
+    if not math.isfinite(online) or not math.isfinite(same):
+        return f"{told}: Psi does not vary, there is nothing to judge."
+    if same >= 1:
+        follows = "it follows Psi by fast adaptation and" if online < 0.5 else "it"
+        return f"{told}: {follows} stores no model, a constant would say as much."
+    if math.isfinite(other) and other >= 1:
+        return f"{told}: it holds what it was trained on, and nothing beyond."
+    known = f"knows {100 * (1 - (other if math.isfinite(other) else same)):.0f} % of the variance"
+    return f"{told}: it {known}{' where it was not trained' if math.isfinite(other) else ''}."
+
+
+def psi_tables(psi: Psi) -> Iterator[str | Table]:
+    """FVU online and frozen and shares of the torque, then the online error in windows: a row per component."""
+    columns = {"online": psi.online} | {FROZEN[name]: told.fvu for name, told in psi.frozen.items()}
+    columns |= {SHARES[part]: values for part, values in psi.shares.items()}
+    yield component_table("FVU, then shares of the torque", psi, columns)
+    if psi.frozen:
+        yield "\n".join(f"{FROZEN[name].replace(chr(10), ' ')}: {told.about}" for name, told in psi.frozen.items())
+    if len(psi.errors) <= MOST_WINDOWS:
+        edges = zip(psi.edges[:-1], psi.edges[1:], psi.errors, strict=True)
+        spans = {f"{a:.3g} to\n{b:.4g} s": values for a, b, values in edges}
+        yield component_table("Error online over the run's variance", psi, spans)
+
+
+def component_table(title: str, psi: Psi, columns: Mapping[str, Array]) -> Table:
+    """Columns of one number per component."""
+    table = Table(box=SIMPLE_HEAD, padding=0)
+    table.add_column(title, overflow="fold", vertical="bottom")
+    for head in columns:
+        table.add_column("\n".join(f"  {line}" for line in head.split("\n")), justify="right", no_wrap=True)
+    for i, label in enumerate(psi.labels):
+        table.add_row(label.removesuffix("_joint"), *(number(values[i]) for values in columns.values()))
+    return table
+
+
+def network_table(proof: Proof) -> Table:
+    """Ranks, excitation and ideal weights: a column per network."""
+    networks = {network.name: network for network in proof.psi.networks}
+    table = Table(box=SIMPLE_HEAD, padding=0)
+    table.add_column("Networks", overflow="fold")
+    for name in networks:
+        table.add_column(f"  {name}", justify="right", no_wrap=True)
+    first = next(iter(networks.values()))
+    for weights in first.ranks:
+        cells = (f"{number(n.ranks[weights])} of {len(n.singular[weights])}" for n in networks.values())
+        table.add_row(f"effective rank of {weights}", *cells)
+    found = [network.excitation for network in networks.values()]
+    table.add_row("effective rank of the activations", *(f"{number(e.rank)} of {e.units}" for e in found))
+    table.add_row(
+        "excited directions (eigenvalue > 1e-6 of the largest)", *(f"{e.directions} of {e.units}" for e in found)
+    )
+    table.add_row("smallest eigenvalue of the activations' Gram matrix", *(small(e.smallest) for e in found))
+    if proof.has("ideal"):
+        table.add_section()
+        ideal = list(proof.ideal.values())
+        table.add_row("|Z| learned", *(number(w.learned_norm) for w in ideal))
+        table.add_row("|Z*| of the ideal weights, fitted offline", *(number(w.norm) for w in ideal))
+        table.add_row("ZB that the robust term counts with", *(number(w.assumed) for w in ideal))
+        ends = (f"{number(w.start_distance)} to {number(w.distance)}" for w in ideal)
+        table.add_row("|Z* - Z| from start to end", *ends)
+        table.add_row("eps_N: what the ideal weights leave at most", *(number(w.eps_N) for w in ideal))
+        table.add_row("FVU of the ideal weights (worst component)", *(number(w.unexplained.max()) for w in ideal))
+    return table
+
+
+def lyapunov_sentence(v: Lyapunov, growth: Growth) -> str:
+    """V from start to end, and how much of the time it grows."""
+    kept = [(words, getattr(v, name)) for name, words in PARTS.items() if getattr(v, name).any()]
+    shown = ", ".join(f"{words} {number(part[0])} to {number(part[-1])}" for words, part in kept)
+    text = f"Lyapunov function V: {number(v.total[0])} to {number(v.total[-1])} ({shown}). "
+    if not growth.samples:
+        return f"{text}It falls all the time."
+    return (
+        f"{text}It grows in {100 * growth.samples:.0f} % of the control periods, by {number(growth.rise)} in all, and "
+        f"falls by {number(growth.fall)}."
+    )
+
+
+def terms_table(growth: Growth) -> Table:
+    """What every term adds to V over the run, and how often it is the one that makes it grow."""
+    table = Table(box=SIMPLE_HEAD, padding=0)
+    for head in ("term", ""):
+        table.add_column(head, overflow="fold")
+    table.add_column("  adds to V", justify="right", no_wrap=True)
+    table.add_column("  leads its growth", justify="right", no_wrap=True)
+    largest = max(map(abs, growth.work.values()))
+    for name, words in TERMS.items():
+        if abs(growth.work[name]) > 1e-9 * largest:
+            share = growth.why.get(name, 0.0)
+            table.add_row(name, words, signed(growth.work[name]), f"{100 * share:.0f} %" if share else "")
+    return table
+
+
+def spans_sentence(growth: Growth) -> str:
+    """The stretches of most growth."""
+    told = [f"{s.start:.3g} to {s.end:.3g} s (+{number(s.rise)}, {s.why})" for s in growth.spans]
+    return f"Most growth: {'; '.join(told)}.\n" if told else ""
+
+
+def balance_sentence(found: Balance) -> str:
+    """Whether the equality holds, with its worst errors."""
+    steps = small(found.steps) if math.isfinite(found.steps) else "not known"
+    return (
+        f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {'holds' if found.holds else 'IS VIOLATED'}. Worst relative "
+        f"errors over {len(found.time):,} of {found.periods:,} control periods: model and command "
+        f"{small(found.identity)}, recorded states against the plant's own steps {steps} (tolerance {TOLERANCE:g}); "
+        f"equality between the recorded states {small(found.recorded)}."
+    )
+
+
+def signed(value: float) -> str:
+    """A number with its sign."""
+    return f"{'-' if value < 0 else '+'}{number(abs(value))}"
+
+
+def small(value: float) -> str:
+    """Two digits and an exponent; rounding is told as such."""
+    return f"{value:.1e}" if value > 1e-18 else "0"
