@@ -67,6 +67,9 @@ def lyapunov(recording: Recording, most: int = MOST) -> Lyapunov:
     robot = recorded_robot(recording)
     if "kinematic" not in recording.meta:
         raise RecordingError("the recording does not tell the gains of its kinematic layer", file=recording.path)
+    if "nu" not in recording:
+        why = "it was recorded outside a simulation, where the state and Psi are not known"
+        raise RecordingError("no Lyapunov function", why=why, file=recording.path)
     gains = Kinematic(**recording.meta["kinematic"])
     rows = np.arange(len(recording))[:: max(1, -(-len(recording) // most))]
     rows = rows[np.isfinite(as_columns(recording["position"])[rows]).all(axis=1)]
