@@ -1,6 +1,7 @@
 """The control process: the controller of an experiment at a fixed rate, for a plant that is elsewhere."""
 
 import gc
+import signal
 import time as clock
 from pathlib import Path
 
@@ -11,6 +12,8 @@ from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 from mmnn_pin.cycle import Cycle
 from mmnn_pin.errors import InputError
 from mmnn_pin.signals import Measurement
+
+STOPS = (signal.SIGINT, signal.SIGTERM)  # they end the run between two cycles
 
 
 class Pace:
@@ -39,13 +42,13 @@ class Pace:
 
 
 def greet(channel, patience):
-    """Wait for the plant to answer.
+    """Wait for a measurement of the plant where it stands.
 
     Raises:
         InputError: It does not.
     """
     deadline = clock.monotonic() + patience
-    while channel.receive() is None:
+    while channel.receive() != MEASUREMENT:
         if clock.monotonic() > deadline:
             why = f"nothing came within {patience:g} s"
             raise InputError(f"no plant at port {channel.peer[1]}", why=why, fix="start plant.py first, or see --port")
@@ -57,21 +60,26 @@ def drive(cycle, channel, pace):
     """Control until the end, a trip or Ctrl-C; how it ended, and the age of the oldest measurement that was used [s]."""
     places = np.cumsum([0, *(getattr(cycle.measured, name).size for name in Measurement.__slots__)])
     came = Measurement(*(channel.values[a:b] for a, b in zip(places, places[1:], strict=False)))
-    oldest, start = 0.0, pace.start
+    oldest, start, signals, kind = 0.0, pace.start, [], MEASUREMENT  # the first one is there
+    before = [signal.signal(number, lambda came, _: signals.append(came)) for number in STOPS]
     try:
         while (k := pace.wait()) < cycle.samples and not cycle.is_over:
-            if channel.receive() == MEASUREMENT:
+            if signals:
+                return "interrupted", f"stopped by {signal.Signals(signals[0]).name}", oldest
+            kind = channel.receive() or kind
+            if kind == MEASUREMENT:
                 measured = 1e-9 * channel.stamp - start
                 oldest = max(oldest, clock.monotonic() - channel.stamp * 1e-9)
                 cycle.step(k * cycle.period, came, measured)
             else:
                 cycle.step(k * cycle.period)
             channel.send(COMMAND, cycle.motor_torque)
+            kind = None
             cycle.record()
-    except KeyboardInterrupt:
-        return "interrupted", "stopped by Ctrl-C", oldest
     finally:
         channel.send(BYE)
+        for number, handler in zip(STOPS, before, strict=True):
+            signal.signal(number, handler)
     return "completed", "", oldest
 
 
@@ -81,16 +89,19 @@ def control(options, experiment, robot, port, patience):
     layout, path = robot.layout, Path(options.out) / "controller.h5"
     channel = Channel(layout.motors, layout.pose + layout.base + 2 * layout.arm, peer=("127.0.0.1", port))
     with Cycle(loop, path, force=options.force, meta={"config": experiment.to_json()}) as cycle:
-        greet(channel, patience)
         gc.collect()
-        gc.freeze()
+        gc.freeze()  # what is there is no garbage: a collection looks only at what comes
+        greet(channel, patience)
         before = [generation["collections"] for generation in gc.get_stats()]
         pace = Pace(cycle.period, cycle.samples)
         status, message, oldest = drive(cycle, channel, pace)
         collections = [g["collections"] - b for g, b in zip(gc.get_stats(), before, strict=True)]
-        dropped = {"out of order": channel.out_of_order, "of wrong size": channel.wrong_size}
-        told = [f"{count} packets {what} dropped" for what, count in dropped.items() if count]
-        told += [f"{pace.skipped} cycles skipped by overruns"] if pace.skipped else []
+        counts = {
+            "packets out of order dropped": channel.out_of_order,
+            "malformed packets dropped": channel.malformed,
+            "cycles skipped by overruns": pace.skipped,
+        }
+        told = [f"{count} {what}" for what, count in counts.items() if count]
         message = "; ".join(text for text in (message, *told) if text)
         run = cycle.finish(status, message, {"late": pace.late, "collections": collections})
     late = pace.late[np.isfinite(pace.late)]
@@ -100,7 +111,7 @@ def control(options, experiment, robot, port, patience):
     print(f"  step       {spread(run.step_times)} from measurement to torque")
     lost = channel.newest - channel.received - channel.out_of_order
     print(f"  packets    {channel.received:,} received, {lost:,} lost, {channel.out_of_order:,} out of order, "
-          f"{channel.wrong_size:,} of wrong size; the oldest one used was {1e3 * oldest:.1f} ms old")  # fmt: skip
+          f"{channel.malformed:,} malformed; the oldest one used was {1e3 * oldest:.1f} ms old")  # fmt: skip
     print(f"  collector  {' + '.join(map(str, collections))} garbage collections")
     print(f"  outcome    {run.outcome.status}: {run.outcome.message}".rstrip(": "))
     return {"completed": 0, "interrupted": 130}.get(run.outcome.status, 1)

@@ -1,4 +1,4 @@
-"""Numbered packets of float64 over UDP between the two processes; what is old or of a wrong size is dropped and counted.
+"""Numbered packets of float64 over UDP between the two processes; what is old or malformed is dropped and counted.
 
 A packet is a magic word, its kind, its number, when it was sent (CLOCK_MONOTONIC, ns: one machine, or synchronised
 clocks) and its values, little endian.
@@ -44,7 +44,7 @@ class Channel:
         self.to_send = np.frombuffer(self.outgoing, "<f8", offset=HEADER.size)
         self.arrived = np.frombuffer(self.incoming, "<f8", receives, HEADER.size)
         self.values = np.zeros(receives)  # of the newest packet
-        self.sent = self.newest = self.received = self.out_of_order = self.wrong_size = 0
+        self.sent = self.newest = self.received = self.out_of_order = self.malformed = 0
         self.stamp = 0  # when the newest was sent [ns]
 
     def pack(self, kind, values=()):
@@ -78,7 +78,7 @@ class Channel:
                 continue
             magic, kind, number, stamp = HEADER.unpack_from(self.incoming)
             if size != len(self.incoming) - 1 or magic != MAGIC:
-                self.wrong_size += 1
+                self.malformed += 1
             elif number <= self.newest:
                 self.out_of_order += 1
             else:

@@ -8,12 +8,13 @@ import time as clock
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import task
 from faults import FAULTS, Fault
 from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 
-from mmnn_pin import TorqueController
+from mmnn_pin import PD, TorqueController
 from mmnn_pin.errors import InputError
 from mmnn_pin.recorder import Recorder
 
@@ -31,14 +32,14 @@ class Motors(TorqueController):
         self.command, self.refused, self.start, self.ramped = np.zeros(robot.layout.motors), 0, 0.0, None
         self.heard, self.silent = 0.0, 0.0  # when the last command came, since when none has [s]
 
-    def wait(self, patience):
-        """Until the controller sends its first command."""
+    def wait(self, patience, measured):
+        """Tell what is measured until the controller sends its first command."""
         deadline = clock.monotonic() + patience
         while (kind := self.channel.receive()) != COMMAND:
             if clock.monotonic() > deadline:
                 raise InputError("no controller", why=f"no command within {patience:g} s", fix="start control.py")
             if kind == HELLO:
-                self.channel.send(HELLO)
+                self.channel.send(MEASUREMENT, measured)
             clock.sleep(0.001)
         self.take(kind, 0.0)
         self.start = clock.monotonic()
@@ -81,27 +82,26 @@ def main():
     size = layout.pose + layout.base + 2 * layout.arm
     channel = Channel(size, layout.motors, options.port)
     motors = Motors(robot, channel, Fault(options.fault, options.seconds / 2))
-    longer = replace(experiment.loop(robot, motors), safety=None)
-    period = longer.timing.control_period
-    samples = longer.timing.samples + round(LONGER / period)
-    loop = replace(longer, timing=type(longer.timing)(**vars_of(longer.timing) | {"duration": samples * period}))
+    period = experiment.time.control_period
+    samples = experiment.time.samples + round(LONGER / period)
+    timing = msgspec.structs.replace(experiment.time, duration=samples * period)
+    loop = replace(experiment.loop(robot, motors), safety=None, timing=timing)
+    once = msgspec.structs.replace(timing, duration=period)  # compiles all that a sample calls
+    replace(loop, controller=PD(), timing=once, check_gains=False, engine="ordinary").run()
     engine = loop.engine_at()
     path = Path(options.out) / "plant.h5"
     facts = loop.facts() | {"loop": "plant", "config": experiment.to_json()}
     with Recorder(loop.robot.layout, facts, path, options.force) as recorder:
         print(f"port {channel.port}", flush=True)
-        motors.wait(options.wait)
+        position, nu = loop.start.state(robot, loop.table()[0])
+        n = layout.base
+        motors.wait(options.wait, np.concatenate((position[: layout.pose], nu[:n], position[robot.arm_index], nu[n:])))
         outcome = loop.stream(engine, recorder, cancelled=motors.is_over)
         run = recorder.finish(outcome, loop.final(engine))
-    told = {name: getattr(channel, name) for name in ("received", "out_of_order", "wrong_size")}
+    told = {name: getattr(channel, name) for name in ("received", "out_of_order", "malformed")}
     told |= {"refused": motors.refused, "ramped": motors.ramped, "motor_torque": run["motor_torque"][-1].tolist()}
     print(json.dumps(told | {"outcome": outcome.message, "recording": str(path)}), flush=True)
     return 0
-
-
-def vars_of(settings):
-    """Fields of settings."""
-    return {name: getattr(settings, name) for name in settings.__struct_fields__}
 
 
 if __name__ == "__main__":

@@ -1,5 +1,6 @@
 """Both processes: `python examples/realtime/run.py [--rate 200] [--seconds 10] [--fault kill|late|nan|shuffle|short]`."""
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +9,7 @@ import task
 from control import control
 from faults import FAULTS
 
-from mmnn_pin.errors import InputError
+from mmnn_pin.experiments.runner import require_free
 
 HERE = Path(__file__).parent
 
@@ -20,22 +21,29 @@ def main():
     options.set_defaults(port=0)
     options = options.parse_args()
     found = task.task(options)
-    given = [argument for argument in sys.argv[1:]]
-    command = [sys.executable, HERE / "plant.py", *given, *([] if "--port" in given else ["--port", "0"])]
+    require_free([Path(options.out) / name for name in ("controller.h5", "plant.h5")], options.force)
+    command = [sys.executable, HERE / "plant.py", "--port", "0", *sys.argv[1:]]  # the last --port counts
     plant = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)  # Ctrl-C is ours
     try:
         word, _, port = plant.stdout.readline().partition(" ")
         if word != "port":
-            raise InputError("the plant did not start", why=f"it ended with exit code {plant.wait()}")
+            return plant.wait() or 1  # it has said why
         code = control(options, *found, int(port), patience=60.0)
         try:
-            print(f"  plant      {plant.communicate(timeout=30)[0].strip() or 'was killed'}")
+            told = plant.communicate(timeout=30)[0]
+            print(f"  plant      {story(json.loads(told)) if told else 'was killed'}")
         except subprocess.TimeoutExpired:
             print("  plant      did not end, killed")
         return code
     finally:
         plant.kill()
         plant.wait()
+
+
+def story(told):
+    """What the plant tells of itself."""
+    commands = f"{told['received']:,} packets received, {told['out_of_order']:,} out of order, {told['malformed']:,} malformed"
+    return f"{commands}; motors without torque from {told['ramped']:g} s on; recorded in {told['recording']}"
 
 
 if __name__ == "__main__":

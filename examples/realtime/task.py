@@ -6,10 +6,12 @@ import sys
 from pathlib import Path
 
 from mmnn_pin import InputError, load_experiment
-from mmnn_pin.errors import ConfigError
+from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.experiments.experiment import CONTROLLERS, EFFECTIVE
 
 PORT = 47800
 TASK = Path(__file__).with_name("task.toml")
+OFFERED = [name for name in CONTROLLERS if name not in EFFECTIVE]  # those need the gains of another run
 COARSEST = 0.001  # step of the plant [s]
 
 
@@ -32,6 +34,8 @@ def task(options):
     for name, value, most in (("rate", options.rate, 1e4), ("seconds", options.seconds, 1e5)):
         if not 0 < value <= most:
             raise ConfigError(f"{value:g}", fix=f"use a number > 0, at most {most:g}", key=f"--{name}")
+    if options.controller not in OFFERED:
+        raise UnknownName("controller", options.controller, OFFERED, key="--controller")
     period = 1 / options.rate
     samples = max(1, round(options.seconds * options.rate))
     times = f"time.control_period={period!r}", f"time.duration={samples * period!r}"
