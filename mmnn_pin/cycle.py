@@ -82,7 +82,9 @@ class Cycle:
     ) -> None:
         if loop.safety is None:
             why = "outside a simulation something must stand between controller and motors"
-            raise ConfigError("a cycle without a supervisor", why=why, fix="give the loop safety=Safety()", key="safety")
+            raise ConfigError(
+                "a cycle without a supervisor", why=why, fix="give the loop safety=Safety()", key="safety"
+            )
         self.loop = replace(loop, plant="ideal", sensor=Sensor(), actuator=Actuator(), disturbances=())
         self.loop.require_stable_gains()
         self.loop.require_nominal()
@@ -207,7 +209,7 @@ class Cycle:
             mine[:] = values
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
-        accept(self.row, self.at, min(float(measured), time), True, self.rig.guard)
+        accept(self.row, self.at, min(float(measured), time), time, True, self.rig.guard)
 
     def _weigh(self, k: int) -> None:
         """Record the weights as they are before control sample k."""
@@ -218,7 +220,7 @@ class Cycle:
     def _rehearse(self) -> None:
         """Compile all that a step calls, and forget it."""
         kept = self.rig.memory.copy(), self.control.weights.copy()
-        accept(self.row, self.at, 0.0, True, self.rig.guard)
+        accept(self.row, self.at, 0.0, 0.0, True, self.rig.guard)
         if isinstance(self.loop.controller, CompiledController):
             self.control.step(0, 0.0, self.nothing, self.table[0], False)
         has_ended(0.0, self.rig.limits, self.rig.guard)

@@ -11,22 +11,24 @@ FAULTS = ("kill", "late", "nan", "shuffle", "short")
 DELAY = 0.7  # of late packets [s]
 
 
-class Fault:
-    """A fault of one kind.
+class Faults:
+    """Some faults, one after the other.
 
     Args:
-        kind: One of `FAULTS`, or None.
+        kinds: Of `FAULTS`.
         start: From when on [s].
     """
 
-    def __init__(self, kind, start):
-        self.kind, self.start, self.held, self.random = kind, start, [], random.Random(1)
+    def __init__(self, kinds, start):
+        self.kinds, self.start, self.random = kinds, start, random.Random(1)
+        self.delayed, self.gathered = [], []
 
     def packets(self, time, packet):
         """What is sent at a time [s] in place of a packet."""
-        if self.kind is None or time < self.start:
-            return [packet]
-        return getattr(self, self.kind)(time, bytes(packet))
+        packets = [bytes(packet)]
+        for kind in self.kinds if time >= self.start else ():
+            packets = [out for one in packets for out in getattr(self, kind)(time, one)]
+        return packets
 
     def kill(self, time, packet):
         """The process dies."""
@@ -34,9 +36,9 @@ class Fault:
 
     def late(self, time, packet):
         """Every packet comes later than the supervisor waits."""
-        self.held.append((time + DELAY, packet))
-        due = [held for at, held in self.held if at <= time]
-        self.held = self.held[len(due) :]
+        self.delayed.append((time + DELAY, packet))
+        due = [held for at, held in self.delayed if at <= time]
+        self.delayed = self.delayed[len(due) :]
         return due
 
     def nan(self, time, packet):
@@ -46,10 +48,10 @@ class Fault:
 
     def shuffle(self, time, packet):
         """Packets come four at a time, in any order."""
-        self.held.append(packet)
-        if len(self.held) < 4:
+        self.gathered.append(packet)
+        if len(self.gathered) < 4:
             return []
-        due, self.held = self.held, []
+        due, self.gathered = self.gathered, []
         self.random.shuffle(due)
         return due
 

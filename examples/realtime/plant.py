@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import task
-from faults import FAULTS, Fault
+from faults import FAULTS, Faults
 from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 
 from mmnn_pin import PD, TorqueController
@@ -74,14 +74,14 @@ class Motors(TorqueController):
 def main():
     """Run until the controller has gone."""
     options = task.parser(__doc__)
-    options.add_argument("--fault", choices=FAULTS, help="what happens to the sensor in the middle of the run")
+    options.add_argument("--fault", nargs="+", default=(), choices=FAULTS, help="of the sensor, from the middle on")
     options.add_argument("--wait", type=float, default=300.0, help="how long to wait for the controller [s]")
     options = options.parse_args()
     experiment, robot = task.task(options)
     layout = robot.layout
     size = layout.pose + layout.base + 2 * layout.arm
     channel = Channel(size, layout.motors, options.port)
-    motors = Motors(robot, channel, Fault(options.fault, options.seconds / 2))
+    motors = Motors(robot, channel, Faults(options.fault, options.seconds / 2))
     period = experiment.time.control_period
     samples = experiment.time.samples + round(LONGER / period)
     timing = msgspec.structs.replace(experiment.time, duration=samples * period)

@@ -1,4 +1,4 @@
-"""Both processes: `python examples/realtime/run.py [--rate 200] [--seconds 10] [--fault kill|late|nan|shuffle|short]`."""
+"""Both processes: `python examples/realtime/run.py [--rate 200] [--seconds 10] [--fault kill|late|nan|shuffle|short ...]`."""
 
 import json
 import subprocess
@@ -17,7 +17,7 @@ HERE = Path(__file__).parent
 def main():
     """Start the plant, control it, and see that it ends."""
     options = task.parser(__doc__)
-    options.add_argument("--fault", choices=FAULTS, help="what happens to the sensor in the middle of the run")
+    options.add_argument("--fault", nargs="+", default=(), choices=FAULTS, help="of the sensor, from the middle on")
     options.set_defaults(port=0)
     options = options.parse_args()
     found = task.task(options)
@@ -42,7 +42,9 @@ def main():
 
 def story(told):
     """What the plant tells of itself."""
-    commands = f"{told['received']:,} packets received, {told['out_of_order']:,} out of order, {told['malformed']:,} malformed"
+    commands = (
+        f"{told['received']:,} packets received, {told['out_of_order']:,} out of order, {told['malformed']:,} malformed"
+    )
     return f"{commands}; motors without torque from {told['ramped']:g} s on; recorded in {told['recording']}"
 
 

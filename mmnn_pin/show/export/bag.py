@@ -49,7 +49,9 @@ def write_bag(recording: Recording, path: Path) -> None:
     with path.open("wb") as file, Writer(file) as writer:
         for topic, schema, message in once(recording, frames):
             writer.write_message(topic, writer.register_msgdef(*schema), message, 0)
-        topics = [(name, writer.register_msgdef(*schema), at) for name, schema, at in topics_of(recording, robot, frames)]
+        topics = [
+            (name, writer.register_msgdef(*schema), at) for name, schema, at in topics_of(recording, robot, frames)
+        ]
         for row, at in enumerate(nanoseconds):
             for name, registered, message_at in topics:
                 writer.write_message(name, registered, message_at(row, stamp(at)), at, sequence=row)
