@@ -3,8 +3,8 @@
     python benchmarks/cycle.py                        100,000 samples of four controllers, some minutes
     python benchmarks/cycle.py --samples 2000 --json
 
-The closed loop of `examples/realtime/task.toml` at 200 Hz: `Cycle.step` is timed, the ideal plant between two samples is
-not. Wall clock and processor time of the thread, in us; a collection counts when it began inside a step.
+The closed loop of `examples/realtime/task.toml` at 200 Hz: `Cycle.step` is timed, the ideal plant between two samples
+is not. Wall clock and processor time of the thread, in us; a collection counts when it began inside a step.
 """
 
 from __future__ import annotations
@@ -88,9 +88,8 @@ def table(result: dict[str, Any]) -> str:
     for name, numbers in rows.items():
         lines.append(f"| {name} | {' | '.join(f'{numbers[column]:.4g}' for column in columns)} |")
     before, after = result["load_before_after"]
-    return "\n".join(
-        [*lines, f"{result['samples']:,} samples each; load average {before:.1f} before, {after:.1f} after"]
-    )
+    about = f"{result['samples']:,} samples each; load average {before:.1f} before, {after:.1f} after"
+    return "\n".join([*lines, about])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""One control sample, from reference and measurement to the torque that is sent: in the ordinary loop and outside one."""
+"""One control sample, from reference and measurement to the torque that is sent, in the ordinary loop and outside."""
 
 from __future__ import annotations
 

@@ -34,6 +34,7 @@ UNKNOWN = (
     "energy", "work", "energy_residual",
 )  # fmt: skip
 KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
+MEASURED = ("pose", "velocity", "q", "qdot")
 LARGEST = 1e9  # a measurement beyond this is none [SI units]
 
 
@@ -81,10 +82,8 @@ class Cycle:
         memory: Any = None,
     ) -> None:
         if loop.safety is None:
-            why = "outside a simulation something must stand between controller and motors"
-            raise ConfigError(
-                "a cycle without a supervisor", why=why, fix="give the loop safety=Safety()", key="safety"
-            )
+            why, fix = "the motors are real: something must stand before them", "give the loop safety=Safety()"
+            raise ConfigError("a cycle without a supervisor", why=why, fix=fix, key="safety")
         self.loop = replace(loop, plant="ideal", sensor=Sensor(), actuator=Actuator(), disturbances=())
         self.loop.require_stable_gains()
         self.loop.require_nominal()
@@ -201,12 +200,13 @@ class Cycle:
         old = self.rig.guard[GOOD] > 0.0 and measured < self.rig.guard[HEARD]
         if old:
             return
-        for name in Measurement.__slots__:
+        for name in MEASURED:
             values, mine = getattr(measurement, name), getattr(self.measured, name)
             if values.shape != mine.shape:
                 what, fix = f"a measured {name} of shape {values.shape}", f"give one of shape {mine.shape}"
                 raise ConfigError(what, fix=fix, key="measurement")
-            mine[:] = values
+        for name in MEASURED:
+            getattr(self.measured, name)[:] = getattr(measurement, name)
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
         accept(self.row, self.at, min(float(measured), time), time, True, self.rig.guard)

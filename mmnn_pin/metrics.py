@@ -77,9 +77,9 @@ class Reducer:
 
         Statistics: `peak` (largest magnitude), `rms_a_b` over each window [a, b) that the run reached (nan otherwise);
         `effort` is the time integral of the squared motor torques [N^2 m^2 s]; `learned_share` the RMS of Psi_hat over
-        the RMS of the applied torque (base and arm apart), `effective_gain` its mean; the peak of `energy_residual` where
-        energy was recorded. On the contact plant also the peaks of slip [m/s], traction use and constraint residual
-        [m/s].
+        the RMS of the applied torque (base and arm apart), `effective_gain` its mean; where energy was recorded the
+        peak of `energy_residual`. On the contact plant also the peaks of slip [m/s], traction use and constraint
+        residual [m/s].
         """
         numbers, where = {}, self._places()
         for name in ERRORS:

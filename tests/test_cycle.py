@@ -86,7 +86,7 @@ def replayed(loop, run, **arguments):
         return cycle.finish()
 
 
-# -- the same numbers -------------------------------------------------------------------------------------------------
+# -- the same numbers --------------------------------------------------------------------------------------------------
 
 NETWORK = TwoLayer(hidden=6, F=(0.05, 0.05), G=(0.05, 0.05))
 CONTROLLERS = {
@@ -130,7 +130,7 @@ def test_what_the_loop_simulates_is_left_out():
     replayed(replace(noisy, actuator=Actuator(lag=0.02), disturbances=events, plant="contact"), run)
 
 
-# -- measurements that do not come, or should not have ------------------------------------------------------------------
+# -- measurements that do not come, or should not have -----------------------------------------------------------------
 
 
 def test_a_measurement_that_is_refused_is_one_that_did_not_come():
@@ -240,7 +240,7 @@ def test_measurements_of_another_size_are_refused(name):
             cycle.step(0.0, replace(good, **{name: np.zeros(1)}))
 
 
-# -- time and memory -----------------------------------------------------------------------------------------------------
+# -- time and memory ---------------------------------------------------------------------------------------------------
 
 FRESH = """
 import sys, numpy as np
@@ -302,7 +302,7 @@ def test_steps_collect_no_garbage_and_keep_no_memory(name):
     assert min(np.diff(sizes)) < 500, "one byte a step: what is kept once fills caches"
 
 
-# -- the recording -------------------------------------------------------------------------------------------------------
+# -- the recording -----------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")

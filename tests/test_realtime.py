@@ -83,7 +83,7 @@ def until_recorded(path, rows):
         time.sleep(0.05)
 
 
-# -- whole runs, all of them at the same time ---------------------------------------------------------------------------
+# -- whole runs, all of them at the same time --------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_a_sensor_that_falls_silent_ends_the_run_as_tripped(runs, fault):
     assert ("was killed" in out) == (fault == "kill")
 
 
-# -- errors, one line each ----------------------------------------------------------------------------------------------
+# -- errors, one line each ---------------------------------------------------------------------------------------------
 
 
 def one_line(process):
@@ -225,7 +225,7 @@ def test_ports_that_are_none_are_refused(example, port):
         example.link.Channel(1, 1, port)
 
 
-# -- packets and ticks ----------------------------------------------------------------------------------------------------
+# -- packets and ticks -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -3,13 +3,14 @@
 import gc
 import signal
 import time as clock
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import task
 from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 
-from mmnn_pin.cycle import Cycle
+from mmnn_pin.cycle import MEASURED, Cycle
 from mmnn_pin.errors import InputError
 from mmnn_pin.signals import Measurement
 
@@ -57,9 +58,9 @@ def greet(channel, patience):
 
 
 def drive(cycle, channel, pace):
-    """Control until the end, a trip or Ctrl-C; how it ended, and the age of the oldest measurement that was used [s]."""
-    places = np.cumsum([0, *(getattr(cycle.measured, name).size for name in Measurement.__slots__)])
-    came = Measurement(*(channel.values[a:b] for a, b in zip(places, places[1:], strict=False)))
+    """Control until the end, a trip or Ctrl-C; how it ended, and the age of the oldest measurement used [s]."""
+    places = np.cumsum([0, *(getattr(cycle.measured, name).size for name in MEASURED)])
+    came = Measurement(*(channel.values[a:b] for a, b in pairwise(places)))
     oldest, start, signals, kind = 0.0, pace.start, [], MEASUREMENT  # the first one is there
     before = [signal.signal(number, lambda came, _: signals.append(came)) for number in STOPS]
     try:

@@ -8,6 +8,7 @@ import os
 import socket
 import struct
 import time
+from contextlib import suppress
 
 import numpy as np
 
@@ -61,10 +62,8 @@ class Channel:
     def put(self, packet):
         """Send bytes as they are."""
         if self.peer is not None:
-            try:
+            with suppress(OSError):  # a full buffer, a network that is down
                 self.socket.sendto(packet, self.peer)
-            except OSError:  # a full buffer, a network that is down
-                pass
 
     def receive(self):
         """Kind of the newest packet that came since the last call, its values in `values`; None without one."""

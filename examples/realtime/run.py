@@ -1,4 +1,7 @@
-"""Both processes: `python examples/realtime/run.py [--rate 200] [--seconds 10] [--fault kill|late|nan|shuffle|short ...]`."""
+"""Starts both processes.
+
+python examples/realtime/run.py [--rate 200] [--seconds 10] [--fault kill|late|nan|shuffle|short ...]
+"""
 
 import json
 import subprocess
@@ -16,7 +19,7 @@ HERE = Path(__file__).parent
 
 def main():
     """Start the plant, control it, and see that it ends."""
-    options = task.parser(__doc__)
+    options = task.parser(__doc__.splitlines()[0])
     options.add_argument("--fault", nargs="+", default=(), choices=FAULTS, help="of the sensor, from the middle on")
     options.set_defaults(port=0)
     options = options.parse_args()
@@ -42,10 +45,9 @@ def main():
 
 def story(told):
     """What the plant tells of itself."""
-    commands = (
-        f"{told['received']:,} packets received, {told['out_of_order']:,} out of order, {told['malformed']:,} malformed"
-    )
-    return f"{commands}; motors without torque from {told['ramped']:g} s on; recorded in {told['recording']}"
+    counts = f"{told['out_of_order']:,} out of order, {told['malformed']:,} malformed"
+    end = told["outcome"] if told["ramped"] is None else f"no more torque from t = {told['ramped']:.3g} s on"
+    return f"{told['received']:,} packets received, {counts}; {end}; recorded in {told['recording']}"
 
 
 if __name__ == "__main__":
