@@ -180,12 +180,13 @@ def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
 
 
 def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
-    loop = closed(duration=4.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=0.6))
-    run, torques = loop.run(), []
+    loop = closed(CONTROLLERS["two_layer"], duration=4.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=0.6))
+    run, torques, memories = loop.run(), [], []
     with Cycle(loop, tmp_path / "run.h5") as cycle:
         for k in range(loop.timing.samples):
             torques.append(cycle.step(k * H, measurement(run, k) if k < 100 else None).copy())
             cycle.record()
+            memories += [cycle.memory.values.copy()] if cycle.tripped else []
             if cycle.is_over:
                 break
         found = cycle.finish("completed", "and more")
@@ -193,6 +194,7 @@ def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
     assert found.outcome.time == pytest.approx(99 * H + 0.3, abs=1.01 * H)
     assert found.outcome.message.endswith("and more")
     assert len(found) == k + 1 == round((found.outcome.time + 0.6) / H) + 1
+    assert (np.array(memories) == memories[0]).all()  # it learns nothing from a stop
     size = np.abs(torques).sum(axis=1)
     tripped = int(np.argmax(found["safety"] == RAMPING))
     assert size[tripped - 1] > 1.0 and (np.diff(size[tripped - 1 : tripped + 20]) <= 0).all()

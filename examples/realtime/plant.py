@@ -30,6 +30,7 @@ class Motors(TorqueController):
     def __init__(self, robot, channel, fault):
         self.E, self.channel, self.fault = robot.E, channel, fault
         self.command, self.refused, self.start, self.ramped = np.zeros(robot.layout.motors), 0, 0.0, None
+        self.dismissed = False  # by a controller that said so
         self.heard, self.silent = 0.0, 0.0  # when the last command came, since when none has [s]
 
     def wait(self, patience, measured):
@@ -60,7 +61,7 @@ class Motors(TorqueController):
     def take(self, kind, time):
         """A packet that came, if one did."""
         if kind == BYE:
-            self.heard = min(self.heard, time - TIMEOUT)
+            self.heard, self.dismissed = min(self.heard, time - TIMEOUT), True
         elif kind == COMMAND and not np.isfinite(self.channel.values).all():
             self.refused += 1
         elif kind == COMMAND:
@@ -99,7 +100,8 @@ def main():
         outcome = loop.stream(engine, recorder, cancelled=motors.is_over)
         run = recorder.finish(outcome, loop.final(engine))
     told = {name: getattr(channel, name) for name in ("received", "out_of_order", "malformed")}
-    told |= {"refused": motors.refused, "ramped": motors.ramped, "motor_torque": run["motor_torque"][-1].tolist()}
+    told |= {name: getattr(motors, name) for name in ("refused", "ramped", "dismissed")}
+    told |= {"motor_torque": run["motor_torque"][-1].tolist()}
     print(json.dumps(told | {"outcome": outcome.message, "recording": str(path)}), flush=True)
     return 0
 
