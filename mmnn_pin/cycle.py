@@ -23,7 +23,8 @@ from .loop import Loop
 from .recorder import Recorder
 from .recording import Outcome, Recording, Status
 from .rig import new_rig
-from .safety import BAD, GOOD, HAS_TRIPPED, HEARD, REFUSED, accept, has_ended, trip_of
+from .safety import HAS_TRIPPED, accept, has_ended, remarks, trip_of
+from .safety.supervisor import GOOD, HEARD
 from .sensing import Sensor
 from .signals import SIGNALS, Array, Measurement
 from .torque.controller import CompiledController, Memory
@@ -168,11 +169,8 @@ class Cycle:
         outcome = Outcome(status, (self.k + 1) * self.period)
         if self.tripped:
             outcome = Outcome("tripped", *trip_of(self.rig.guard, self.loop.robot))
-        else:
-            refused = ((BAD, "measurements"), (REFUSED, "commands"))
-            found = [f"{int(self.rig.guard[n])} {what} refused" for n, what in refused if self.rig.guard[n]]
-            outcome = replace(outcome, message="; ".join(found))
-        outcome = replace(outcome, message="; ".join(text for text in (outcome.message, message) if text))
+        found = remarks(self.rig.guard, self.loop.robot, outcome.status)
+        outcome = replace(outcome, message="; ".join(text for text in (outcome.message, *found, message) if text))
         if self.weighed < self.k + 1:
             self._weigh(self.k + 1)
         final = {"rig_memory": self.rig.memory, **(extra or {})}
