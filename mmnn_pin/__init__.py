@@ -28,6 +28,7 @@ _HOME = {
     "torque.neural": ("Inputs", "Neural", "OneLayer", "Robust", "TwoLayer"),
     "timing": ("Timing",),
     "loop": ("Loop",),
+    "cycle": ("Cycle",),
     "start": ("Bounds", "Start"),
     "batch": ("Run", "simulate_many"),
     "recording": ("Outcome", "Recording"),

@@ -123,10 +123,10 @@ def simulate(
     facts = loop.facts() | {"loop": engine.name}
     reducer = Reducer.of(layout, facts, windows)
     if keep is False:
-        outcome = loop.judged(loop.stream(engine, reducer, cancelled=cancelled), engine)
+        outcome = loop.judged(loop.stream(engine, reducer, cancelled=cancelled), engine.memory)
         return Run(outcome, reducer.result(), loop.final(engine))
     with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
-        outcome = loop.judged(loop.stream(engine, Both(reducer, recorder), cancelled=cancelled), engine)
+        outcome = loop.judged(loop.stream(engine, Both(reducer, recorder), cancelled=cancelled), engine.memory)
         recording = recorder.finish(outcome, loop.final(engine))
     return Run(outcome, reducer.result(), loop.final(engine), recording)
 

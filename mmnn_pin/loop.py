@@ -144,7 +144,7 @@ class Loop:
         engine = self.engine_at(memory, state, first, rig_memory)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
         with Recorder(self.robot.layout, facts, path, force) as recorder:
-            outcome = self.judged(self.stream(engine, recorder, first=first, progress=progress), engine)
+            outcome = self.judged(self.stream(engine, recorder, first=first, progress=progress), engine.memory)
             return recorder.finish(outcome, self.final(engine))
 
     def engine_at(
@@ -164,17 +164,17 @@ class Loop:
             TrajectoryError: A reference that the base cannot follow.
         """
         self._require_first(first)
-        self._require_nominal()
+        self.require_nominal()
         table, layout, memory = self.table(), self.robot.layout, self.memory_from(memory)
         position, nu = self.start.state(self.robot, table[first]) if state is None else state
         position, nu = finite("state", position, (layout.full,)), finite("state", nu, (layout.dof,))
         return self._engine(table, position, nu, memory, rig_memory)
 
-    def judged(self, outcome: Outcome, engine: Engine) -> Outcome:
+    def judged(self, outcome: Outcome, memory: Any) -> Outcome:
         """An outcome whose message also tells what the controller's memory shows after the run."""
         if outcome.status == "interrupted" or not isinstance(self.controller, Neural):
             return outcome
-        findings = self.controller.findings(engine.memory)
+        findings = self.controller.findings(memory)
         return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))
 
     def final(self, engine: Engine) -> dict[str, Array]:
@@ -265,7 +265,12 @@ class Loop:
                 key="first",
             )
 
-    def _require_nominal(self) -> None:
+    def require_nominal(self) -> None:
+        """Refuse a nominal robot of another shape.
+
+        Raises:
+            ConfigError: It has another base or other joints.
+        """
         if self.nominal is not None and self.nominal.layout != self.robot.layout:
             raise ConfigError(
                 f"the nominal robot has {self.nominal.layout}, the robot {self.robot.layout}",

@@ -77,8 +77,9 @@ class Reducer:
 
         Statistics: `peak` (largest magnitude), `rms_a_b` over each window [a, b) that the run reached (nan otherwise);
         `effort` is the time integral of the squared motor torques [N^2 m^2 s]; `learned_share` the RMS of Psi_hat over
-        the RMS of the applied torque (base and arm apart), `effective_gain` its mean. On the contact plant also the
-        peaks of slip [m/s], traction use and constraint residual [m/s].
+        the RMS of the applied torque (base and arm apart), `effective_gain` its mean; where energy was recorded the
+        peak of `energy_residual`. On the contact plant also the peaks of slip [m/s], traction use and constraint
+        residual [m/s].
         """
         numbers, where = {}, self._places()
         for name in ERRORS:
@@ -97,7 +98,8 @@ class Reducer:
             numbers[f"learned_share.{part}"] = float(np.sqrt(learned / torque)) if torque > 0 else 0.0
             gain = self.total[where["effective_gain"][half]]
             numbers[f"effective_gain.{part}"] = float(gain.mean() / self.count) if self.count else np.nan
-        numbers["energy_residual"] = float(self.peak[where["energy_residual"]][0])
+        if "energy_residual" in where:
+            numbers["energy_residual"] = float(self.peak[where["energy_residual"]][0])
         for name in ("slip", "traction"):
             for i, label in zip(where.get(name, ()), self.labels.get(name, ()), strict=True):
                 numbers[f"{name}.{label}.peak"] = float(self.peak[i])
@@ -163,7 +165,7 @@ def judged(recording: Recording, name: str) -> str:
 
 def halves(recording: Recording) -> dict[str, slice]:
     """Columns of the base and of the arm in signals of all p velocities."""
-    base, total = len(recording.labels("z")) if "z" in recording else 0, len(recording.labels("nu"))
+    base, total = len(recording.labels("z")) if "z" in recording else 0, len(recording.labels("torque"))
     parts = {"base": slice(0, base), "arm": slice(base, total)}
     return {name: part for name, part in parts.items() if part.stop > part.start}
 

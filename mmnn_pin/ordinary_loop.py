@@ -7,81 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .control import Control
 from .disturbance.effects import BRAKE, EARLY, mark
-from .errors import ConfigError
-from .model.dynamics import Dynamics
-from .model.robot import Robot
 from .plant.contact.plant import ContactPlant
 from .plant.ideal import IdealPlant
-from .rig import Rig, act, is_stopped, new_rig, note, send, sense
+from .rig import Rig, act, new_rig, note, sense
 from .safety import TRIPPED, has_ended
-from .sample import after_torque, before_torque
+from .sample import after_torque
 from .sensing import exact
-from .signals import Array, Measurement, Reference, VelocityCommand
-from .torque import law
-from .torque.controller import CompiledController, Memory, TorqueController, Wiring
+from .signals import Array
 
 if TYPE_CHECKING:
     from .loop import Loop
 
 PATIENCE = 0.2  # [s] of wall clock after which a block of samples is handed over
-
-
-class Torque:
-    """One controller wired to one row; the same face for compiled and for Python controllers.
-
-    Args:
-        controller: The controller.
-        wiring: What it is told before the run.
-        row: The row it reads and writes.
-        nominal: The robot that a model-based controller believes in.
-        memory: Its memory.
-    """
-
-    def __init__(
-        self,
-        controller: TorqueController | CompiledController,
-        wiring: Wiring,
-        row: Array,
-        nominal: Robot,
-        memory: Any,
-    ) -> None:
-        layout = wiring.layout
-        self.controller, self.memory, self.row, self.at = controller, memory, row, layout.offsets
-        self.reference, self.measurement = Reference.of(row, layout), Measurement.of(row, layout)
-        self.command = VelocityCommand.of(row, layout)
-        self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
-        self.model: Dynamics | None = None
-        self.python = controller if isinstance(controller, TorqueController) else None
-        if isinstance(controller, CompiledController):
-            self.law = controller.law(wiring)
-            if controller.uses_model:
-                self.model, self.arm_index = Dynamics(nominal), nominal.arm_index
-                self.position, self.nu = nominal.neutral_position(), np.zeros(layout.dof)
-
-    def step(self, time: float) -> None:
-        """Write psi_hat, robust, effective_gain and torque of this sample into the row."""
-        if self.python is not None:
-            torque = self.python.step(time, self.reference, self.measurement, self.command, self.memory)
-            if np.shape(torque) != self.torque.shape:
-                raise ConfigError(
-                    f"controller '{self.controller.name}' returned a torque of shape {np.shape(torque)}",
-                    fix=f"return an array of shape {self.torque.shape}",
-                )
-            self.torque[:] = torque
-            return
-        if self.model is not None:
-            self._model_psi(self.model)
-        law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
-
-    def _model_psi(self, model: Dynamics) -> None:
-        """Psi of the nominal model at the measured state, into psi_hat."""
-        measured, nb = self.measurement, self.measurement.velocity.size
-        self.position[: measured.pose.size] = measured.pose
-        self.position[self.arm_index] = measured.q
-        self.nu[:nb], self.nu[nb:] = measured.velocity, measured.qdot
-        model.refresh(self.position, self.nu)
-        model.refresh_psi(self.command.nu_ref, self.command.nudot_ref, self.psi_hat)
 
 
 class OrdinaryLoop:
@@ -114,15 +53,13 @@ class OrdinaryLoop:
         self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
         self.counter = np.zeros(1, np.int64)
         self.memory = memory
-        self.torque = Torque(loop.controller, loop.wiring(), self.row, loop.nominal or loop.robot, memory)
         self.plant = plant_of(loop)
         self.plant.start(position, nu)
         self.y, self.loaded = self.plant.y, loop.loaded()
         self.rig = new_rig(loop, nu, memory, rig_memory)
-        self.gains, self.K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
+        self.control = Control(loop, self.row, memory, self.rig)
         self.bounds, self.E_inv = loop.bounds.vector(layout), np.ascontiguousarray(np.linalg.pinv(loop.robot.E))
         self.start_energy = self.energy()
-        self.weights = memory.values if isinstance(memory, Memory) else np.zeros(0)
         names = ("torque", "nu_ref", "nudot_ref", "psi")
         self.tau, self.nu_ref, self.nudot_ref, self.psi = (self.row[layout.where(name)] for name in names)
 
@@ -145,7 +82,7 @@ class OrdinaryLoop:
         loop, row, plant, rig = self.loop, self.row, self.plant, self.rig
         timing, arm, h = loop.timing, loop.robot.arm_index, loop.timing.control_period
         steps, per_measurement = timing.steps_per_control, timing.steps_per_measurement
-        at, table, gains, K, E_inv = self.at, self.table, self.gains, self.K, self.E_inv
+        at, table, E_inv = self.at, self.table, self.E_inv
         started = clock.perf_counter()
         for k in range(first, last):
             began = clock.perf_counter()
@@ -154,13 +91,9 @@ class OrdinaryLoop:
                 self.pick_up(k * h, rig)
                 if now:
                     self.measure(k * steps // per_measurement, rig)
-            before_torque(row, at, k * h, plant.y, table[k], now and rig is None, arm, gains, K)
-            plant.observe(row)
-            if rig is None or not is_stopped(rig):
-                self.torque.step(k * h)
-            if rig is not None:
-                send(k, k * h, row, at, self.weights, rig)
+            self.control.step(k, k * h, plant.y, table[k], now and rig is None)
             step_time = clock.perf_counter() - began
+            plant.observe(row)
             dynamics = plant.dynamics
             dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
             potential, work = dynamics.potential(), plant.y[-1]

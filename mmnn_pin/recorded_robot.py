@@ -1,4 +1,7 @@
-"""The robot of a recording, built again from what the recording holds: URDF, overrides, mass factors, friction."""
+"""The robot of a recording, built again from what the recording holds: URDF, overrides, mass factors, friction.
+
+And where that robot was, as well as the recording knows.
+"""
 
 from __future__ import annotations
 
@@ -8,10 +11,12 @@ import msgspec
 import numpy as np
 
 from .errors import RecordingError
+from .metrics import as_columns
 from .model.overrides import Overrides
 from .model.robot import Robot, build
 from .model.urdf import parse
 from .recording import Recording
+from .signals import Array
 
 
 def recorded_robot(recording: Recording) -> Robot:
@@ -40,3 +45,16 @@ def recorded_robot(recording: Recording) -> Robot:
         raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
     gears = {name: np.array(value) if isinstance(value, list) else value for name, value in gears.items()}
     return replace(robot.with_masses(masses).with_friction(viscous), **gears)
+
+
+def recorded_position(recording: Recording, robot: Robot) -> Array:
+    """Where a robot was, (N, nv): the true position, or without one what was measured, the other joints at rest."""
+    if "position" in recording:
+        return as_columns(recording["position"])
+    table = np.tile(robot.neutral_position(), (len(recording), 1))
+    if "pose" in recording:
+        table[:, :3] = recording["pose"]
+    if "q" in recording:
+        table[:, robot.arm_index] = as_columns(recording["q"])
+    robot.follow(table.T)
+    return table

@@ -98,8 +98,8 @@ def named(recordings: list[Recording]) -> dict[str, Recording]:
     for recording in recordings:
         if not len(recording):
             raise RecordingError("holds no rows", why="the run ended before its first sample", file=recording.path)
-        if recording.labels("nu") != recordings[0].labels("nu"):
-            here, there = (", ".join(r.labels("nu")) for r in (recording, recordings[0]))
+        if recording.labels("torque") != recordings[0].labels("torque"):
+            here, there = (", ".join(r.labels("torque")) for r in (recording, recordings[0]))
             why = f"it moves in {here}; {recordings[0].path} in {there}"
             raise RecordingError("a recording of another robot", why=why, fix="plot them apart", file=recording.path)
     return dict(zip(names, recordings, strict=True))

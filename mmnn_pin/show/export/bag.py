@@ -23,7 +23,8 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from ...metrics import as_columns
-from ...recorded_robot import recorded_robot
+from ...model.robot import Robot
+from ...recorded_robot import recorded_position, recorded_robot
 from ...recording import Recording
 from ...signals import Array
 from ..units import column_units
@@ -48,7 +49,9 @@ def write_bag(recording: Recording, path: Path) -> None:
     with path.open("wb") as file, Writer(file) as writer:
         for topic, schema, message in once(recording, frames):
             writer.write_message(topic, writer.register_msgdef(*schema), message, 0)
-        topics = [(name, writer.register_msgdef(*schema), at) for name, schema, at in topics_of(recording, frames)]
+        topics = [
+            (name, writer.register_msgdef(*schema), at) for name, schema, at in topics_of(recording, robot, frames)
+        ]
         for row, at in enumerate(nanoseconds):
             for name, registered, message_at in topics:
                 writer.write_message(name, registered, message_at(row, stamp(at)), at, sequence=row)
@@ -73,11 +76,11 @@ def once(recording: Recording, frames: Sequence[Frame]) -> Iterator[tuple[str, t
     yield "/tf_static", TRANSFORMS, {"transforms": still}
 
 
-def topics_of(recording: Recording, frames: Sequence[Frame]) -> Iterator[Topic]:
+def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> Iterator[Topic]:
     """What is told at every row."""
     moving = [frame for frame in frames if frame.moves]
     yield "/tf", TRANSFORMS, lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]}
-    yield "/joint_states", JOINT_STATE, joint_states(recording)
+    yield "/joint_states", JOINT_STATE, joint_states(recording, robot)
     if "q_ref" in recording:
         labels = list(recording.labels("q_ref"))
         wanted = {"position": as_columns(recording["q_ref"]), "velocity": as_columns(recording["qdot_ref"])}
@@ -94,16 +97,19 @@ def topics_of(recording: Recording, frames: Sequence[Frame]) -> Iterator[Topic]:
         yield f"/signals/{signal}", schema, partial(numbers, fields, table)
 
 
-def joint_states(recording: Recording) -> At:
+def joint_states(recording: Recording, robot: Robot) -> At:
     """All joints: positions, rates, and the torques of those with a motor (NaN for the others).
 
     The rates of joints that nu does not hold are central differences of their positions.
     """
     root = len(recording.labels("pose")) if "pose" in recording else 0
-    names, table = list(recording.labels("position")[root:]), as_columns(recording["position"])[:, root:]
+    names, table = list(robot.position_names[root:]), recorded_position(recording, robot)[:, root:]
     rates = np.gradient(table, recording.time, axis=0) if len(table) > 1 else np.zeros_like(table)
     torques = np.full(table.shape, np.nan)
-    for target, signal in ((rates, "nu"), (torques, "motor_torque")):
+    known = "nu" if "nu" in recording else "qdot"
+    for target, signal in ((rates, known), (torques, "motor_torque")):
+        if signal not in recording:
+            continue
         for label, values in zip(recording.labels(signal), as_columns(recording[signal]).T, strict=True):
             if label in names:
                 target[:, names.index(label)] = values

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from ...model.document import Document, Joint
 from ...model.robot import Robot
 from ...model.urdf import parse
+from ...recorded_robot import recorded_position
 from ...recording import Recording
 from ...signals import Array
 
@@ -38,9 +39,9 @@ class Frame:
 
 
 def frames_of(recording: Recording, robot: Robot) -> list[Frame]:
-    """All frames of a robot in a run, parents first; where the robot truly was, not what its sensors said."""
+    """All frames of a robot in a run, parents first; where the robot truly was, if the recording knows."""
     document = parse(robot.urdf.encode(), robot.path)
-    position = dict(zip(robot.position_names, recording["position"].T, strict=True))
+    position = dict(zip(robot.position_names, recorded_position(recording, robot).T, strict=True))
     base = base_frames(document, robot, position) if robot.layout.pose else []
     joints = (joint_frame(joint, position.get(joint.name)) for joint in document.joints.values())
     return [*base, *joints]

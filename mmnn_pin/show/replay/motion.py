@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ...errors import RecordingError
 from ...metrics import as_columns
 from ...model.robot import Robot
+from ...recorded_robot import recorded_position
 from ...recording import Recording
 from ...signals import Array, IntArray
 from .blob import Blob
@@ -32,7 +33,9 @@ def frames_of(recording: Recording, fps: float) -> IntArray:
     Raises:
         RecordingError: There are none.
     """
-    good = np.flatnonzero(drawable(as_columns(recording["position"]))) if len(recording) else np.array([], int)
+    known = ("position",) if "position" in recording else ("pose", "q")
+    table = np.hstack([as_columns(recording[name]) for name in known if name in recording])
+    good = np.flatnonzero(drawable(table)) if len(recording) else np.array([], int)
     if not len(good):
         why = "it ended before its first sample" if not len(recording) else "no position in it is finite"
         raise RecordingError("nothing to replay", why=why, file=recording.path)
@@ -48,7 +51,7 @@ def wanted(recording: Recording, robot: Robot, rows: IntArray) -> Array | None:
     """
     if "q_ref" not in recording and "pose_ref" not in recording:
         return None
-    table = as_columns(recording["position"])[rows]
+    table = recorded_position(recording, robot)[rows]
     if "pose_ref" in recording:
         table[:, :3] = recording["pose_ref"][rows]
     if "q_ref" in recording:
@@ -59,7 +62,7 @@ def wanted(recording: Recording, robot: Robot, rows: IntArray) -> Array | None:
 
 def packed(recording: Recording, robot: Robot, rows: IntArray, blob: Blob) -> dict[str, Any]:
     """Frames of a run as the page reads them: times (k,), positions (k, nv), wanted positions (k, nv) or None."""
-    position, reference = as_columns(recording["position"])[rows], wanted(recording, robot, rows)
+    position, reference = recorded_position(recording, robot)[rows], wanted(recording, robot, rows)
     return {
         "frames": len(rows),
         "width": position.shape[1],

@@ -31,8 +31,8 @@ def result_of(recordings: Mapping[str, Recording]) -> Result:
             raise RecordingError(f"{name} holds no rows", why=why, file=recording.path)
         if "control_period" not in recording.meta:
             raise RecordingError(f"{name} does not tell its control period", file=recording.path)
-        if recording.labels("nu") != first.labels("nu"):
-            here, there = ", ".join(recording.labels("nu")), ", ".join(first.labels("nu"))
+        if recording.labels("torque") != first.labels("torque"):
+            here, there = ", ".join(recording.labels("torque")), ", ".join(first.labels("torque"))
             why = f"it moves in {here}; {next(iter(recordings))} in {there}"
             raise RecordingError(f"{name} is of another robot", why=why, fix="report them apart", file=recording.path)
     places = {controller: place for place, controller in enumerate(CONTROLLERS)}

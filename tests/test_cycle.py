@@ -1,0 +1,350 @@
+"""One control sample at a time from outside: the same numbers as in a loop, nothing that stops a real-time loop."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numba import config
+
+from mmnn_pin import (
+    PD,
+    ComputedTorque,
+    Cycle,
+    Eight,
+    Feedback,
+    Line,
+    Loop,
+    Neural,
+    OneLayer,
+    Recording,
+    Robust,
+    Sine,
+    Timing,
+    TorqueController,
+    Trajectory,
+    TwoLayer,
+    load,
+)
+from mmnn_pin.actuator import Actuator
+from mmnn_pin.cli import main
+from mmnn_pin.cycle import UNKNOWN
+from mmnn_pin.disturbance import DeadMotor, Push
+from mmnn_pin.errors import ConfigError, RecordingError
+from mmnn_pin.recorded_robot import recorded_position
+from mmnn_pin.safety import RAMPING, Safety
+from mmnn_pin.sensing import Sensor
+from mmnn_pin.show.lyapunov import lyapunov
+from mmnn_pin.signals import Measurement
+
+H = 0.005
+GAINS = Feedback(300.0, 5.0)
+ROBOT = load("platform_arm")
+ARM = load("two_axis_arm")
+
+
+class Integral(TorqueController):
+    """PD with an integral, in plain Python."""
+
+    name = "integral"
+
+    def init(self, wiring):
+        return {"sum": np.zeros(wiring.layout.dof), "k": GAINS.vector(wiring.layout)}
+
+    def step(self, time, reference, measurement, command, memory):
+        s = np.concatenate((command.z, command.r))
+        memory["sum"] += H * s
+        return memory["k"] * (s + memory["sum"])
+
+
+def closed(controller=None, robot=ROBOT, duration=0.5, **changes):
+    base = Eight(3.0, 1.5, 20.0) if robot.layout.base else None
+    arm = tuple(Sine(amplitude=0.3, period=2.0) for _ in range(robot.layout.arm))
+    timing = Timing(duration=duration, control_period=H, plant_step=0.001)
+    given = {"safety": Safety(), "timing": timing, "engine": "ordinary", "weights_interval": 0.05} | changes
+    return Loop(robot, Trajectory(base, arm), controller or PD(GAINS), **given)
+
+
+def measurement(run, k, layout=ROBOT.layout):
+    """What was measured at a sample of a run; arrays of size 0 where the robot has none."""
+    sizes = {"pose": layout.pose, "velocity": layout.base, "q": layout.arm, "qdot": layout.arm}
+    return Measurement(**{name: run[name][k].reshape(size) if size else np.zeros(0) for name, size in sizes.items()})
+
+
+def replayed(loop, run, **arguments):
+    """The recording of a cycle that is given all measurements of a run."""
+    with Cycle(loop, **arguments) as cycle:
+        for k in range(cycle.samples):
+            torque = cycle.step(k * H, measurement(run, k, loop.robot.layout))
+            assert torque.tolist() == run["torque"][k].tolist()
+            cycle.record()
+        return cycle.finish()
+
+
+# -- the same numbers --------------------------------------------------------------------------------------------------
+
+NETWORK = TwoLayer(hidden=6, F=(0.05, 0.05), G=(0.05, 0.05))
+CONTROLLERS = {
+    "pd": PD(GAINS),
+    "two_layer": Neural(NETWORK, GAINS, Robust(1.0, 0.05)),
+    "one_layer": Neural(OneLayer(hidden=6), GAINS, Robust(1.0, 0.05)),
+    "computed_torque": ComputedTorque(GAINS),
+    "python": Integral(),
+}
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_every_signal_is_that_of_the_ordinary_loop(name):
+    loop = closed(CONTROLLERS[name])
+    if name == "computed_torque":
+        loop = replace(loop, nominal=ROBOT.with_masses(0.7))
+    run = loop.run()
+    found = replayed(loop, run)
+    assert set(found.names) == set(run.names) - set(UNKNOWN)
+    for signal in found.names:
+        np.testing.assert_array_equal(found[signal], run[signal], signal)
+    for array in run.weights:
+        np.testing.assert_array_equal(found.weights[array], run.weights[array], array)
+    assert list(found.weights) == list(run.weights)
+    if name != "python":
+        assert found.final["memory"].tolist() == run.final["memory"].tolist()
+    assert found.outcome == run.outcome
+    assert found.step_times.min() > 0
+
+
+def test_a_fixed_arm_has_one_too():
+    loop = closed(PD(Feedback(arm=0.2)), ARM)
+    assert len(replayed(loop, loop.run())) == 100
+
+
+def test_what_the_loop_simulates_is_left_out():
+    noisy = closed(CONTROLLERS["two_layer"], sensor=Sensor(noise=0.001, resolution=0.001))
+    run = noisy.run()
+    assert np.abs(run["q"] - run["q_ref"] + run["true_e"]).max() > 1e-4  # the measurement is not the truth
+    events = Push(on="arm_1_joint", force=5.0), DeadMotor(joint="arm_2_joint")
+    replayed(replace(noisy, actuator=Actuator(lag=0.02), disturbances=events, plant="contact"), run)
+
+
+# -- measurements that do not come, or should not have -----------------------------------------------------------------
+
+
+def test_a_measurement_that_is_refused_is_one_that_did_not_come():
+    loop = closed(CONTROLLERS["two_layer"])
+    run = loop.run()
+    bad = measurement(run, 0)
+    with Cycle(loop) as one, Cycle(loop) as other:
+        for k in range(loop.timing.samples):
+            good = measurement(run, k)
+            bad = replace(good, q=good.q * (np.nan, np.inf, 1e300)[k % 3]) if k % 4 else good
+            mine = one.step(k * H, good if k % 4 == 0 else None).copy()
+            assert mine.tolist() == other.step(k * H, bad).tolist()
+            assert np.isfinite(other.row).all()
+            one.record()
+            other.record()
+        quiet, told = one.finish(), other.finish()
+    assert quiet.outcome.message == ""
+    assert told.outcome.status == "completed"
+    assert "refused 75 measurements" in told.outcome.message
+
+
+@pytest.mark.parametrize("age", [0.1, np.nan])
+def test_a_measurement_older_than_the_last_or_of_no_time_changes_nothing(age):
+    loop = closed()
+    run = loop.run()
+    with Cycle(loop) as one, Cycle(loop) as other:
+        for cycle in (one, other):
+            cycle.step(0.0, measurement(run, 0))
+            cycle.step(0.2, measurement(run, 40), 0.19)
+        torque = one.step(0.205).tolist()
+        assert other.step(0.205, measurement(run, 20), age).tolist() == torque
+        assert one.row.tolist() == other.row.tolist()
+
+
+def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
+    loop = closed(duration=2.0, safety=Safety(timeout=0.498))
+    run = loop.run()
+    with Cycle(loop) as late, Cycle(loop) as ahead:
+        for k in range(200):
+            late.step(k * H, measurement(run, k), k * H - 0.3)
+            ahead.step(k * H, measurement(run, k), 1e6)
+        assert not late.tripped and not ahead.tripped
+        stopped = {}
+        for name, cycle in (("late", late), ("ahead", ahead)):
+            stopped[name] = next(k for k in range(200, 400) if cycle.step(k * H) is not None and cycle.tripped)
+    assert stopped == {"late": 199 + 40, "ahead": 199 + 100}
+
+
+def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
+    loop = closed(CONTROLLERS["two_layer"], duration=4.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=0.6))
+    run, torques, memories = loop.run(), [], []
+    with Cycle(loop, tmp_path / "run.h5") as cycle:
+        for k in range(loop.timing.samples):
+            torques.append(cycle.step(k * H, measurement(run, k) if k < 100 else None).copy())
+            cycle.record()
+            memories += [cycle.memory.values.copy()] if cycle.tripped else []
+            if cycle.is_over:
+                break
+        found = cycle.finish("completed", "and more")
+    assert found.outcome.status == "tripped" and found.outcome.signal == "measurement[0]"
+    assert found.outcome.time == pytest.approx(99 * H + 0.3, abs=1.01 * H)
+    assert found.outcome.message.endswith("and more")
+    assert len(found) == k + 1 == round((found.outcome.time + 0.6) / H) + 1
+    assert (np.array(memories) == memories[0]).all()  # it learns nothing from a stop
+    size = np.abs(torques).sum(axis=1)
+    tripped = int(np.argmax(found["safety"] == RAMPING))
+    assert size[tripped - 1] > 1.0 and (np.diff(size[tripped - 1 : tripped + 20]) <= 0).all()
+    assert not size[tripped + round(0.1 / H) + 1 :].any()
+
+
+def test_nothing_moves_and_nothing_trips_before_the_first_measurement():
+    loop = closed(safety=Safety(joint_error=0.01, position_error=0.01, speed=0.001))
+    far = replace(loop, trajectory=Trajectory(Line(speed=0.3, start=(5.0, 5.0, 1.0)), loop.trajectory.arm))
+    with Cycle(far) as cycle:
+        for k in range(50):
+            assert not cycle.step(k * H).any()
+        assert not cycle.tripped
+
+
+# -- errors ------------------------------------------------------------------------------------------------------------
+
+
+def test_without_a_supervisor_there_is_none():
+    with pytest.raises(ConfigError, match=r"safety: error: a cycle without a supervisor.*Safety\(\)"):
+        Cycle(closed(safety=None))
+
+
+def test_unstable_gains_are_refused_before_anything_is_written(tmp_path):
+    with pytest.raises(ConfigError, match="unstable"):
+        Cycle(closed(PD(Feedback(1e5, 1e3))), tmp_path / "run.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("time", [-H, H, 0.5, np.nan, np.inf])
+def test_times_that_are_no_sample_of_the_run_are_refused(time):
+    with Cycle(closed()) as cycle:
+        cycle.step(0.0)
+        cycle.step(H)
+        with pytest.raises(ConfigError, match="a control sample at"):
+            cycle.step(time)
+        cycle.step(2 * H)
+
+
+@pytest.mark.parametrize("name", ["pose", "velocity", "q", "qdot"])
+def test_measurements_of_another_size_are_refused(name):
+    with Cycle(closed()) as cycle:
+        good = measurement(closed(duration=H).run(), 0)
+        with pytest.raises(ConfigError, match=f"measured {name} of shape"):
+            cycle.step(0.0, replace(good, **{name: np.zeros(1)}))
+
+
+# -- time and memory ---------------------------------------------------------------------------------------------------
+
+FRESH = """
+import sys, numpy as np
+from mmnn_pin import *
+from mmnn_pin.safety import Safety
+loop = Loop(load("platform_arm"), Trajectory(Line(speed=0.3), (Sine(0.3, 2.0), Hold(0.8))), CONTROLLER,
+            timing=Timing(duration=0.05, control_period=0.005), safety=Safety())
+def count():
+    return sum(len(f.overloads) for name, m in list(sys.modules.items()) if name.startswith("mmnn_pin")
+               for f in vars(m).values() if hasattr(f, "overloads"))
+with Cycle(loop) as cycle:
+    zero = type(cycle.measured)(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2))
+    before = count()
+    for k in range(cycle.samples):
+        cycle.step(k * 0.005, zero)
+        cycle.is_over
+    print(before > 5, count() - before)
+"""
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.parametrize("controller", ["Neural()", "ComputedTorque()"])
+def test_nothing_is_compiled_in_a_step(controller):
+    script = FRESH.replace("CONTROLLER", controller).replace("Neural()", "Neural(feedback=Feedback(300.0, 5.0))")
+    script = script.replace("ComputedTorque()", "ComputedTorque(Feedback(300.0, 5.0))")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["True", "0"]
+
+
+def test_the_rehearsal_leaves_no_trace():
+    with Cycle(closed(CONTROLLERS["two_layer"])) as cycle:
+        fresh = cycle.loop.memory_from()
+        assert cycle.memory.values.tolist() == fresh.values.tolist()
+        assert not cycle.row.any() and not cycle.tripped
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="uncompiled blocks allocate")
+@pytest.mark.parametrize("name", ["two_layer", "computed_torque"])
+def test_steps_collect_no_garbage_and_keep_no_memory(name):
+    loop = closed(CONTROLLERS[name], duration=20.0)
+    run, began = closed(CONTROLLERS[name], duration=0.5).run(), []
+    given = [measurement(run, k) for k in range(100)]
+    note = lambda phase, info: began.append(phase)  # noqa: E731
+    with Cycle(loop) as cycle:
+        gc.collect()
+        gc.callbacks.append(note)
+        tracemalloc.start()
+        sizes, counts = [], []
+        try:
+            for k in range(4000):
+                if k % 500 == 0:
+                    sizes.append(tracemalloc.get_traced_memory()[0])
+                    counts.append(gc.get_count()[0])
+                cycle.step(k * H, given[k % 100])
+        finally:
+            tracemalloc.stop()
+            gc.callbacks.remove(note)
+    assert began == [] and min(np.diff(counts)) < 10, "of 700 that start a collection"
+    assert min(np.diff(sizes)) < 500, "one byte a step: what is kept once fills caches"
+
+
+# -- the recording -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    loop = closed(CONTROLLERS["two_layer"])
+    path = tmp_path_factory.mktemp("cycle") / "run.h5"
+    return loop.run(), replayed(loop, loop.run(), path=path)
+
+
+def test_plots_reports_replays_and_exports_take_it(recorded, tmp_path, capsys):
+    path = str(recorded[1].path)
+    for command in (
+        ["plot", path, "--out", str(tmp_path / "plots")],
+        ["report", path, "--html", str(tmp_path / "report.html")],
+        ["replay", path, "--html", str(tmp_path / "replay.html")],
+        ["export", path, "--to", "csv", "--out", str(tmp_path / "run.csv")],
+    ):
+        assert main(command) == 0, capsys.readouterr().err
+    assert main(["plot", path, "--what", "psi", "--out", str(tmp_path / "psi.png")]) == 2
+    assert "psi" in capsys.readouterr().err
+
+
+def test_its_transforms_are_those_of_the_simulated_run_but_for_the_wheels(recorded, tmp_path):
+    pytest.importorskip("mcap_ros2")
+    assert main(["export", str(recorded[1].path), "--to", "mcap", "--out", str(tmp_path / "run.mcap")]) == 0
+    simulated, found = (recorded_position(run, ROBOT) for run in recorded)
+    known = [ROBOT.position_names.index(name) for name in ("x", "y", "phi", *ROBOT.joint_names)]
+    np.testing.assert_allclose(found[:, known], simulated[:, known], atol=1e-12)
+
+
+def test_what_needs_the_truth_says_so(recorded):
+    with pytest.raises(RecordingError, match="outside a simulation"):
+        lyapunov(recorded[1])
+
+
+def test_an_exception_leaves_what_was_recorded(tmp_path):
+    with pytest.raises(RuntimeError), Cycle(closed(), tmp_path / "run.h5") as cycle:
+        for k in range(10):
+            cycle.step(k * H)
+            cycle.record()
+        raise RuntimeError
+    run = Recording.open(tmp_path / "run.h5")
+    assert len(run) == 10 and run.outcome.status == "interrupted"
