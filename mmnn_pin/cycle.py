@@ -207,7 +207,8 @@ class Cycle:
             getattr(self.measured, name)[:] = getattr(measurement, name)
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
-        accept(self.row, self.at, min(float(measured), time), time, True, self.rig.guard)
+        when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
+        accept(self.row, self.at, when, when, True, self.rig.guard)
 
     def _weigh(self, k: int) -> None:
         """Record the weights as they are before control sample k."""

@@ -162,6 +162,9 @@ def test_a_measurement_older_than_the_last_or_of_no_time_changes_nothing(age):
             cycle.step(0.2, measurement(run, 40), 0.19)
         torque = one.step(0.205).tolist()
         assert other.step(0.205, measurement(run, 20), age).tolist() == torque
+        told = cycle.loop.robot.layout.where("safety")
+        assert (one.row[told] == other.row[told]) == (age == 0.1)  # what is refused is told
+        one.row[told] = other.row[told]
         assert one.row.tolist() == other.row.tolist()
 
 
@@ -199,6 +202,19 @@ def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
     tripped = int(np.argmax(found["safety"] == RAMPING))
     assert size[tripped - 1] > 1.0 and (np.diff(size[tripped - 1 : tripped + 20]) <= 0).all()
     assert not size[tripped + round(0.1 / H) + 1 :].any()
+
+
+def test_old_measurements_are_no_basis_for_a_stop():
+    loop = closed(duration=3.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=2.0))
+    run = loop.run()
+    with Cycle(loop) as cycle:
+        for k in range(loop.timing.samples):
+            late = k - 120  # samples, 0.6 s, from the 100th on
+            given = (k, k * H) if k < 100 else (late, late * H) if late >= 100 else None
+            cycle.step(k * H, given and measurement(run, given[0]), given and given[1])
+            if cycle.tripped and k * H > 0.5 + 0.3 + 0.1 + 2 * H:
+                assert not cycle.torque.any()
+        assert cycle.tripped
 
 
 def test_nothing_moves_and_nothing_trips_before_the_first_measurement():
