@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from mmnn_pin.show.lyapunov import lyapunov
 from numba import config
 
 from mmnn_pin import (
@@ -39,7 +40,6 @@ from mmnn_pin.errors import ConfigError, RecordingError
 from mmnn_pin.recorded_robot import recorded_position
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.show.lyapunov import lyapunov
 from mmnn_pin.signals import Measurement
 
 H = 0.005
