@@ -272,8 +272,8 @@ def through_gap(dt: float, u: float, joint: float, m: Array, state: Array) -> fl
         torque = push + grip * pushed
         if torque * flank <= 0.0:
             torque = 0.0
-        elif abs(state[AHEAD]) < half and (state[AHEAD] + dt * (pushed - joint) - flank) * flank < 0.0:
-            touching = joint + (flank - state[AHEAD]) / dt  # it was hit before it was there
+        elif (state[AHEAD] - flank) * flank < 0.0 and (state[AHEAD] + dt * (pushed - joint) - flank) * flank < 0.0:
+            touching = joint + (flank - state[AHEAD]) / dt  # it would be hit before it is there
             free, torque = touching, m[ROTOR] * (free - touching) / dt
         else:
             free = pushed
