@@ -101,7 +101,9 @@ class Actuator(Settings, frozen=True):
                 raise ConfigError(
                     "a supply without a voltage", fix="give actuator.voltage, too", key=f"actuator.{name}"
                 )
-        if np.any(np.asarray(self.gap) > 0) and not np.all(np.asarray(self.rotor_inertia) > 0):
+        gaps, rotors = np.atleast_1d(self.gap), np.atleast_1d(self.rotor_inertia)
+        fit = gaps.size == rotors.size or 1 in (gaps.size, rotors.size)  # else told with the robot
+        if fit and np.any((gaps > 0) & (rotors <= 0)):
             what, why = "a gap without a rotor", "inside the gap the rotor moves alone"
             raise ConfigError(what, why=why, fix="give actuator.rotor_inertia > 0", key="actuator.rotor_inertia")
 

@@ -368,6 +368,7 @@ def test_a_gap_costs_accuracy_and_hammers():
         ({"voltage": 9.0, "pwm_levels": -8}, r"actuator\.pwm_levels"),
         ({"gap": -0.1}, r"actuator\.gap"),
         ({"gap": 0.1}, r"actuator\.rotor_inertia.*a gap without a rotor"),
+        ({"gap": (0.0, 0.1), "rotor_inertia": (0.1, 0.0)}, r"actuator\.rotor_inertia.*a gap without a rotor"),
         ({"stiffness": 0.0}, r"actuator\.stiffness"),
         ({"damping": -1.0}, r"actuator\.damping"),
         ({"rotor_friction": -1.0}, r"actuator\.rotor_friction"),
