@@ -1,11 +1,12 @@
 """Controllers that learn the dynamics of nonholonomic mobile manipulators, checked against Pinocchio.
 
-    reference -> kinematic -> torque -> plant -> sensor -> (back)        closed by `loop`
+    reference -> kinematic -> torque -> safety -> actuator -> plant -> sensor -> (back)        closed by `loop`
 
 - `model`: what the robot is. `load` a URDF: wheels found, M, C, gravity by Pinocchio, projected onto rolling wheels.
 - `reference`: where it should be. `kinematic`: pose error to velocity command (Kanayama).
 - `torque`: velocity command to torque: the thesis's networks, PD, computed torque, or a controller of your own.
-- `plant`, `sensor`: the robot simulated and measured. `loop`: all of it, one row of signals per control sample.
+- `safety`, `actuator`, `disturbance`: a supervisor, imperfect motors, and what the world does to a run.
+- `plant`, `sensing`: the robot simulated and measured. `loop`: all of it, one row of signals per control sample.
 - `batch`: many runs on all cores. `recording`: one run. `experiments`: the thesis's studies as data. `show`: plots.
 
 The public names are loaded when first used.
@@ -26,6 +27,10 @@ _HOME = {
     "torque.controller": ("Feedback", "Memory", "TorqueController", "Wiring"),
     "torque.model_based": ("PD", "ComputedTorque", "ScheduledPD"),
     "torque.neural": ("Inputs", "Neural", "OneLayer", "Robust", "TwoLayer"),
+    "actuator": ("Actuator",),
+    "disturbance": ("Payload", "Push"),
+    "safety": ("Safety",),
+    "sensing": ("Sensor",),
     "timing": ("Timing",),
     "loop": ("Loop",),
     "cycle": ("Cycle",),

@@ -101,7 +101,9 @@ class Actuator(Settings, frozen=True):
                 raise ConfigError(
                     "a supply without a voltage", fix="give actuator.voltage, too", key=f"actuator.{name}"
                 )
-        if np.any(np.asarray(self.gap) > 0) and not np.all(np.asarray(self.rotor_inertia) > 0):
+        gaps, rotors = np.atleast_1d(self.gap), np.atleast_1d(self.rotor_inertia)
+        fit = gaps.size == rotors.size or 1 in (gaps.size, rotors.size)  # else told with the robot
+        if fit and np.any((gaps > 0) & (rotors <= 0)):
             what, why = "a gap without a rotor", "inside the gap the rotor moves alone"
             raise ConfigError(what, why=why, fix="give actuator.rotor_inertia > 0", key="actuator.rotor_inertia")
 
@@ -272,8 +274,8 @@ def through_gap(dt: float, u: float, joint: float, m: Array, state: Array) -> fl
         torque = push + grip * pushed
         if torque * flank <= 0.0:
             torque = 0.0
-        elif abs(state[AHEAD]) < half and (state[AHEAD] + dt * (pushed - joint) - flank) * flank < 0.0:
-            touching = joint + (flank - state[AHEAD]) / dt  # it was hit before it was there
+        elif (state[AHEAD] - flank) * flank < 0.0 and (state[AHEAD] + dt * (pushed - joint) - flank) * flank < 0.0:
+            touching = joint + (flank - state[AHEAD]) / dt  # it would be hit before it is there
             free, torque = touching, m[ROTOR] * (free - touching) / dt
         else:
             free = pushed

@@ -313,6 +313,15 @@ def test_backlash_in_the_loop_is_that_of_two_masses_and_balances_energy():
     assert np.abs(column(run, "nu") - column(without, "nu")).max() > 0.1
 
 
+def test_a_rotor_starts_with_its_joint():
+    timing, robot = Timing(0.1), wheel()
+    loop = Loop(
+        robot, Trajectory(None, (Sine(0.3, 0.5),)), Given(lambda t: 0.0), timing=timing, actuator=Actuator(**GEAR)
+    )
+    run = loop.run(state=(np.zeros(1), np.full(1, 2.0)))
+    assert not run["applied"].any() and (column(run, "nu") == 2.0).all()  # both coast side by side
+
+
 def test_a_gap_is_seen_from_the_motors_side():
     ahead = {}
     for side in ("joint", "motor"):
@@ -368,6 +377,7 @@ def test_a_gap_costs_accuracy_and_hammers():
         ({"voltage": 9.0, "pwm_levels": -8}, r"actuator\.pwm_levels"),
         ({"gap": -0.1}, r"actuator\.gap"),
         ({"gap": 0.1}, r"actuator\.rotor_inertia.*a gap without a rotor"),
+        ({"gap": (0.0, 0.1), "rotor_inertia": (0.1, 0.0)}, r"actuator\.rotor_inertia.*a gap without a rotor"),
         ({"stiffness": 0.0}, r"actuator\.stiffness"),
         ({"damping": -1.0}, r"actuator\.damping"),
         ({"rotor_friction": -1.0}, r"actuator\.rotor_friction"),

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import math
+import re
+import shlex
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from msgspec import structs
@@ -27,11 +32,13 @@ from mmnn_pin import (
     Trajectory,
     TwoLayer,
     load,
+    load_experiment,
     simulate_many,
 )
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Block, Commands, DeadMotor, Frozen, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.rig import sense
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
@@ -289,6 +296,23 @@ def test_the_exact_sensor_is_the_state():
     row, at, y = engine.row, loop.robot.layout.offsets, engine.y
     sense(0, 0.0, row, at, y[:7], y[7:11], loop.robot.arm_index, engine.rig)
     np.testing.assert_array_equal(row[loop.robot.layout.where("pose")], y[:3])
+
+
+def test_the_tables_and_commands_of_the_page_load():
+    """docs/rig.md: every TOML block fits chapter 4, every `--set` of its commands, too."""
+    page = (Path(__file__).parent.parent / "docs/rig.md").read_text()
+    blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
+    plain = msgspec.to_builtins(load_experiment("chapter4"))
+    for block in blocks:
+        experiment = msgspec.convert(plain | tomllib.loads(block), Experiment)
+        experiment.loop(ROBOT, experiment.controller("pd")).engine_at()
+    text = page.replace("\\\n", " ")
+    commands = re.findall(r"mmnn run chapter4 ((?:--set (?:'[^']*'|[^\s`']+)\s*)+)", text)
+    assert len(blocks) == 2 and len(commands) == 5
+    for command in commands:
+        words = [word for word in shlex.split(command) if word != "--set"]
+        experiment = load_experiment("chapter4", words)
+        experiment.loop(ROBOT, experiment.controller("pd")).engine_at()
 
 
 # --- What is shown ----------------------------------------------------------------------------------------------------

@@ -110,7 +110,7 @@ def test_torque_that_is_asked_for_too_long_trips():
     )
     require_tripped(run, "motor_torque[0]")
     assert 0.03 + 0.01 <= run.outcome.time <= 0.03 + 0.01 + 2 * H
-    short = Given(lambda t: [400.0 * (0.03 < t < 0.038), 0, 0, 0])
+    short = Given(lambda t: [400.0 * (0.03 < t < 0.038 or 0.05 < t < 0.058), 0, 0, 0])  # twice, but never for long
     assert run_of(Safety(torque=5.0, torque_time=0.01), controller=short).outcome.status == "completed"
 
 
@@ -315,6 +315,21 @@ def test_measurements_that_come_back_hold_the_arm_where_it_is_then():
     moved = abs(run["position"][back, ROBOT.arm_index[0]] - run["q"][int(run.outcome.time / H), 0])
     assert moved > 0.05
     np.testing.assert_allclose(run["torque"][back, 2:], -3.0 * run["qdot"][back], atol=1e-9)  # brakes, pulls nowhere
+
+
+def test_measurements_that_come_back_during_a_stop_hold_the_arm_where_it_is_then():
+    """Stopped for another reason, deaf for a while, and pushed meanwhile."""
+    events = (
+        Push(on="w", force=300.0, start=0.02, end=0.06),
+        Messages(fault="lost", start=0.08, end=0.16),
+        Push(on=ROBOT.joint_names[0], force=4.0, start=0.08, end=0.16),
+    )
+    run = run_of(Safety(yaw_rate=0.2, ramp=0.0), 0.24, disturbances=events)
+    require_tripped(run, "velocity[1]")
+    k, back = round(0.07 / H), round(0.16 / H)
+    assert states(run)[k] == STOPPING and states(run)[back - 1] == RAMPING and states(run)[back] == STOPPING
+    assert abs(run["q"][back, 0] - run["q"][k, 0]) > 0.02
+    np.testing.assert_allclose(run["torque"][back, 2:], -3.0 * run["qdot"][back], atol=1e-9)
 
 
 # --- The stop ---------------------------------------------------------------------------------------------------------
