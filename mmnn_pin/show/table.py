@@ -61,6 +61,8 @@ def verdicts_of(result: Result) -> Iterator[Table]:
     """Gain or learning, and the thesis's figures, where the experiment has what it takes."""
     if improvements := result.improvements():
         yield verdicts.shares(improvements, result.experiment.windows[-1])
+    if found := result.largest_errors():
+        yield verdicts.largest(found)
     if ranges := result.figure_ranges():
         yield verdicts.figures(ranges)
 
