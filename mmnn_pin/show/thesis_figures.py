@@ -1,4 +1,4 @@
-"""Figures 4.2 to 4.4 and 5.3 to 5.5 in the thesis's arrangement, over bands in which the extremes of the thesis's own curves lie.
+"""Figures 4.2 to 4.4 and 5.3 to 5.5 in the thesis's arrangement, over bands in which the extremes of its curves lie.
 
 The thesis's curves are lost; its axes leave an interval for each extreme (`experiments.figure_ranges`). A ring marks
 the largest and the smallest value drawn: it should lie in its band.
@@ -66,7 +66,7 @@ def arm_figure(recordings: Recordings) -> Figure:
 
 @styled
 def one_layer_figure(recordings: Recordings) -> Figure:
-    """Figure 5.3: measured angle of joint 1 above and of joint 2 below, with the reference, under the one-layer network.
+    """Figure 5.3: measured angle of joint 1 above, of joint 2 below, over the reference, under the one-layer network.
 
     Raises:
         RecordingError: Not one recording of the one-layer controller.
