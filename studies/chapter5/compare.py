@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace as with_settings
 
 from mmnn_pin import PD, ScheduledPD
 from mmnn_pin.experiments.experiment import Experiment
@@ -18,7 +19,8 @@ Row = dict[str, Any]
 Place = tuple[Experiment, Robot]
 LEARNERS = ("one_layer", "two_layer_zero", "two_layer_random")
 NAMES = ("pd", *LEARNERS)
-KEPT = ("e", "true_e", "effective_gain")
+KEPT = ("q", "e", "true_e", "effective_gain")
+AMPLITUDE = 30.0  # of the reference [deg]
 SETTLED = 2.0  # from when on an error counts for the RMS [s]
 MEASURES = ("largest", "rms")
 CONDITIONS = ("per sample", "per second")
@@ -27,14 +29,20 @@ CONDITIONS = ("per sample", "per second")
 def errors(run: Rollout, period: float) -> dict[str, float]:
     """Errors of a run [deg]; inf for one that was lost.
 
-    `largest` is the geometric mean over the joints of the largest measured error of the whole run, the thesis's statistic;
-    `rms` the RMS of the true errors of both joints from 2 s on.
+    `largest` is the geometric mean over the joints of the largest measured error of the whole run, the statistic of the
+    thesis; `rms` the RMS of the true errors of both joints from 2 s on.
     """
     if not run.completed:
         return dict.fromkeys(MEASURES, float("inf"))
     late = DEGREES * run.signals["true_e"][round(SETTLED / period) :]
     peaks = DEGREES * np.abs(run.signals["e"]).max(axis=0)
     return {"largest": float(np.exp(np.mean(np.log(peaks)))), "rms": float(np.sqrt(np.mean(late**2)))}
+
+
+def beyond(run: Rollout) -> bool:
+    """Whether both joints, as measured, went beyond 30 deg on both sides, as figures 5.3 and 5.4 say."""
+    q = DEGREES * run.signals["q"]
+    return bool((q.max(axis=0) > AMPLITUDE).all() and (q.min(axis=0) < -AMPLITUDE).all())
 
 
 def run_all(places: Sequence[Place], name: str) -> list[Rollout]:
@@ -60,6 +68,7 @@ def compare(places: Sequence[Place], gains: bool = True) -> list[Row]:
         for row, run, (e, _) in zip(rows, runs, places, strict=True):
             row |= {f"{name}.{key}": value for key, value in errors(run, e.time.control_period).items()}
             row[f"{name}.lost"] = not run.completed
+            row[f"{name}.beyond"] = run.completed and beyond(run)
 
     for name in NAMES:
         runs = run_all(places, name)
@@ -67,6 +76,39 @@ def compare(places: Sequence[Place], gains: bool = True) -> list[Row]:
         if gains and name in LEARNERS:
             note(f"gain_of_{name}", at_gain(places, runs))
     return rows
+
+
+def accuracy(rigs: int) -> dict[str, Any]:
+    """What the plant's step does: the first rigs again with half of it.
+
+    Returns:
+        Per measure the share of rigs with the same better network, and the median change of each controller's error.
+    """
+    coarse = compare([(draw(i).experiment, draw(i).robot) for i in range(rigs)], gains=False)
+    fine = compare([(finer(draw(i).experiment), draw(i).robot) for i in range(rigs)], gains=False)
+    found: dict[str, Any] = {"rigs": rigs}
+    for measure in MEASURES:
+        better = [
+            [row[f"two_layer_zero.{measure}"] < row[f"one_layer.{measure}"] for row in rows] for rows in (coarse, fine)
+        ]
+        changes = {
+            name: [
+                abs(a[f"{name}.{measure}"] / b[f"{name}.{measure}"] - 1)
+                for a, b in zip(coarse, fine, strict=True)
+                if not (a[f"{name}.lost"] or b[f"{name}.lost"])
+            ]
+            for name in NAMES
+        }
+        found[measure] = {
+            "same_winner": float(np.mean(np.equal(*better))),
+            "change": {name: float(np.median(values)) if values else None for name, values in changes.items()},
+        }
+    return found
+
+
+def finer(experiment: Experiment) -> Experiment:
+    """The same with half the plant's step."""
+    return with_settings(experiment, time=with_settings(experiment.time, plant_step=0.5 * experiment.time.plant_step))
 
 
 def ranking(rigs: int, chunk: int, say: Callable[[str], None]) -> list[Row]:

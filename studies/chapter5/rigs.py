@@ -57,13 +57,15 @@ def with_rig(experiment: Experiment, values: Values) -> Experiment:
 
     Args:
         experiment: Where to start from.
-        values: `coulomb` (a number, or one per joint), `breakaway`, `stribeck`, `viscous`, `gap`, `inertia` (of rotor and
-            gear, half of it on either side of a gap), `resolution`, `period`, `mu`, `Kz`, `v_range`, `unit`, `centres`,
-            `offset` of the start, `seed`.
+        values: `coulomb` (or `coulomb_1`, `coulomb_2`), `breakaway`, `stribeck`, `viscous`, `gap`, `inertia` (of rotor
+            and gear, half of it on either side of a gap), `resolution`, `side` of the encoders, `period`, `mu`, `Kz`,
+            `v_range`, `unit`, `centres`, `offset` of the start, `seed`.
     """
     e, v = experiment, dict(values)
     if "coulomb_1" in v:
         v["coulomb"] = (v["coulomb_1"], v["coulomb_2"])
+    gap = v.get("gap", e.actuator.gap)
+    inertia = v.get("inertia", e.armature + (e.actuator.rotor_inertia if e.actuator.gap else 0.0))
     names = {"viscous": "arm", "coulomb": "coulomb", "breakaway": "breakaway", "stribeck": "stribeck"}
     friction = with_settings(e.friction, **{key: v[name] for name, key in names.items() if name in v})
     time = with_settings(e.time, control_period=v.get("period", e.time.control_period))
@@ -71,8 +73,11 @@ def with_rig(experiment: Experiment, values: Values) -> Experiment:
         e,
         friction=friction,
         time=time,
-        armature=v.get("inertia", e.armature),
-        sensor=with_settings(e.sensor, resolution=v.get("resolution", e.sensor.resolution)),
+        armature=inertia if gap == 0.0 else 0.5 * inertia,
+        actuator=with_settings(e.actuator, gap=gap, rotor_inertia=0.5 * inertia),
+        sensor=with_settings(
+            e.sensor, resolution=v.get("resolution", e.sensor.resolution), side=v.get("side", e.sensor.side)
+        ),
         one_layer=with_settings(
             e.one_layer, mu=v.get("mu", e.one_layer.mu), centres=v.get("centres", e.one_layer.centres)
         ),
@@ -134,6 +139,7 @@ def draw(number: int) -> Rig:
         "period": PERIODS[rng.integers(len(PERIODS))],
         "unit": ("degrees", "radians")[rng.integers(2)],
         "centres": ("diagonal", "random")[rng.integers(2)],
+        "side": ("joint", "motor")[rng.integers(2)],
         "seed": int(rng.integers(2**31)),
     }
     return Rig(number, values)

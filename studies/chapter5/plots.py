@@ -1,0 +1,50 @@
+"""The study's own figure: what every number of the rig does to every controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mmnn_pin.show.figure import STYLES, add_legend, new_figure, styled
+
+from .compare import MEASURES, NAMES
+from .repeats import MOVED, SCALE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LABELS = {"largest": "largest error [deg]", "rms": "RMS error from 2 s [deg]"}
+HIGHEST = 12.0  # [deg]
+
+
+@styled
+def sweep_figure(swept: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
+    """Median error of every controller over one number of the rig; bars hold the middle 90 % of the repeats."""
+    figure = new_figure(10.0, 5.2)
+    grid = figure.subplots(len(MEASURES), len(MOVED), sharey="row", sharex="col")
+    for column, (name, (words, _)) in enumerate(MOVED.items()):
+        x = np.array([point["value"] for point in swept[name]]) * SCALE.get(name, 1.0)
+        grid[-1][column].set_xlabel(words)
+        grid[0][column].set_xscale("log" if name in ("resolution", "rate") else "linear")
+        if name == "rate":
+            grid[0][column].set_xticks(x, [f"{each:.0f}" for each in x])
+            grid[0][column].minorticks_off()
+        for line, measure in zip(grid, MEASURES, strict=True):
+            for controller in NAMES:
+                found = [point["errors"][measure][controller] for point in swept[name]]
+                median, low, high = (
+                    np.array([np.nan if value is None else value for value in values], float)
+                    for values in zip(*((each["median"], *each["middle_90"]) for each in found), strict=True)
+                )
+                style = STYLES[controller]
+                line[column].plot(x, median, **style.line, marker="o", markersize=3)
+                line[column].vlines(x, low, high, color=style.color, linewidth=0.8, alpha=0.6)
+            line[column].set(yscale="log")
+    for line, measure in zip(grid, MEASURES, strict=True):
+        line[0].set_ylabel(LABELS[measure])
+        line[0].set_ylim(0.1 if measure == "largest" else 0.03, HIGHEST)
+    looks = [(name, STYLES[name].line) for name in NAMES]
+    add_legend(figure, "The calibrated rig, one number moved at a time", looks)
+    return figure
