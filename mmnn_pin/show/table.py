@@ -49,7 +49,7 @@ def comparison(result: Result) -> Table:
     table.add_column("", overflow="fold")
     table.add_column("", no_wrap=True)
     for name in result.recordings:
-        table.add_column(heading(name), justify="right", no_wrap=True)
+        table.add_column(verdicts.heading(name), justify="right", no_wrap=True)
     for group in (errors(result), wheels.rows(result), torques(result), others(result)):
         for row in group:
             table.add_row(*row)
@@ -100,15 +100,6 @@ def exceeded(row: dict[str, Any]) -> bool:
 def limited(result: Result) -> list[dict[str, Any]]:
     """Peak torques of the motors that have an effort limit, see `Result.torque_limits`."""
     return [row for row in result.torque_limits() if row["limit"] is not None]
-
-
-def heading(controller: str, width: int = 9) -> str:
-    """Name of a controller in lines of at most `width` letters, where its words allow."""
-    lines = [""]
-    for word in controller.split("_"):
-        longer = f"{lines[-1]}_{word}" if lines[-1] else word
-        lines = [*lines[:-1], longer] if len(longer) <= width or not lines[-1] else [*lines, word]
-    return "\n".join(lines)
 
 
 def errors(result: Result) -> Iterator[list[str | Text]]:

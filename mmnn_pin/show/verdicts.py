@@ -22,15 +22,28 @@ ABOUT_SHARES = (
 def shares(improvements: Mapping[str, Mapping[str, Improvement]], window: tuple[float, float]) -> Table:
     """Per error and learner: the improvement over PD, in % of PD's RMS, and the shares of gain and of learning."""
     table = Table(box=SIMPLE_HEAD, padding=0)
-    table.add_column(f"\nRMS {window[0]:g}-{window[1]:g} s", no_wrap=True)
-    for learner in improvements:
-        for head in (f"{learner}\nbetter", "\n= gain", "\n+ learning", "\nshares"):
+    names = {learner: heading(learner) for learner in improvements}
+    lines = max(name.count("\n") for name in names.values()) + 1
+    table.add_column("\n" * lines + f"RMS {window[0]:g}-{window[1]:g} s", no_wrap=True)
+    for name in names.values():
+        above = "\n" * (lines - 1 - name.count("\n"))
+        heads = (f"{above}{name}\nbetter", *("\n" * lines + head for head in ("= gain", "+ learning", "shares")))
+        for head in heads:
             table.add_column(head, justify="right", no_wrap=True)
     for row in next(iter(improvements.values())):
         signal, _, label = row.partition(".")
         cells = [cell for rows in improvements.values() for cell in parts(rows[row])]
         table.add_row(f"{SIGNALS[signal]} {label}", *cells)
     return table
+
+
+def heading(controller: str, width: int = 9) -> str:
+    """Name of a controller in lines of at most `width` letters, where its words allow."""
+    lines = [""]
+    for word in controller.split("_"):
+        longer = f"{lines[-1]}_{word}" if lines[-1] else word
+        lines = [*lines[:-1], longer] if len(longer) <= width or not lines[-1] else [*lines, word]
+    return "\n".join(lines)
 
 
 def parts(improvement: Improvement) -> tuple[str, str, str, str]:
