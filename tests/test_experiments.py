@@ -268,7 +268,7 @@ def test_switches_reach_the_controller() -> None:
 
 def test_comparison_is_relative_to_pd(result: Result) -> None:
     table = result.to_dict()["comparison"]["relative_to_pd"]
-    assert set(table) == set(CONTROLLERS) - {"pd"}
+    assert set(table) == set(DEFAULT) - {"pd"}
     peaks = [np.abs(result.recordings[c]["e"][:, 0]).max() for c in ("two_layer", "pd")]
     assert table["two_layer"]["e.arm_1_joint.peak"] == pytest.approx(peaks[0] / peaks[1])
     assert result.relative_to("nobody") == {}

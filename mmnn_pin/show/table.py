@@ -20,6 +20,7 @@ from . import verdicts, wheels
 from .units import column_units, milli
 
 WIDTH = 100
+NOT_ENFORCED = "which this plant does not enforce"
 TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 CAPTION = (
     "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
@@ -86,7 +87,8 @@ def caption(result: Result) -> str:
             + f"{oracles[0]} knows the true model: its share in brackets. "
         )
     if any(map(exceeded, limited(result))):
-        marks += "! above the motor's effort limit, which this plant does not enforce. "
+        enforced = result.experiment.actuator.torque_limit is not None
+        marks += f"! asked for above the motor's effort limit, {'all that it gives' if enforced else NOT_ENFORCED}. "
     shares = f" {verdicts.ABOUT_SHARES}" if result.improvements() else ""
     outside = " ! outside of its interval." if any(not row["inside"] for row in result.figure_ranges()) else ""
     return marks + CAPTION + shares + outside

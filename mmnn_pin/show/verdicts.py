@@ -18,6 +18,8 @@ ABOUT_SHARES = (
     "learner's effective gain. learning: from there to the learner. shares: of the improvement, gain : learning."
 )
 
+ABOUT_LARGEST = "largest error: of the whole run, as measured, as in the thesis; its numbers beside ours."
+
 
 def shares(improvements: Mapping[str, Mapping[str, Improvement]], window: tuple[float, float]) -> Table:
     """Per error and learner: the improvement over PD, in % of PD's RMS, and the shares of gain and of learning."""

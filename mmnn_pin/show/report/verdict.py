@@ -168,13 +168,14 @@ def warnings(result: Result) -> Iterator[str]:
 
 def torques(result: Result) -> Iterator[str]:
     """Motors that were asked for more than they can give."""
+    enforced = result.experiment.actuator.torque_limit is not None
     for row in limited(result):
         above = {name: peak for name, peak in row["peak"].items() if peak is None or peak > row["limit"]}
         if above:
             told = ", ".join(f"{name} {number(math.inf if peak is None else peak)}" for name, peak in above.items())
             yield (
                 f"{row['actuator']} is asked for more than its limit of {number(row['limit'])} ({told}); "
-                "the plant does not enforce limits."
+                f"{'it gives no more' if enforced else 'the plant does not enforce limits'}."
             )
 
 
