@@ -11,6 +11,7 @@ from msgspec.structs import replace as with_settings
 from mmnn_pin import PD, ScheduledPD
 from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.torque.controller import CompiledController
 
 from ..chapter4.rollouts import Rollout, roll_out
 from .rigs import DEGREES, THESIS_PERIOD, draw, loop_of, per_second
@@ -18,7 +19,7 @@ from .rigs import DEGREES, THESIS_PERIOD, draw, loop_of, per_second
 Row = dict[str, Any]
 Place = tuple[Experiment, Robot]
 LEARNERS = ("one_layer", "two_layer_zero", "two_layer_random")
-NAMES = ("pd", *LEARNERS)
+NAMES = ("pd", *LEARNERS, "integral")  # the last: the two-layer network from zero, deaf to its input
 KEPT = ("q", "e", "true_e", "effective_gain")
 AMPLITUDE = 30.0  # of the reference [deg]
 SETTLED = 2.0  # from when on an error counts for the RMS [s]
@@ -47,7 +48,19 @@ def beyond(run: Rollout) -> bool:
 
 def run_all(places: Sequence[Place], name: str) -> list[Rollout]:
     """Runs of one controller on all of these rigs."""
-    return roll_out([loop_of(e, robot, e.controller(name)) for e, robot in places], KEPT)
+    return roll_out([loop_of(e, robot, controller(e, name)) for e, robot in places], KEPT)
+
+
+def controller(experiment: Experiment, name: str) -> CompiledController:
+    """A controller of the experiment, or `integral`.
+
+    With G = 0 and weights from zero every hidden unit gives 1/2, whatever the input is: what is left of the network is
+    F / 4 times the leaky sum of the error, once per unit.
+    """
+    if name != "integral":
+        return experiment.controller(name)
+    deaf = with_settings(experiment.two_layer, G=(0.0, 0.0))
+    return with_settings(experiment, two_layer=deaf).controller("two_layer_zero")
 
 
 def at_gain(places: Sequence[Place], runs: Sequence[Rollout]) -> list[Rollout]:

@@ -9,14 +9,15 @@ import numpy as np
 
 from mmnn_pin.show.figure import STYLES, add_legend, new_figure, styled
 
-from .compare import MEASURES, NAMES
+from .compare import LEARNERS, MEASURES
 from .repeats import MOVED, SCALE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+NAMES = ("pd", *LEARNERS)
 LABELS = {"largest": "largest error [deg]", "rms": "RMS error from 2 s [deg]"}
-HIGHEST = 12.0  # [deg]
+TICKS = {"largest": (0.3, 0.5, 1.0, 2.0, 3.0), "rms": (0.1, 0.2, 0.5, 1.0, 2.0, 4.0)}  # [deg]
 
 
 @styled
@@ -28,9 +29,7 @@ def sweep_figure(swept: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
         x = np.array([point["value"] for point in swept[name]]) * SCALE.get(name, 1.0)
         grid[-1][column].set_xlabel(words)
         grid[0][column].set_xscale("log" if name in ("resolution", "rate") else "linear")
-        if name == "rate":
-            grid[0][column].set_xticks(x, [f"{each:.0f}" for each in x])
-            grid[0][column].minorticks_off()
+        grid[0][column].set_xticks(x, [f"{each:.3g}" for each in x])
         for line, measure in zip(grid, MEASURES, strict=True):
             for controller in NAMES:
                 found = [point["errors"][measure][controller] for point in swept[name]]
@@ -44,7 +43,10 @@ def sweep_figure(swept: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
             line[column].set(yscale="log")
     for line, measure in zip(grid, MEASURES, strict=True):
         line[0].set_ylabel(LABELS[measure])
-        line[0].set_ylim(0.1 if measure == "largest" else 0.03, HIGHEST)
+        line[0].set_yticks(TICKS[measure], [f"{tick:g}" for tick in TICKS[measure]])
+        line[0].set_ylim(TICKS[measure][0], TICKS[measure][-1])
+        for axes in line:
+            axes.minorticks_off()
     looks = [(name, STYLES[name].line) for name in NAMES]
     add_legend(figure, "The calibrated rig, one number moved at a time", looks)
     return figure

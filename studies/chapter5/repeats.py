@@ -9,7 +9,7 @@ import numpy as np
 
 from mmnn_pin.signals import Array
 
-from .compare import LEARNERS, MEASURES, NAMES, Row, compare
+from .compare import MEASURES, NAMES, Row, compare
 from .rigs import Values, chapter5, robot_of, with_rig
 
 OFFSET = np.radians(0.1)  # largest difference of the start from the reference between two repeats [rad]
@@ -18,7 +18,7 @@ MOVED: dict[str, tuple[str, tuple[float, ...]]] = {
     "friction": ("dry friction, times the calibrated", (0.1, 0.3, 0.6, 1.0, 1.4)),
     "gap": ("backlash [mrad]", (0.0, 0.002, 0.005, 0.01, 0.02)),
     "resolution": ("step of the encoders [mrad]", (1e-4, 3e-4, 1e-3, 2e-3, 5e-3)),
-    "rate": ("sample rate [Hz]", (125.0, 200.0, 400.0, 500.0, 1000.0)),
+    "rate": ("sample rate [Hz]", (125.0, 200.0, 400.0, 1000.0)),
 }
 SCALE = {"gap": 1e3, "resolution": 1e3}  # for the figure
 
@@ -60,7 +60,7 @@ def told(rows: Sequence[Row]) -> dict[str, Any]:
         one = column(rows, "one_layer", measure)
         found["errors"][measure] = {name: spread(column(rows, name, measure)) for name in NAMES}
         with np.errstate(all="ignore"):
-            ratios = {name: column(rows, name, measure) / one for name in ("pd", *LEARNERS[1:])}
+            ratios = {name: column(rows, name, measure) / one for name in NAMES if name != "one_layer"}
         found["ratios"][measure] = {
             name: {**spread(np.nan_to_num(x, nan=np.inf)), "below_1": float(np.mean(x < 1))}
             for name, x in ratios.items()

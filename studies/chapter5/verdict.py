@@ -9,7 +9,9 @@ import numpy as np
 
 from mmnn_pin.experiments.largest_errors import mean_ratio, thesis_ratios
 
-from ..chapter4.verdict import middle, share
+from mmnn_pin.signals import Array
+
+from ..chapter4.crossed import middle, share
 from .compare import CONDITIONS, LEARNERS, MEASURES, NAMES, Row
 from .repeats import column
 
@@ -79,9 +81,14 @@ def of_class(rows: Sequence[Row]) -> dict[str, Any]:
     return found | {measure: of_measure(rows, measure) for measure in MEASURES}
 
 
+def over(ratios: Array) -> dict[str, Any]:
+    """Median of ratios (rigs,) with its interval; what both lost is left out."""
+    return middle(ratios.reshape(1, 1, -1))
+
+
 def of_measure(rows: Sequence[Row], measure: str) -> dict[str, Any]:
     """Who wins by the largest or by the RMS error, and by how much; every rig is a draw of its own."""
-    rigs = np.arange(len(rows), dtype=float)
+    counted = np.ones(len(rows), bool)
     every = np.array([column(rows, name, measure) for name in NAMES]).reshape(len(NAMES), len(rows))
     errors = dict(zip(NAMES, every, strict=True))
     two, one = errors[TWO], errors[ONE]
@@ -90,17 +97,17 @@ def of_measure(rows: Sequence[Row], measure: str) -> dict[str, Any]:
         ratio = two / one
         gains = {name: column(rows, f"gain_of_{name}", measure) for name in LEARNERS}
         return {
-            "two_layer_wins": share(two < one, rigs),
-            "ratio": middle(ratio, rigs),
-            "near": share((ratio >= thesis) & (ratio <= 1 / thesis), rigs),
-            "beyond_thesis": share(ratio < thesis, rigs),
+            "two_layer_wins": share(two < one, counted),
+            "ratio": over(ratio),
+            "near": share((ratio >= thesis) & (ratio <= 1 / thesis), counted),
+            "beyond_thesis": share(ratio < thesis, counted),
             "best": {
-                name: float(np.mean((every.argmin(axis=0) == i) & np.isfinite(every).any(axis=0)))
-                if len(rows)
-                else None
-                for i, name in enumerate(NAMES)
+                name: float(np.mean(every.argmin(axis=0) == i)) if len(rows) else None
+                for i, name in enumerate(NAMES[:-1])  # the integral is no rival, it explains one
             },
-            "to_pd": {name: middle(errors[name] / errors["pd"], rigs) for name in LEARNERS},
-            "learning": {name: middle(errors[name] / gains[name], rigs) for name in LEARNERS},
-            "random_to_zero": middle(errors["two_layer_random"] / two, rigs),
+            "to_pd": {name: over(errors[name] / errors["pd"]) for name in LEARNERS},
+            "learning": {name: over(errors[name] / gains[name]) for name in LEARNERS},
+            "random_to_zero": over(errors["two_layer_random"] / two),
+            "to_integral": over(two / errors["integral"]),
+            "random_to_integral": over(errors["two_layer_random"] / errors["integral"]),
         }
