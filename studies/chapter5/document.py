@@ -27,7 +27,12 @@ def render(summary: dict[str, Any]) -> str:
         autoescape=False,
     )
     environment.filters |= {"percent": percent, "three": three, "within": within, "share": share, "median": median}
-    environment.filters |= {"ratio": ratio, "four": lambda value: f"{value:.4f}", "two": lambda value: f"{value:.2f}"}
+    environment.filters |= {
+        "zip": zip,
+        "ratio": ratio,
+        "four": lambda value: f"{value:.4f}",
+        "two": lambda value: f"{value:.2f}",
+    }
     text = environment.get_template("chapter5.md.j2").render(**summary)
     return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
 

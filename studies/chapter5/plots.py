@@ -24,7 +24,7 @@ TICKS = {"largest": (0.3, 0.5, 1.0, 2.0, 3.0), "rms": (0.1, 0.2, 0.5, 1.0, 2.0, 
 def sweep_figure(swept: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     """Median error of every controller over one number of the rig; bars hold the middle 90 % of the repeats."""
     figure = new_figure(10.0, 5.2)
-    grid = figure.subplots(len(MEASURES), len(MOVED), sharey="row", sharex="col")
+    grid = figure.subplots(len(MEASURES), len(MOVED), sharey="row", sharex="col", squeeze=False)
     for column, (name, (words, _)) in enumerate(MOVED.items()):
         x = np.array([point["value"] for point in swept[name]]) * SCALE.get(name, 1.0)
         grid[-1][column].set_xlabel(words)
