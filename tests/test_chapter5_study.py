@@ -101,8 +101,8 @@ def test_counting_by_hand():
 
 
 @SIMULATES
-def test_the_integral_is_the_network_deaf_to_its_input():
-    """Ten units of 1/2 each: F / 4 times the leaky sum of the error per unit, in NumPy."""
+def test_the_integral_is_the_network_with_every_unit_on():
+    """Ten units that give 1, in NumPy: `Psi_hat = 10 W`, `W += F (r - kappa |r| W)`."""
     from studies.chapter5.compare import controller
     from studies.chapter5.rigs import DEGREES, chapter5
 
@@ -110,9 +110,9 @@ def test_the_integral_is_the_network_deaf_to_its_input():
     run = e.loop(e.load_robot(), controller(e, "integral")).run()
     W, two = np.zeros(2), e.two_layer
     for k in range(200):
-        np.testing.assert_allclose(run["psi_hat"][k], 10 * 0.5 * W / DEGREES, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(run["psi_hat"][k], 10 * W / DEGREES, rtol=1e-9, atol=1e-12)
         r = DEGREES * run["r"][k]
-        W = W + two.F[1] * (0.5 * r - two.kappa * np.linalg.norm(r) * W)
+        W = W + two.F[1] * (r - two.kappa * np.linalg.norm(r) * W)
     assert np.abs(run["psi_hat"][:200]).max() > 1
 
 

@@ -28,6 +28,7 @@ from .document import publish, render
 from .plots import sweep_figure
 from .repeats import repeatability, sweep
 from .rigs import DRAWN, PERIODS, TIGHT, chapter5
+from .saturation import saturation
 from .verdict import verdict
 
 
@@ -81,7 +82,7 @@ def study(amount: Amount, out: Path) -> dict[str, Any]:
     figures.mkdir(parents=True, exist_ok=True)
     begin, load = time.perf_counter(), os.getloadavg()[0]
     say = partial(told, begin)
-    summary: dict[str, Any] = {"experiment": run(figures)}
+    summary: dict[str, Any] = {"experiment": run(figures), "saturation": saturation()}
     say("the experiment")
     summary["calibration"] = found = calibrate(amount.searches, say)
     rigs = [{**values, "unit": CASES[0].unit} for values in found[CASES[0].name]["searches"]]

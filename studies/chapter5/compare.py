@@ -19,7 +19,7 @@ from .rigs import DEGREES, THESIS_PERIOD, draw, loop_of, per_second
 Row = dict[str, Any]
 Place = tuple[Experiment, Robot]
 LEARNERS = ("one_layer", "two_layer_zero", "two_layer_random")
-NAMES = ("pd", *LEARNERS, "integral")  # the last: the two-layer network from zero, deaf to its input
+NAMES = ("pd", *LEARNERS, "integral")  # the last: all that is left of the network, saturated
 KEPT = ("q", "e", "true_e", "effective_gain")
 AMPLITUDE = 30.0  # of the reference [deg]
 SETTLED = 2.0  # from when on an error counts for the RMS [s]
@@ -54,12 +54,14 @@ def run_all(places: Sequence[Place], name: str) -> list[Rollout]:
 def controller(experiment: Experiment, name: str) -> CompiledController:
     """A controller of the experiment, or `integral`.
 
-    With G = 0 and weights from zero every hidden unit gives 1/2, whatever the input is: what is left of the network is
-    F / 4 times the leaky sum of the error, once per unit.
+    With G = 0 and weights from zero every hidden unit gives 1/2, whatever the input is. Four times the rate and a
+    quarter of the leakage make that what the network is with every unit saturated at 1: per unit F times the sum of the
+    error, which leaks as the weights do.
     """
     if name != "integral":
         return experiment.controller(name)
-    deaf = with_settings(experiment.two_layer, G=(0.0, 0.0))
+    two = experiment.two_layer
+    deaf = with_settings(two, G=(0.0, 0.0), F=tuple(4.0 * rate for rate in two.F), kappa=two.kappa / 4.0)
     return with_settings(experiment, two_layer=deaf).controller("two_layer_zero")
 
 

@@ -7,17 +7,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmnn_pin.show.figure import STYLES, add_legend, new_figure, styled
+from mmnn_pin.show.figure import STYLES, Look, add_legend, new_figure, styled
 
-from .compare import LEARNERS, MEASURES
+from .compare import MEASURES, NAMES
 from .repeats import MOVED, SCALE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-NAMES = ("pd", *LEARNERS)
+INTEGRAL: Look = {"color": "#009E73", "linestyle": (0, (1, 1)), "linewidth": 1.6, "zorder": 2.2}
 LABELS = {"largest": "largest error [deg]", "rms": "RMS error from 2 s [deg]"}
-TICKS = {"largest": (0.3, 0.5, 1.0, 2.0, 3.0), "rms": (0.1, 0.2, 0.5, 1.0, 2.0, 4.0)}  # [deg]
+TICKS = {"largest": (0.1, 0.2, 0.5, 1.0, 2.0, 4.0), "rms": (0.1, 0.2, 0.5, 1.0, 2.0, 4.0)}  # [deg]
+
+
+def look_of(controller: str) -> Look:
+    """How a controller's curve looks."""
+    return STYLES[controller].line if controller in STYLES else INTEGRAL
 
 
 @styled
@@ -37,9 +42,9 @@ def sweep_figure(swept: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
                     np.array([np.nan if value is None else value for value in values], float)
                     for values in zip(*((each["median"], *each["middle_90"]) for each in found), strict=True)
                 )
-                style = STYLES[controller]
-                line[column].plot(x, median, **style.line, marker="o", markersize=3)
-                line[column].vlines(x, low, high, color=style.color, linewidth=0.8, alpha=0.6)
+                look = look_of(controller)
+                line[column].plot(x, median, **look, marker="o", markersize=3)
+                line[column].vlines(x, low, high, color=look["color"], linewidth=0.8, alpha=0.6)
             line[column].set(yscale="log")
     for line, measure in zip(grid, MEASURES, strict=True):
         line[0].set_ylabel(LABELS[measure])
@@ -47,6 +52,6 @@ def sweep_figure(swept: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
         line[0].set_ylim(TICKS[measure][0], TICKS[measure][-1])
         for axes in line:
             axes.minorticks_off()
-    looks = [(name, STYLES[name].line) for name in NAMES]
+    looks = [(name, look_of(name)) for name in NAMES]
     add_legend(figure, "The calibrated rig, one number moved at a time", looks)
     return figure

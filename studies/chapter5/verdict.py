@@ -108,5 +108,6 @@ def of_measure(rows: Sequence[Row], measure: str) -> dict[str, Any]:
             "learning": {name: over(errors[name] / gains[name]) for name in LEARNERS},
             "random_to_zero": over(errors["two_layer_random"] / two),
             "to_integral": over(two / errors["integral"]),
+            "integral_best": share(errors["integral"] < every[:-1].min(axis=0), counted),
             "random_to_integral": over(errors["two_layer_random"] / errors["integral"]),
         }
