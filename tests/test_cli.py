@@ -373,7 +373,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(call: Call, arguments: list[st
 @pytest.mark.parametrize("name", ["arguments", "file"])
 def test_bad_input_with_json_is_one_object_too(call: Call, name: str) -> None:
     Path("bad.json").write_text('{"joints": {"elbow": 1.0}}')
-    arguments = {"arguments": ["run", "chapter5"], "file": ["model", "platform_arm", "--at", "bad.json"]}[name]
+    arguments = {"arguments": ["run", "chapter6"], "file": ["model", "platform_arm", "--at", "bad.json"]}[name]
     code, out, err = call(*arguments, "--json")
     error = json.loads(out)["error"]
     assert code == 2 and error["what"] in only_line(err) and error["what"].startswith("unknown")

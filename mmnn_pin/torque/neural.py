@@ -225,7 +225,7 @@ class Neural(CompiledController):
         if isinstance(self.network, TwoLayer) and self.network.initial == "zero" and self.network.hidden > 1:
             return [
                 f"{self.name} starts from zero weights: all {self.network.hidden} hidden units of a network stay equal "
-                "for ever, W and V keep rank one; use initial = 'random' for a network that can use its units"
+                "for ever, W and V keep rank one; only random ones let it use its units"
             ]
         return []
 

@@ -29,12 +29,19 @@ def render(summary: dict[str, Any]) -> str:
     environment.filters |= {"percent": percent, "three": three, "within": within, "share": share, "median": median}
     environment.filters |= {
         "zip": zip,
+        "missed": missed,
         "ratio": ratio,
         "four": lambda value: f"{value:.4f}",
         "two": lambda value: f"{value:.2f}",
     }
     text = environment.get_template("chapter5.md.j2").render(**summary)
     return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
+
+
+def missed(intervals: list[dict[str, Any]]) -> str:
+    """Figures with an interval that is not met, in words."""
+    figures = sorted({row["figure"].partition(" ")[0] for row in intervals if not row["inside"]})
+    return ", ".join(figures) or "none"
 
 
 def publish(out: Path) -> None:

@@ -34,7 +34,7 @@ def sweep_figure(swept: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
         x = np.array([point["value"] for point in swept[name]]) * SCALE.get(name, 1.0)
         grid[-1][column].set_xlabel(words)
         grid[0][column].set_xscale("log" if name in ("resolution", "rate") else "linear")
-        grid[0][column].set_xticks(x, [f"{each:.3g}" for each in x])
+        grid[0][column].set_xticks(x, [f"{each:g}" for each in np.round(x, 9)])
         for line, measure in zip(grid, MEASURES, strict=True):
             for controller in NAMES:
                 found = [point["errors"][measure][controller] for point in swept[name]]

@@ -101,7 +101,7 @@ def of_measure(rows: Sequence[Row], measure: str) -> dict[str, Any]:
             "near": share((ratio >= thesis) & (ratio <= 1 / thesis), counted),
             "beyond_thesis": share(ratio < thesis, counted),
             "best": {
-                name: float(np.mean(every.argmin(axis=0) == i)) if len(rows) else None
+                name: float(np.mean(every[:-1].argmin(axis=0) == i)) if len(rows) else None
                 for i, name in enumerate(NAMES[:-1])  # the integral is no rival, it explains one
             },
             "to_pd": {name: over(errors[name] / errors["pd"]) for name in LEARNERS},
