@@ -21,6 +21,7 @@ from mmnn_pin.experiments.fairness import unfair
 from mmnn_pin.experiments.largest_errors import THESIS, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.experiments.readings import readings
 from mmnn_pin.experiments.runner import Result
+from mmnn_pin.proof.learner import recorded_learner
 from mmnn_pin.recorded_robot import recorded_robot
 from mmnn_pin.show import table
 from mmnn_pin.torque.neural import Inputs, Neural, TwoLayer
@@ -214,6 +215,19 @@ def test_friction_backlash_and_encoders_each_make_pd_worse() -> None:
     assert loose > rms("friction.coulomb=0.0", "friction.arm=0.0", "actuator.gap=1e-5")
     coarse = rms("friction.coulomb=0.0", "friction.arm=0.0", "sensor.resolution=0.01")
     assert coarse > 1.2 * smooth
+
+
+@whole
+def test_a_proof_knows_both_starts_and_the_unit_of_the_error(tmp_path: Any, capsys: Any) -> None:
+    """The learner is built again with its name, its start and its unit, and `prove` takes it."""
+    e = short("controllers=['two_layer_zero', 'two_layer_random']", seconds=2.0)
+    run_experiment(e, "x", out=tmp_path)
+    for name in ("two_layer_zero", "two_layer_random"):
+        recording = Recording.open(tmp_path / f"{name}.h5")
+        learner = recorded_learner(recording, e.load_robot().layout)
+        assert learner is not None and learner.controller == e.controller(name)
+        assert main(["prove", str(tmp_path / f"{name}.h5"), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)
 
 
 # -- the numbers beside the thesis's -----------------------------------------------------------------------------------

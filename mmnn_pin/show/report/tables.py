@@ -62,8 +62,8 @@ def tables_of(result: Result) -> Iterator[Table]:
         yield Table("Gain or learning", (head, *heads), rows, 1, verdicts.ABOUT_SHARES)
     if found := result.largest_errors():
         largest = verdicts.largest(found)
-        heads = tuple(plain(column.header) for column in largest.columns)
-        yield Table("The largest errors that chapter 5 prints", heads, rows_of(largest), 1, verdicts.ABOUT_LARGEST)
+        names = tuple(plain(column.header) for column in largest.columns)
+        yield Table("The largest errors that chapter 5 prints", names, rows_of(largest), 1, verdicts.ABOUT_LARGEST)
     if ranges := result.figure_ranges():
         figures = verdicts.figures(ranges)
         met = plain(figures.columns[0].header)
