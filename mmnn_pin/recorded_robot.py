@@ -1,4 +1,4 @@
-"""The robot of a recording, built again from what the recording holds: URDF, overrides, mass factors, friction.
+"""The robot of a recording, built again from what the recording holds: URDF, overrides, masses, rotors, friction.
 
 And where that robot was, as well as the recording knows.
 """
@@ -44,7 +44,8 @@ def recorded_robot(recording: Recording) -> Robot:
         why = f"it moves by {', '.join(robot.velocity_names)}, not by {', '.join(meta['velocity_names'])}"
         raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
     gears = {name: np.array(value) if isinstance(value, list) else value for name, value in gears.items()}
-    return replace(robot.with_masses(masses).with_friction(viscous), **gears)
+    robot = robot.with_masses(masses).with_armature(meta.get("armature", 0.0)).with_friction(viscous)
+    return replace(robot, **gears)
 
 
 def recorded_position(recording: Recording, robot: Robot) -> Array:

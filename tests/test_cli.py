@@ -18,7 +18,7 @@ import pytest
 from mmnn_pin import Dynamics, Recording, load
 from mmnn_pin.cli import main
 from mmnn_pin.experiments.config import bundled, load_experiment
-from mmnn_pin.show import table
+from mmnn_pin.show import table, verdicts
 
 SHORT = ("--set", "time.duration=0.02")
 ARM = ("--robot", "two_axis_arm", "--controller", "pd", "--set", "feedback.arm=1")
@@ -306,14 +306,14 @@ def test_three_digits(value: float, text: str) -> None:
 
 @pytest.mark.parametrize("name", ALL)
 def test_headings_are_short_and_keep_the_name(name: str) -> None:
-    lines = table.heading(name).split("\n")
+    lines = verdicts.heading(name).split("\n")
     assert "_".join(lines) == name and max(map(len, lines)) <= 9
 
 
 # -- bad input: exit code 2, one line, nothing written -----------------------------------------------------------------
 
 BAD = {
-    "unknown experiment": (["run", "chapter5"], ["unknown experiment 'chapter5'", "chapter4"]),
+    "unknown experiment": (["run", "chapter6"], ["unknown experiment 'chapter6'", "chapter4"]),
     "unknown robot": (["run", "chapter4", "--robot", "platform"], ["unknown robot", "platform_arm", "two_axis_arm"]),
     "unknown robot of model": (["model", "robbie"], ["unknown robot", "platform_arm"]),
     "unknown controller": (["run", "chapter4", "--controller", "pid"], ["unknown controller 'pid'", *ALL]),
@@ -373,7 +373,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(call: Call, arguments: list[st
 @pytest.mark.parametrize("name", ["arguments", "file"])
 def test_bad_input_with_json_is_one_object_too(call: Call, name: str) -> None:
     Path("bad.json").write_text('{"joints": {"elbow": 1.0}}')
-    arguments = {"arguments": ["run", "chapter5"], "file": ["model", "platform_arm", "--at", "bad.json"]}[name]
+    arguments = {"arguments": ["run", "chapter6"], "file": ["model", "platform_arm", "--at", "bad.json"]}[name]
     code, out, err = call(*arguments, "--json")
     error = json.loads(out)["error"]
     assert code == 2 and error["what"] in only_line(err) and error["what"].startswith("unknown")
@@ -631,7 +631,7 @@ def test_list_names_all_there_is(call: Call) -> None:
     _, text, _ = call("list")
     code, out, _ = call("list", "--json")
     got = json.loads(out)
-    assert code == 0 and list(got["controllers"]) == ALL
+    assert code == 0 and set(got["controllers"]) == {*ALL, "two_layer_zero", "two_layer_random"}
     assert set(got["experiments"]) == set(bundled()) and {"platform_arm", "two_axis_arm"} <= set(got["robots"])
     assert set(got["references"]["base"]) == {"line", "circle", "eight", "waypoints"}
     for names in (*got.values(), *got["references"].values()):

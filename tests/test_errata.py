@@ -310,6 +310,51 @@ def test_equal_units_stay_equal_whatever_comes(seed: int) -> None:
     np.testing.assert_allclose(V - V[:, :1], 0, atol=1e-14)
 
 
+# -- chapter 5 ---------------------------------------------------------------------------------------------------------
+
+
+def chapter5(*overrides: str, seconds: float = 1.0) -> dict[str, Recording]:
+    return run_experiment(load_experiment("chapter5", [f"time.duration={seconds}", *overrides]), "x").recordings
+
+
+def hidden_outputs(run: Recording, scale: float) -> Array:
+    """Outputs of the arm's hidden units, (snapshots, hidden), at every record of the weights after 0.2 s."""
+    times, V = run.weights["time"], run.weights["V2"]
+    kept = (times > 0.2) & (times < run.time[-1])
+    x = np.hstack([run[name] for name in ("e", "edot", "q_ref", "qdot_ref", "qddot_ref")])
+    return expit(np.einsum("ki,kih->kh", scale * x[np.rint(times[kept] / 0.005).astype(int)], V[kept]))
+
+
+@compiled_only
+@pytest.mark.parametrize("initial", ["zero", "random"])
+def test_inputs_in_degrees_saturate_every_hidden_unit(initial: str) -> None:
+    name, often, degrees = f"two_layer_{initial}", "weights_interval=0.02", 180 / np.pi
+    run = chapter5(f"controllers=['{name}']", often, seconds=4.0)[name]
+    ends = hidden_outputs(run, degrees)
+    assert np.mean((ends < 0.01) | (ends > 0.99)) > 0.99
+    radians = ("inputs.scale=1.0", "inputs.error_scale=1.0")
+    middle = hidden_outputs(chapter5(f"controllers=['{name}']", often, *radians, seconds=4.0)[name], 1.0)
+    assert np.mean((middle > 0.01) & (middle < 0.99)) > 0.9
+
+
+@compiled_only
+def test_the_leakage_of_chapter_4_loses_the_one_layer_network_of_chapter_5() -> None:
+    for mu, kept in ((0.35, False), (0.01, True)):
+        run = chapter5("controllers=['one_layer']", f"one_layer.mu={mu}")["one_layer"]
+        assert (run.outcome.status == "completed") == kept
+
+
+@compiled_only
+def test_the_largest_error_of_one_run_depends_on_where_it_starts() -> None:
+    peaks: dict[str, list[Array]] = {"two_layer_zero": [], "pd": []}
+    for k in range(6):  # starts up to 0.1 deg beside the reference
+        start = f"start.joint_offset={np.radians(0.1) * np.sin(k)}"
+        for name, run in chapter5("controllers=['two_layer_zero', 'pd']", start, seconds=8.0).items():
+            peaks[name].append(np.abs(run["e"]).max(axis=0))
+    spread = {name: (np.max(found, axis=0) / np.min(found, axis=0) - 1).max() for name, found in peaks.items()}
+    assert spread["two_layer_zero"] > 0.05 and spread["pd"] < 0.02
+
+
 # -- the document ------------------------------------------------------------------------------------------------------
 
 

@@ -11,7 +11,7 @@ import pytest
 from mmnn_pin import InputError, Recording, load_experiment, run_experiment
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.experiments.config import bundled, keys_of, kind_at, override, parse_value
-from mmnn_pin.experiments.experiment import CONTROLLERS, EFFECTIVE, Experiment
+from mmnn_pin.experiments.experiment import CONTROLLERS, DEFAULT, EFFECTIVE, Experiment
 from mmnn_pin.experiments.runner import Result, in_order
 from mmnn_pin.metrics import as_columns, metrics
 from mmnn_pin.recorder import Recorder
@@ -173,13 +173,15 @@ def test_learners_run_before_the_pd_that_takes_their_gain() -> None:
         *("two_layer", "one_layer"),
         *("pd_effective_one_layer", "pd_effective"),
     ]
+    assert in_order(["pd_effective", "two_layer_random", "two_layer_zero"])[-1] == "pd_effective"
+    assert in_order(["pd_effective", "two_layer_random"]) == ["two_layer_random", "pd_effective"]  # no other is run
     for name in CONTROLLERS:
         order = in_order([name])
         assert order[-1] == name and (name not in EFFECTIVE or order == [EFFECTIVE[name], name])
 
 
 def test_results_are_in_the_order_asked_for(result: Result) -> None:
-    assert tuple(result.recordings) == tuple(result.metrics) == tuple(CONTROLLERS) and result.completed
+    assert tuple(result.recordings) == tuple(result.metrics) == DEFAULT and result.completed
 
 
 def test_all_controllers_start_equal(result: Result) -> None:
@@ -266,7 +268,7 @@ def test_switches_reach_the_controller() -> None:
 
 def test_comparison_is_relative_to_pd(result: Result) -> None:
     table = result.to_dict()["comparison"]["relative_to_pd"]
-    assert set(table) == set(CONTROLLERS) - {"pd"}
+    assert set(table) == set(DEFAULT) - {"pd"}
     peaks = [np.abs(result.recordings[c]["e"][:, 0]).max() for c in ("two_layer", "pd")]
     assert table["two_layer"]["e.arm_1_joint.peak"] == pytest.approx(peaks[0] / peaks[1])
     assert result.relative_to("nobody") == {}

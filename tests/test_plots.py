@@ -86,10 +86,12 @@ def test_a_controller_looks_the_same_everywhere():
 
 
 def test_styles_differ_in_colour_and_in_dash():
-    assert tuple(STYLES) == CONTROLLERS
-    for a, b in combinations(STYLES.values(), 2):
+    assert set(STYLES) == {*CONTROLLERS, "pd_effective_one_layer", "two_layer_zero", "two_layer_random"}
+    assert STYLES["two_layer_zero"] == STYLES["two_layer"], "the thesis's network, wherever it appears"
+    named = [style for name, style in STYLES.items() if name != "two_layer_zero"]
+    for a, b in combinations(named, 2):
         assert a.color != b.color and a.dash != b.dash
-    every = (*STYLES.values(), *OTHERS)
+    every = (*named, *OTHERS)
     assert len({(style.color, style.dash) for style in every}) == len(every)
     for style in every:  # dark enough for white paper, also in grey
         assert np.dot([0.2126, 0.7152, 0.0722], to_rgb(style.color)) < 0.7

@@ -20,7 +20,15 @@ from mmnn_pin.recording import Outcome, Recording
 from mmnn_pin.show.figure import STYLES
 from mmnn_pin.show.gallery import PICTURES, write_pictures
 from mmnn_pin.show.plots import gains_figure, psi_figure
-from mmnn_pin.show.thesis_figures import THESIS_FIGURES, arm_figure, pose_figure, velocity_figure
+from mmnn_pin.show.thesis_figures import (
+    THESIS_FIGURES,
+    arm_figure,
+    joints_figure,
+    one_layer_figure,
+    pose_figure,
+    two_layer_figure,
+    velocity_figure,
+)
 from mmnn_pin.signals import Layout
 
 LAYOUT, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
@@ -39,7 +47,7 @@ def recording(controller: str, layout: Layout = LAYOUT, variant: str = "fair", r
 
 @pytest.fixture
 def runs() -> dict[str, Recording]:
-    return {name: recording(name) for name in ("two_layer", "pd", "one_layer")}
+    return {name: recording(name) for name in ("two_layer", "pd", "one_layer", "two_layer_zero")}
 
 
 def curves(axes: Axes) -> list[Line2D]:
@@ -78,11 +86,32 @@ def test_bands_are_the_intervals_and_rings_the_values_of_the_table(name: str, ru
     rows = figure_ranges(runs)
     for axes, place in zip(THESIS_FIGURES[name](runs).axes, ("top", "bottom"), strict=True):
         here = f"{name.removeprefix('figure-')} {place}"
-        known = [each for each in figure_intervals() if each.figure == here]
-        np.testing.assert_allclose(bands(axes), sorted((1e3 * k.lower, 1e3 * k.upper) for k in known))
-        np.testing.assert_allclose(rings(axes), sorted(1e3 * row["value"] for row in rows if row["figure"] == here))
+        known = [each for each in figure_intervals(int(here[0])) if each.figure == here]
+        unit = 1e3 if here[0] == "4" else 1.0  # figures of chapter 5 are in degrees, as their intervals
+        np.testing.assert_allclose(bands(axes), sorted((unit * k.lower, unit * k.upper) for k in known))
+        np.testing.assert_allclose(rings(axes), sorted(unit * row["value"] for row in rows if row["figure"] == here))
         low, high = axes.get_ylim()
         assert all(low < edge < high for band in bands(axes) for edge in band)
+
+
+def test_angles_lie_over_their_reference_in_degrees(runs: dict[str, Recording]) -> None:
+    for make, name in ((one_layer_figure, "one_layer"), (two_layer_figure, "two_layer_zero")):
+        for column, axes in enumerate(make(runs).axes):
+            reference, joint = curves(axes)
+            np.testing.assert_allclose(reference.get_ydata(), np.degrees(runs[name]["q_ref"][:, column]))
+            np.testing.assert_allclose(joint.get_ydata(), np.degrees(runs[name]["q"][:, column]))
+            assert to_hex(joint.get_color()).upper() == STYLES[name].color
+
+
+def test_joint_errors_are_measured_ones_of_both_in_degrees(runs: dict[str, Recording]) -> None:
+    for column, axes in enumerate(joints_figure(runs).axes):
+        for line, name in zip(curves(axes), ("one_layer", "two_layer_zero"), strict=True):
+            np.testing.assert_allclose(line.get_ydata(), np.degrees(runs[name]["e"][:, column]))
+    del runs["two_layer_zero"]
+    assert curves(joints_figure(runs).axes[0])[1].get_color() == STYLES["two_layer"].color
+    np.testing.assert_allclose(
+        curves(two_layer_figure(runs).axes[0])[1].get_ydata(), np.degrees(runs["two_layer"]["q"][:, 0])
+    )
 
 
 def test_the_variant_stands_in_the_title_unless_two_are_mixed(runs: dict[str, Recording]) -> None:
@@ -115,6 +144,7 @@ def test_psi_is_drawn_for_those_who_learn(runs: dict[str, Recording]) -> None:
 
 
 def test_gains_are_drawn_once_where_two_are_equal_by_construction(runs: dict[str, Recording]) -> None:
+    del runs["two_layer_zero"]
     runs |= {name: recording(name) for name in ("pd_effective", "pd_effective_one_layer")}
     figure = gains_figure(runs)
     assert [axes.get_ylabel() for axes in figure.axes] == ["v [N s/m]", "w [N m s]", "lift [N m s]", "elbow [N m s]"]

@@ -33,6 +33,9 @@ WHATS = (
     "figure-4.2",
     "figure-4.3",
     "figure-4.4",
+    "figure-5.3",
+    "figure-5.4",
+    "figure-5.5",
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterable
 from typing import Any, Literal
 
 import msgspec
@@ -32,24 +33,39 @@ from .tolerance import Case, Tolerance
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
 ARM_PROFILES = {"sine": Sine, "hold": Hold, "minimum_jerk": MinimumJerk}
-# PD at a learner's effective gain: the learner whose gain it takes.
+# PD at a learner's effective gain: the learner whose gain it takes, see also `effective`.
 EFFECTIVE = {"pd_effective": "two_layer", "pd_effective_one_layer": "one_layer"}
 CONTROLLERS = {
     "two_layer": "the thesis's two-layer network, both layers learn (3.39), (3.48)-(3.50)",
+    "two_layer_zero": "the same with all weights from zero, whatever two_layer.initial says",
+    "two_layer_random": "the same with W = 0 and V random",
     "one_layer": "one-layer Gaussian network of reference [9], its law reconstructed",
     "pd": "the feedback alone",
-    "pd_effective": "PD at the effective gain of two_layer: its gain without its network",
+    "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
     "pd_effective_one_layer": "PD at the effective gain of one_layer",
     "computed_torque": "feedback and the true model: the oracle",
 }
 ORACLES = ("computed_torque",)
-LEARNERS = ("two_layer", "one_layer")
+# Two-layer networks: how their weights start, None for what `two_layer.initial` says.
+TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
+    "two_layer": None,
+    "two_layer_zero": "zero",
+    "two_layer_random": "random",
+}
+LEARNERS = (*TWO_LAYERS, "one_layer")
+DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None)  # what an experiment runs unless it says
 # Pictures that a run can write; `show.plots` draws them.
 PLOTS = (
     *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
     *("fvu", "frozen", "shares", "ranks", "lyapunov", "lyapunov-terms", "equality"),
-    *("figure-4.2", "figure-4.3", "figure-4.4"),
+    *("figure-4.2", "figure-4.3", "figure-4.4", "figure-5.3", "figure-5.4", "figure-5.5"),
 )
+
+
+def effective(controllers: Iterable[str]) -> dict[str, str]:
+    """`EFFECTIVE` for controllers that run together: `pd_effective` goes with the first of `TWO_LAYERS` among them."""
+    names = set(controllers)
+    return EFFECTIVE | {"pd_effective": next((name for name in TWO_LAYERS if name in names), "two_layer")}
 
 
 class Friction(Settings, frozen=True):
@@ -166,8 +182,8 @@ class Experiment(Settings, frozen=True):
         seed: The one seed.
         windows: Intervals for the RMS errors [s].
         weights_interval: Time between two records of the weights [s].
-        plots: Pictures that a run writes, names of `PLOTS`. With `figure-4.2` to `figure-4.4` the run is compared with
-            the intervals of these figures of the thesis.
+        plots: Pictures that a run writes, names of `PLOTS`. With figures of the thesis the run is compared with
+            the intervals of their axes, with `figure-5.5` also with the largest errors that chapter 5 prints.
         torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.
@@ -182,6 +198,7 @@ class Experiment(Settings, frozen=True):
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
+        armature: Inertia of the arm's rotors, seen through their gears, one number or one per joint [kg m^2 or kg].
         sensor: What the sensors do to the truth.
         actuator: What the motors make of their commands.
         safety: A supervisor between controller and motors; without the table there is none.
@@ -202,7 +219,7 @@ class Experiment(Settings, frozen=True):
     title: str = ""
     variant: str = ""
     overrides: Overrides = Overrides()
-    controllers: tuple[str, ...] = tuple(CONTROLLERS)
+    controllers: tuple[str, ...] = DEFAULT
     seed: int = 0
     windows: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 5.0))
     weights_interval: float = 0.1
@@ -220,6 +237,7 @@ class Experiment(Settings, frozen=True):
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
+    armature: float | tuple[float, ...] = 0.0
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
     safety: Safety | None = None
@@ -256,7 +274,7 @@ class Experiment(Settings, frozen=True):
             RobotError: The URDF cannot be used.
             UnknownName: No such robot.
         """
-        robot = load_with(self.robot, self.overrides)
+        robot = load_with(self.robot, self.overrides).with_armature(self.armature)
         f = self.friction
         robot = robot.with_joint_friction(coulomb=f.coulomb, breakaway=f.breakaway, stribeck=f.stribeck)
         return robot.with_friction(per_velocity(f.base, f.arm, robot.layout, "friction"))
@@ -353,7 +371,7 @@ class Experiment(Settings, frozen=True):
             return ScheduledPD(gains, name)
         switches = self.learning
         return Neural(
-            network=self.two_layer if name == "two_layer" else self.one_layer,
+            network=self.network(name),
             feedback=feedback,
             robust=robust if switches.robust_term else None,
             inertia=None if inertia is None else tuple(inertia.tolist()),
@@ -362,11 +380,19 @@ class Experiment(Settings, frozen=True):
             learning=switches.learning,
             leakage=switches.leakage,
             update=switches.update,
+            called=name,
         )
+
+    def network(self, name: str) -> TwoLayer | OneLayer:
+        """The network of one of `LEARNERS`."""
+        if name not in TWO_LAYERS:
+            return self.one_layer
+        initial = TWO_LAYERS[name]
+        return self.two_layer if initial is None else msgspec.structs.replace(self.two_layer, initial=initial)
 
     def robust_term(self, name: str) -> Robust:
         """Kz and ZB of a controller: its own, or the common ones."""
-        return getattr(self.robust_of, name, None) or self.robust
+        return getattr(self.robust_of, "two_layer" if name in TWO_LAYERS else name, None) or self.robust
 
     def loop(self, robot: Robot, controller: CompiledController | TorqueController) -> Loop:
         """The closed loop of this experiment around one controller."""

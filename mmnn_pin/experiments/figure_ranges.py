@@ -1,8 +1,9 @@
-"""The thesis's figures 4.2 to 4.4 as far as they survive: twelve intervals, read off their axes, and who meets them."""
+"""The thesis's figures as far as they survive: intervals read off their axes, twelve a chapter, and who meets them."""
 
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -49,8 +50,13 @@ class FigureRange:
     column: int | None
     controllers: tuple[str, ...]
 
+    @property
+    def scale(self) -> float:
+        """What a signal in SI is multiplied with to be in `unit`."""
+        return 180.0 / math.pi if self.unit == "deg" else 1.0
+
     def extreme(self, runs: Mapping[str, Signals]) -> float | None:
-        """The statistic over the plot's curves; None if a controller or the signal's column is missing."""
+        """The statistic over the plot's curves, in `unit`; None if a controller or the signal's column is missing."""
         found = []
         for controller in self.controllers:
             run = runs.get(controller)
@@ -60,14 +66,16 @@ class FigureRange:
             if self.column is not None and self.column >= table.shape[1]:
                 return None
             found.append(table if self.column is None else table[:, self.column])
-        return float(getattr(np, self.statistic)([getattr(np, self.statistic)(values) for values in found]))
+        return self.scale * float(
+            getattr(np, self.statistic)([getattr(np, self.statistic)(values) for values in found])
+        )
 
 
 @cache
-def figure_intervals() -> tuple[FigureRange, ...]:
-    """The twelve intervals, in the order of the figures."""
+def figure_intervals(chapter: int = 4) -> tuple[FigureRange, ...]:
+    """The twelve intervals of a chapter, in the order of its figures."""
     lines = [line for line in FILE.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    return tuple(interval(row) for row in csv.DictReader(lines))
+    return tuple(interval(row) for row in csv.DictReader(lines) if row["figure"].startswith(f"{chapter}."))
 
 
 def interval(row: dict[str, str]) -> FigureRange:
@@ -86,14 +94,15 @@ def figure_ranges(runs: Mapping[str, Signals]) -> list[dict[str, Any]]:
 
     Args:
         runs: Controller to its recording, or to a dict of arrays `pose_error` (N, 3) [m, m, rad], `z` (N, 2)
-            [m/s, rad/s] and `e` (N, 2) [rad]; `one_layer` and `two_layer` count.
+            [m/s, rad/s], `e` and `q` (N, 2) [rad]; `one_layer` counts, with `two_layer` for chapter 4 and with
+            `two_layer_zero` for chapter 5.
 
     Returns:
         Per interval `figure, curve, statistic, value, lower, upper, unit, inside`. The value of a run that is not
         finite is None, and not inside.
     """
     found = []
-    for known in figure_intervals():
+    for known in (*figure_intervals(4), *figure_intervals(5)):
         value = known.extreme(runs)
         if value is not None:
             about = {name: text for name, text in asdict(known).items() if name in ("figure", "curve", "statistic")}

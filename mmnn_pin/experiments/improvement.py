@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .experiment import EFFECTIVE
+from .experiment import effective
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,8 @@ def improvements(
     rows = [key.removesuffix(ending) for key in metrics["pd"] if key.endswith(ending)]
     return {
         learner: {
-            row: Improvement(*(float(metrics[name][row + ending]) for name in ("pd", effective, learner)))
-            for row in rows
+            row: Improvement(*(float(metrics[name][row + ending]) for name in ("pd", pd, learner))) for row in rows
         }
-        for effective, learner in EFFECTIVE.items()
-        if effective in metrics and learner in metrics
+        for pd, learner in effective(metrics).items()
+        if pd in metrics and learner in metrics
     }

@@ -55,7 +55,7 @@ SWITCHES = (
 def readings(
     experiment: Experiment, name: str, progress: Callable[[str, float], None] | None = None
 ) -> dict[str, Result]:
-    """Both learners with the experiment as it is, then with each switch turned alone, in memory.
+    """All learners with the experiment as it is, then with each switch turned alone, in memory.
 
     Args:
         experiment: Where to start from.
@@ -65,7 +65,8 @@ def readings(
     Raises:
         KeyboardInterrupt: Ctrl-C during a run.
     """
-    base = msgspec.structs.replace(experiment, controllers=LEARNERS)
+    learners = tuple(name for name in experiment.controllers if name in LEARNERS)
+    base = msgspec.structs.replace(experiment, controllers=learners or ("two_layer", "one_layer"))
     cases = {"as it is": base} | dict(switch.turned(base) for switch in SWITCHES)
     found = {}
     for i, (words, case) in enumerate(cases.items()):

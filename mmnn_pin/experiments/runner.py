@@ -16,10 +16,11 @@ from ..metrics import as_columns, metrics
 from ..model.robot import Robot
 from ..recording import Recording
 from ..reference import warnings
-from .experiment import EFFECTIVE, Experiment
+from .experiment import EFFECTIVE, Experiment, effective
 from .fairness import unfair
 from .figure_ranges import figure_ranges
 from .improvement import Improvement, improvements
+from .largest_errors import beside_the_thesis
 
 
 @dataclass(frozen=True)
@@ -64,6 +65,7 @@ class Result:
                 for learner, rows in self.improvements().items()
             },
             "figure_ranges": self.figure_ranges(),
+            **self.largest_errors(),
             "unfair": unfair(self.experiment, self.metrics),
             "notes": list(self.notes),
         }
@@ -78,6 +80,10 @@ class Result:
         """The runs beside the intervals of the thesis's figures that this experiment is compared with."""
         figures = tuple(name.removeprefix("figure-") for name in self.experiment.plots if name.startswith("figure-"))
         return [row for row in figure_ranges(self.recordings) if row["figure"].startswith(figures)]
+
+    def largest_errors(self) -> dict[str, Any]:
+        """The runs beside the largest errors that chapter 5 prints; empty for an experiment without its figure 5.5."""
+        return beside_the_thesis(self.recordings) if "figure-5.5" in self.experiment.plots else {}
 
     def torque_limits(self) -> list[dict[str, Any]]:
         """Per actuator its effort limit (None without one) and every controller's peak torque [N m or N].
@@ -129,7 +135,7 @@ def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
 
 def in_order(wanted: Sequence[str]) -> list[str]:
     """Controllers in the order to run them: a learner before the PD that takes its effective gain."""
-    learners = [EFFECTIVE[name] for name in wanted if name in EFFECTIVE]
+    learners = [learner for name, learner in effective(wanted).items() if name in wanted]
     first = [name for name in wanted if name not in EFFECTIVE]
     missing = [name for name in dict.fromkeys(learners) if name not in first]
     return [*first, *missing, *(name for name in wanted if name in EFFECTIVE)]
@@ -198,11 +204,11 @@ def run_experiment(
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
     notes = reference_notes(experiment, robot)
-    duration = experiment.time.duration
+    duration, learners = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
-        learner = runs.get(EFFECTIVE.get(controller, ""))
+        learner = runs.get(learners.get(controller, ""))
         if learner is not None and not len(learner):
-            notes.append(f"{controller} was not run: {EFFECTIVE[controller]} ended before its first sample")
+            notes.append(f"{controller} was not run: {learners[controller]} ended before its first sample")
             continue
         gains = None if learner is None else as_columns(learner["effective_gain"])
         loop = experiment.loop(robot, experiment.controller(controller, gains, robot))

@@ -180,6 +180,27 @@ class Robot:
         masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
         return replace(self, model=model, masses=masses)
 
+    def with_armature(self, inertia: ArrayLike) -> Robot:
+        """The same robot with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
+
+        They are added to the diagonal of the mass matrix; the gyroscopic effects of their spin are left out.
+
+        Args:
+            inertia: Rotor inertia times the square of the gear ratio, one number or (n,) [kg m^2 or kg].
+
+        Raises:
+            ConfigError: A number that is negative or not finite, or not one number per joint.
+        """
+        n, given = self.layout.arm, np.asarray(inertia, float)
+        if given.shape not in ((), (n,)) or not np.all(np.isfinite(given) & (given >= 0)):
+            fix = f"give one finite number >= 0, or {n} of them"
+            raise ConfigError(f"armature {given.tolist()} cannot be used", fix=fix, key="armature")
+        model = self.model.copy()
+        armature = np.array(model.armature)
+        armature[self.arm_index] = given
+        model.armature = armature
+        return replace(self, model=model)
+
     def with_friction(self, viscous: ArrayLike) -> Robot:
         """The same robot with viscous friction on nu besides that of its joints.
 
@@ -251,6 +272,7 @@ class Robot:
             "urdf_sha256": self.sha256,
             "overrides": self.said.said(),
             "mass_factors": dict(self.masses),
+            "armature": self.model.armature[self.arm_index].tolist(),
             "viscous": self.viscous.tolist(),
             "joint_friction": {
                 "damping": self.damping.tolist(),

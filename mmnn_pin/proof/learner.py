@@ -19,7 +19,10 @@ from ..torque import law
 from ..torque.controller import Feedback, Memory, Wiring
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer, channels
 
-NETWORKS: dict[str, Any] = {"two_layer": TwoLayer, "one_layer": OneLayer}
+NETWORKS: dict[str, Any] = {
+    **dict.fromkeys(("two_layer", "two_layer_zero", "two_layer_random"), TwoLayer),
+    "one_layer": OneLayer,
+}
 PARTS: dict[str, Any] = {
     "feedback": Feedback,
     "robust": Robust | None,

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import RecordingError
-from ..experiments.experiment import EFFECTIVE, ORACLES
+from ..experiments.experiment import ORACLES, effective
 from ..metrics import TRUE
 from ..recording import Recording
 from ..signals import Array
@@ -148,7 +148,8 @@ def gains_figure(recordings: Recordings) -> Figure:
         RecordingError: No recording, or none that holds these signals.
     """
     drawn = {_controller(*item) for item in recordings.items()}
-    kept = {name: rec for name, rec in recordings.items() if EFFECTIVE.get(_controller(name, rec)) not in drawn}
+    learners = effective(drawn)
+    kept = {name: rec for name, rec in recordings.items() if learners.get(_controller(name, rec)) not in drawn}
     panels, on_base = panels_of(kept, "effective_gain"), {label for rec in kept.values() for label in base_labels(rec)}
     base = [panel for panel in panels if panel.label in on_base]
     columns = [("Base, on z", base), *_columns("Arm, on r", [panel for panel in panels if panel not in base])]

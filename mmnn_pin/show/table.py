@@ -20,6 +20,7 @@ from . import verdicts, wheels
 from .units import column_units, milli
 
 WIDTH = 100
+NOT_ENFORCED = "which this plant does not enforce"
 TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 CAPTION = (
     "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
@@ -49,7 +50,7 @@ def comparison(result: Result) -> Table:
     table.add_column("", overflow="fold")
     table.add_column("", no_wrap=True)
     for name in result.recordings:
-        table.add_column(heading(name), justify="right", no_wrap=True)
+        table.add_column(verdicts.heading(name), justify="right", no_wrap=True)
     for group in (errors(result), wheels.rows(result), torques(result), others(result)):
         for row in group:
             table.add_row(*row)
@@ -61,6 +62,8 @@ def verdicts_of(result: Result) -> Iterator[Table]:
     """Gain or learning, and the thesis's figures, where the experiment has what it takes."""
     if improvements := result.improvements():
         yield verdicts.shares(improvements, result.experiment.windows[-1])
+    if found := result.largest_errors():
+        yield verdicts.largest(found)
     if ranges := result.figure_ranges():
         yield verdicts.figures(ranges)
 
@@ -84,7 +87,8 @@ def caption(result: Result) -> str:
             + f"{oracles[0]} knows the true model: its share in brackets. "
         )
     if any(map(exceeded, limited(result))):
-        marks += "! above the motor's effort limit, which this plant does not enforce. "
+        enforced = result.experiment.actuator.torque_limit is not None
+        marks += f"! asked for above the motor's effort limit, {'all that it gives' if enforced else NOT_ENFORCED}. "
     shares = f" {verdicts.ABOUT_SHARES}" if result.improvements() else ""
     outside = " ! outside of its interval." if any(not row["inside"] for row in result.figure_ranges()) else ""
     return marks + CAPTION + shares + outside
@@ -98,15 +102,6 @@ def exceeded(row: dict[str, Any]) -> bool:
 def limited(result: Result) -> list[dict[str, Any]]:
     """Peak torques of the motors that have an effort limit, see `Result.torque_limits`."""
     return [row for row in result.torque_limits() if row["limit"] is not None]
-
-
-def heading(controller: str, width: int = 9) -> str:
-    """Name of a controller in lines of at most `width` letters, where its words allow."""
-    lines = [""]
-    for word in controller.split("_"):
-        longer = f"{lines[-1]}_{word}" if lines[-1] else word
-        lines = [*lines[:-1], longer] if len(longer) <= width or not lines[-1] else [*lines, word]
-    return "\n".join(lines)
 
 
 def errors(result: Result) -> Iterator[list[str | Text]]:

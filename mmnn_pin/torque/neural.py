@@ -143,26 +143,31 @@ class Inputs(Settings, frozen=True):
         signals: Names of signals, each one measured or computed from measured ones; default (3.24).
         pose_error: Frame of the signal `pose_error`, which (3.24) does not state: "body" (3.1) or "world".
         scale: Factor on every input (180/pi puts joint angles in degrees).
+        error_scale: Factor on the error s that teaches, undone at the output: with 180/pi for both the whole network
+            works in degrees, and so do its leakage and the norm of its weights.
         constant_yaw_rate: Appendix B's slip `wd = (5)`: this number in place of the second component of alpha.
 
     Raises:
         UnknownName: A signal that does not exist or that a controller may not know.
-        ConfigError: A number is not finite.
+        ConfigError: A number is not finite, or an error_scale that is not positive.
     """
 
     signals: tuple[str, ...] = THESIS_INPUT
     pose_error: Literal["body", "world"] = "body"
     scale: float = 1.0
+    error_scale: float = 1.0
     constant_yaw_rate: float | None = None
 
     def __post_init__(self) -> None:
         for name in self.signals:
             if name not in MEASURED:
                 raise UnknownName("network input", name, MEASURED, key="inputs.signals")
-        for name in ("scale", "constant_yaw_rate"):
+        for name in ("scale", "error_scale", "constant_yaw_rate"):
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
                 raise ConfigError(f"{value} is not finite", fix="use a finite number", key=f"inputs.{name}")
+        if self.error_scale <= 0:
+            raise ConfigError(f"{self.error_scale}", fix="use a number > 0", key="inputs.error_scale")
 
     def rows(self, layout: Layout) -> np.ndarray:
         """Places of the inputs in a row, (nx,) int64."""
@@ -195,6 +200,7 @@ class Neural(CompiledController):
         update: "after_output" or "before_output" (Appendix B, with the hidden outputs of the previous call).
         inertia: (p,) effective inertias that the networks are scaled by (see `network_scales`); None for the thesis's
             form. The feedback and the robust term are scaled by themselves (`Feedback.scaled`, `Robust.scaled`).
+        called: Name in tables and recordings; empty for that of the network.
     """
 
     network: TwoLayer | OneLayer = field(default_factory=TwoLayer)
@@ -206,19 +212,20 @@ class Neural(CompiledController):
     leakage: bool = True
     update: Literal["after_output", "before_output"] = "after_output"
     inertia: tuple[float, ...] | None = None
+    called: str = ""
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Name of the network."""
-        return self.network.name
+        """What it is called, or the name of the network."""
+        return self.called or self.network.name
 
     @property
     def notes(self) -> list[str]:
         """Warns of weights that start from zero."""
         if isinstance(self.network, TwoLayer) and self.network.initial == "zero" and self.network.hidden > 1:
             return [
-                f"two_layer starts from zero weights: all {self.network.hidden} hidden units of a network stay equal "
-                "for ever, W and V keep rank one; use initial = 'random' for a network that can use its units"
+                f"{self.name} starts from zero weights: all {self.network.hidden} hidden units of a network stay equal "
+                "for ever, W and V keep rank one; only random ones let it use its units"
             ]
         return []
 
@@ -254,19 +261,21 @@ class Neural(CompiledController):
         With the effective inertias m and their mean c over the network's velocities, `s_i sqrt(m_i / c)` goes in and
         the output times `sqrt(m_i c)` comes out. This is a change of coordinates in which every velocity has the
         inertia 1, the thesis's law (3.39), (3.48)-(3.50) untouched: `s' Psi` is only divided by c, so one set of
-        rates suits a joint of grams and a base of a hundred kilograms.
+        rates suits a joint of grams and a base of a hundred kilograms. `inputs.error_scale` u is a change of unit: u s
+        goes in, the output divided by u comes out.
 
         Raises:
             ConfigError: Not p positive inertias.
         """
+        unit = np.full(layout.dof, self.inputs.error_scale)
         if self.inertia is None:
-            return np.ones(layout.dof), np.ones(layout.dof)
+            return unit, 1 / unit
         m = np.array(self.inertia, float)
         if m.shape != (layout.dof,) or not (np.isfinite(m) & (m > 0)).all():
             raise ConfigError(f"{self.inertia}", fix=f"give {layout.dof} inertias > 0", key="inertia")
         parts = (m[: layout.base], m[layout.base :])
         c = np.concatenate([np.full(part.size, part.mean()) for part in parts if part.size])
-        return np.sqrt(m / c), np.sqrt(m * c)
+        return unit * np.sqrt(m / c), np.sqrt(m * c) / unit
 
     def feedback_gain(self, layout: Layout) -> Array:
         """Gain on `[z; r]` that is there from the first sample on: k + Kz ZB, (p,)."""

@@ -60,6 +60,10 @@ def tables_of(result: Result) -> Iterator[Table]:
         head = f"RMS {window[0]:g}-{window[1]:g} s, % of pd's"
         rows = rows_of(verdicts.shares(improvements, window))
         yield Table("Gain or learning", (head, *heads), rows, 1, verdicts.ABOUT_SHARES)
+    if found := result.largest_errors():
+        largest = verdicts.largest(found)
+        names = tuple(plain(column.header) for column in largest.columns)
+        yield Table("The largest errors that chapter 5 prints", names, rows_of(largest), 1, verdicts.ABOUT_LARGEST)
     if ranges := result.figure_ranges():
         figures = verdicts.figures(ranges)
         met = plain(figures.columns[0].header)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from ...experiments.experiment import EFFECTIVE, LEARNERS, ORACLES
+from ...experiments.experiment import LEARNERS, ORACLES, effective
 from ...experiments.fairness import unfair
 from ...experiments.improvement import Improvement
 from ...experiments.runner import Result
@@ -161,20 +161,21 @@ def warnings(result: Result) -> Iterator[str]:
     yield from (f"{note}." for note in notes(result))
     yield from torques(result)
     yield from unlike(result)
-    for effective, learner in EFFECTIVE.items():
-        if learner in result.recordings and effective not in result.recordings:
-            yield f"{learner} has no {effective} beside it: what is gain and what is learning cannot be told apart."
+    for pd, learner in effective(result.recordings).items():
+        if learner in result.recordings and pd not in result.recordings:
+            yield f"{learner} has no {pd} beside it: what is gain and what is learning cannot be told apart."
 
 
 def torques(result: Result) -> Iterator[str]:
     """Motors that were asked for more than they can give."""
+    enforced = result.experiment.actuator.torque_limit is not None
     for row in limited(result):
         above = {name: peak for name, peak in row["peak"].items() if peak is None or peak > row["limit"]}
         if above:
             told = ", ".join(f"{name} {number(math.inf if peak is None else peak)}" for name, peak in above.items())
             yield (
                 f"{row['actuator']} is asked for more than its limit of {number(row['limit'])} ({told}); "
-                "the plant does not enforce limits."
+                f"{'it gives no more' if enforced else 'the plant does not enforce limits'}."
             )
 
 

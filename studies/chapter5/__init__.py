@@ -1,0 +1,1 @@
+"""Chapter 5 of the thesis: a rig that fits what it prints, and what a ranking depends on (docs/chapter5.md)."""
