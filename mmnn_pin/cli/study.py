@@ -119,15 +119,16 @@ def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[Done],
     """Runs done of all, their rate and the time left, on standard error: a bar on a terminal, else a first line."""
     done, total = len(plan) - len(missing), len(plan)
     begun = f", {done} of them done" if done else ""
+    crew = f" ({pool.crew})" if pool.crew else ""
+    click.echo(f"{total} runs{begun}, on {pool.place}{crew}", err=True)
     if not sys.stderr.isatty():
-        click.echo(f"{total} runs{begun}, on {pool.place}", err=True)
         yield lambda finished: None
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     columns = (
-        TextColumn(f"runs on {pool.place}"),
+        TextColumn("runs"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[rate]}"),

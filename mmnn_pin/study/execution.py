@@ -93,10 +93,10 @@ def result_of(future: Future[Done], row: Row, pool: Pool) -> Done:
         raise MmnnError(f"a worker process died, killed or out of memory; {LOST}") from error
     except CancelledError as error:
         pool.check()
-        raise MmnnError(f"{pool.place} dropped a run; {LOST}") from error
+        raise MmnnError(f"{pool.place} no longer knows its runs: was it stopped? {LOST}") from error
     except ModuleNotFoundError as error:
         fix = "install the same version of mmnn_pin there as here"
-        raise StudyError(f"a worker has no {error.name}", fix=fix) from error
+        raise StudyError(f"a worker has no {str(error.name).partition('.')[0]}", fix=fix) from error
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
             return Done(row.id, "failed", message="the workers that ran it died, one after the other")

@@ -30,6 +30,7 @@ class Pool:
         check: Asked about once a second.
         stop: Tells runs in this process to end; None where they know by themselves.
         first_alone: Whether the first run must have ended before others start: it compiles.
+        crew: Who is there at the start, for people.
     """
 
     executor: Executor
@@ -39,6 +40,7 @@ class Pool:
     check: Callable[[], None] = lambda: None
     stop: Callable[[], bool] | None = None
     first_alone: bool = False
+    crew: str = ""
 
 
 @contextmanager
