@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -72,7 +72,7 @@ def study(
         return replay(plan, row, folder, force, as_json)
     pool = choose(found, workers, processes, cluster)
     stopped = make(plan, found, folder, pool, force)
-    return tell(folder, plan, stopped, as_json)
+    return tell(folder, stopped, as_json)
 
 
 def choose(found: Probe, workers: int | None, processes: bool, cluster: str | None) -> AbstractContextManager[Pool]:
@@ -161,21 +161,17 @@ def replay(plan: Plan, number: int, folder: Path, force: bool, as_json: bool) ->
     return DONE if result.same in (True, None) else FAILED
 
 
-def tell(folder: Path, plan: Plan, stopped: bool, as_json: bool) -> int:
+def tell(folder: Path, stopped: bool, as_json: bool) -> int:
     """Tell what the database holds, and give the exit code."""
-    from ..study.store import NAME, reading
+    from ..show.study import table
+    from ..study.results import load_results
 
-    with reading(folder / NAME) as store:
-        rows, meta = store.rows(), store.meta()
-    failed = [row for row in rows if row.status == "failed"]
-    content: dict[str, Any] = {
-        "study": plan.study.name,
-        "database": str(folder / NAME),
-        "rows": len(plan),
-        "stored": len(rows),
-    }
+    results = load_results(folder)
     if as_json:
-        say_json(content)
+        say_json(table.to_dict(results) | {"stopped": stopped})
     else:
-        say(str(content))
-    return STOPPED if stopped else FAILED if failed else DONE
+        say(table.render(results, colour=sys.stdout.isatty()))
+        say(f"\nrows: {results.path}")
+        if stopped:
+            click.echo("stopped by Ctrl-C; the same command goes on with what is missing", err=True)
+    return STOPPED if stopped else FAILED if results.failed else DONE

@@ -14,7 +14,7 @@ from typing import Any
 
 from ..errors import MmnnError, StudyError
 from .bundle import Bundle
-from .packed import Packed, carriers
+from .packed import Packed, carriers, root_of
 from .pools import Pool
 from .worker import code_digest
 
@@ -222,9 +222,7 @@ def require_same_code(found: Mapping[str, Any]) -> None:
     for name, code in found.items():
         if isinstance(code, ModuleNotFoundError):
             fix = "install the same version of mmnn_pin there as here"
-            raise StudyError(
-                f"the worker at {name} has no {str(code.name).partition('.')[0]}", fix=fix, key="--cluster"
-            )
+            raise StudyError(f"the worker at {name} has no {root_of(code)}", fix=fix, key="--cluster")
         if code != code_digest():
             why = "" if isinstance(code, str) else f"{type(code).__name__}: {code}"
             fix = "install the same version of mmnn_pin on all machines"

@@ -9,6 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from ..errors import MmnnError, StudyError
+from .packed import root_of
 from .plan import Plan, Row
 from .pools import Pool
 from .store import Store
@@ -96,7 +97,7 @@ def result_of(future: Future[Done], row: Row, pool: Pool) -> Done:
         raise MmnnError(f"{pool.place} no longer knows its runs: was it stopped? {LOST}") from error
     except ModuleNotFoundError as error:
         fix = "install the same version of mmnn_pin there as here"
-        raise StudyError(f"a worker has no {str(error.name).partition('.')[0]}", fix=fix) from error
+        raise StudyError(f"a worker has no {root_of(error)}", fix=fix) from error
     except Exception as error:
         if type(error).__name__ == "KilledWorker":
             return Done(row.id, "failed", message="the workers that ran it died, one after the other")

@@ -95,7 +95,7 @@ class Factor(Settings, frozen=True):
         values = self.grid or self.choice
         if values is None:
             return True
-        return len(set(values)) > 2 and all(is_number(value) for value in values)
+        return len(values) > 2 and all(is_number(value) for value in values)
 
     @property
     def on_log_scale(self) -> bool:

@@ -63,3 +63,8 @@ def unpacked(bundle: bytes) -> Bundle:
     """A robot's files, unpacked once."""
     found: Bundle = pickle.loads(bundle)
     return found
+
+
+def root_of(error: ModuleNotFoundError) -> str:
+    """Name of the package that is missing."""
+    return str(error.name).partition(".")[0]
