@@ -19,13 +19,16 @@ AGAIN = ("failed", "interrupted")  # statuses of rows that the next session runs
 LOST = "the same command goes on with what is missing"
 
 
-def execute(pool: Pool, plan: Plan, rows: Iterable[Row]) -> Iterator[tuple[Row, Done]]:
+def execute(
+    pool: Pool, plan: Plan, rows: Iterable[Row], handed: dict[str, Any] | None = None
+) -> Iterator[tuple[Row, Done]]:
     """Make runs, each given back when it has finished, in any order.
 
     Args:
         pool: Makes them.
         plan: Knows the files of their robots.
         rows: The runs.
+        handed: Robots' files that the pool has already, by digest; it is added to.
 
     Raises:
         MmnnError: The pool is lost; what was given back is done.
@@ -33,12 +36,13 @@ def execute(pool: Pool, plan: Plan, rows: Iterable[Row]) -> Iterator[tuple[Row, 
     """
     finished: queue.SimpleQueue[Future[Done]] = queue.SimpleQueue()
     pending: dict[Future[Done], Row] = {}
-    left, shared, alone = iter(rows), Shared(pool, plan), pool.first_alone
+    left, alone = iter(rows), pool.first_alone
+    files: dict[str, Any] = {} if handed is None else handed
     try:
         while True:
             room = (1 if alone else pool.window()) - len(pending)
             for row in take(left, room):
-                future = pool.executor.submit(run, Task.of(row), shared.of(row), pool.stop)
+                future = pool.executor.submit(run, Task.of(row), files_of(row, pool, plan, files), pool.stop)
                 pending[future] = row
                 future.add_done_callback(finished.put)
             if not pending:
@@ -56,19 +60,12 @@ def execute(pool: Pool, plan: Plan, rows: Iterable[Row]) -> Iterator[tuple[Row, 
             future.cancel()
 
 
-class Shared:
-    """Robots' files handed to a pool, each once."""
-
-    def __init__(self, pool: Pool, plan: Plan) -> None:
-        self.pool, self.plan = pool, plan
-        self.handed: dict[str, Any] = {}
-
-    def of(self, row: Row) -> Any:
-        """What stands for the files of a row's robot."""
-        bundle = self.plan.bundle(row.experiment)
-        if bundle.digest not in self.handed:
-            self.handed[bundle.digest] = self.pool.share(bundle)
-        return self.handed[bundle.digest]
+def files_of(row: Row, pool: Pool, plan: Plan, handed: dict[str, Any]) -> Any:
+    """What stands for the files of a row's robot in the pool, handed to it once."""
+    bundle = plan.bundle(row.experiment)
+    if bundle.digest not in handed:
+        handed[bundle.digest] = pool.share(bundle)
+    return handed[bundle.digest]
 
 
 def take(rows: Iterator[Row], count: int) -> Iterator[Row]:

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from ..errors import UnknownName
+from ..errors import ConfigError, UnknownName
 from ..experiments.config import known_keys, put
 
 NEAR = 6  # how many near keys an error names
@@ -78,8 +78,7 @@ def changed(table: dict[str, Any], path: str, value: Any, relative: bool = False
         relative: Which of the two.
 
     Raises:
-        ConfigError: As in `put`.
-        TypeError: The old value is no number and no list of numbers.
+        ConfigError: As in `put`, or the old value is no number and no list of numbers.
     """
     if relative:
         value = times(at(table, path), value)
@@ -101,10 +100,10 @@ def times(old: Any, factor: float) -> Any:
     """A number, or all numbers of a list, multiplied.
 
     Raises:
-        TypeError: It is neither.
+        ConfigError: It is neither.
     """
     if isinstance(old, list):
         return [times(item, factor) for item in old]
     if isinstance(old, bool) or not isinstance(old, (int, float)):
-        raise TypeError(f"{old!r} is no number")
+        raise ConfigError(f"{old!r} cannot be multiplied", why="it is no number", fix="leave out `relative`")
     return old * factor

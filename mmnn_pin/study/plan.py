@@ -125,7 +125,7 @@ class Plan:
             if seed is not None:
                 table["seed"] = seed
             return msgspec.convert(table, Experiment), settings
-        except (msgspec.ValidationError, InputError, TypeError) as error:
+        except (msgspec.ValidationError, InputError) as error:
             raise self.no_experiment(parameters, error) from None
 
     def no_experiment(self, parameters: dict[str, Any], error: Exception) -> InputError:
@@ -225,7 +225,7 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
 
 def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
     """The study's experiment with the changes in `set`, as a table with all defaults and as an experiment."""
-    table = msgspec.to_builtins(study.base)
+    table = deep(msgspec.to_builtins(study.base))
     expand_masses(table, [*(path for path, _ in flat(study.settings.set)), *paths_of(study.settings.factors)], study)
     known = {key: value for key, value in table.items() if key not in COSMETIC}
     for path, value in flat(study.settings.set):

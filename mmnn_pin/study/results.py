@@ -72,7 +72,7 @@ class Results:
 
     def metric(self, controller: str, pattern: str) -> Array:
         """A metric of every run of a controller, (n,); inf for a run that did not complete, whatever it had so far."""
-        return np.array([value(row, pattern) for row in self.of[controller]])
+        return np.array([worth(row.status, row.metrics, pattern) for row in self.of[controller]])
 
     def succeeded(self, controller: str) -> NDArray[np.bool_]:
         """Which runs of a controller are a success, (n,)."""
@@ -99,9 +99,9 @@ class Results:
         return common_unit(self.units, pattern)
 
 
-def value(row: Stored, pattern: str) -> float:
+def worth(status: str, metrics: Mapping[str, float], pattern: str) -> float:
     """A metric of a run, inf where it did not complete."""
-    return value_of(row.metrics, pattern) if row.completed else math.inf
+    return value_of(metrics, pattern) if status == "completed" else math.inf
 
 
 def load_results(path: Path) -> Results:

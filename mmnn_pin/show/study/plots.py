@@ -59,7 +59,8 @@ def distributions(results: Results) -> Figure:
                 axes.step(values[finite], shares[finite], where="post", **style.line)
         if bound := results.settings.success.at_most.get(pattern):
             axes.axvline(bound * scale, color="0.5", linewidth=1.0, linestyle=(0, (2, 2)))
-        axes.set(xscale="log", ylim=(0, 1.02), xlabel=plain(f"{pattern} [{unit}]" if unit else pattern))
+        log_axis(axes)
+        axes.set(ylim=(0, 1.02), xlabel=plain(f"{pattern} [{unit}]" if unit else pattern))
     every[0].set_ylabel("share of runs")
     legend(figure, results, "Share of runs with at most this error")
     return figure
@@ -91,8 +92,18 @@ def draw_rates(axes: Axes, results: Results, name: str) -> None:
     if labels:
         axes.set_xticks(range(len(labels)), [plain(label) for label in labels])
     elif factor.on_log_scale:
-        axes.set_xscale("log")
+        log_axis(axes)
     axes.set(ylim=(-0.03, 1.03), xlabel=plain(titled(name, factor.unit)), ylabel="success rate")
+
+
+def log_axis(axes: Axes) -> None:
+    """A logarithmic axis across, labelled at 1, 2 and 5 of every decade at most."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0), numticks=8))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 def centres(values: Sequence[Any], groups: IntArray, numeric: bool) -> tuple[Array, list[str]]:
