@@ -78,11 +78,15 @@ def changed(table: dict[str, Any], path: str, value: Any, relative: bool = False
         relative: Which of the two.
 
     Raises:
-        ConfigError: As in `put`, or the old value is no number and no list of numbers.
+        ConfigError: As in `put`, or the old value is no number and no list of numbers; with the path.
     """
-    if relative:
-        value = times(at(table, path), value)
-    put(table, path, value)
+    try:
+        if relative:
+            value = times(at(table, path), value)
+        put(table, path, value)
+    except ConfigError as error:
+        error.key = path
+        raise
     return value
 
 

@@ -81,7 +81,7 @@ def search(
     pool: Pool,
     *,
     force: bool = False,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Callable[[int, float], None] = lambda done, best: None,
 ) -> None:
     """Try sets of gains until there are as many as the study asks for.
 
