@@ -39,7 +39,7 @@ log_uniform = [0.2, 5.0]
 relative = true
 
 [success]
-at_most = { "pose_error.[xy].peak" = 0.012 }
+at_most = { "pose_error.[xy].peak" = 0.03 }
 """
 
 

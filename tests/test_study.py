@@ -23,6 +23,7 @@ from mmnn_pin.errors import StudyError
 from mmnn_pin.experiments.config import load_experiment
 from mmnn_pin.experiments.runner import run_experiment
 from mmnn_pin.study import worker
+from mmnn_pin.study.execution import fill
 from mmnn_pin.study.plan import Plan
 from mmnn_pin.study.pools import processes, threads
 from mmnn_pin.study.session import missing_rows, probe
@@ -163,7 +164,7 @@ def test_a_fault_is_kept_told_and_run_again(tmp_path: Path, monkeypatch, capsys)
 
 # -- kills, Ctrl-C, two at once ---------------------------------------------------------------------------------------
 
-MANY = SHORT.replace("points = 4", "points = 64").replace("0.04", "0.4")
+MANY = SHORT.replace("points = 4", "points = 64").replace("0.04", "0.3")
 
 
 def command(file: Path, *more: str) -> list[str]:
@@ -311,11 +312,15 @@ except StudyError as error:
 
 
 def test_a_full_disk_is_told_and_loses_no_stored_row(tmp_path: Path) -> None:
-    inside = f"mount -t tmpfs -o size=256k tmpfs {tmp_path} && {sys.executable} -c '{FULL}' {tmp_path} && cp {tmp_path}/* {tmp_path}.kept/"
-    (kept := Path(f"{tmp_path}.kept")).mkdir()
-    made = subprocess.run(
-        ["unshare", "-rm", "sh", "-c", inside], capture_output=True, text=True, cwd=ROOT, env=os.environ
+    (small := tmp_path / "small").mkdir()
+    (kept := tmp_path / "kept").mkdir()
+    steps = (
+        f"mount -t tmpfs -o size=256k tmpfs {small}",
+        f"{sys.executable} -c '{FULL}' {small}",
+        f"cp {small}/* {kept}",
     )
+    unshared = ["unshare", "-rm", "sh", "-c", " && ".join(steps)]
+    made = subprocess.run(unshared, capture_output=True, text=True, cwd=ROOT)
     if made.returncode:
         pytest.skip(f"no file system of one's own here: {made.stderr}")
     assert "cannot write the database: database or disk is full: free some space" in made.stderr
@@ -347,14 +352,11 @@ def test_wrong_options_are_told(options: tuple[str, ...], words: str, tmp_path: 
 
 
 def test_a_study_that_is_read_while_it_runs_does_not_disturb_it(done, tmp_path: Path) -> None:
-    folder, plan, rows = done
+    _, plan, rows = done
+    seen: list[int] = []
     with threads(1) as pool, writing(tmp_path / NAME) as store:
-        from mmnn_pin.study.execution import fill
-
-        seen = []
-        fill(
-            store, plan, missing_rows(store, plan, probe(plan), False)[:6], pool, lambda d: seen.append(count(tmp_path))
-        )
+        missing = missing_rows(store, plan, probe(plan), False)
+        fill(store, plan, missing[:6], pool, lambda finished: seen.append(count(tmp_path)))
     assert seen == list(range(1, 7))
     with reading(tmp_path / NAME) as store:
         assert numbers(store.rows()) == numbers(rows)[:6]

@@ -139,7 +139,7 @@ BAD = [
     ("relative = true", 'relative = "yes"', "rela", "factors.friction.relative: error: Expected `bool`, got `str`"),
     ('"e.*.peak"]', '"e.*.pek"]', "metrics", "metrics: error: unknown metric 'e.*.pek'"),
     ("at_most =", "wanted = 2\nat_most =", "wanted", "success.wanted: error: 2.0: use a share between 0 and 1"),
-    ("= 0.012 }", "= nan }", "at_most", "success.at_most.pose_error.[xy].peak: error: nan: use a finite number"),
+    ("= 0.03 }", "= nan }", "at_most", "success.at_most.pose_error.[xy].peak: error: nan: use a finite number"),
     ('title = "Short"', "seeds = 0", "seeds", "seeds: error: no seeds, so no runs"),
     ('title = "Short"', "seeds = [1, 1]", "seeds", "seeds: error: a seed appears twice"),
     ('title = "Short"', "seeds = [1, 2]", "seeds", "seeds: error: the seed is a factor, too"),
@@ -217,7 +217,7 @@ def test_seeds_count_from_the_experiments_own_or_are_given(tmp_path: Path) -> No
 
 def test_a_fingerprint_is_of_what_decides_the_numbers(tmp_path: Path) -> None:
     base = list(planned(tmp_path).fingerprints())
-    same = SHORT.replace('title = "Short"', 'title = "Other"').replace("0.012", "0.5").replace('"e.*.peak"', '"effort"')
+    same = SHORT.replace('title = "Short"', 'title = "Other"').replace("0.03", "0.5").replace('"e.*.peak"', '"effort"')
     assert list(planned(tmp_path, same).fingerprints()) == base
     assert list(planned(tmp_path, SHORT.replace("points = 4", "points = 8")).fingerprints())[:24] == base
     for old, new in (("0.04]]", "0.03]]"), ("seed = 3", "seed = 4"), ('title = "Short"', 'model = "true"')):
