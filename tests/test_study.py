@@ -26,6 +26,7 @@ from mmnn_pin.study import worker
 from mmnn_pin.study.execution import fill
 from mmnn_pin.study.plan import Plan
 from mmnn_pin.study.pools import processes, threads
+from mmnn_pin.study.results import load_results
 from mmnn_pin.study.session import missing_rows, probe
 from mmnn_pin.study.store import NAME, Stored, reading, writing
 from mmnn_pin.study.worker import Task, loop_of
@@ -131,6 +132,13 @@ def test_a_run_that_diverges_is_a_row(tmp_path: Path) -> None:
     worse = next(row for row in rows if row.status == "diverged")
     assert worse.time < 0.04 and worse.signal.startswith("nu[")
     assert any(np.isnan(value) for value in worse.metrics.values()), "a window that it did not reach has no number"
+
+
+def test_a_run_that_a_supervisor_stops_is_a_row_and_no_success(tmp_path: Path) -> None:
+    text = SHORT.replace("[set]\n", "[set]\nsafety.position_error = 0.005\n")  # it starts 10 mm behind
+    rows = run_here(planned(tmp_path, text, "sampling.points=1"), tmp_path)
+    assert {row.status for row in rows} == {"tripped"}
+    assert not load_results(tmp_path).succeeded("pd").any()
 
 
 def test_settings_that_no_run_can_be_made_of_are_a_refused_row(tmp_path: Path) -> None:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import pickle
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any
 
+from ..one_thread import libraries
 from .bundle import Bundle
 from .worker import Done, Task, run
 
@@ -54,8 +55,15 @@ def carriers() -> dict[str, Callable[..., Any]]:
 
 def run_packed(task: bytes, bundle: bytes) -> Done:
     """Make a run on a worker; see `worker.run`."""
+    for_good()
     made: Task = pickle.loads(task)
     return run(made, unpacked(bundle))
+
+
+@cache
+def for_good() -> None:
+    """Keep linear algebra on one thread in this process: a worker's runs come side by side."""
+    libraries().limit(limits=1, user_api="blas")
 
 
 @lru_cache(maxsize=4)

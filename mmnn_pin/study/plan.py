@@ -18,14 +18,13 @@ import numpy as np
 
 from ..errors import ConfigError, InputError
 from ..experiments.experiment import Experiment
-from ..model.robot import bodies_of
-from .bundle import Bundle, load_once
+from .base import COSMETIC, changed_base, paths_of, told
+from .bundle import Bundle
 from .factors import Factor, unit_cube
-from .keys import changed, flat, require_path
+from .keys import changed, deep, flat, require_path
 from .reading import StudyFile
 from .settings import MOST
 
-COSMETIC = ("title", "variant", "controllers", "plots", "torque_limits", "weights_interval")
 TRUTH = ("masses", "friction")  # of the true robot only, where the model is nominal
 
 
@@ -126,11 +125,13 @@ class Plan:
                 table["seed"] = seed
             return msgspec.convert(table, Experiment), settings
         except (msgspec.ValidationError, InputError) as error:
-            raise self.no_experiment(parameters, error) from None
+            raise self.no_experiment(parameters, table, error) from None
 
-    def no_experiment(self, parameters: dict[str, Any], error: Exception) -> InputError:
+    def no_experiment(
+        self, parameters: dict[str, Any], table: dict[str, Any], error: InputError | msgspec.ValidationError
+    ) -> InputError:
         """Why values of the factors make no experiment, told of the factor that is nearest to it."""
-        what, why, fix, key = told(error)
+        what, why, fix, key = told(error, table)
         factors = self.study.settings.factors
         blamed = [n for n in parameters for path in factors[n].keys or (n,) if touches(path, key)]
         values = ", ".join(f"{name} = {short(value)}" for name, value in parameters.items())
@@ -223,47 +224,6 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
     return plan
 
 
-def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
-    """The study's experiment with the changes in `set`, as a table with all defaults and as an experiment."""
-    table = deep(msgspec.to_builtins(study.base))
-    expand_masses(table, [*(path for path, _ in flat(study.settings.set)), *paths_of(study.settings.factors)], study)
-    known = {key: value for key, value in table.items() if key not in COSMETIC}
-    for path, value in flat(study.settings.set):
-        with study.placing():
-            require_path(known, path, f"set.{path}")
-            changed(table, path, value)
-    try:
-        return table, msgspec.convert(table, Experiment)
-    except (msgspec.ValidationError, InputError) as error:
-        what, why, fix, key = told(error)
-        raise study.placed(ConfigError(what, why=why, fix=fix, key=f"set.{key}")) from None
-
-
-def told(error: Exception) -> tuple[str, str, str, str]:
-    """What, why, fix and key of an error about an experiment."""
-    if isinstance(error, InputError):
-        return error.what, error.why, error.fix, error.key or ""
-    what, _, where = str(error).partition(" - at ")
-    return what, "", "", where.strip("`").removeprefix("$").removeprefix(".")
-
-
-def expand_masses(table: dict[str, Any], paths: list[str], study: StudyFile) -> None:
-    """One factor for all bodies as one per body, where single bodies are to be changed."""
-    if isinstance(table["masses"], dict) or not any(path.startswith("masses.") for path in paths):
-        return
-    try:
-        robot = load_once(study.base.robot, study.base.overrides)
-    except InputError as error:
-        error.file = error.file or study.path
-        raise
-    table["masses"] = dict.fromkeys(bodies_of(robot.model), float(table["masses"]))
-
-
-def paths_of(factors: dict[str, Factor]) -> list[str]:
-    """Key paths that factors change."""
-    return [path for name, factor in factors.items() for path in factor.keys or (name,)]
-
-
 def points_of(factors: dict[str, Factor], method: str, count: int, seed: int) -> tuple[dict[str, Any], ...]:
     """Values of all factors at all points: every draw with every cell of the grid."""
     drawn = [name for name, factor in factors.items() if factor.drawn]
@@ -294,10 +254,3 @@ def short(value: Any) -> str:
 def touches(path: str, key: str) -> bool:
     """Whether one of two key paths starts with the other."""
     return f"{path}.".startswith(f"{key}.") or f"{key}.".startswith(f"{path}.")
-
-
-def deep(table: Any) -> Any:
-    """A copy of tables and lists; much faster than `copy.deepcopy`."""
-    if isinstance(table, dict):
-        return {key: deep(value) for key, value in table.items()}
-    return [deep(value) for value in table] if isinstance(table, list | tuple) else table

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import ConfigError
+from ..one_thread import libraries
 from . import worker
 from .bundle import Bundle
 
@@ -52,7 +53,7 @@ def threads(workers: int | None = None) -> Iterator[Pool]:
     """
     count = number_of(workers)
     stop = threading.Event()
-    with ThreadPoolExecutor(count) as executor:
+    with ThreadPoolExecutor(count) as executor, libraries().limit(limits=1, user_api="blas"):
         try:
             name = f"{count} thread{'s' * (count > 1)}"
             yield Pool(executor, name, lambda: 2 * count, stop=stop.is_set, first_alone=True)

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from ..errors import ConfigError, InputError, UnknownName
-from ..experiments.config import bundled, load_experiment, override, read_toml
+from ..experiments.config import bundled, load_experiment, override, read_toml, words_of
 from ..experiments.experiment import Experiment
 from ..settings import Settings
 from .factors import Factor
@@ -107,7 +107,9 @@ def part(table: dict[str, Any], kind: type[S], prefix: str) -> S:
         inner = re.sub(r"^\$\.?", "", where.strip("`"))
         if not inner and (unknown := re.search(r"unknown field `([^`]*)`", message)):
             raise UnknownName("key", unknown[1], kind.__struct_fields__, key=prefix or None) from None
-        raise ConfigError(message, key=joined(prefix, inner)) from None
+        known = words_of({field.name: field.type for field in msgspec.structs.fields(kind)}.get(inner))
+        fix = f"there is: {', '.join(known)}" if known else ""
+        raise ConfigError(message, fix=fix, key=joined(prefix, inner)) from None
     except InputError as error:
         error.key = joined(prefix, error.key or "")
         raise

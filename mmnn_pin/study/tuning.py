@@ -16,10 +16,10 @@ import msgspec
 
 from .. import __version__
 from ..errors import ConfigError, StudyError
+from .base import changed_base
 from .factors import Factor
 from .keys import at, require_path
 from .objective import Score, Scorer, settings_of
-from .plan import changed_base
 from .pools import Pool
 from .reading import StudyFile
 from .settings import Tune
