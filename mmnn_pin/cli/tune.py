@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -134,7 +136,10 @@ def told(found: Tuned) -> str:
             span = score.interval
             interval = "" if score.refused else f" [{span.low:.4g}, {span.high:.4g}]"
             lines.append(f"  {name}: {words(score.value)}{interval}, {100 * score.lost:.1f} % of runs not completed")
-    lines += ["best gains:", *(f"  --set {path}={value!r}" for path, value in found.best.items())]
+    lines += [
+        "best gains:",
+        *(f"  --set {shlex.quote(f'{path}={json.dumps(value)}')}" for path, value in found.best.items()),
+    ]
     return "\n".join(lines)
 
 

@@ -106,7 +106,7 @@ def told_region(results: Results, found: Verdict) -> str:
     checked = f"{percent(where.success)} of the runs that were kept apart to check it"
     if not where.cuts:
         return f"That holds within everything that was varied: {checked} succeed."
-    units = {name: factor.unit for name, factor in results.factors.items()}
+    units = {n: f.unit or ("times the experiment's" if f.relative else "") for n, f in results.factors.items()}
     cuts = ", ".join(cut.told(units[cut.factor]) for cut in where.cuts)
     return f"Within {cuts} ({100 * where.share:.0f} % of all draws) it succeeds in {checked} ({wanted} were asked)."
 

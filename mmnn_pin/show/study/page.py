@@ -14,7 +14,7 @@ from ...study.verdict import sentences, verdict
 from ..html_page import HtmlPage
 from ..report.page import source as source_of_report
 from . import plots
-from .table import CAPTION, number, remarks, shown_unit, title
+from .table import CAPTION, QUANTILES, number, remarks, shown_unit, title
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -69,7 +69,7 @@ def table_rows(results: Results) -> Any:
     yield "success [%]", "", [cell(interval, 100.0) for interval in rates]
     for pattern in results.patterns:
         scale, unit = shown_unit(results.unit(pattern))
-        for words, q in (("median", 0.5), ("95 % of runs", 0.95)):
+        for words, q in QUANTILES.items():
             intervals = [quantile(results.metric(name, pattern), q) for name in results.controllers]
             yield f"{pattern} [{unit}]" if unit else pattern, words, [cell(interval, scale) for interval in intervals]
 
