@@ -18,8 +18,8 @@ from ..table import heading
 WIDTH = 110
 QUANTILES = {"median": 0.5, "95 %": 0.95}
 CAPTION = (
-    "95 %: what 95 % of the runs stay below. [a, b]: 95 % confidence interval, of draws as if independent. A run that did not complete counts as worse than "
-    "all others; inf: so many did not complete."
+    "95 %: what 95 % of the runs stay below. [a, b]: 95 % confidence interval, of draws as if independent. A run that "
+    "did not complete counts as worse than all others; inf: so many did not complete."
 )
 SHOWN = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "rad/s": (1e3, "mrad/s")}
 
