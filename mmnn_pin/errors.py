@@ -63,6 +63,10 @@ class RecordingError(InputError):
     """A recording that cannot be written or read."""
 
 
+class StudyError(InputError):
+    """A study whose database or workers cannot be used."""
+
+
 class UnknownName(InputError):
     """A name that nothing answers to.
 

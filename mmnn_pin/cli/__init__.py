@@ -28,6 +28,8 @@ from .readings import readings
 from .replay import replay
 from .report import report
 from .run import run
+from .study import study
+from .tune import tune
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_library, "1")  # see one_thread.py; read when numpy is imported
@@ -71,7 +73,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-for command in (run, readings, model, plot, prove, replay, report, export, inspect, check, list_):
+for command in (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_):
     mmnn.add_command(command)
 
 

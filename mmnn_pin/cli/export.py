@@ -9,7 +9,7 @@ import click
 from ..errors import ConfigError
 from .options import examples, shared
 from .output import DONE, say, say_json
-from .plot import open_runs
+from .plot import open_runs, study_of
 
 TO = ("csv", "npz", "parquet", "mcap")
 
@@ -20,6 +20,7 @@ TO = ("csv", "npz", "parquet", "mcap")
         "mmnn export runs/chapter4/two_layer.h5 --to csv",
         "mmnn export runs/chapter4/two_layer.h5 --to mcap --out two_layer.mcap     for Foxglove, PlotJuggler",
         "mmnn export runs/chapter4 --to parquet --out tables                       every recording of a folder",
+        "mmnn export runs/robustness --to csv                                      the rows of a study",
     ),
 )
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
@@ -30,12 +31,15 @@ TO = ("csv", "npz", "parquet", "mcap")
 def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_json: bool) -> int:
     """Write recordings as tables (csv, npz, parquet) or as MCAP. RUN is a recording, or a folder with recordings.
 
+    RUN may also be one study, its folder or its database: its rows are written as csv or parquet.
     MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet and MCAP need
     `pip install 'mmnn_pin[export]'`.
     """
     from ..show.export import export as write
     from ..show.whole import require_free
 
+    if (study := study_of(runs)) is not None:
+        return export_study(study, to, out, force, as_json)
     recordings = {run: recording for path in runs for recording in open_runs(path) if (run := recording.path)}
     files = targets(list(recordings), out, to)
     for file in files:
@@ -46,6 +50,22 @@ def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_js
         say_json({"to": to, "files": {str(run): str(file) for run, file in told}})
     else:
         say("\n".join(f"wrote {file}" for file in written))
+    return DONE
+
+
+def export_study(path: Path, to: str, out: Path | None, force: bool, as_json: bool) -> int:
+    """Write the rows of a study."""
+    from ..show.study.rows import export as write
+    from ..study.results import load_results
+
+    results = load_results(path)
+    is_file = out is not None and out.suffix and not out.is_dir()
+    file = out if is_file and out is not None else (out or path.parent) / f"{results.name}.{to}"
+    write(results, file, to, force=force)
+    if as_json:
+        say_json({"to": to, "files": {str(path): str(file)}})
+    else:
+        say(f"wrote {file}")
     return DONE
 
 

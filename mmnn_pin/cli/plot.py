@@ -14,6 +14,7 @@ from .output import DONE, say, say_json
 if TYPE_CHECKING:
     from ..recording import Recording
 
+STUDY = "study.sqlite"  # name of a study's database
 WHATS = (
     "errors",
     "torque",
@@ -73,6 +74,19 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     else:
         say("\n".join(f"wrote {file}" for file in files.values()))
     return DONE
+
+
+def study_of(paths: tuple[Path, ...]) -> Path | None:
+    """The database of a study among some paths: the path itself, or a file in the folder; None without one.
+
+    Raises:
+        ConfigError: It is not the only path.
+    """
+    databases = [path / STUDY if path.is_dir() else path for path in paths]
+    found = [path for path in databases if (path.name == STUDY and path.is_file()) or path.suffix == ".sqlite"]
+    if found and len(paths) > 1:
+        raise ConfigError("a study among other runs", fix="name it alone", file=found[0])
+    return found[0] if found else None
 
 
 def open_runs(path: Path) -> list[Recording]:

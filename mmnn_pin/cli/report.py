@@ -9,7 +9,7 @@ import click
 
 from .options import examples, shared
 from .output import DONE, say, say_json
-from .plot import open_runs
+from .plot import open_runs, study_of
 from .replay import by_name
 
 
@@ -19,6 +19,7 @@ from .replay import by_name
         "mmnn report runs/chapter4 --html chapter4.html",
         "mmnn report runs/chapter4/pd.h5 runs/chapter4/two_layer.h5 --html two.html",
         "mmnn report runs/track --html track.html --no-replay        without the robot's meshes",
+        "mmnn report runs/robustness --html robustness.html          a study",
     ),
 )
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
@@ -34,12 +35,15 @@ def report(
 ) -> int:
     """Write a report on runs of one task: verdict, numbers, plots, replay, robot, origin, in one HTML file.
 
-    RUN is a recording, or a folder with recordings. The page needs no network and no server.
+    RUN is a recording, or a folder with recordings; or one study: its folder or its database. The page needs no
+    network and no server.
     """
     from ..show.report import report as make
     from ..show.whole import require_free
 
     require_free(html, force)
+    if (study := study_of(runs)) is not None:
+        return report_study(study, html, as_json)
     recordings = by_name([recording for path in runs for recording in open_runs(path)])
     command = shlex.join(["mmnn", "report", *map(str, runs), "--html", str(html)])
     made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
@@ -49,6 +53,20 @@ def report(
     if as_json:
         files = [str(recording.path) for recording in recordings.values()]
         say_json({"runs": files, "html": str(html), "bytes": made.size, "warnings": list(made.warnings)})
+    else:
+        say(f"wrote {html}: {made.size / 1e6:.2g} MB")
+    return DONE
+
+
+def report_study(path: Path, html: Path, as_json: bool) -> int:
+    """Write the page of a study."""
+    from ..show.study.page import page
+    from ..study.results import load_results
+
+    made = page(load_results(path), shlex.join(["mmnn", "report", str(path), "--html", str(html)]))
+    made.save(html)
+    if as_json:
+        say_json({"study": str(path), "html": str(html), "bytes": made.size, "warnings": []})
     else:
         say(f"wrote {html}: {made.size / 1e6:.2g} MB")
     return DONE

@@ -177,16 +177,25 @@ def override(table: dict[str, Any], text: str) -> None:
     """
     key, equals, value = text.partition("=")
     key = key.strip()
-    parts = key.split(".")
-    if not equals or not all(parts):
+    if not equals or not all(key.split(".")):
         raise ConfigError(f"'{text}' sets nothing", fix="write key.path=value, e.g. time.duration=2", key="--set")
+    put(table, key, parse_value(value.strip()))
+
+
+def put(table: dict[str, Any], key: str, value: Any) -> None:
+    """Set a value at a key path of a table; numbers in the path are places in lists, counted from 0.
+
+    Raises:
+        ConfigError: The path runs through something that is not a table, or a list has no such place.
+    """
+    parts = key.split(".")
     here: Any = table
     for part in parts[:-1]:
         here = here[place(here, part, key)] if isinstance(here, list) else here.setdefault(part, {})
         if not isinstance(here, (dict, list)):
             raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key)
     last = place(here, parts[-1], key) if isinstance(here, list) else parts[-1]
-    here[last] = parse_value(value.strip())
+    here[last] = value
 
 
 def place(items: list[Any], part: str, key: str) -> int:

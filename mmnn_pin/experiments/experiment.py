@@ -178,6 +178,8 @@ class Experiment(Settings, frozen=True):
         variant: Which reading of the experiment this is, where it has several files.
         robot: Bundled name or path.
         overrides: What is said about the robot, as in the file beside its URDF.
+        masses: Factor on the inertias of the true robot's bodies, one for all or one per joint that carries a body
+            (`root` for a mobile base), see `Robot.with_masses`.
         controllers: Controllers to run, names of `CONTROLLERS`.
         seed: The one seed.
         windows: Intervals for the RMS errors [s].
@@ -219,6 +221,7 @@ class Experiment(Settings, frozen=True):
     title: str = ""
     variant: str = ""
     overrides: Overrides = Overrides()
+    masses: float | dict[str, float] = 1.0
     controllers: tuple[str, ...] = DEFAULT
     seed: int = 0
     windows: tuple[tuple[float, float], ...] = ((0.0, 1.0), (1.0, 5.0))
@@ -268,14 +271,28 @@ class Experiment(Settings, frozen=True):
         require_in_time(self.disturbances, self.time.duration)
 
     def load_robot(self) -> Robot:
-        """The true robot, with the experiment's friction.
+        """The true robot, with the experiment's masses and friction.
 
         Raises:
             RobotError: The URDF cannot be used.
-            UnknownName: No such robot.
+            UnknownName: No such robot, or no such body.
         """
-        robot = load_with(self.robot, self.overrides).with_armature(self.armature)
-        f = self.friction
+        return self.made_true(load_with(self.robot, self.overrides))
+
+    def made_true(self, robot: Robot) -> Robot:
+        """A robot as its file describes it, with the experiment's masses and friction.
+
+        Raises:
+            UnknownName: No such body.
+            ConfigError: A factor or a coefficient that cannot be.
+        """
+        robot, f = robot.with_armature(self.armature), self.friction
+        if self.masses != 1.0:
+            try:
+                robot = robot.with_masses(self.masses)
+            except InputError as error:
+                error.key = "masses"
+                raise
         robot = robot.with_joint_friction(coulomb=f.coulomb, breakaway=f.breakaway, stribeck=f.stribeck)
         return robot.with_friction(per_velocity(f.base, f.arm, robot.layout, "friction"))
 

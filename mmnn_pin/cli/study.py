@@ -1,0 +1,177 @@
+"""`mmnn study`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from .options import examples, shared
+from .output import DONE, FAILED, STOPPED, compile_if_cold, say, say_json
+from .run import remembered_interrupt
+
+if TYPE_CHECKING:
+    from ..study.plan import Plan
+    from ..study.pools import Pool
+    from ..study.session import Probe
+    from ..study.worker import Done
+
+
+@click.command(
+    short_help="Make thousands of runs of an experiment and judge its controllers by them.",
+    epilog=examples(
+        "mmnn study examples/robustness.toml",
+        "mmnn study examples/robustness.toml             again, after Ctrl-C or a kill: goes on with what is missing",
+        "mmnn study examples/robustness.toml --row 17    one run alone, with all its signals",
+        "mmnn study examples/robustness.toml --set sampling.points=64 --out runs/short",
+        "mmnn study examples/robustness.toml --cluster tcp://10.0.0.1:8786",
+        "mmnn report runs/robustness --html robustness.html",
+        "mmnn export runs/robustness --to csv",
+    ),
+)
+@click.argument("file", metavar="STUDY.toml", type=click.Path(path_type=Path))
+@click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]")
+@click.option("--processes", is_flag=True, help="Processes even where threads would do.")
+@click.option("--cluster", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, see docs/cluster.md.")
+@click.option("--row", type=int, metavar="N", help="Run row N alone, record all its signals, compare its numbers.")
+@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the study; repeatable.")
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]")
+@click.option(
+    "--force", is_flag=True, help="Settings may have changed: keep the rows that are the same, drop the rest."
+)
+@shared
+def study(
+    file: Path,
+    workers: int | None,
+    processes: bool,
+    cluster: str | None,
+    row: int | None,
+    settings: tuple[str, ...],
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
+    """Make every run of STUDY.toml that is not in its database yet, then tell what came out.
+
+    A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
+    same command goes on with what is missing. The file is explained in docs/studies.md.
+    """
+    from ..study.plan import plan_of
+    from ..study.reading import load_study
+    from ..study.session import probe
+
+    plan = plan_of(load_study(file, settings))
+    folder = out or Path("runs") / plan.study.name
+    found = probe(plan)
+    compile_if_cold()
+    if row is not None:
+        return replay(plan, row, folder, force, as_json)
+    pool = choose(found, workers, processes, cluster)
+    stopped = make(plan, found, folder, pool, force)
+    return tell(folder, stopped, as_json)
+
+
+def choose(found: Probe, workers: int | None, processes: bool, cluster: str | None) -> AbstractContextManager[Pool]:
+    """Where the runs are made."""
+    from ..errors import ConfigError
+    from ..study import pools
+    from ..study.cluster import cluster as dask
+    from ..study.session import require_room
+
+    if cluster is not None:
+        if workers is not None or processes:
+            fix = "say on the cluster how many workers there are"
+            raise ConfigError("--cluster with --workers or --processes", fix=fix, key="--cluster")
+        return dask(cluster)
+    require_room(found, pools.number_of(workers))
+    return pools.processes(workers) if processes or not found.compiled else pools.threads(workers)
+
+
+def make(plan: Plan, found: Probe, folder: Path, where: AbstractContextManager[Pool], force: bool) -> bool:
+    """Make the missing runs; whether Ctrl-C ended them."""
+    from ..study.execution import fill
+    from ..study.session import missing_rows
+    from ..study.store import NAME, writing
+
+    with writing(folder / NAME) as store:
+        missing = missing_rows(store, plan, found, force)
+        if not missing:
+            return False
+        try:
+            with where as pool, remembered_interrupt() as stop_if_pressed, bar(plan, missing, pool) as advance:
+
+                def progress(done: Done) -> None:
+                    stop_if_pressed()
+                    advance(done)
+
+                fill(store, plan, missing, pool, progress)
+        except KeyboardInterrupt:
+            return True
+    return False
+
+
+@contextmanager
+def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[Done], None]]:
+    """Runs done of all, their rate and the time left, on standard error: a bar on a terminal, else a first line."""
+    done, total = len(plan) - len(missing), len(plan)
+    begun = f", {done} of them done" if done else ""
+    crew = f" ({pool.crew})" if pool.crew else ""
+    click.echo(f"{total} runs{begun}, on {pool.place}{crew}", err=True)
+    if not sys.stderr.isatty():
+        yield lambda finished: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("runs"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[lost]}"),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+        task = shown.add_task("", total=total, completed=done, rate="", lost="")
+        lost = 0
+
+        def advance(finished: Done) -> None:
+            nonlocal lost
+            lost += finished.status != "completed"
+            speed = shown.tasks[0].speed
+            told = {"rate": f"{speed:.1f}/s" if speed else "", "lost": f"{lost} not completed" if lost else ""}
+            shown.update(task, advance=1, **told)  # type: ignore[arg-type]
+
+        yield advance
+
+
+def replay(plan: Plan, number: int, folder: Path, force: bool, as_json: bool) -> int:
+    """Run one row alone with all its signals and compare its numbers with those stored."""
+    from ..study.replay import replay as again
+
+    result = again(plan, number, folder, force)
+    if as_json:
+        say_json(result.to_dict())
+    else:
+        say(result.told())
+    return DONE if result.same in (True, None) else FAILED
+
+
+def tell(folder: Path, stopped: bool, as_json: bool) -> int:
+    """Tell what the database holds, and give the exit code."""
+    from ..show.study import table
+    from ..study.results import load_results
+
+    results = load_results(folder)
+    if as_json:
+        say_json(table.to_dict(results) | {"stopped": stopped})
+    else:
+        say(table.render(results, colour=sys.stdout.isatty()))
+        say(f"\nrows: {results.path}")
+        if stopped:
+            click.echo("stopped by Ctrl-C; the same command goes on with what is missing", err=True)
+    return STOPPED if stopped else FAILED if results.failed else DONE

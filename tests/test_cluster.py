@@ -1,0 +1,273 @@
+"""Studies on a real Dask cluster: a scheduler in its own network, workers that die and join, no shared files."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+import trimesh
+from numba import config
+
+from mmnn_pin.cli import main
+from mmnn_pin.errors import MmnnError, StudyError
+from mmnn_pin.model.robots import bundled
+from mmnn_pin.study import cluster as dask
+from mmnn_pin.study import worker
+from mmnn_pin.study.bundle import Bundle
+from mmnn_pin.study.execution import execute, fill
+from mmnn_pin.study.packed import carriers
+from mmnn_pin.study.session import missing_rows, probe
+from mmnn_pin.study.store import NAME, writing
+from mmnn_pin.study.worker import code_digest
+from studies import SHORT, numbers, planned, run_here, stored, written
+
+pytest.importorskip("distributed")
+import cloudpickle
+
+pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
+
+ROOT = Path(__file__).parents[1]
+NETWORK, OUTSIDE, INSIDE = f"mmnn{os.getpid() % 10000}", "10.213.7.1", "10.213.7.2"
+QUIET = {"DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+
+
+def started(folder: Path, *command: str, within: str | None) -> subprocess.Popen[str]:
+    """A process of the cluster, in a network and an empty folder of its own."""
+    folder.mkdir()
+    inside = ["ip", "netns", "exec", within] if within else []
+    program = [sys.executable, "-m", *command]
+    paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = os.environ | QUIET | {"PYTHONPATH": paths, "HOME": str(folder), "TMPDIR": str(folder)}
+    log = (folder / "log").open("w")
+    return subprocess.Popen([*inside, *program], cwd=folder, env=environment, stdout=log, stderr=log, text=True)
+
+
+@contextlib.contextmanager
+def network() -> Iterator[str | None]:
+    """A network namespace joined to this one by a pair of virtual cables; None where the machine allows none."""
+    steps = (
+        f"ip netns add {NETWORK}",
+        f"ip link add {NETWORK}a type veth peer name {NETWORK}b",
+        f"ip link set {NETWORK}b netns {NETWORK}",
+        f"ip addr add {OUTSIDE}/24 dev {NETWORK}a",
+        f"ip link set {NETWORK}a up",
+        f"ip netns exec {NETWORK} ip addr add {INSIDE}/24 dev {NETWORK}b",
+        f"ip netns exec {NETWORK} ip link set {NETWORK}b up",
+        f"ip netns exec {NETWORK} ip link set lo up",
+    )
+    try:
+        made = all(shutil.which("ip") and subprocess.run(s.split(), capture_output=True).returncode == 0 for s in steps)
+        yield NETWORK if made else None
+    finally:
+        for step in (f"ip link del {NETWORK}a", f"ip netns del {NETWORK}") if shutil.which("ip") else ():
+            subprocess.run(step.split(), capture_output=True)
+
+
+class Cluster:
+    """A scheduler and workers as processes of their own."""
+
+    def __init__(self, folder: Path, within: str | None) -> None:
+        self.folder, self.within = folder, within
+        self.processes: list[subprocess.Popen[str]] = []
+        host = INSIDE if within else "127.0.0.1"
+        command = ("distributed.cli.dask_scheduler", "--host", host, "--port", "0", "--no-dashboard")
+        self.processes.append(started(folder / "scheduler", *command, within=within))
+        self.address = self.told(folder / "scheduler" / "log", r"Scheduler at: +(tcp://[\d.:]+)")
+
+    def worker(self, inside: bool = False) -> subprocess.Popen[str]:
+        """Start a worker, in the scheduler's network or outside of it."""
+        folder = self.folder / f"worker{len(self.processes)}"
+        options = ("--nworkers", "1", "--nthreads", "1", "--no-nanny", "--no-dashboard")
+        command = ("distributed.cli.dask_worker", self.address, *options, "--local-directory", str(folder / "scratch"))
+        process = started(folder, *command, within=self.within if inside else None)
+        self.processes.append(process)
+        return process
+
+    def told(self, log: Path, pattern: str) -> str:
+        """What a process has told in its log."""
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline:
+            if found := re.search(pattern, log.read_text()):
+                return found[1]
+            time.sleep(0.05)
+        raise AssertionError(log.read_text())
+
+    def stop(self) -> None:
+        """End all processes."""
+        for process in reversed(self.processes):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A scheduler in a network of its own, one worker beside it, two outside."""
+    with network() as within:
+        made = Cluster(tmp_path_factory.mktemp("cluster"), within)
+        try:
+            for inside in (True, False, False):
+                made.worker(inside)
+            for log in made.folder.glob("worker*/log"):
+                made.told(log, r"(Registered to)")
+            yield made
+        finally:
+            made.stop()
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> str:
+    """A study of a robot whose wheels are meshes in a package, which tell their radius."""
+    package = tmp_path / "elsewhere" / "my_robot"
+    (package / "urdf").mkdir(parents=True)
+    (package / "meshes").mkdir()
+    trimesh.creation.cylinder(radius=0.075, height=0.04, sections=64).export(package / "meshes" / "wheel.stl")
+    text, count = re.subn(
+        r'<geometry><cylinder radius="0.075" length="0.04"/></geometry>',
+        '<geometry><mesh filename="package://my_robot/meshes/wheel.stl"/></geometry>',
+        bundled()["platform_arm"].read_text(),
+    )
+    assert count >= 2
+    (package / "urdf" / "mine.urdf").write_text(text)
+    text = SHORT.replace("points = 4", "points = 16").replace("0.04", "0.1")
+    return text.replace("[set]\n", f'[set]\nrobot = "{package}/urdf/mine.urdf"\n')
+
+
+def test_a_cluster_gives_the_local_rows_while_workers_die_and_join(
+    cluster: Cluster, study: str, tmp_path: Path
+) -> None:
+    here = planned(tmp_path / "here", study)
+    local = run_here(here, tmp_path / "here")
+    plan = planned(tmp_path / "there", study)
+    assert len(list(plan.fingerprints())) == 96
+    assert any(name.endswith(".stl") for bundle in plan.bundles for name in bundle.files)
+    victims = [cluster.processes[2]]
+
+    def kill(done: object) -> None:
+        if len(seen) == 10:
+            victims[0].send_signal(signal.SIGKILL)
+            cluster.worker()
+            cluster.told(cluster.folder / f"worker{len(cluster.processes) - 1}" / "log", "(Registered to)")
+        seen.append(done)
+
+    seen: list[object] = []
+    far = run_far(plan, tmp_path / "there", cluster.address, kill)
+    assert victims[0].wait(10) == -signal.SIGKILL
+    assert [row.id for row in far] == list(range(96)) and len(seen) == 96
+    assert numbers(far) == numbers(local)
+
+
+def run_far(plan, folder: Path, address: str, progress: Callable[[object], None]):
+    """Make a study's rows on a cluster, its robot's files gone from this machine as soon as they were read."""
+    with writing(folder / NAME) as store, dask.cluster(address) as pool:
+        missing = missing_rows(store, plan, probe(plan), False)
+        package = Path(plan.base.robot).parents[1]
+        package.rename(package.with_name("gone"))
+        fill(store, plan, missing, pool, progress)
+        return store.rows()
+
+
+def test_the_command_line_runs_a_study_on_a_cluster(cluster: Cluster, tmp_path: Path, capsys) -> None:
+    file = written(tmp_path / "there")
+    assert main(["study", str(file), "--out", str(tmp_path / "there"), "--cluster", cluster.address]) == 0
+    said = capsys.readouterr()
+    assert f"24 runs, on the cluster at {cluster.address}" in said.err and "Traceback" not in said.err
+    local = run_here(planned(tmp_path / "here"), tmp_path / "here")
+    assert numbers(stored(tmp_path / "there")) == numbers(local)
+
+
+def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(tmp_path: Path) -> None:
+    made = Cluster(tmp_path, None)
+    try:
+        plan = planned(tmp_path)
+        with dask.cluster(made.address) as pool, pytest.raises(MmnnError, match="the same command goes on with what"):
+            threading.Timer(1.0, made.processes[0].kill).start()
+            list(execute(pool, plan, [plan.row(0)]))
+    finally:
+        made.stop()
+
+
+def test_a_scheduler_that_cannot_be_reached_is_told(tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(dask, "TIMEOUT", 1.0)
+    file = written(tmp_path)
+    for address, words in {
+        "tcp://127.0.0.1:1": "the scheduler at tcp://127.0.0.1:1 cannot be reached",
+        "nowhere": "'nowhere' is no address: missing port",
+        "foo://10.0.0.1:8786": "'foo://10.0.0.1:8786' is no address: unknown address scheme",
+    }.items():
+        assert main(["study", str(file), "--out", str(tmp_path), "--cluster", address]) == 2
+        said = capsys.readouterr().err
+        assert words in said and said.startswith("--cluster: error:") and said.count("\n") == 1
+
+
+def test_another_version_of_the_scheduler_or_of_a_worker_is_told() -> None:
+    def of(python: str = "3.11.7.final.0", distributed: str = "2026.8.0") -> dict[str, dict[str, str]]:
+        return {"host": {"python": python}, "packages": {"distributed": distributed}}
+
+    dask.require_same_versions({"client": of(), "scheduler": of("3.11.2.final.0"), "workers": {"w": of()}}, "s")
+    with pytest.raises(StudyError, match=r"the scheduler at s has distributed 2024.1.0, this machine 2026.8.0"):
+        dask.require_same_versions({"client": of(), "scheduler": of(distributed="2024.1.0"), "workers": {}}, "s")
+    with pytest.raises(StudyError, match=r"the worker at w has python 3.12.1.final.0, this machine 3.11.7"):
+        dask.require_same_versions({"client": of(), "scheduler": of(), "workers": {"w": of("3.12.1.final.0")}}, "s")
+
+
+def test_a_worker_without_the_package_or_with_other_code_is_told() -> None:
+    dask.require_same_code({"w": code_digest()})
+    with pytest.raises(StudyError, match="the worker at w has no mmnn_pin: install the same version"):
+        dask.require_same_code({"w": ModuleNotFoundError("none", name="mmnn_pin.study")})
+    with pytest.raises(StudyError, match="the worker at w runs other code of mmnn_pin"):
+        dask.require_same_code({"w": "0123456789abcdef"})
+
+
+def test_a_worker_that_joins_later_judges_itself(tmp_path: Path, monkeypatch) -> None:
+    task = worker.Task.of(planned(tmp_path).row(0))
+    with pytest.raises(StudyError, match="runs other code of mmnn_pin than this machine"):
+        worker.run(replace(task, code="other"))
+    monkeypatch.setattr(worker, "has", lambda module: False)
+    contact = replace(task, experiment=msgspec.structs.replace(task.experiment, plant="contact"))
+    with pytest.raises(
+        StudyError, match=r"has no mujoco: the contact plant needs it: pip install 'mmnn_pin\[contact\]'"
+    ):
+        worker.run(contact)
+
+
+def test_what_travels_needs_nothing_of_this_package_to_be_unpacked() -> None:
+    """A scheduler without the package takes tasks apart: in a Python that cannot import it, they must unpickle."""
+    packed = {name: cloudpickle.dumps(function).hex() for name, function in carriers().items()}
+    program = (
+        "import sys, pickle; sys.modules['mmnn_pin'] = None\n"
+        f"call = pickle.loads(bytes.fromhex('{packed['call']}'))\n"
+        "try:\n    call(b'', b'')\nexcept ModuleNotFoundError as error:\n    print('told', error.name)"
+    )
+    made = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, cwd="/")
+    assert made.stdout.startswith("told mmnn_pin"), made.stderr
+
+
+def test_without_dask_it_is_said_how_to_get_it(tmp_path: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert main(["study", str(written(tmp_path)), "--out", str(tmp_path), "--cluster", "tcp://127.0.0.1:8786"]) == 2
+    assert "no cluster without dask.distributed" in (said := capsys.readouterr().err)
+    assert "pip install 'mmnn_pin[cluster]'" in said
+
+
+def test_a_bundle_is_the_same_robot_without_its_folder(study: str, tmp_path: Path) -> None:
+    robot = re.search(r'robot = "(.*)"', study)
+    assert robot is not None
+    plan = planned(tmp_path, study)
+    bundle = Bundle.of(robot[1], plan.base.overrides)
+    again = Bundle.of(robot[1], plan.base.overrides)
+    assert bundle.digest == again.digest and set(bundle.files) == {"mine.urdf", "meshes/0.stl"}
+    shutil.rmtree(tmp_path / "elsewhere")
+    loaded = bundle.load()
+    assert [wheel.radius for wheel in loaded.base.wheels] == pytest.approx([0.075, 0.075], rel=1e-3)

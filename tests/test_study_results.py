@@ -1,0 +1,296 @@
+"""What a study's rows say: intervals that cover, shares that are known, regions that are found, pages and tables."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import stats
+
+from mmnn_pin.cli import main
+from mmnn_pin.errors import StudyError
+from mmnn_pin.show.study import plots
+from mmnn_pin.show.study.page import page
+from mmnn_pin.show.study.table import render
+from mmnn_pin.study.factors import Factor
+from mmnn_pin.study.intervals import differ, quantile, rate
+from mmnn_pin.study.patterns import unit_of, value_of
+from mmnn_pin.study.region import region_of
+from mmnn_pin.study.results import Results, load_results
+from mmnn_pin.study.sensitivity import bins_of, share_of
+from mmnn_pin.study.settings import Sampling, StudySettings, Success
+from mmnn_pin.study.store import NAME, Stored, writing
+from mmnn_pin.study.verdict import sentences, verdict
+from studies import SHORT, planned, run_here
+
+# -- intervals --------------------------------------------------------------------------------------------------------
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say() -> None:
+    rng = np.random.default_rng(0)
+    draws, true = rng.exponential(size=(1500, 60)), stats.expon.ppf(0.8)
+    inside = [(q := quantile(row, 0.8)).low <= true <= q.high for row in draws]
+    assert 0.94 < np.mean(inside) < 0.99
+    counts = rng.binomial(60, 0.3, 1500)
+    assert 0.93 < np.mean([(r := rate(int(k), 60)).low <= 0.3 <= r.high for k in counts]) < 0.97
+
+
+@given(st.integers(0, 50), st.integers(1, 50))
+def test_a_rate_solves_wilsons_equation(successes: int, more: int) -> None:
+    n = successes + more
+    found, z = rate(successes, n), stats.norm.ppf(0.975)
+    for bound in (found.low, found.high):
+        assert (found.value - bound) ** 2 == pytest.approx(z**2 * bound * (1 - bound) / n, abs=1e-9)
+
+
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60), st.integers(0, 20))
+def test_runs_that_did_not_complete_are_the_worst(values: list[float], lost: int) -> None:
+    with_lost = np.array(values + [math.inf] * lost)
+    found = quantile(with_lost, 0.5)
+    assert found.low <= found.value <= found.high
+    assert (found.value == math.inf) == (lost > len(values))
+    assert quantile(with_lost, 1.0).value == (math.inf if lost else max(values))
+
+
+def test_a_difference_is_judged_on_runs_of_the_same_draw() -> None:
+    one = np.array([True] * 8 + [False] * 2 + [True] * 90)
+    other = np.array([False] * 8 + [True] * 2 + [True] * 90)
+    assert differ(one, other) == pytest.approx(2 * sum(math.comb(10, k) for k in range(3)) / 2**10)
+    assert differ(one, one) == 1.0
+
+
+# -- what decides -----------------------------------------------------------------------------------------------------
+
+
+def test_shares_are_those_of_a_function_whose_shares_are_known() -> None:
+    """`y = x1 + x2 / 2` of uniform numbers: ranks keep the order, shares are 4/5 and 1/5; x3 has none."""
+    rng = np.random.default_rng(1)
+    x = rng.random((4000, 3))
+    y = x[:, 0] + x[:, 1] / 2
+    found = [share_of(column.tolist(), y, True) for column in x.T]
+    assert [share.share for share in found] == pytest.approx([0.8, 0.2, 0.0], abs=0.04)
+    assert found[0].direction > 0.8 and found[0].p < 1e-10 < found[2].p
+    assert share_of(x[:, 0].tolist(), -y, True).direction < -0.8
+
+
+def test_a_factor_without_influence_has_no_share_on_average() -> None:
+    rng = np.random.default_rng(2)
+    shares = [share_of(rng.random(64).tolist(), rng.random(64), True) for _ in range(300)]
+    assert np.mean([share.p < 0.05 for share in shares]) < 0.08
+    assert np.mean([share.share for share in shares]) < 0.05
+
+
+def test_shares_of_levels_and_of_runs_that_were_lost() -> None:
+    values = ["a", "b", "c"] * 40
+    result = np.array([{"a": 1.0, "b": 2.0, "c": math.inf}[value] for value in values])
+    assert share_of(values, result, False).share == pytest.approx(1.0)
+    assert share_of(values, np.ones(120), False).share == 0.0
+    assert bins_of([3.0, 1.0, 2.0, 1.0], True).tolist() == [2, 0, 1, 0]
+    assert set(np.bincount(bins_of(list(np.random.default_rng(0).random(800)), True)).tolist()) == {100}
+
+
+# -- regions ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_region_is_found_where_it_is_and_nothing_more() -> None:
+    rng = np.random.default_rng(3)
+    values: dict[str, Any] = {"x": rng.random(2000).tolist(), "y": rng.random(2000).tolist()}
+    values["kind"] = rng.choice(["good", "bad"], 2000).tolist()
+    good = (np.array(values["x"]) < 0.6) & (np.array(values["kind"]) == "good")
+    factors = {name: Factor(uniform=(0, 1)) for name in "xy"} | {"kind": Factor(choice=("good", "bad"))}
+    half = rng.random(2000) < 0.5
+    found = region_of(values, factors, good, half, 0.95)
+    assert found is not None
+    cuts = {cut.factor: cut for cut in found.cuts}
+    assert set(cuts) == {"x", "kind"} and cuts["kind"].levels == ("good",)
+    assert cuts["x"].low is None and cuts["x"].high == pytest.approx(0.6, abs=0.06)
+    assert found.success.value > 0.9 and found.share == pytest.approx(0.3, abs=0.05)
+
+
+def test_no_region_is_found_in_noise_and_all_where_all_succeed() -> None:
+    rng = np.random.default_rng(4)
+    values, factors = {"x": rng.random(400).tolist()}, {"x": Factor(uniform=(0, 1))}
+    half = rng.random(400) < 0.5
+    assert region_of(values, factors, rng.random(400) < 0.5, half, 0.95) is None
+    everything = region_of(values, factors, np.ones(400, bool), half, 0.95)
+    assert everything is not None and everything.cuts == () and everything.share == 1.0
+
+
+# -- the answer -------------------------------------------------------------------------------------------------------
+
+
+def made(good: dict[str, np.ndarray], error: dict[str, np.ndarray], factors: dict[str, Any]) -> Results:
+    """Results of rows that are made up: successes are errors up to 1."""
+    rows = []
+    for name, successes in good.items():
+        for i, success in enumerate(successes):
+            metrics = {"e.joint.peak": float(error[name][i]) if success else 2.0}
+            values = {factor: column[i] for factor, column in factors.items()}
+            rows.append(Stored(len(rows), "", i, name, 1, values, "completed", 1.0, "", "", metrics, 0.1, "here", ""))
+    settings = StudySettings(
+        experiment="chapter4",
+        factors={name: Factor(uniform=(0.0, 1.0)) for name in factors},
+        sampling=Sampling(points=1),
+        success=Success(at_most={"e.*.peak": 1.0}),
+    )
+    meta = {"controllers": list(good), "settings": {}, "versions": {}, "file": "made.toml"}
+    units = {"e.joint.peak": "rad"}
+    return Results(Path("x"), "made", settings, len(rows), rows, [], ("e.*.peak",), units, meta)
+
+
+def test_the_answer_is_the_controller_with_most_successes() -> None:
+    rng = np.random.default_rng(5)
+    good = {"pd": rng.random(300) < 0.5, "two_layer": rng.random(300) < 0.9}
+    error = {name: rng.random(300) for name in good}
+    found = verdict(made(good, error, {"x": rng.random(300)}))
+    assert found.controller == "two_layer" and found.alike == () and found.deciding == ""
+    told = sentences(made(good, error, {"x": rng.random(300)}), found)
+    share = 100 * good["two_layer"].mean()
+    assert told[0].startswith(f"Take two_layer: it succeeds in {share:.1f} % [") and told[0].endswith("of 300 runs.")
+
+
+def test_equal_successes_are_decided_by_the_smaller_error_and_it_is_said() -> None:
+    rng = np.random.default_rng(6)
+    same = rng.random(300) < 0.99
+    error = {"pd": rng.uniform(0.5, 1, 300), "two_layer": rng.uniform(0, 0.5, 300)}
+    results = made({"pd": same, "two_layer": same}, error, {"x": rng.random(300)})
+    found = verdict(results)
+    assert found.controller == "two_layer" and found.alike == ("pd",) and found.deciding == "e.*.peak"
+    told = " ".join(sentences(results, found))
+    assert "not told apart from those of pd; it has the smallest median of e.*.peak" in told
+    assert "That holds within everything that was varied" in told
+
+
+def test_where_nothing_succeeds_nothing_is_recommended() -> None:
+    none = np.zeros(50, bool)
+    results = made({"pd": none}, {"pd": np.ones(50)}, {"x": np.linspace(0, 1, 50)})
+    assert verdict(results).controller is None
+    assert sentences(results, verdict(results)) == ["None of pd succeeds in any run."]
+
+
+def test_patterns_take_the_largest_and_what_is_no_number_is_worst() -> None:
+    metrics = {"e.a.peak": 1.0, "e.b.peak": 3.0, "z.v.peak": 9.0, "e.a.rms_0_1": math.nan}
+    assert value_of(metrics, "e.*.peak") == 3.0
+    assert value_of(metrics, "e.*.rms_0_1") == math.inf
+    assert math.isnan(value_of(metrics, "gone"))
+    assert [unit_of(name, {"slide"}) for name in ("pose_error.phi.peak", "e.slide.peak", "e.a.peak", "z.vx.peak")] == [
+        *("rad", "m", "rad", "m/s")
+    ]
+
+
+# -- pages, tables, files ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a study that has run, some of its runs diverged."""
+    folder = tmp_path_factory.mktemp("study")
+    text = SHORT.replace("[factors]\n", '[factors]\n"feedback.arm" = { grid = [30.0, 1e6] }\n')
+    run_here(planned(folder, text), folder)
+    return folder
+
+
+def test_the_table_tells_outcomes_rates_and_quantiles(done: Path, capsys) -> None:
+    assert main(["study", str(done / "short.toml"), "--out", str(done)]) == 0
+    said = capsys.readouterr().out
+    assert re.search(r"diverged +8 +8 +8", said) and re.search(r"runs +completed +8 +8 +8", said)
+    assert ("median" in said and max(map(len, said.splitlines())) <= 110) or str(done) in said
+    results = load_results(done)
+    ordered = np.sort(results.metric("pd", "e.*.peak"))
+    assert np.isinf(ordered[8:]).all() and np.isfinite(ordered[:8]).all()
+
+
+def test_json_holds_the_same_numbers(done: Path, capsys) -> None:
+    assert main(["study", str(done / "short.toml"), "--out", str(done), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"] == found["done"] == 48 and found["stopped"] is False
+    pd = found["controllers"]["pd"]
+    assert pd["outcomes"] == {"completed": 8, "diverged": 8}
+    assert pd["metrics"]["e.*.peak"]["q95"]["value"] is None and pd["metrics"]["e.*.peak"]["unit"] == "rad"
+    ordered = sorted(load_results(done).metric("pd", "e.*.peak"))
+    assert pd["metrics"]["e.*.peak"]["median"]["value"] == ordered[7]
+    assert found["verdict"]["take"] in found["controllers"]
+
+
+def test_a_half_done_study_says_so(done: Path, tmp_path: Path) -> None:
+    (tmp_path / NAME).write_bytes((done / NAME).read_bytes())
+    with writing(tmp_path / NAME) as store:
+        store.renumber({row.fingerprint: row.id for row in store.rows()[:20]})
+    assert "20 runs of 48" in (said := render(load_results(tmp_path)))
+    assert "28 runs are missing; the same command makes them" in said
+    with writing(tmp_path / NAME) as store:
+        store.renumber({})
+    with pytest.raises(StudyError, match="holds no rows yet"):
+        load_results(tmp_path)
+
+
+def test_the_page_is_whole_and_tells_the_answer(done: Path, tmp_path: Path, capsys) -> None:
+    assert main(["report", str(done), "--html", str(tmp_path / "page.html")]) == 0
+    text = (tmp_path / "page.html").read_text()
+    results = load_results(done)
+    assert sentences(results, verdict(results))[0].replace("'", "&#39;") in text
+    head, *_ = text.partition("<svg")
+    assert text.count("<svg") == 4 and "src=" not in text and "http" not in head
+    assert re.search(r"row \d+: nu\[\d\] left its bounds", text)
+    assert main(["report", str(done), "--html", str(tmp_path / "page.html")]) == 2
+    assert main(["report", str(done), str(done), "--html", str(tmp_path / "two.html")]) == 2
+    assert "a study among other runs" in capsys.readouterr().err
+
+
+def test_a_page_shows_names_as_text(done: Path) -> None:
+    results = load_results(done)
+    titled = msgspec.structs.replace(results.settings, title="<script>alert(1)</script>")
+    assert "<script" not in page(replace(results, settings=titled)).html
+
+
+def test_pictures_show_what_was_counted(done: Path) -> None:
+    results = load_results(done)
+    axes = plots.against_factors(results).axes[list(results.factors).index("feedback.arm")]
+    heights = {tuple(np.round(line.get_ydata(), 6)) for line in axes.get_lines() if len(line.get_ydata()) == 2}
+    expected = set()
+    for name in results.controllers:
+        values, good = results.values(name, "feedback.arm"), results.succeeded(name)
+        expected.add(tuple(np.round([good[np.array(values) == level].mean() for level in (30.0, 1e6)], 6).tolist()))
+    assert expected <= heights
+    curves = [line for line in plots.distributions(results).axes[0].get_lines() if len(line.get_ydata()) > 2]
+    assert max(float(np.max(line.get_ydata())) for line in curves) == pytest.approx(0.5), "half of the runs diverged"
+    assert len(plots.success_maps(results).axes) == 4 and len(plots.sensitivity(results).axes) == 3
+
+
+def test_rows_are_exported_with_their_bits(done: Path, tmp_path: Path) -> None:
+    pq = pytest.importorskip("pyarrow.parquet")
+    assert main(["export", str(done), "--to", "csv", "--out", str(tmp_path / "rows.csv")]) == 0
+    assert main(["export", str(done / NAME), "--to", "parquet", "--out", str(tmp_path)]) == 0
+    rows = load_results(done).rows
+    with (tmp_path / "rows.csv").open() as file:
+        table = list(csv.DictReader(file))
+    frame = pq.read_table(tmp_path / "short.parquet")
+    assert len(table) == frame.num_rows == 48
+    for row, line, record in zip(rows, table, frame.to_pylist(), strict=True):
+        assert (
+            line["controller"] == record["controller"] == row.controller and int(line["id"]) == record["id"] == row.id
+        )
+        assert float(line["factor masses.root"]) == record["factor masses.root"] == row.parameters["masses.root"]
+        for name, value in row.metrics.items():
+            for read in (float(line[name]), record[name]):
+                assert read == value or (math.isnan(read) and math.isnan(value))
+    assert frame.schema.field("effort").metadata[b"unit"] == b"N^2 m^2 s"
+    assert json.loads(frame.schema.metadata[b"mmnn_pin"])["name"] == "short"
+
+
+def test_rows_go_to_tables_only_and_files_are_not_replaced(done: Path, tmp_path: Path, capsys) -> None:
+    assert main(["export", str(done), "--to", "mcap", "--out", str(tmp_path)]) == 2
+    assert "unknown format for the rows of a study 'mcap'" in capsys.readouterr().err
+    (tmp_path / "short.csv").write_text("mine")
+    assert main(["export", str(done), "--to", "csv", "--out", str(tmp_path)]) == 2
+    assert (tmp_path / "short.csv").read_text() == "mine"

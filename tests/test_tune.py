@@ -1,0 +1,144 @@
+"""Tuning: better gains are found and judged on fresh draws, bad ones are refused, searches go on where they stopped."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import config
+
+from mmnn_pin.cli import main
+from mmnn_pin.study.constraints import violations
+from mmnn_pin.study.objective import LOST, REFUSED, Score, Scorer
+from mmnn_pin.study.pools import threads
+from mmnn_pin.study.reading import load_study
+from mmnn_pin.study.results import load_results
+from mmnn_pin.study.tuning import NAME
+from studies import SHORT, planned, run_here, written
+
+optuna = pytest.importorskip("optuna")
+pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
+
+TUNE = (
+    SHORT
+    + """
+[tune]
+controller = "pd"
+objective = "e.*.peak"
+quantile = 0.75
+trials = 6
+check = 4
+
+[tune.gains]
+"feedback.arm" = { log_uniform = [10.0, 4000.0] }
+"kinematic.K" = { uniform = [1.0, 20.0], relative = true }
+"""
+)
+
+
+def tuned(file: Path, *more: str, capsys) -> dict:
+    assert main(["tune", str(file), "--out", str(file.parent), "--json", *more]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def values(folder: Path) -> list[tuple[dict[str, float], float]]:
+    found = optuna.load_study(study_name="tune", storage=f"sqlite:///{folder / NAME}").trials
+    return [(trial.params, trial.value) for trial in found if trial.value is not None]
+
+
+def test_a_score_is_the_quantile_over_the_rows_of_the_study(tmp_path: Path) -> None:
+    rows = run_here(planned(tmp_path, SHORT), tmp_path)
+    expected = np.sort(load_results(tmp_path).metric("pd", "e.*.peak"))
+    study = load_study(written(tmp_path, TUNE))
+    assert study.settings.tune is not None
+    with threads(2) as pool:
+        score = Scorer(study, study.settings.tune, pool).score({})
+    assert len(rows) == 24 and np.sort(score.metric).tolist() == expected.tolist()
+    assert score.value == expected[int(np.ceil(0.75 * 8)) - 1]
+
+
+def test_lost_runs_count_as_worst_and_refused_gains_more() -> None:
+    fine = Score(np.array([1.0, 2.0, 3.0, np.inf]), 0.75)
+    lost = [Score(np.array([1.0] * n + [np.inf] * (8 - n)), 0.75).value for n in (5, 4, 0)]
+    refused = Score(np.zeros(0), 0.75, 0.5, "unstable").value
+    assert fine.value == 3.0 and fine.lost == 0.25
+    assert 3.0 < LOST < lost[0] < lost[1] < lost[2] < REFUSED < refused
+
+
+def test_better_gains_are_found_and_the_own_ones_come_first(tmp_path: Path, capsys) -> None:
+    found = tuned(written(tmp_path, TUNE), capsys=capsys)
+    trials = values(tmp_path)
+    assert len(trials) == found["trials"] == 6
+    assert trials[0][0] == {"feedback.arm": 30.0, "kinematic.K": 1.0} and trials[0][1] == found["own"]
+    assert found["best"] == min(value for _, value in trials) < found["own"]
+    best = min(trials, key=lambda trial: trial[1])[0]
+    assert found["gains"] == {"feedback.arm": best["feedback.arm"], "kinematic.K": 7.0 * best["kinematic.K"]}
+    fresh = found["fresh"]
+    assert fresh["best"]["quantile"]["value"] < fresh["own"]["quantile"]["value"]
+    assert found["refused"] == sum(value >= REFUSED for _, value in trials) > 0
+
+
+def test_a_search_that_was_stopped_goes_on_to_the_same_trials(tmp_path: Path, capsys) -> None:
+    (whole, parts) = (written(tmp_path / name, TUNE) for name in ("whole", "parts"))
+    tuned(whole, "--set", "tune.check=0", capsys=capsys)
+    tuned(parts, "--set", "tune.trials=2", "--set", "tune.check=0", capsys=capsys)
+    optuna.load_study(study_name="tune", storage=f"sqlite:///{parts.parent / NAME}").ask()  # as a kill leaves it
+    assert tuned(parts, "--set", "tune.check=0", capsys=capsys)["trials"] == 6
+    assert values(parts.parent) == values(whole.parent)
+
+
+def test_gains_that_are_unstable_when_sampled_are_refused_without_a_run(tmp_path: Path) -> None:
+    study = load_study(written(tmp_path, TUNE))
+    assert study.settings.tune is not None
+    with threads(1) as pool:
+        scorer = Scorer(study, study.settings.tune, replace(pool, executor=None))  # type: ignore[arg-type]
+        score = scorer.score({"feedback.arm": 1e5})
+        assert list(violations(scorer.plan({"feedback.arm": 10.0}))) == []
+    assert score.value == REFUSED * 2.0 and "the sampled PD loop is unstable" in score.complaint
+
+
+def test_trials_of_other_settings_are_refused_without_force(tmp_path: Path, capsys) -> None:
+    file = written(tmp_path, TUNE)
+    tuned(file, "--set", "tune.trials=1", "--set", "tune.check=0", capsys=capsys)
+    assert main(["tune", str(file), "--out", str(tmp_path), "--set", "tune.quantile=0.5"]) == 2
+    assert "the trials are of another study or version" in capsys.readouterr().err
+    more = ("--set", "tune.quantile=0.5", "--set", "tune.trials=2", "--set", "tune.check=0", "--force")
+    assert tuned(file, *more, capsys=capsys)["trials"] == 2
+
+
+BAD = [
+    ('"pd"\nobj', '"pdd"\nobj', "tune.controller: error: unknown controller 'pdd'"),
+    ('e.*.peak"\nq', 'e.*.pek"\nq', "tune.objective: error: unknown metric 'e.*.pek'"),
+    ("quantile = 0.75", "quantile = 0", "tune.quantile: error: 0.0: use a number above 0"),
+    ('"feedback.arm" = {', '"feedback.am" = {', "tune.gains.feedback.am: error: unknown setting 'feedback.am'"),
+    ("[10.0, 4000.0]", "[10.0, -1.0]", "tune.gains.feedback.arm.log_uniform: error"),
+    ("log_uniform = [10.0, 4000.0]", "normal = [10.0, 1.0]", "tune.gains.feedback.arm: error: a gain has no normal"),
+    ("trials = 6", "trials = 0", "tune.trials: error: 0: use a number >= 1"),
+    ("kinematic.K", "sensor.velocity", "tune.gains.sensor.velocity: error: 'true' cannot be multiplied"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "words"), BAD)
+def test_what_is_wrong_with_the_file_is_told_with_its_line(
+    old, new, words, tmp_path: Path, capsys, monkeypatch
+) -> None:
+    text = TUNE.replace(old, new)
+    assert text != TUNE
+    monkeypatch.chdir(tmp_path)
+    written(tmp_path, text)
+    assert main(["tune", "short.toml"]) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.startswith("short.toml:") and said.count("\n") == 1
+    assert [file.name for file in tmp_path.iterdir()] == ["short.toml"]
+
+
+def test_a_study_without_tune_and_a_machine_without_optuna_are_told(tmp_path: Path, capsys, monkeypatch) -> None:
+    assert main(["tune", str(written(tmp_path))]) == 2
+    assert "nothing to tune: add [tune] and [tune.gains]" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "optuna", None)
+    assert main(["tune", str(written(tmp_path, TUNE))]) == 2
+    assert "pip install 'mmnn_pin[tune]'" in capsys.readouterr().err
