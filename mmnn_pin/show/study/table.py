@@ -13,7 +13,7 @@ from rich.table import Table
 from ...study.intervals import Interval, quantile, rate
 from ...study.results import Results
 from ...study.verdict import sentences, verdict
-from ..table import heading
+from ..verdicts import heading
 
 WIDTH = 110
 QUANTILES = {"median": 0.5, "95 %": 0.95}
