@@ -322,7 +322,7 @@ BAD = {
     "unknown path": (["run", "chapter4", "--set", "reference.base.type=loop"], ["unknown type 'loop'", "line, circle"]),
     "unknown argument": (["run", "chapter4", "--set", "reference.base.sped=1"], ["unknown key 'sped'", "speed"]),
     "unknown input": (["run", "chapter4", "--set", "inputs.signals=['psi']"], ["unknown network input", "pose_ref"]),
-    "unknown command": (["fly"], ["unknown command 'fly'", "run, readings, model, plot"]),
+    "unknown command": (["fly"], ["unknown command 'fly'", "readings, model, plot"]),
     "unknown option": (["run", "chapter4", "--robt", "x"], ["unknown option '--robt'", "--robot"]),
     "unknown plot": (["plot", "x.h5", "--what", "wieghts"], ["wieghts", "errors", "psi"]),
     "missing argument": (["run"], ["EXPERIMENT", "--help"]),

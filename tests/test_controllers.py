@@ -579,7 +579,19 @@ PACKAGE = Path(mmnn_pin.__file__).parent
 FEET = {"errors", "compiled", "one_thread", "settings", "signals", "timing"}  # what every block may stand on
 BLOCKS = {"reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing", "sampled"}
 RECORDS = {"recorder", "recording", "run_file", "metrics"}
-LOOPS = {"start", "rig", "loop", "ordinary_loop", "compiled_loop", "sample", "batch", "precompile", "recorded_robot"}
+LOOPS = {
+    "start",
+    "rig",
+    "control",
+    "cycle",
+    "loop",
+    "ordinary_loop",
+    "compiled_loop",
+    "sample",
+    "batch",
+    "precompile",
+    "recorded_robot",
+}
 USES = {"experiments", "proof", "study", "show"}
 
 
