@@ -37,6 +37,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.cycle import UNKNOWN
 from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
+from mmnn_pin.proof.proof import Proof
 from mmnn_pin.recorded_robot import recorded_position
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.sensing import Sensor
@@ -352,8 +353,9 @@ def test_its_transforms_are_those_of_the_simulated_run_but_for_the_wheels(record
 
 
 def test_what_needs_the_truth_says_so(recorded):
-    with pytest.raises(RecordingError, match="outside a simulation"):
-        lyapunov(recorded[1])
+    with pytest.raises(RecordingError, match="no truth") as caught:
+        Proof(recorded[1])
+    assert "outside a simulation" in caught.value.why
 
 
 def test_an_exception_leaves_what_was_recorded(tmp_path):

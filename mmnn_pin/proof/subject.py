@@ -50,7 +50,7 @@ class Subject:
             InputError: Its robot cannot be built.
         """
         if not recording.urdf.strip():
-            why = "without it there is no truth to compare with"
+            why = "without it there is no model to compare with"
             raise RecordingError("the recording does not hold its robot's URDF", why=why, file=recording.path)
         robot = recorded_robot(recording)
         for key, what in (("kinematic", "gains of its kinematic layer"), ("time", "periods")):
@@ -138,7 +138,8 @@ def require_signals(recording: Recording) -> None:
     """
     for name in NEEDED:
         if name not in recording:
-            raise RecordingError(f"the signal '{name}' is not in the recording", file=recording.path)
+            why = f"the signal '{name}' is not in the recording, as in one from outside a simulation"
+            raise RecordingError("no truth to compare with", why=why, file=recording.path)
 
 
 def finite_rows(recording: Recording, layout: Layout) -> Array:
