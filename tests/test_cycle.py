@@ -10,7 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mmnn_pin.show.lyapunov import lyapunov
 from numba import config
 
 from mmnn_pin import (
