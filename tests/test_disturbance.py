@@ -157,7 +157,9 @@ def loaded(text, link, mass, at):
     return text.replace("</robot>", f'<link name="load">{inertia}</link>{grip}</robot>')
 
 
-@pytest.mark.parametrize("make", [lambda: mobile_arm(3, 2), lambda: fixed_arm(3, 1), heavy_arm, lambda: ROBOT], ids=str)
+@pytest.mark.parametrize(
+    "make", [lambda: mobile_arm(3, 2), lambda: fixed_arm(3, 1), heavy_arm, lambda: ROBOT], ids=range(4)
+)
 @pytest.mark.parametrize("which", [-1, 0])
 def test_a_payload_is_the_robot_whose_urdf_has_it(make, which):
     robot, at, rng = make(), (0.1, -0.05, 0.2), np.random.default_rng(0)
