@@ -25,6 +25,8 @@ from ..torque.neural import TwoLayer
 from .ideal import Ideal
 from .learner import Learner, Stepper
 
+LOST = 1e-3  # relative difference of Psi_hat beyond which stepping again makes no sense
+
 
 @dataclass(frozen=True, eq=False)
 class WeightsPart:
@@ -35,7 +37,8 @@ class WeightsPart:
         leakage: `kappa |s| tr(Zt' Z)` [W].
         remainder: `s' w` [W].
         step: Second order of the update that led to the row, `|dW|^2 / (2 F)` and so on, over the period [W].
-        missed: Largest difference between the Psi_hat of these steps and the recorded one, relative to the largest.
+        missed: Largest difference between the Psi_hat of these steps and the recorded one, relative to the largest; one
+            beyond `LOST` ends the steps, and the rest is 0.
     """
 
     value: Array
@@ -123,6 +126,7 @@ def weights_part(
     memory, first = stepper.memory, controller.update == "before_output"
     networks = {i: Network.of(learner, i, part, ideal[i]) for i, part in learner.networks}
     psi, recorded = layout.where("psi"), rows[:, layout.where("psi_hat")]
+    largest = float(np.abs(recorded).max())
     wanted, found, missed = set(at.tolist()), np.zeros((4, len(at))), 0.0
     weights = {i: (memory[f"W{i}"], memory[f"V{i}"]) for i in networks}
     seen = {i: (memory[f"sigma{i}"], memory["x"], memory[f"s{i}"]) for i in networks}
@@ -133,6 +137,8 @@ def weights_part(
         look = n in wanted
         used = {i: (W.copy(), V.copy()) for i, (W, V) in weights.items()} if not first else {}
         missed = float(np.maximum(missed, np.abs(stepper.step(row) - recorded[n]).max()))
+        if missed > LOST * largest:  # these are not the weights of the run
+            break
         if first and (look or n + 1 in wanted):
             used = {i: (W.copy(), V.copy()) for i, (W, V) in weights.items()}
         if look:
@@ -147,6 +153,6 @@ def weights_part(
         before = used or before
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
-    largest, missed = np.abs(recorded).max(), missed if np.isfinite(missed) else np.inf
+    missed = missed if np.isfinite(missed) else np.inf
     value, leakage, remainder, step = found
     return WeightsPart(value, leakage, remainder, step, missed / largest if largest else missed)
