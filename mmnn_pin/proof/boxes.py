@@ -17,6 +17,7 @@ from ..signals import Array
 from .certified_loop import CertifiedLoop
 from .inputs_bound import input_norm
 from .motion_bound import Drive, Gains, MotionBound, drive, motion_bound
+from .motion_samples import MotionSamples
 from .pose_bound import PoseSet
 from .weights_bound import WeightsBound, weights_bound
 
@@ -38,6 +39,10 @@ class Box:
     pose: float
     arm: float
     energy: float
+
+    def within(self, other: Box) -> bool:
+        """Whether all of it is in another box."""
+        return self.pose <= other.pose and self.arm <= other.arm and self.energy <= other.energy
 
     def holds(self, pose: Array, arm: Array, energy: Array) -> Array:
         """Which of k states are inside; (k,) each."""
@@ -83,10 +88,11 @@ class Boxes:
     Args:
         loop: The loop.
         outer: The outermost box; the weights' bounds are taken there.
+        samples: The robot along the reference; all samples if None.
     """
 
-    def __init__(self, loop: CertifiedLoop, outer: Box) -> None:
-        self.loop, self.outer = loop, outer
+    def __init__(self, loop: CertifiedLoop, outer: Box, samples: MotionSamples | None = None) -> None:
+        self.loop, self.outer, self.samples = loop, outer, samples or loop.samples
 
     @cached_property
     def networks(self) -> dict[int, WeightsBound]:
@@ -111,31 +117,48 @@ class Boxes:
 
     def velocity(self, box: Box) -> Array:
         """(p,) largest |s_i| in a box."""
-        return np.asarray(np.sqrt(2 * box.energy * self.loop.samples.lightest))
+        return np.asarray(np.sqrt(2 * box.energy * self.samples.lightest))
 
     def joints(self, box: Box) -> Array:
         """(n,) largest |e_i| in a box."""
-        return box.arm * self.loop.samples.joint_reach
+        return box.arm * self.samples.joint_reach
 
     def drive(self, box: Box) -> Drive:
         """What the errors of a box do to the reference velocity."""
         loop, reach = self.loop, self.loop.pose.reach(box.pose)
         return drive(loop.pose, reach, box.arm, self.joints(box), loop.K, loop.along.a_ref)
 
+    def pose_stands(self, box: Box) -> float:
+        """Size below which the pose error may grow in a box [m]; inf where nothing holds it."""
+        pose = self.loop.pose
+        decay = pose.decay(box.pose, float(self.velocity(box)[1]))
+        G = np.array([1.0, pose.yaw_gain(pose.reach(box.pose).cosine)])
+        driven = np.linalg.eigvalsh(G[:, None] * self.samples.M_inverse[:, :2, :2] * G).max()
+        return float(np.sqrt(2 * box.energy * driven) / decay) if decay > 0 else np.inf
+
+    def arm_stands(self, box: Box) -> float:
+        """The same of the arm errors' size; inf for configurations that were not looked at."""
+        if not len(self.loop.K):
+            return 0.0
+        if (self.joints(box) > self.samples.spread).any():
+            return np.inf
+        return float(np.sqrt(2 * box.energy) * self.samples.arm_gain / self.loop.arm_decay)
+
     def faces(self, box: Box) -> Faces:
         """Judge a box within the outermost one."""
-        loop, samples, pose = self.loop, self.loop.samples, self.loop.pose
+        pose = self.loop.pose
         reach, s = pose.reach(box.pose), self.velocity(box)
-        decay, g = pose.decay(box.pose, float(s[1])), pose.yaw_gain(reach.cosine)
-        G = np.array([1.0, g])
-        driven = np.sqrt(2 * box.energy * np.linalg.eigvalsh(G[:, None] * samples.M_inverse[:, :2, :2] * G).max())
-        motion = motion_bound(samples, self.drive(box), box.energy, self.gains)
-        stands = float(driven / decay) if decay > 0 else np.inf
-        joints = self.joints(box)
-        if len(joints) and (joints > samples.spread).any():
-            stands = np.inf  # configurations that were not looked at
-        arm = np.sqrt(2 * box.energy) * samples.arm_gain / loop.arm_decay if len(joints) else 0.0
-        return Faces(box, reach, decay, g, joints, s, motion, stands, float(arm))
+        return Faces(
+            box=box,
+            reach=reach,
+            decay=pose.decay(box.pose, float(s[1])),
+            yaw_gain=pose.yaw_gain(reach.cosine),
+            joints=self.joints(box),
+            velocity=s,
+            motion=motion_bound(self.samples, self.drive(box), box.energy, self.gains),
+            pose=self.pose_stands(box),
+            arm=self.arm_stands(box),
+        )
 
     def inner(self, faces: Faces) -> Box:
         """The next smaller box: the energy first, then what it drives."""

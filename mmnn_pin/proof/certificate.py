@@ -17,8 +17,9 @@ from ..signals import Array
 from .boxes import STRICT, Box, Boxes, Faces
 from .certified_loop import CertifiedLoop
 
-ENERGIES = np.geomspace(1e-6, 30.0, 28)  # [J]
+ENERGIES = np.geomspace(1e-6, 30.0, 32)  # [J]
 SIZES = np.array([0.01, 0.03, 0.07, 0.13, 0.2, 0.3, 0.42, 0.56, 0.72])  # of the largest size of the pose error
+THIN = 8  # of the samples, every which is looked at in the search
 ARMS = (1.0, 2.5)  # of the size that the energy drives the arm errors to
 
 
@@ -114,19 +115,27 @@ def certify(loop: CertifiedLoop, region: Box | None = None, start: Box | None = 
 
 
 def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
-    """The largest held box of a grid, those around the start first; where there is none, the one nearest to it."""
-    best: tuple[bool, bool, float] | None = None
-    found = None
+    """The largest held box of a grid, those around the start first; where there is none, the one nearest to it.
+
+    Boxes are looked at with few samples first, from the best on with all.
+    """
+    few = loop.samples.thinned(THIN)
+    held, nearest, least = [], None, math.inf
     for box in candidates(loop):
-        boxes = Boxes(loop, box)
+        boxes = Boxes(loop, box, few)
+        if not (boxes.pose_stands(box) < box.pose and boxes.arm_stands(box) <= box.arm):
+            continue
         faces = boxes.faces(box)
-        around = start is not None and bool(box.holds(*(np.array([v]) for v in (start.pose, start.arm, start.energy)))[0])
-        size = math.log(box.pose * math.sqrt(box.energy) * (box.arm or 1.0)) if faces.held else -excess(faces)
-        score = (faces.held, faces.held and around, size)
-        if best is None or score > best:
-            best, found = score, boxes
-    assert found is not None
-    return found
+        if faces.held:
+            around = start is not None and start.within(box)
+            held.append((around, math.log(box.pose * math.sqrt(box.energy) * (box.arm or 1.0)), box))
+        elif (over := excess(faces)) < least:
+            nearest, least = box, over
+    for _, _, box in sorted(held, key=lambda one: one[:2], reverse=True):
+        boxes = Boxes(loop, box)
+        if boxes.faces(box).held:
+            return boxes
+    return Boxes(loop, nearest or Box(SIZES[0] * loop.pose.largest, 0.0, ENERGIES[0]))
 
 
 def candidates(loop: CertifiedLoop) -> Iterator[Box]:
@@ -143,8 +152,7 @@ def excess(faces: Faces) -> float:
     box, motion = faces.box, faces.motion
     if not motion.margin > 0:
         return 1e6 - motion.margin if np.isfinite(motion.margin) else 1e12
-    ratio = max(faces.pose / box.pose, motion.level / box.energy, faces.arm / box.arm if box.arm else 0.0)
-    return min(ratio, 1e5)
+    return float(min(max(faces.pose / box.pose, motion.level / box.energy), 1e5))
 
 
 def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:

@@ -103,7 +103,7 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
         period=subject.timing.control_period,
         gain=learner.controller.feedback.vector(layout) if learner else subject.signal("effective_gain")[0].copy(),
         learner=learner,
-        disturbance=np.zeros(layout.dof),
+        disturbance=push_bound(subject),
         projection=safety.get("weights"),
     )
 
@@ -120,9 +120,13 @@ def refusal(subject: Subject) -> str:
         return "friction that sticks is an impulse, no force that is bounded"
     if not subject.exact_sensors:
         return "it takes the true state at every control sample; these sensors err or are slower"
-    for name, what in (("actuator", "motors that do not give what they are asked for"), ("disturbances", "faults")):
-        if meta.get(name):
-            return f"the run has {what}"
+    if meta.get("actuator"):
+        return "its motors do not give what they are asked for"
+    if any(event["type"] != "push" for event in meta.get("disturbances", ())):
+        return "something else than pushes happens to the robot"
+    safety = meta.get("safety") or {}
+    if safety.get("torque") is not None and np.any(subject.recording["safety"] > 0):
+        return "its supervisor stepped in"
     v_ref, k = subject.signal("velocity_ref"), subject.kinematic
     if not v_ref[:, 0].min() > SPEED:
         return f"vr falls to {v_ref[:, 0].min():.3g} m/s; without vr >= vmin > 0 nothing pulls ey to 0"
@@ -135,6 +139,19 @@ def refusal(subject: Subject) -> str:
     if learner.controller.update != "after_output":
         return "the weights are updated before the output, with the hidden outputs of the call before"
     return ""
+
+
+def push_bound(subject: Subject) -> Array:
+    """(p,) largest external force of the run's pushes: steps and sines as given, impulses and noise as they were."""
+    names, found = list(subject.robot.velocity_names), np.zeros(subject.layout.dof)
+    for event in subject.recording.meta.get("disturbances", ()):
+        force = abs(event.get("force", 0.0))
+        if event.get("shape", "step") == "impulse":
+            force /= subject.timing.plant_step
+        elif event.get("shape") == "noise":
+            force = float(np.abs(subject.recording["disturbance"][:, names.index(event["on"])]).max())
+        found[names.index(event["on"])] += force
+    return found
 
 
 def proportional(subject: Subject) -> bool:

@@ -81,6 +81,12 @@ class MotionSamples:
     def __post_init__(self) -> None:
         object.__setattr__(self, "root_inverse", np.linalg.inv(np.linalg.cholesky(self.M)))
 
+    def thinned(self, step: int) -> MotionSamples:
+        """Every step-th sample."""
+        keep = np.arange(0, len(self.M), step)
+        M, C, gravity = self.M[keep], self.coriolis[keep], self.gravity[keep]
+        return MotionSamples(self.along.at(keep), M, C, gravity, self.viscous, self.dry, self.spread)
+
     @cached_property
     def M_inverse(self) -> Array:
         """(N, p, p)."""

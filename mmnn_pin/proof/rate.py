@@ -93,7 +93,7 @@ def judged(subject: Subject, learner: Learner, row: Array, memory: Memory) -> tu
     L = kernel(learner, row, memory)
     gain = np.array(row[where("effective_gain")])
     gain = np.where(gain > 0, gain, learner.controller.feedback_gain(layout))
-    M = subject.dynamics.mass_matrix(row[where("position")])
+    M = subject.dynamics(float(row[where("time")][0])).mass_matrix(row[where("position")])
     held = held_loop(
         M,
         row[where("velocity_ref")],
