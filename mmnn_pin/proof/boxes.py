@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..signals import Array
 from .certified_loop import CertifiedLoop
@@ -21,6 +22,7 @@ from .motion_samples import MotionSamples
 from .pose_bound import PoseSet
 from .weights_bound import WeightsBound, weights_bound
 
+BoolArray = NDArray[np.bool_]
 STRICT = 1.02  # a box is this much larger than the place where its error may stand still
 STEPS = 200
 SETTLED = 1e-3
@@ -44,14 +46,14 @@ class Box:
         """Whether all of it is in another box."""
         return self.pose <= other.pose and self.arm <= other.arm and self.energy <= other.energy
 
-    def holds(self, pose: Array, arm: Array, energy: Array) -> Array:
+    def holds(self, pose: Array, arm: Array, energy: Array) -> BoolArray:
         """Which of k states are inside; (k,) each."""
         return (pose <= self.pose) & (arm <= self.arm) & (energy <= self.energy)
 
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Where each error may stand still while the others are anywhere in a box: it falls from there up to the box's face.
+    """Where each error may stand still, the others anywhere in a box: it falls from there up to the box's face.
 
     Attributes:
         box: The box.

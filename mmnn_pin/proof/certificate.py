@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..signals import Array
 from .boxes import STRICT, Box, Boxes, Faces
 from .certified_loop import CertifiedLoop
 
@@ -44,24 +43,26 @@ class Constant:
 
 @dataclass(frozen=True)
 class Condition:
-    """A condition of the theorem: `value < limit`.
+    """A condition of the theorem: `value < limit`, or `value > limit`.
 
     Attributes:
         name: Which.
         value: Left side.
         limit: Right side.
         words: What it says.
+        need: "below" or "above".
     """
 
     name: str
     value: float
     limit: float
     words: str
+    need: str = "below"
 
     @property
     def holds(self) -> bool:
-        """Whether it is met; what is not finite is not."""
-        return bool(self.value < self.limit)
+        """Whether it is met; what is no number is not."""
+        return bool(self.value > self.limit if self.need == "above" else self.value < self.limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,14 +159,20 @@ def excess(faces: Faces) -> float:
 def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     """See `Certificate.conditions`."""
     loop, motion, box = boxes.loop, faces.motion, faces.box
-    yield Condition("speed", 0.0, loop.pose.slowest, "vr >= vmin > 0 all along the reference [m/s]")
+    yield Condition("speed", loop.pose.slowest, 0.0, "slowest speed of the reference [m/s]", "above")
     for i, network in boxes.networks.items():
         name = {1: "base", 2: "arm"}[i]
-        yield Condition(f"leakage, {name}", max(network.leak, network.leak_V), 2.0, "kappa F |s| per sample, also with G")
+        if loop.projection is None:
+            leak = max(network.leak, network.leak_V)
+            yield Condition(f"leakage, {name}", leak, 2.0, "kappa F |s| per sample, also with G")
         yield Condition(f"weights, {name}", network.norm, math.inf, f"|Z| has a bound, by {network.why}")
-    yield Condition("pose", 0.0, faces.decay, "the pose error decays in the region [1/s]")
+    yield Condition("pose", faces.decay, 0.0, "decay of the pose error in the region [1/s]", "above")
     yield Condition("period", loop.period * motion.fastest, 0.5, "h times the largest eigenvalue of M^-1 k")
-    yield Condition("feedback", 0.0, motion.margin, "the feedback outweighs kinematic gains, Coriolis and hold [1/s]")
+    words = "smallest s'Ks / s'Ms: feedback less kinematic gains and Coriolis [1/s]"
+    yield Condition("feedback", motion.unheld, 0.0, words, "above")
+    yield Condition(
+        "feedback, held", motion.margin, 0.0, "the same less what the hold of the torque takes [1/s]", "above"
+    )
     yield Condition("face, pose", faces.pose, box.pose, "where the pose error may stand still, within the region [m]")
     if len(faces.joints):
         yield Condition("face, arm", faces.arm, box.arm, "the same of the arm errors' size")
@@ -204,6 +211,6 @@ def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
     yield Constant("M_min", float(eigenvalues.min()), "SI", "sampled", "smallest eigenvalue of M")
     yield Constant("M_max", float(eigenvalues.max()), "SI", "sampled", "largest eigenvalue of M")
     yield Constant("mu", motion.fastest, "1/s", "sampled", "largest eigenvalue of M^-1 k")
-    yield Constant("margin", motion.margin, "1/s", "sampled", "smallest s' K s / s' M s")
+    yield Constant("margin", motion.margin, "1/s", "sampled", "smallest s' K s / s' M s, hold included")
     yield Constant("lambda_E", motion.rate, "1/s", "sampled", "rate used for the energy of the errors")
     yield Constant("push", motion.pushed, "SI", "sampled", "largest |ds/dt| but for the feedback, in the norm of k")

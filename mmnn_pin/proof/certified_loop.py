@@ -1,4 +1,4 @@
-"""The loop that a certificate speaks of, from a recording: robot, gains, reference, learner; and where there is none."""
+"""The loop that a certificate speaks of, from a recording: robot, gains, reference, learner; or why there is none."""
 
 from __future__ import annotations
 

@@ -34,7 +34,8 @@ class CertifiedRun:
     @property
     def holds(self) -> bool:
         """False only where a run left a region that is certified."""
-        return self.certificate is None or not self.certificate.holds or self.reached is None or self.reached.stays
+        run = self.reached
+        return self.certificate is None or run is None or not (self.certificate.holds and run.covered) or run.stays
 
 
 def certified_run(proof: Proof) -> CertifiedRun:

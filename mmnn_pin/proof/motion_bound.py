@@ -3,8 +3,8 @@
     Edot <= -s' (share k + viscous - sym(M Az) + Coriolis) s + s' u + constant
 
 u is what drives s: the reference's Psi, what the errors of pose and arm add to it, friction, the network (any output
-within its bound) and the disturbance; `share` and `constant` are what the hold of the torque over a period takes. With K
-the matrix in brackets, R = (K - rate M)^-1 and |u|_R = sqrt(u' R u)
+within its bound) and the disturbance; `share` and `constant` are what the hold of the torque over a period takes.
+With K the matrix in brackets, R = (K - rate M)^-1 and |u|_R = sqrt(u' R u)
 
     Edot <= -2 rate E + |u|_R^2 / 4 + constant        for every rate with K - rate M > 0
 
@@ -101,8 +101,8 @@ class MotionBound:
     Attributes:
         rate: Rate of decay used [1/s]; nan where there is none.
         level: Energy above which E falls [J]; inf where there is none.
-        margin: Largest possible rate, `min of s' K s / s' M s` [1/s]; negative: the feedback is too weak for the
-            kinematic gains.
+        margin: Largest possible rate, `min of s' K s / s' M s` [1/s].
+        unheld: The same for a torque that is not held; negative: the feedback is too weak for the kinematic gains.
         fastest: Largest eigenvalue of M^-1 k [1/s]; the period has to be below half its inverse.
         pushed: Largest `|d s / dt|` that is not the feedback's, in the norm of k [sqrt(W/s)].
     """
@@ -110,6 +110,7 @@ class MotionBound:
     rate: float
     level: float
     margin: float
+    unheld: float
     fastest: float
     pushed: float
 
@@ -121,12 +122,13 @@ def motion_bound(samples: MotionSamples, added: Drive, energy: float, gains: Gai
     held = fastest * gains.period
     grip = held / (1 - held) if held < 1 else np.inf
     delay = gains.period / (1 - held) * pushed if held < 1 else np.inf
-    best = MotionBound(np.nan, np.inf, -np.inf, fastest, pushed)
+    unheld = settle(samples, added, forces, gains, 1.0, np.inf)[2]
+    best = MotionBound(np.nan, np.inf, -np.inf, unheld, fastest, pushed)
     for spent in SPENT:
         share, constant = max(1 - grip - spent, -1.0), delay**2 / (4 * spent)
         rate, level, margin = settle(samples, added, forces, gains, share, constant)
         if level < best.level or (np.isinf(level) and np.isinf(best.level) and margin > best.margin):
-            best = MotionBound(rate, level, margin, fastest, pushed)
+            best = MotionBound(rate, level, margin, unheld, fastest, pushed)
     return best
 
 

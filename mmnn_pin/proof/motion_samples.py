@@ -15,7 +15,7 @@ import numpy as np
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
 from ..sampled import viscous_friction
-from ..signals import Array
+from ..signals import Array, IntArray
 
 SAMPLES = 240
 
@@ -40,19 +40,19 @@ class Along:
     qddot_ref: Array
     pose_ref: Array
 
-    def at(self, places: Array) -> Along:
+    def at(self, places: IntArray) -> Along:
         """The reference at some of the instants."""
         return Along(*(getattr(self, name)[places] for name in self.__dataclass_fields__))
 
     @property
     def nu(self) -> Array:
         """Velocities without any error, (N, p)."""
-        return np.hstack((self.v_ref, self.qdot_ref))
+        return np.concatenate((self.v_ref, self.qdot_ref), axis=1)
 
     @property
     def nudot(self) -> Array:
         """Accelerations without any error, (N, p)."""
-        return np.hstack((self.a_ref, self.qddot_ref))
+        return np.concatenate((self.a_ref, self.qddot_ref), axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class MotionSamples:
     @cached_property
     def M_inverse(self) -> Array:
         """(N, p, p)."""
-        return np.linalg.inv(self.M)
+        return np.asarray(np.linalg.inv(self.M))
 
     @cached_property
     def lightest(self) -> Array:
@@ -153,7 +153,7 @@ def sample(robot: Robot, along: Along, spread: Array, seed: int = 0, samples: in
     places = np.resize(places, samples)  # a short reference is sampled again with other offsets
     offsets = rng.uniform(-1, 1, (samples, n))
     offsets[: samples * 3 // 4] = np.where(offsets[: samples * 3 // 4] < 0, -1.0, 1.0)
-    offsets[:: 4] = 0.0
+    offsets[::4] = 0.0
     rng.shuffle(offsets)
     here, p = along.at(places), robot.layout.dof
     M, C, g = np.zeros((samples, p, p)), np.zeros((samples, p, p, p)), np.zeros((samples, p))

@@ -5,8 +5,8 @@ With `eta = sin(ephi) / sqrt(ky)` [m] and a number `0 < eps < 1`
     Vk = (ex^2 + ey^2)/2 + (1 - cos ephi)/ky + eps ey eta
     Vkdot = -xi' Q xi + ex z1 + (eta + eps cos(ephi) ey) z2 / sqrt(ky),        xi = (ex, ey, eta)
 
-where Q of `decay_matrix` is positive definite for `vr >= vmin > 0`, small eps and |ephi| < pi/2. What follows speaks of the
-*size* `a = sqrt(2 Vk)` [m], along which `adot <= -decay(a) a + |(z1, g z2)|`, g of `yaw_gain`.
+where Q of `decay_matrix` is positive definite for `vr >= vmin > 0`, small eps and |ephi| < pi/2. What follows speaks of
+the *size* `a = sqrt(2 Vk)` [m], along which `adot <= -decay(a) a + |(z1, g z2)|`, g of `yaw_gain`.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class PoseBound:
         return float(np.linalg.eigvalsh(L_inv @ Q @ L_inv.T).min())
 
     def yaw_gain(self, cosine: float) -> float:
-        """g [m]: how strongly z2 drives the size, with z1 counting as 1, where cos ephi >= cosine."""
+        """G [m]: how strongly z2 drives the size, with z1 counting as 1, where cos ephi >= cosine."""
         square = self.eps**2
         return math.sqrt((1 - square * (2 - cosine) * cosine) / (self.ky * (1 - square)))
 

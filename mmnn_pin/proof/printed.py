@@ -5,8 +5,9 @@ Per network, with the error that drives it of gain k (the smallest of its veloci
     C0 = eps_N + dB + sqrt(h) ZB        C1 = sqrt(2)/4 ZB qB        C2 = sqrt(2)/4 ZB c2
     C6 = ZB + C1/kappa      b = (C0 + kappa C6^2/4)/k      bZ = C6/2 + sqrt(C0/kappa + C6^2/4)      Kz > C2
 
-The thesis leaves c0, c2, qB and dB open. Here c0 = 0, dB is the external force of the run, c2 is how strongly x follows s (by
-itself and through alphadot), and qB the largest |x| - c2 |s| along the run. eps_N and |Z*| are those of the ideal weights.
+The thesis leaves c0, c2, qB and dB open. Here c0 = 0, dB is the external force of the run, c2 is how strongly x follows
+s (by itself and through alphadot), and qB the largest |x| - c2 |s| along the run. eps_N and |Z*| are those of the ideal
+weights.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..signals import Array
+from ..torque.neural import Robust
 from .ideal import Ideal
 from .learner import Learner, said
 from .subject import Subject
@@ -71,7 +73,8 @@ def printed(subject: Subject, learner: Learner, ideal: dict[int, Ideal], force: 
         k, other = float(gain[part].min()), next((j for j in parts if j != i), None)
         rest = numbers[other][1] ** 2 / (4 * k * gain[parts[other]].min()) if other else 0.0
         half = D / (2 * k) + math.sqrt(D**2 / (4 * k**2) + rest)
-        robust = controller.robust.base if i == 1 else controller.robust.arm if controller.robust else 0.0
+        term = controller.robust or Robust(0.0, 0.0)
+        robust = term.base if i == 1 else term.arm
         last = float(s[i][len(s[i]) // 2 :].max())
         found[i] = Printed(C, D / k, bZ, half, float(np.min(robust)), last)
     return found
@@ -86,5 +89,6 @@ def follows(subject: Subject, learner: Learner, i: int) -> float:
         Az = max(k.kx, k.kth * v) if nb == 2 else max(k.holonomic)
     else:
         Az = float(K.max())
-    own = {1: {"z": 1.0, "velocity": 1.0, "alphadot": Az, "nudot_ref": Az}, 2: {"r": 1.0, "edot": 1.0, "qdot": 1.0, "nudot_ref": Az}}[i]
+    base = {"z": 1.0, "velocity": 1.0, "alphadot": Az, "nudot_ref": Az}
+    own = base if i == 1 else {"r": 1.0, "edot": 1.0, "qdot": 1.0, "nudot_ref": Az}
     return scale * math.sqrt(sum(own.get(name, 0.0) ** 2 for name in signals))

@@ -4,10 +4,10 @@ One update changes the output by `Psi_hat <- Psi_hat + L s`, with the kernel of 
 
     L = F (sigma' (sigma - sigma' V'x)) I + G |x|^2 W' sigma'^2 W            (p, p), rates per sample
 
-(a one-layer network: beta |phi|^2 I). Linearised about the reference, with the torque held over a period, deviations and
-Psi_hat then follow a matrix (docs/theory.md, section 6); a spectral radius above 1 means that they grow. For one velocity of
-inertia m alone it is stable if and only if `L < k` and `h (2 k - L) < 4 m` (updates after the output). What this speaks of is
-small errors and an input that stands still; the leakage is left out.
+(a one-layer network: beta |phi|^2 I). Linearised about the reference, with the torque held over a period, deviations
+and Psi_hat then follow a matrix (docs/theory.md, section 6); a spectral radius above 1 means that they grow. For one
+velocity of inertia m alone it is stable if and only if `L < k` and `h (2 k - L) < 4 m` (updates after the output). This
+speaks of small errors and an input that stands still; the leakage is left out.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
     rows = learned_at(subject, learner, places)
     found = [judged(subject, learner, row, memory) for row, memory in rows]
     time = np.array([row[subject.layout.where("time")][0] for row, _ in rows])
-    columns = (np.array(column) for column in zip(*found, strict=True))
-    return Rate(time, *columns, leakage(subject, learner))
+    radii, without, share, limit = (np.array(column) for column in zip(*found, strict=True))
+    return Rate(time, radii, without, share, limit, leakage(subject, learner))
 
 
 def learned_at(subject: Subject, learner: Learner, places: int) -> list[tuple[Array, Memory]]:
@@ -137,8 +137,8 @@ def kernel(learner: Learner, row: Array, memory: Memory) -> Array:
 
 
 def radius(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
-    """Spectral radius of a period with the learner: L (p, p), gain (p,); `first` where weights move before the output."""
-    k, p = held.torque.shape
+    """Spectral radius of a period with the learner: L (p, p), gain (p,); `first`: weights move before the output."""
+    p = len(gain)
     closed = held.closed(gain)
     if first:
         closed = closed + held.torque @ L @ held.errors

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..signals import Array
-from .boxes import Box
+from .boxes import BoolArray, Box
 from .certificate import Certificate
 from .certified_loop import CertifiedLoop
 from .errors import motion_energy
@@ -35,7 +35,7 @@ class Sizes:
         """The smallest box around the first sample."""
         return Box(float(self.pose[0]), float(self.arm[0]), float(self.energy[0]))
 
-    def inside(self, box: Box) -> Array:
+    def inside(self, box: Box) -> BoolArray:
         """Which samples are in a box, (N,) bool."""
         return box.holds(self.pose, self.arm, self.energy)
 
@@ -56,7 +56,9 @@ class Reached:
     Attributes:
         starts: Whether it starts in the region.
         enters: When it is first inside of the region [s]; nan if never.
-        stays: Whether it never leaves the region once inside; False is a violation.
+        stays: Whether it never leaves the region once inside; where it is `covered`, False is a violation.
+        covered: Whether its recorded weights keep within their bounds: a run that starts outside of the region may
+            carry larger ones into it, and then nothing is guaranteed.
         settles: When it is inside of the bound for good [s]; nan if never (the run may have been too short).
         largest: Largest errors once inside of the region.
         last: Largest errors over the last half of the run.
@@ -66,6 +68,7 @@ class Reached:
     starts: bool
     enters: float
     stays: bool
+    covered: bool
     settles: float
     largest: Box
     last: Box
@@ -83,17 +86,23 @@ def reached(subject: Subject, certificate: Certificate, sizes: Sizes) -> Reached
     largest = [float(getattr(sizes, name)[first:].max(initial=0.0)) for name in names]
     last = [float(getattr(sizes, name)[half:].max()) for name in names]
     weights = subject.recording.weights
-    found = {}
-    for i in certificate.boxes.networks:
-        norms = (np.sqrt((weights[f"{letter}{i}"] ** 2).sum(axis=(1, 2))) if f"{letter}{i}" in weights else np.zeros(1)
-                 for letter in "WV")  # fmt: skip
-        found[i] = tuple(float(norm.max()) for norm in norms)
+    networks = certificate.boxes.networks
+    found = {i: (largest_norm(weights.get(f"W{i}")), largest_norm(weights.get(f"V{i}"))) for i in networks}
     return Reached(
         starts=bool(inside[0]),
         enters=float(times[first]) if first < len(times) else nan,
         stays=bool(inside[first:].all()),
+        covered=all(
+            W <= (1 + 1e-9) * networks[i].W and (V <= (1 + 1e-9) * networks[i].V or not networks[i].V)
+            for i, (W, V) in found.items()
+        ),
         settles=float(times[after]) if after < len(times) else nan,
         largest=Box(*largest),
         last=Box(*last),
-        weights=found,  # type: ignore[arg-type]
+        weights=found,
     )
+
+
+def largest_norm(snapshots: Array | None) -> float:
+    """Largest norm of weights (k, ...) that were recorded; 0 without any."""
+    return 0.0 if snapshots is None else float(np.sqrt((snapshots**2).sum(axis=(1, 2))).max(initial=0.0))

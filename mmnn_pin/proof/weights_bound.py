@@ -1,11 +1,12 @@
-"""How large the weights of a learner may become, sampled and updated once per control period (docs/theory.md, section 3).
+"""How large the weights of a learner may become, updated once per control period (docs/theory.md, section 3).
 
 With `y = kappa F |s|`, F per sample, one update of the output weights is `W <- (1 - y) W + F phi s'`, where
 
     phi = sigma - sigma' V'x  in (0, 1) for every unit: `a -> sigma(a) - a sigma'(a)` rises from 0 to 1,
 
-so that `|W| <= max(|W(0)|, c(y) sqrt(h)/kappa)` for ever, `c = 1` while y <= 1 and `y / (2 - y)` below 2; from y = 2 on nothing
-holds it. A one-layer network has the Gaussians in (0, 1] for phi. The hidden weights follow: `|x sigma'' W s| <= |x| |W| |s| / 4`.
+so that `|W| <= max(|W(0)|, c(y) sqrt(h)/kappa)` for ever, `c = 1` while y <= 1 and `y / (2 - y)` below 2; from y = 2 on
+nothing holds it. A one-layer network has the Gaussians in (0, 1] for phi. The hidden weights follow, as
+`|x (sigma'' W s)'| <= |x| |W| |s| / 4`.
 """
 
 from __future__ import annotations
@@ -79,7 +80,7 @@ def weights_bound(learner: Learner, i: int, s: Array, x: float, projection: floa
 
 
 def growth(y: float) -> float:
-    """c with `|W| <= c a / kappa` for updates `W <- (1 - y) W + (y/kappa) phi`, |phi| <= a; inf from y = 2 on."""
+    """C with `|W| <= c a / kappa` for updates `W <- (1 - y) W + (y/kappa) phi`, |phi| <= a; inf from y = 2 on."""
     if y <= 1:
         return 1.0
     return y / (2 - y) if y < 2 else math.inf

@@ -14,7 +14,7 @@ from .numbers import NAMES, number
 
 
 def certificate_dict(told: CertifiedRun) -> dict[str, Any]:
-    """Whether it applies and holds, conditions, constants, region and bound, the run beside them, rates, printed bounds."""
+    """Whether it applies and holds, conditions, constants, region, bound, the run, rates, printed bounds."""
     found: dict[str, Any] = {"applies": told.certificate is not None, "why_not": told.missing.get("certificate")}
     if told.certificate is not None:
         certificate = told.certificate
@@ -53,6 +53,7 @@ def reached_dict(run: Reached) -> dict[str, Any]:
         "starts_inside": run.starts,
         "enters": number(run.enters),
         "stays": run.stays,
+        "covered": run.covered,
         "settles": number(run.settles),
         "largest": asdict(run.largest),
         "last_half": asdict(run.last),

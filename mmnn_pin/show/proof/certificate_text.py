@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from ...proof.certificate import Certificate, Condition
@@ -51,12 +52,12 @@ def verdict(certificate: Certificate) -> str:
     """Whether a region is certified, and if not, what fails."""
     if certificate.holds:
         return (
-            "Holds: from every error in the region, with any weights that the update can reach and any force within d, the "
-            "sampled loop never leaves it and ends up in the bound. Sampled constants are the largest over "
+            "Holds: from every error in the region, with any weights that the update can reach and any force within d, "
+            "the sampled loop never leaves it and ends up in the bound. Sampled constants are the largest over "
             f"{len(certificate.boxes.samples.M)} configurations along the reference."
         )
     failed = [c for c in certificate.conditions if not c.holds]
-    told = "; ".join(f"{c.name}: {side(c.value)} is not below {side(c.limit)}" for c in failed)
+    told = "; ".join(f"{c.name}: {side(c.value)} is not {c.need} {side(c.limit)}" for c in failed)
     return f"FAILS: no region was found. At the one nearest to it: {told}. That proves nothing against the loop."
 
 
@@ -72,11 +73,12 @@ def condition_table(conditions: list[Condition]) -> Table:
     table = Table(box=SIMPLE_HEAD, padding=0)
     table.add_column("condition", no_wrap=True)
     table.add_column("  is", justify="right", no_wrap=True)
-    table.add_column(" below", justify="right", no_wrap=True)
+    table.add_column("  limit", justify="right", no_wrap=True)
     table.add_column(" ", no_wrap=True)
     table.add_column(" what it says", overflow="fold")
     for c in conditions:
-        table.add_row(c.name, side(c.value), side(c.limit), " yes" if c.holds else " NO", f" {c.words}")
+        limit = f"  {'<' if c.need == 'below' else '>'} {side(c.limit)}"
+        table.add_row(c.name, side(c.value), limit, " yes" if c.holds else " NO", escape(f" {c.words}"))
     return table
 
 
@@ -86,18 +88,22 @@ def bound_table(certificate: Certificate, run: Reached) -> Table:
     for head in ("largest", "  region", "  bound", "  run, last half"):
         table.add_column(head, justify="left" if head == "largest" else "right", no_wrap=True)
     region, bound = certificate.region, certificate.bound
-    table.add_row("pose, size a [m]", number(region.box.pose), number(bound.box.pose), number(run.last.pose))
+    table.add_row(escape("pose, size a [m]"), number(region.box.pose), number(bound.box.pose), number(run.last.pose))
     for name in ("ex", "ey"):
-        table.add_row(f"  |{name}| [m]", number(getattr(region.reach, name)), number(getattr(bound.reach, name)), "")
-    table.add_row("  |ephi| [rad]", number(region.reach.heading), number(bound.reach.heading), "")
+        table.add_row(
+            escape(f"  |{name}| [m]"), number(getattr(region.reach, name)), number(getattr(bound.reach, name)), ""
+        )
+    table.add_row(escape("  |ephi| [rad]"), number(region.reach.heading), number(bound.reach.heading), "")
     names = certificate.boxes.loop.robot.velocity_names
     if len(region.joints):
         table.add_row("arm, size b", number(region.box.arm), number(bound.box.arm), number(run.last.arm))
         for name, *values in zip(names[2:], region.joints, bound.joints, strict=True):
-            table.add_row(f"  |e| {name} [rad or m]", *map(number, values), "")
-    table.add_row("velocity, s'Ms/2 [J]", number(region.box.energy), number(bound.box.energy), number(run.last.energy))
+            table.add_row(escape(f"  |e| {name} [rad or m]"), *map(number, values), "")
+    table.add_row(
+        escape("velocity, s'Ms/2 [J]"), number(region.box.energy), number(bound.box.energy), number(run.last.energy)
+    )
     for name, *values in zip(names, region.velocity, bound.velocity, strict=True):
-        table.add_row(f"  |s| {name} [SI]", *map(number, values), "")
+        table.add_row(escape(f"  |s| {name} [SI]"), *map(number, values), "")
     for i, network in certificate.boxes.networks.items():
         for letter, k in (("W", 0), ("V", 1)):
             most = number(getattr(network, letter))
@@ -110,7 +116,13 @@ def run_sentence(run: Reached) -> str:
     """How the run went beside its region."""
     if math.isnan(run.enters):
         return "The run never was inside of the region: nothing is guaranteed of it."
-    begins = "starts inside of the region" if run.starts else f"starts outside of the region, is inside at {run.enters:.3g} s"
+    if not run.covered:
+        return "The run's weights are beyond the bounds, from before it was in the region: nothing is guaranteed."
+    begins = (
+        "starts inside of the region"
+        if run.starts
+        else f"starts outside of the region, is inside at {run.enters:.3g} s"
+    )
     stays = "and stays" if run.stays else "and LEAVES IT: the certificate is violated"
     settled = "not within the run" if math.isnan(run.settles) else f"at {run.settles:.3g} s"
     return f"The run {begins} {stays}; inside of the bound for good {settled}."
@@ -122,7 +134,8 @@ def constant_table(certificate: Certificate) -> Table:
     for head in ("constant", "  value", " unit", " source", " what it is"):
         table.add_column(head, justify="right" if head == "  value" else "left", overflow="fold")
     for c in certificate.constants:
-        table.add_row(c.name, side(c.value) if math.isfinite(c.value) else "none", f" {c.unit}", f" {c.source}", f" {c.words}")
+        value = side(c.value) if math.isfinite(c.value) else "none"
+        table.add_row(escape(c.name), value, f" {c.unit}", f" {c.source}", f" {c.words}")
     return table
 
 
@@ -131,8 +144,8 @@ def rate_sentence(rate: Rate) -> str:
     left = rate.limit.min()
     room = "more than 10000" if math.isinf(left) else number(left)
     return (
-        f"Learning rate (discrete time, linearised): {'stable' if rate.stable else 'UNSTABLE'}; spectral radius of a control "
-        f"period {rate.radius.max():.6f}, {rate.without.max():.6f} without the learner; one update is at most "
+        f"Learning rate (discrete time, linearised): {'stable' if rate.stable else 'UNSTABLE'}; spectral radius of a "
+        f"control period {rate.radius.max():.6f}, {rate.without.max():.6f} without the learner; one update is at most "
         f"{100 * rate.share.max():.3g} % of the gain; rates may be {room} times as large; leakage kappa F |s| at most "
         f"{number(rate.leak.max())} per sample, limit 2."
     )
