@@ -61,6 +61,7 @@ class MotionSamples:
 
     Args:
         along: The reference there.
+        q: (N, n) the arm's configurations, off the reference by up to `spread` [rad or m].
         M: (N, p, p) mass matrices.
         coriolis: (N, p, p, p): `C(q, nu)_ik = sum_j coriolis_ijk nu_j`.
         gravity: (N, p).
@@ -70,6 +71,7 @@ class MotionSamples:
     """
 
     along: Along
+    q: Array
     M: Array
     coriolis: Array
     gravity: Array
@@ -85,7 +87,7 @@ class MotionSamples:
         """Every step-th sample."""
         keep = np.arange(0, len(self.M), step)
         M, C, gravity = self.M[keep], self.coriolis[keep], self.gravity[keep]
-        return MotionSamples(self.along.at(keep), M, C, gravity, self.viscous, self.dry, self.spread)
+        return MotionSamples(self.along.at(keep), self.q[keep], M, C, gravity, self.viscous, self.dry, self.spread)
 
     @cached_property
     def M_inverse(self) -> Array:
@@ -165,4 +167,4 @@ def sample(robot: Robot, along: Along, spread: Array, seed: int = 0, samples: in
         for j, unit in enumerate(np.eye(p)):
             C[k, :, j, :] = dynamics.coriolis_matrix(placed, unit)
     dry = np.abs(robot.T).T @ robot.dry[:, :2].sum(axis=1)
-    return MotionSamples(here, M, C, g, viscous_friction(robot), dry, spread)
+    return MotionSamples(here, here.q_ref + offsets * spread, M, C, g, viscous_friction(robot), dry, spread)
