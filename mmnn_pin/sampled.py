@@ -50,14 +50,46 @@ def sampled_loop(
         gains: (p,) gain on `[z; r]`.
         v_ref: (nb,) reference velocity, (vr, wr) or (vxr, vyr, wr).
         base_gains: (3,) kx, ky, kth; of a holonomic base kx, ky, kphi.
-        K: (n,) gain of the filtered arm error.
+        K: (n,) gain of the filtered arm error [1/s].
         h: Control period [s].
         friction: Viscous friction on nu, (p,) or a matrix (p, p); None for none.
     """
+    held = held_loop(M, v_ref, base_gains, K, h, friction)
+    if held is None:
+        return SampledLoop(np.inf, 2.0 / (h * np.diag(np.linalg.inv(M))))
+    radius = float(np.abs(np.linalg.eigvals(held.closed(gains))).max())
+    nu = slice(len(held.state) - len(M), len(held.state))
+    limits = (1.0 + np.diag(held.state)[nu]) / np.diag(held.torque[nu])
+    return SampledLoop(radius, limits)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldLoop:
+    """One control period of the linearised loop: `d_next = state d + torque tau`, and `s = errors d`.
+
+    Attributes:
+        state: (k, k).
+        torque: (k, p): what a torque held over the period does.
+        errors: (p, k): `[z; r]` of a deviation.
+    """
+
+    state: Array
+    torque: Array
+    errors: Array
+
+    def closed(self, gains: Array) -> Array:
+        """(k, k) with the torque `gains s`, gains (p,)."""
+        return self.state + self.torque @ (gains[:, None] * self.errors)
+
+
+def held_loop(
+    M: Array, v_ref: Array, base_gains: Array, K: Array, h: float, friction: Array | None = None
+) -> HeldLoop | None:
+    """The linearised loop over one period, arguments as in `sampled_loop`; None where it moves too fast to compute."""
     p, nb = len(M), len(v_ref)
     poses, n = (3 if nb else 0), len(M) - len(v_ref)
     size = poses + n + p
-    A, B, feedback = np.zeros((size, size)), np.zeros((size, p)), np.zeros((p, size))
+    A, B, errors = np.zeros((size, size)), np.zeros((size, p)), np.zeros((p, size))
     nu = slice(poses + n, size)
     M_inv = np.linalg.inv(M)
     B[nu] = M_inv
@@ -66,25 +98,22 @@ def sampled_loop(
         kx, ky, kth = base_gains
         A[0, 1], A[1, 0], A[1, 2] = wr, -wr, vr  # Eqn. 3.2, linear in the errors
         A[0, poses + n], A[2, poses + n + 1] = -1.0, -1.0
-        feedback[0, 0], feedback[1, 1], feedback[1, 2] = kx, vr * ky, abs(vr) * kth
+        errors[0, 0], errors[1, 1], errors[1, 2] = kx, vr * ky, abs(vr) * kth
     elif nb == 3:
         vx, vy, wr = v_ref
         A[0, 1], A[1, 0], A[0, 2], A[1, 2] = wr, -wr, -vy, vx
         A[:3, poses + n : poses + n + 3] = -np.eye(3)
-        feedback[:3, :3] = np.diag(base_gains)
-        feedback[0, 2], feedback[1, 2] = -vy, vx
+        errors[:3, :3] = np.diag(base_gains)
+        errors[0, 2], errors[1, 2] = -vy, vx
     A[poses : poses + n, poses + n + nb :] = -np.eye(n)
-    feedback[nb:, poses : poses + n] = np.diag(K)
-    feedback[:, nu] = -np.eye(p)
+    errors[nb:, poses : poses + n] = np.diag(K)
+    errors[:, nu] = -np.eye(p)
     if not (np.isfinite(A).all() and np.linalg.norm(A, 1) * h < LARGEST):
-        return SampledLoop(np.inf, 2.0 / (h * np.diag(M_inv)))
+        return None
     if friction is not None:  # it damps: however large, its exponential is small
         A[nu, nu] = -M_inv @ (np.diag(friction) if np.ndim(friction) == 1 else friction)
     held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
-    closed = held[:size, :size] + held[:size, size:] @ (gains[:, None] * feedback)
-    radius = float(np.abs(np.linalg.eigvals(closed)).max())
-    limits = (1.0 + np.diag(held)[nu]) / np.diag(held[nu, size:])
-    return SampledLoop(radius, limits)
+    return HeldLoop(held[:size, :size], held[:size, size:], errors)
 
 
 def viscous_friction(robot: Robot) -> Array:

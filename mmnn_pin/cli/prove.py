@@ -50,11 +50,16 @@ def prove(
     Psi: fraction of variance unexplained (FVU) online and with the final weights held fixed, on the run's own
     trajectory, on one held out, and with a payload; shares of the torque; ranks and excitation of the networks; ideal
     weights by an offline fit. Lyapunov function: V, its derivative term by term, when and why it grows. Equality: the
-    energy of the errors over every control period. Exit code 1 when the equality is violated.
+    energy of the errors over every control period. Certificate: a region that the loop provably never leaves, the bound
+    that it ends up in, conditions and constants, a condition on the learning rates (docs/theory.md). Exit code 1 when
+    the equality or the certificate is violated.
     """
     from ..proof.balance import BUDGET
+    from ..proof.certified_run import certified_run
     from ..proof.proof import Proof, sentence
     from ..recording import Recording
+    from ..show.proof.certificate_numbers import certificate_dict
+    from ..show.proof.certificate_text import render_certificate
     from ..show.proof.figures import write_proof
     from ..show.proof.numbers import to_dict
     from ..show.proof.text import render
@@ -71,10 +76,13 @@ def prove(
         missing = proof.missing
     if len(missing) == 4:
         raise InputError("nothing to tell", why="; ".join(map(sentence, missing.values())), file=run)
+    certified = certified_run(proof)
     files = {} if plots is None else write_proof(proof, plots, force)
     if as_json:
-        say_json(to_dict(proof) | ({} if plots is None else {"files": {k: str(v) for k, v in files.items()}}))
+        told = to_dict(proof) | {"certificate": certificate_dict(certified)}
+        say_json(told | ({} if plots is None else {"files": {k: str(v) for k, v in files.items()}}))
     else:
         say(render(proof, colour=sys.stdout.isatty()))
+        say(render_certificate(certified, colour=sys.stdout.isatty()))
         say("\n".join(f"wrote {file}" for file in files.values())) if files else None
-    return DONE if proof.holds else FAILED
+    return DONE if proof.holds and certified.holds else FAILED
