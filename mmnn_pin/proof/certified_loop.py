@@ -159,4 +159,5 @@ def proportional(subject: Subject) -> bool:
     gain, tau = subject.signal("effective_gain"), subject.signal("torque")
     s = subject.signal("nu_ref") - np.hstack((subject.signal("velocity"), subject.signal("qdot")))
     scale = np.abs(tau).max() + 1e-300
-    return (gain > 0).all() and not np.ptp(gain, axis=0).any() and bool(np.abs(gain * s - tau).max() <= 1e-9 * scale)
+    constant = bool((gain > 0).all()) and not np.ptp(gain, axis=0).any()
+    return constant and bool(np.abs(gain * s - tau).max() <= 1e-9 * scale)
