@@ -82,8 +82,8 @@ def study_of(paths: tuple[Path, ...]) -> Path | None:
     Raises:
         ConfigError: It is not the only path.
     """
-    databases = [path / STUDY if path.is_dir() else path for path in paths]
-    found = [path for path in databases if (path.name == STUDY and path.is_file()) or path.suffix == ".sqlite"]
+    inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
+    found = [*(path for path in paths if path.suffix == ".sqlite"), *inside]
     if found and len(paths) > 1:
         raise ConfigError("a study among other runs", fix="name it alone", file=found[0])
     return found[0] if found else None
