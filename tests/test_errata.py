@@ -146,6 +146,32 @@ def test_one_error_outside_of_its_bound_is_not_enough(k1: float, k2: float, D1: 
     assert worst == pytest.approx(0, abs=1e-9 * (D1 + D2) * (bz + D2 / k2)) and half_width > bz
 
 
+@given(st.floats(0.1, 1e3), st.floats(0.1, 1e3), st.floats(0.1, 50), st.floats(0.1, 50), st.floats(0.01, 5))
+def test_v_may_grow_however_large_one_network_s_weights_are(
+    k1: float, k2: float, D1: float, D2: float, kappa: float
+) -> None:
+    """The two braces of (3.57) with |Ztilde_1| a billion beyond its bound, |z| small enough: still positive."""
+    far, r = 1e9, D2 / (2 * k2)
+    z = 0.5 * D2**2 / (4 * k2) / (kappa * far**2 + k1 + D1)
+    z = min(z, 1.0)
+    assert -z * (k1 * z + kappa * far**2 - D1) - r * (k2 * r - D2) > 0
+
+
+def test_fast_learning_destabilises_the_loop_of_chapter_4() -> None:
+    """Gap (c): ex, velocity and Psi_hat with Psi_hatdot = L z, no friction; unstable from L = k^2 kx/(kx m - k) on."""
+    robot = load("platform_arm")
+    m, k, kx = float(Dynamics(robot).mass_matrix(robot.neutral_position())[0, 0]), 500.0, 10.0
+
+    def growth(L: float) -> float:
+        A = np.array([[0, -1, 0], [k * kx / m, -k / m, 1 / m], [L * kx, -L, 0]])
+        return float(np.linalg.eigvals(A).real.max())
+
+    limit = k**2 * kx / (kx * m - k)
+    assert growth(0.99 * limit) < 0 < growth(1.01 * limit)
+    assert limit == pytest.approx(3813, abs=1)
+    assert limit / (22 / 4 / 0.002) == pytest.approx(1.4, abs=0.03)  # F1: 22 units, sigma' sigma = 22/4, every 2 ms
+
+
 matrices = st.integers(0, 2**32 - 1).map(lambda seed: np.random.default_rng(seed).normal(size=(2, 6, 3)))
 
 
