@@ -375,7 +375,7 @@ class Loop:
                 if cancelled():
                     return Outcome("interrupted", k * h, message=f"stopped at t = {k * h:g} s")
         except KeyboardInterrupt:
-            return Outcome("interrupted", k * h, message=f"stopped by Ctrl-C at t = {k * h:g} s")
+            return Outcome("interrupted", k * h, message="stopped by Ctrl-C")
         if weights := self.controller.weights(memory):
             sink.weights(k * h, weights)
         if engine.rig is not None and engine.rig.supervised and engine.rig.guard[HAS_TRIPPED]:

@@ -70,7 +70,7 @@ class Recorder:
         self._width, self._size, self._period = layout.width, BUFFER_ROWS, WRITE_PERIOD
         if path is None:
             self._size, self._period = max(BUFFER_ROWS, -(-BLOCK_BYTES // (8 * layout.width))), math.inf
-        self._filled, self._written = 0, time.perf_counter()
+        self._filled, self._written, self.rows = 0, time.perf_counter(), 0
         self._rows, self._step_times = self._buffers()
         self._weight_shapes: dict[str, tuple[int, ...]] = {}
         self._snapshots: list[Arrays] = []
@@ -85,7 +85,7 @@ class Recorder:
             raise ValueError(f"a row has shape {(self._width,)}, not {row.shape}")
         self._rows[self._filled] = row
         self._step_times[self._filled] = step_time
-        self._filled += 1
+        self._filled, self.rows = self._filled + 1, self.rows + 1
         self._write_when_due()
 
     def append_block(self, rows: Array, step_times: ArrayLike = 0.0) -> None:
@@ -103,7 +103,7 @@ class Recorder:
             end = self._filled + count
             self._rows[self._filled : end] = rows[done : done + count]
             self._step_times[self._filled : end] = times[done : done + count]
-            self._filled, done = end, done + count
+            self._filled, self.rows, done = end, self.rows + count, done + count
             self._write_when_due()
 
     def weights(self, time: float, arrays: Mapping[str, ArrayLike]) -> None:

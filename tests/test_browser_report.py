@@ -60,7 +60,7 @@ def test_it_is_whole_at_any_width_by_day_and_by_night(chromium: Any, page: Path,
 
 def test_values_are_read_and_zoomed_with_mouse_and_keys(chromium: Any, page: Path) -> None:
     with opened(chromium, page, READY, viewport={"width": 1280, "height": 900}) as seen:
-        plot = seen.page.locator(".plot").first
+        plot = seen.page.locator("#plots .plot").first
         plot.scroll_into_view_if_needed()
         box = plot.locator("svg").bounding_box()
         middle = box["y"] + box["height"] / 2

@@ -19,6 +19,7 @@ import msgspec
 import pytest
 import trimesh
 from numba import config
+from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import MmnnError, StudyError
@@ -31,7 +32,6 @@ from mmnn_pin.study.packed import carriers
 from mmnn_pin.study.session import missing_rows, probe
 from mmnn_pin.study.store import NAME, writing
 from mmnn_pin.study.worker import code_digest
-from studies import SHORT, numbers, planned, run_here, stored, written
 
 pytest.importorskip("distributed")
 import cloudpickle

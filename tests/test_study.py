@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 from numba import config
+from study_files import SHORT, numbers, planned, run_here, stored, told, written
 
 from mmnn_pin import Recording, load
 from mmnn_pin.batch import simulate
@@ -30,7 +31,6 @@ from mmnn_pin.study.results import load_results
 from mmnn_pin.study.session import missing_rows, probe
 from mmnn_pin.study.store import NAME, Stored, reading, writing
 from mmnn_pin.study.worker import Task, loop_of
-from studies import SHORT, numbers, planned, run_here, stored, told, written
 
 compiled_only = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 ROOT = Path(__file__).parents[1]

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from study_files import SHORT, planned, written
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError
@@ -19,7 +20,6 @@ from mmnn_pin.experiments.config import load_experiment
 from mmnn_pin.study.factors import Factor, unit_cube
 from mmnn_pin.study.keys import leaves, near
 from mmnn_pin.study.lines import line_of
-from studies import SHORT, planned, written
 
 U = st.floats(0.0, 1.0, exclude_max=True)
 

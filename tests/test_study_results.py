@@ -16,6 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
+from study_files import SHORT, planned, run_here
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
@@ -31,7 +32,6 @@ from mmnn_pin.study.sensitivity import bins_of, share_of
 from mmnn_pin.study.settings import Sampling, StudySettings, Success
 from mmnn_pin.study.store import NAME, Stored, writing
 from mmnn_pin.study.verdict import sentences, verdict
-from studies import SHORT, planned, run_here
 
 # -- intervals --------------------------------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import config
+from study_files import SHORT, planned, run_here, written
 
 from mmnn_pin.cli import main
 from mmnn_pin.study.constraints import violations
@@ -18,7 +19,6 @@ from mmnn_pin.study.pools import threads
 from mmnn_pin.study.reading import load_study
 from mmnn_pin.study.results import load_results
 from mmnn_pin.study.tuning import NAME
-from studies import SHORT, planned, run_here, written
 
 optuna = pytest.importorskip("optuna")
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
