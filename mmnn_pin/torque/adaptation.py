@@ -1,0 +1,305 @@
+"""Slotine-Li adaptation with estimates that stay physical, compiled. It knows no robot: Y is a matrix.
+
+    tau = Y theta_hat + K s,      V = s' M s / 2 + sum_b D(P_b || P_hat_b) / gamma + sum_j theta_tilde_j^2 / (2 gamma_j)
+
+For each body P = [Sigma, mc; mc', m] is its pseudo-inertia: mass and density are possible just where P > 0 (Wensing,
+Kim, Slotine 2018, IEEE RA-L 3(1)). With the log-det Bregman divergence `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4`
+and L the symmetric matrix of `tr(dP L) = s' Y dtheta`, the natural law of Lee, Kwon, Park 2018 (IEEE/RSJ IROS; proof in
+Lee and Park 2018, IEEE RA-L 3(4)) is
+
+    P_hat' = gamma P_hat L P_hat,       so that      d/dt D(P || P_hat) = -gamma s' Y (theta - theta_hat)
+
+and V' = -s' K s. Unlike a gradient with a constant matrix it needs no projection onto the cone, one number gamma [1/J]
+suits bodies of grams and of tons, and it does not depend on frames or units. The rest, rotors and friction, follows the
+plain gradient `theta_hat_j' = gamma_j Y_j' s`, clipped to `0 <= theta_j <= top_j`.
+
+A sample multiplies, it never subtracts: `P = B B'`, `P+ = B E^2 B'` with `E = 1 + X / 2 + X^2 / 8`, which is positive
+for every symmetric X, `X = h gamma B' L B`, and agrees with the geodesic `B exp(X) B'` to second order in X.
+
+Leakage (sigma-modification, Ioannou and Kokotovic 1984; times |s| the e-modification of Narendra and Annaswamy 1987)
+pulls the dual variable to its start, `d/dt P_hat^-1 = -gamma L + sigma (P_0^-1 - P_hat^-1)`: by the three-point identity
+V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P || P_0))`.
+
+Bounds: `P_0 / rho <= P_hat <= rho P_0`. Clipping the eigenvalues of `P_0^-1/2 P_hat P_0^-1/2` is the projection in D,
+so it never raises D(P || P_hat) for a P within the bounds.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+from ..compiled import compiled
+from ..signals import INDEX, Array
+
+if TYPE_CHECKING:
+    from ..model.tree_regressor import Massless
+    from ..signals import IntArray
+
+Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
+EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["effective_gain"], INDEX["weight_norm"]
+BODY = 10
+SWEEPS = 12  # of Jacobi's eigenvalue iteration, of which a 4 x 4 matrix needs about 5
+
+
+class Adaptation(NamedTuple):
+    """The numbers of an adaptive controller.
+
+    Attributes:
+        known: The robot without its masses; `known.Y` (p, k) is written by `model.tree_regressor.regress`.
+        gain: (p,) K.
+        learning: Off keeps the estimate.
+        h: Control period [s].
+        gamma: Rate of the pseudo-inertias [1/J].
+        sigma: Leakage [1/s].
+        by_error: Whether leakage is multiplied with |s|.
+        rho: Bound on the ratio of P_hat to P_0.
+        roots: (bodies, 4, 4) lower triangular `P_0 = C C'`.
+        inverses: (bodies, 4, 4) `C^-1`.
+        rates: (k - 10 bodies,) gamma_j.
+        start: (k - 10 bodies,) where leakage pulls the rest of theta.
+        top: (k - 10 bodies,) its upper bounds.
+        stride: Every how many samples `Y' Y` is added to the memory.
+        gradient: (k,) memory to work in.
+        work: (4, 4, 4) memory to work in.
+    """
+
+    known: Massless
+    gain: Array
+    learning: bool
+    h: float
+    gamma: float
+    sigma: float
+    by_error: bool
+    rho: float
+    roots: Array
+    inverses: Array
+    rates: Array
+    start: Array
+    top: Array
+    stride: int
+    gradient: Array
+    work: Array
+
+
+@compiled
+def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
+    """Psi_hat and gain of one sample, then the update of theta.
+
+    Args:
+        row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
+        at: Offsets of the signals.
+        a: The numbers of the law.
+        memory: theta (k,), the number of samples, the sum of `Y' Y` (k, k).
+    """
+    Y, g = a.known.Y, a.gradient
+    p, k = Y.shape
+    theta, z, r = memory[:k], row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    square, first = 0.0, BODY * len(a.roots)
+    for j in range(k):
+        g[j] = 0.0
+    for i in range(p):
+        s = z[i] if i < z.size else r[i - z.size]
+        square += s * s
+        psi_hat = 0.0
+        for j in range(k):
+            psi_hat += Y[i, j] * theta[j]
+            g[j] += Y[i, j] * s
+        row[at[PSI_HAT] + i], row[at[EFFECTIVE_GAIN] + i] = psi_hat, a.gain[i]
+    row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = norm(theta[:first]), norm(theta[first:])
+    if not a.learning:
+        return
+    sigma = a.sigma * math.sqrt(square) if a.by_error else a.sigma
+    for b in range(len(a.roots)):
+        update_body(theta[BODY * b : BODY * b + BODY], g[BODY * b : BODY * b + BODY], sigma, a, b)
+    for j in range(k - first):
+        value = theta[first + j]
+        value += a.h * (a.rates[j] * g[first + j] - sigma * (value - a.start[j]))
+        theta[first + j] = min(max(value, 0.0), a.top[j])
+    if int(memory[k]) % a.stride == 0:
+        gram = memory[k + 1 :].reshape((k, k))
+        for i in range(p):
+            for j in range(k):
+                if Y[i, j] != 0.0:
+                    for c in range(k):
+                        gram[j, c] += Y[i, j] * Y[i, c]
+    memory[k] += 1.0
+
+
+@compiled
+def norm(vector: Array) -> float:
+    """Length of a vector."""
+    total = 0.0
+    for i in range(vector.size):
+        total += vector[i] * vector[i]
+    return math.sqrt(total)
+
+
+@compiled
+def update_body(theta: Array, gradient: Array, sigma: float, a: Adaptation, b: int) -> None:
+    """One sample of the natural law for body b, in the coordinates where P_0 is the identity."""
+    Q, L, X, B = a.work[0], a.work[1], a.work[2], a.work[3]
+    to_matrix(theta, 1.0, X)
+    sandwich(a.inverses[b], X, L, Q)
+    to_matrix(gradient, 0.5, X)
+    transposed_sandwich(a.roots[b], X, B, L)
+    cholesky(Q, B)
+    transposed_sandwich(B, L, Q, X)
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for c in range(4):
+                total += B[c, i] * B[c, j]
+            X[i, j] = a.h * (a.gamma * X[i, j] - sigma * (total - (1.0 if i == j else 0.0)))
+    exponential(X, L)
+    product(B, L, X)
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for c in range(4):
+                total += X[i, c] * X[j, c]
+            Q[i, j] = total
+    if not within(Q, a.rho, L, B):
+        clip(Q, a.rho, L, X)
+    sandwich(a.roots[b], Q, L, X)
+    to_vector(X, theta)
+
+
+@compiled
+def to_matrix(theta: Array, share: float, P: Array) -> None:
+    """`[Sigma, mc; mc', m]` of `m, mc, xx xy xz yy yz zz`; entries beside the diagonal times share."""
+    P[3, 3], P[0, 0], P[1, 1], P[2, 2] = theta[0], theta[4], theta[7], theta[9]
+    for i in range(3):
+        P[i, 3] = P[3, i] = share * theta[1 + i]
+    P[0, 1] = P[1, 0] = share * theta[5]
+    P[0, 2] = P[2, 0] = share * theta[6]
+    P[1, 2] = P[2, 1] = share * theta[8]
+
+
+@compiled
+def to_vector(P: Array, theta: Array) -> None:
+    """The ten numbers of a pseudo-inertia."""
+    theta[0] = P[3, 3]
+    theta[1], theta[2], theta[3] = P[0, 3], P[1, 3], P[2, 3]
+    theta[4], theta[5], theta[6] = P[0, 0], P[0, 1], P[0, 2]
+    theta[7], theta[8], theta[9] = P[1, 1], P[1, 2], P[2, 2]
+
+
+@compiled
+def product(A: Array, B: Array, out: Array) -> None:
+    """`A B`, 4 x 4."""
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for c in range(4):
+                total += A[i, c] * B[c, j]
+            out[i, j] = total
+
+
+@compiled
+def sandwich(A: Array, S: Array, half: Array, out: Array) -> None:
+    """`A S A'`, 4 x 4."""
+    product(A, S, half)
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for c in range(4):
+                total += half[i, c] * A[j, c]
+            out[i, j] = total
+
+
+@compiled
+def transposed_sandwich(A: Array, S: Array, half: Array, out: Array) -> None:
+    """`A' S A`, 4 x 4."""
+    product(S, A, half)
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for c in range(4):
+                total += A[c, i] * half[c, j]
+            out[i, j] = total
+
+
+@compiled
+def cholesky(S: Array, B: Array) -> bool:
+    """Lower triangular `S = B B'`, 4 x 4; False, and B is incomplete, where S is not positive definite."""
+    for i in range(4):
+        for j in range(i + 1, 4):
+            B[i, j] = 0.0
+    for j in range(4):
+        total = S[j, j]
+        for c in range(j):
+            total -= B[j, c] * B[j, c]
+        if not total > 0.0:
+            return False
+        B[j, j] = math.sqrt(total)
+        for i in range(j + 1, 4):
+            total = S[i, j]
+            for c in range(j):
+                total -= B[i, c] * B[j, c]
+            B[i, j] = total / B[j, j]
+    return True
+
+
+@compiled
+def exponential(X: Array, E: Array) -> None:
+    """`1 + X / 2 + X^2 / 8`, positive definite for every symmetric X (4 x 4), about `exp(X / 2)`."""
+    product(X, X, E)
+    for i in range(4):
+        for j in range(4):
+            E[i, j] = (1.0 if i == j else 0.0) + 0.5 * X[i, j] + 0.125 * E[i, j]
+
+
+@compiled
+def within(Q: Array, rho: float, shifted: Array, B: Array) -> bool:
+    """Whether all eigenvalues of Q lie between 1 / rho and rho."""
+    for i in range(4):
+        for j in range(4):
+            shifted[i, j] = Q[i, j] - (1.0 / rho if i == j else 0.0)
+    if not cholesky(shifted, B):
+        return False
+    for i in range(4):
+        for j in range(4):
+            shifted[i, j] = (rho if i == j else 0.0) - Q[i, j]
+    return bool(cholesky(shifted, B))
+
+
+@compiled
+def clip(Q: Array, rho: float, U: Array, half: Array) -> None:
+    """Put the eigenvalues of Q between 1 / rho and rho, by Jacobi's rotations."""
+    for i in range(4):
+        for j in range(4):
+            U[i, j] = 1.0 if i == j else 0.0
+    for _ in range(SWEEPS):
+        for i in range(3):
+            for j in range(i + 1, 4):
+                rotate(Q, U, i, j)
+    for i in range(4):
+        value = min(max(Q[i, i], 1.0 / rho), rho)
+        for j in range(4):
+            half[j, i] = U[j, i] * value
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for c in range(4):
+                total += half[i, c] * U[j, c]
+            Q[i, j] = total
+
+
+@compiled
+def rotate(Q: Array, U: Array, i: int, j: int) -> None:
+    """Rotation in the plane i, j that makes `Q_ij` zero; U collects the rotations."""
+    if Q[i, j] == 0.0:
+        return
+    slope = (Q[j, j] - Q[i, i]) / (2.0 * Q[i, j])
+    t = (1.0 if slope >= 0.0 else -1.0) / (abs(slope) + math.sqrt(slope * slope + 1.0))
+    c = 1.0 / math.sqrt(t * t + 1.0)
+    s = t * c
+    for n in range(4):
+        a, b = Q[n, i], Q[n, j]
+        Q[n, i], Q[n, j] = c * a - s * b, s * a + c * b
+        a, b = U[n, i], U[n, j]
+        U[n, i], U[n, j] = c * a - s * b, s * a + c * b
+    for n in range(4):
+        a, b = Q[i, n], Q[j, n]
+        Q[i, n], Q[j, n] = c * a - s * b, s * a + c * b
