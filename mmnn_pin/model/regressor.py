@@ -78,7 +78,7 @@ class Regressor:
             first=first,
             offset=offset,
             arm=np.ascontiguousarray(np.reshape(columns, (layout.arm, layout.full)).T),
-            coulomb_speed=coulomb_speed,
+            coulomb_speed=float(coulomb_speed),
             scratch=upright(full),
             position=robot.neutral_position(),
             nu=np.zeros(p),

@@ -20,6 +20,11 @@ Leakage (sigma-modification, Ioannou and Kokotovic 1984; times |s| the e-modific
 pulls the dual variable to its start, `d/dt P_hat^-1 = -gamma L + sigma (P_0^-1 - P_hat^-1)`: by the three-point identity
 V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P || P_0))`.
 
+Sampling: within one sample the estimate answers s with the torque `h Y Gamma Y' s`, a feedback that is late. All rates
+of a sample are multiplied with `eta = min(1, share s' K s / (h s' Y Gamma Y' s))`, so that it stays below a share of the
+feedback proper: a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1 for short samples. Where it is
+less, V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds.
+
 Bounds: `P_0 / rho <= P_hat <= rho P_0`. Clipping the eigenvalues of `P_0^-1/2 P_hat P_0^-1/2` is the projection in D,
 so it never raises D(P || P_hat) for a P within the bounds.
 """
@@ -59,9 +64,12 @@ class Adaptation(NamedTuple):
         rates: (k - 10 bodies,) gamma_j.
         start: (k - 10 bodies,) where leakage pulls the rest of theta.
         top: (k - 10 bodies,) its upper bounds.
+        share: Largest answer of a sample, as a share of the feedback.
         stride: Every how many samples `Y' Y` is added to the memory.
         gradient: (k,) memory to work in.
-        work: (4, 4, 4) memory to work in.
+        steps: (bodies, 4, 4) memory to work in.
+        factors: (bodies, 4, 4) memory to work in.
+        work: (3, 4, 4) memory to work in.
     """
 
     known: Massless
@@ -77,8 +85,11 @@ class Adaptation(NamedTuple):
     rates: Array
     start: Array
     top: Array
+    share: float
     stride: int
     gradient: Array
+    steps: Array
+    factors: Array
     work: Array
 
 
@@ -95,12 +106,13 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
     Y, g = a.known.Y, a.gradient
     p, k = Y.shape
     theta, z, r = memory[:k], row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
-    square, first = 0.0, BODY * len(a.roots)
+    square, feedback, first = 0.0, 0.0, BODY * len(a.roots)
     for j in range(k):
         g[j] = 0.0
     for i in range(p):
         s = z[i] if i < z.size else r[i - z.size]
         square += s * s
+        feedback += a.gain[i] * s * s
         psi_hat = 0.0
         for j in range(k):
             psi_hat += Y[i, j] * theta[j]
@@ -110,11 +122,17 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
     if not a.learning:
         return
     sigma = a.sigma * math.sqrt(square) if a.by_error else a.sigma
+    answer = 0.0
     for b in range(len(a.roots)):
-        update_body(theta[BODY * b : BODY * b + BODY], g[BODY * b : BODY * b + BODY], sigma, a, b)
+        answer += direction(theta[BODY * b : BODY * b + BODY], g[BODY * b : BODY * b + BODY], a, b)
+    for j in range(k - first):
+        answer += a.h * a.rates[j] * g[first + j] ** 2
+    eta = a.share * feedback / answer if answer > a.share * feedback else 1.0
+    for b in range(len(a.roots)):
+        update_body(theta[BODY * b : BODY * b + BODY], eta, sigma, a, b)
     for j in range(k - first):
         value = theta[first + j]
-        value += a.h * (a.rates[j] * g[first + j] - sigma * (value - a.start[j]))
+        value += a.h * (eta * a.rates[j] * g[first + j] - sigma * (value - a.start[j]))
         theta[first + j] = min(max(value, 0.0), a.top[j])
     if int(memory[k]) % a.stride == 0:
         gram = memory[k + 1 :].reshape((k, k))
@@ -136,21 +154,37 @@ def norm(vector: Array) -> float:
 
 
 @compiled
-def update_body(theta: Array, gradient: Array, sigma: float, a: Adaptation, b: int) -> None:
-    """One sample of the natural law for body b, in the coordinates where P_0 is the identity."""
-    Q, L, X, B = a.work[0], a.work[1], a.work[2], a.work[3]
+def direction(theta: Array, gradient: Array, a: Adaptation, b: int) -> float:
+    """Where body b goes, `X = h gamma B' L B` with `P = B B'` in the coordinates where P_0 is the identity.
+
+    Returns:
+        `|X|^2 / (h gamma)`, its part in `h s' Y Gamma Y' s`.
+    """
+    Q, L, X, B = a.work[0], a.work[1], a.steps[b], a.factors[b]
     to_matrix(theta, 1.0, X)
     sandwich(a.inverses[b], X, L, Q)
     to_matrix(gradient, 0.5, X)
     transposed_sandwich(a.roots[b], X, B, L)
     cholesky(Q, B)
     transposed_sandwich(B, L, Q, X)
+    total = 0.0
+    for i in range(4):
+        for j in range(4):
+            total += X[i, j] * X[i, j]
+            X[i, j] *= a.h * a.gamma
+    return a.h * a.gamma * total
+
+
+@compiled
+def update_body(theta: Array, eta: float, sigma: float, a: Adaptation, b: int) -> None:
+    """One sample of body b, along its direction times eta and back by the leakage."""
+    Q, L, X, B, half = a.work[0], a.work[1], a.steps[b], a.factors[b], a.work[2]
     for i in range(4):
         for j in range(4):
             total = 0.0
             for c in range(4):
                 total += B[c, i] * B[c, j]
-            X[i, j] = a.h * (a.gamma * X[i, j] - sigma * (total - (1.0 if i == j else 0.0)))
+            X[i, j] = eta * X[i, j] - a.h * sigma * (total - (1.0 if i == j else 0.0))
     exponential(X, L)
     product(B, L, X)
     for i in range(4):
@@ -159,8 +193,8 @@ def update_body(theta: Array, gradient: Array, sigma: float, a: Adaptation, b: i
             for c in range(4):
                 total += X[i, c] * X[j, c]
             Q[i, j] = total
-    if not within(Q, a.rho, L, B):
-        clip(Q, a.rho, L, X)
+    if not within(Q, a.rho, L, half):
+        clip(Q, a.rho, L, half)
     sandwich(a.roots[b], Q, L, X)
     to_vector(X, theta)
 
