@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from ..signals import Array
-from .regressor import first_body, moving_joints
+from .regressor import inertial_parameters, moving_joints
 from .robot import Robot
 from .tree import flatten
-from .tree_motion import NUMBER
 
 
 def parameters(robot: Robot) -> Array:
-    """theta of a robot, (k,): `Y theta` is its Psi where its dry friction is Coulomb's alone (no `breakaway`).
+    """Parameters of a robot, (k,): `Y theta` is its Psi where dry friction is Coulomb's alone (no `breakaway`).
 
     Friction on a joint's velocity counts as friction of the joint.
 
@@ -22,11 +21,11 @@ def parameters(robot: Robot) -> Array:
     layout, T = robot.layout, np.array(robot.T)
     frame = tuple(robot.frame) if layout.base else (0.0, 0.0, 0.0)
     tree = flatten(robot.model, T, robot.neutral_position(), frame, absorb=False)
-    moving, viscous = moving_joints(T, layout.pose), robot.damping.copy()
+    moving, viscous = moving_joints(T, layout.base), robot.damping.copy()
     viscous[robot.arm_index] += robot.viscous[layout.base :]
     return np.concatenate(
         (
-            tree.numbers[first_body(layout) :, NUMBER.mass : NUMBER.weight].ravel(),
+            inertial_parameters(tree, layout.base),
             robot.model.armature[moving],
             robot.viscous[: layout.base],
             viscous[moving],

@@ -5,8 +5,8 @@ the regressor is checked against Pinocchio when it is built, and then by zeros. 
 theta of a robot that is known; a controller does not import it.
 
 theta: ten numbers `m, mc, Sigma` per body that moves (the pseudo-inertia, in the joint's frame turned so that its axis
-is z; joints that stand still are lumped into the body that carries them), then the inertia of every joint's rotor, viscous
-friction of the base's velocities, viscous and dry friction of every joint [kg, kg m, kg m^2; N s/m, N m s; N m, N].
+is z; joints that stand still are lumped into the body that carries them), then the inertia of every joint's rotor,
+viscous friction of the base's velocities, viscous and dry friction of every joint [kg, kg m, kg m^2; N s/m; N m].
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.reduction import COULOMB_SPEED
 from mmnn_pin.model.tree import flatten
 from mmnn_pin.model.tree_check import TOLERANCE, configuration
-from mmnn_pin.model.tree_motion import AT, BASE, NUMBER, Array, new_scratch
+from mmnn_pin.model.tree_motion import AT, BASE, NUMBER, Array, Tree, new_scratch
 from mmnn_pin.model.tree_regressor import BODY, Massless, regress
-from mmnn_pin.signals import Layout
 
 if TYPE_CHECKING:
     from mmnn_pin.model.robot import Robot
@@ -63,28 +63,11 @@ class Regressor:
         frame = tuple(robot.frame) if layout.base else (0.0, 0.0, 0.0)
         model = with_any_inertias(robot.model)
         full = flatten(model, T, robot.neutral_position(), frame, absorb=False)
-        first = first_body(layout)
-        theta = full.numbers[first:, NUMBER.mass : NUMBER.weight].ravel()
-        numbers = full.numbers.copy()
-        numbers[:, NUMBER.mass : NUMBER.weight] = 0.0
-        moving = moving_joints(T, layout.pose)
-        p, k = layout.dof, theta.size + 3 * moving.size + layout.base
+        theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base)
         offset = robot.follow(place_arm(robot, 0.0))
         columns = [robot.follow(place_arm(robot, 1.0, i)) - offset for i in range(layout.arm)]
-        massless = Massless(
-            tree=full._replace(numbers=numbers, rotors=np.zeros((p, p)), root_energy=0.0),
-            joints=T[moving],
-            base=layout.base,
-            first=first,
-            offset=offset,
-            arm=np.ascontiguousarray(np.reshape(columns, (layout.arm, layout.full)).T),
-            coulomb_speed=float(coulomb_speed),
-            scratch=upright(full),
-            position=robot.neutral_position(),
-            nu=np.zeros(p),
-            out=np.zeros(p),
-            Y=np.zeros((p, k)),
-        )
+        arm = np.ascontiguousarray(np.reshape(columns, (layout.arm, layout.full)).T)
+        massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed)
         names = robot.full_velocity_names
         bodies = ("root",) * bool(layout.base) + tuple(names[i] for i in full.links[BASE.w + 1 :, 2])
         joints = tuple(names[i] for i in moving)
@@ -109,8 +92,9 @@ class Regressor:
     def workspace(self) -> Massless:
         """The same arrays with a memory of its own to work in."""
         m = self.massless
-        own = (m.scratch.copy(), m.position.copy(), m.nu.copy(), m.out.copy(), m.Y.copy())
-        return m._replace(**dict(zip(("scratch", "position", "nu", "out", "Y"), own, strict=True)))
+        return m._replace(
+            scratch=m.scratch.copy(), position=m.position.copy(), nu=m.nu.copy(), out=m.out.copy(), Y=m.Y.copy()
+        )
 
     def matrix(self, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
         """Y, (p, k): `Y theta = M nudot_ref + C(q, nu) nu_ref + gravity + friction`.
@@ -177,14 +161,52 @@ class Regressor:
             )
 
 
-def first_body(layout: Layout) -> int:
+def without_masses(tree: Tree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float) -> Massless:
+    """What a tree says of the motion, and memory to work in.
+
+    Args:
+        tree: A tree with a body for every joint that moves (`flatten(..., absorb=False)`).
+        T: (nv, p) the map it was made with.
+        base: Number of base velocities.
+        offset: (nv,) positions where the arm's joints stand at 0.
+        arm: (nv, n) what each arm joint moves.
+        coulomb_speed: As in `Regressor.of`.
+    """
+    numbers, joints = tree.numbers.copy(), T[moving_joints(T, base)]
+    numbers[:, NUMBER.mass : NUMBER.weight] = 0.0
+    first, p = first_body(base), T.shape[1]
+    scratch = new_scratch(tree)
+    scratch[BASE.w, AT.rotation : AT.rotation + 9] = np.eye(3).ravel()
+    return Massless(
+        tree=tree._replace(numbers=numbers, rotors=np.zeros((p, p)), root_energy=0.0),
+        joints=joints,
+        base=base,
+        first=first,
+        offset=offset,
+        arm=arm,
+        coulomb_speed=float(coulomb_speed),
+        scratch=scratch,
+        position=offset.copy(),
+        nu=np.zeros(p),
+        out=np.zeros(p),
+        Y=np.zeros((p, BODY * (len(tree.links) - first) + 3 * len(joints) + base)),
+    )
+
+
+def inertial_parameters(tree: Tree, base: int) -> Array:
+    """The ten numbers of every body of a tree, one after the other."""
+    return np.array(tree.numbers[first_body(base) :, NUMBER.mass : NUMBER.weight].ravel())
+
+
+def first_body(base: int) -> int:
     """Row of a tree with the first body that moves."""
-    return BASE.w if layout.base else BASE.w + 1
+    return BASE.w if base else BASE.w + 1
 
 
-def moving_joints(T: Array, pose: int) -> Array:
+def moving_joints(T: Array, base: int) -> NDArray[np.int64]:
     """Rows of T of the joints that move, without the root."""
-    return pose + np.flatnonzero(T[pose:].any(axis=1))
+    root = 3 if base else 0
+    return root + np.flatnonzero(T[root:].any(axis=1))
 
 
 def place_arm(robot: Robot, value: float, only: int | None = None) -> Array:
@@ -193,13 +215,6 @@ def place_arm(robot: Robot, value: float, only: int | None = None) -> Array:
     position[robot.arm_index] = 0.0
     position[robot.arm_index if only is None else robot.arm_index[only]] = value
     return position
-
-
-def upright(tree: object) -> Array:
-    """Scratch memory whose base has its rotation, too."""
-    scratch = new_scratch(tree)  # type: ignore[arg-type]
-    scratch[BASE.w, AT.rotation : AT.rotation + 9] = np.eye(3).ravel()
-    return scratch
 
 
 def with_any_inertias(model: pin.Model, seed: int = 0) -> pin.Model:

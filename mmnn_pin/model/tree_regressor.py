@@ -1,15 +1,15 @@
 """The regressor of the reduced dynamics on a flattened tree, compiled: `Y(q, nu, nu_ref, nudot_ref) theta = Psi`.
 
 A particle m of a body, at x in the axes of the body and with `xbar = (x, 1)`, moves at `V_j xbar` when joint j turns at
-rate 1, `V_j = [w x, v]`, and the reference asks it for the acceleration `A xbar`, `A = [alpha x + omega_r x omega x, a]`
-(a without gravity). It adds `m xbar' V_j' A xbar` to the torque of joint j, so the whole body adds
+rate 1, `V_j = [w x, v]`, and the reference asks it for the acceleration `A xbar`, `A = [alpha x + omega_r x omega x,
+a]` (a without gravity). It adds `m xbar' V_j' A xbar` to the torque of joint j, so the whole body adds
 
     tr(P sym(A' V_j)),      P = int xbar xbar' dm = [Sigma, mc; mc', m],
 
 which is linear in the ten numbers of the pseudo-inertia P (Wensing, Kim, Slotine 2018, IEEE RA-L 3(1)), and these are
 the ten numbers that a `Tree` holds of a body. The factorisation is that of the tree, `Mdot = C + C'`, as Slotine and
-Li 1987 (Int. J. Robotics Research 6(3)) ask for. Rotors and friction of joints are linear as well; each joint acts on nu
-through its row of T.
+Li 1987 (Int. J. Robotics Research 6(3)) ask for. Rotors and friction of joints are linear as well; each joint acts on
+nu through its row of T.
 """
 
 from __future__ import annotations

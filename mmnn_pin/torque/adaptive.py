@@ -19,8 +19,9 @@ from ..model.tree_regressor import BODY
 from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from . import law
-from .adaptation import Adaptation, to_matrix, to_vector
+from .adaptation import Adaptation
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .pseudo_inertia import to_matrix, to_vector
 
 FLOOR = 1e-4  # least share of the guess that a nominal body keeps: massless and flat ones have no density
 SAMPLES = 1000  # how many samples of a run the excitation is taken from, about
@@ -44,7 +45,7 @@ class Adapting(Settings, frozen=True):
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: rho, the largest ratio of an estimate to its start, either way.
         friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
-        initial: "guess" for balls of `mass` and `size` at every joint, no friction; "nominal" for the numbers of a robot.
+        initial: "guess" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's.
         mass: Masses of the guess, (base, every other body) [kg].
         size: Radii of gyration of the guess about each axis, likewise [m].
         nominal: The robot of "nominal", a name or a path; empty for the robot itself, with wrong masses.
@@ -54,9 +55,9 @@ class Adapting(Settings, frozen=True):
         ConfigError: A number that is negative, not finite or 0 where it must not be.
     """
 
-    rate: float = 10.0
+    rate: float = 30.0
     viscous: float = 1.0
-    coulomb: float = 1.0
+    coulomb: float = 10.0
     rotor: float = 0.0
     leakage: float = 0.0
     share: float = 0.1
@@ -103,7 +104,9 @@ class Adaptive(CompiledController):
     def __post_init__(self) -> None:
         k, given = self.regressor.size, self.nominal
         if self.adapting.initial == "nominal" and given is None:
-            raise ConfigError("no nominal parameters", fix="give them, or use initial = 'guess'", key="adaptive.initial")
+            raise ConfigError(
+                "no nominal parameters", fix="give them, or use initial = 'guess'", key="adaptive.initial"
+            )
         if given is not None and (given.shape != (k,) or not np.isfinite(given).all()):
             raise ConfigError(f"{given.size} parameters", fix=f"give {k} finite ones", key="adaptive.nominal")
 
@@ -124,7 +127,7 @@ class Adaptive(CompiledController):
             raise ConfigError(f"gains {K.tolist()}", why="adaptation needs all > 0", fix="raise them", key="feedback")
         scale, first = self.scales(K), self.regressor.inertial
         matrices = pseudo_inertias(start[:first])
-        roots = np.linalg.cholesky(matrices)
+        roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
         rates = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         adaptation = Adaptation(
             known=self.regressor.workspace(),
@@ -169,8 +172,7 @@ class Adaptive(CompiledController):
         gram, (mean, basis) = memory["gram"], self.identifiable
         if not self.learning or not np.isfinite(gram).all() or memory["samples"][0] == 0:
             return []
-        taken = max(1.0, np.trace(gram) and memory["samples"][0])
-        values = eigh(basis.T @ gram @ basis / taken, basis.T @ mean @ basis, eigvals_only=True)
+        values = eigh(basis.T @ gram @ basis, basis.T @ mean @ basis, eigvals_only=True)
         excited, known = int(np.sum(values > EXCITED * values[-1])), basis.shape[1]
         if excited == known:
             return []
@@ -182,9 +184,8 @@ class Adaptive(CompiledController):
         if self.adapting.initial == "guess" or self.nominal is None:
             return guess
         theta = np.maximum(self.nominal, 0.0)
-        theta[:first] = np.concatenate(
-            [vector_of(lifted(P, G)) for P, G in zip(*map(pseudo_inertias, (self.nominal[:first], guess[:first])))]
-        )
+        pairs = zip(pseudo_inertias(self.nominal[:first]), pseudo_inertias(guess[:first]), strict=True)
+        theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
         return theta
 
     def guess(self) -> Array:
