@@ -24,7 +24,7 @@ from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .pseudo_inertia import to_matrix, to_vector
 
 FLOOR = 1e-4  # least share of the guess that a nominal body keeps: massless and flat ones have no density
-SAMPLES = 1000  # how many samples of a run the excitation is taken from, about
+TAKEN = 0.01  # how often a sample is taken for the excitation [s]
 EXCITED = 1e-3  # share of what random motion of unit speed excites, above which a direction counts as excited
 
 
@@ -144,7 +144,7 @@ class Adaptive(CompiledController):
             start=start[first:].copy(),
             top=np.maximum(own.friction_bound * scale, start[first:]),
             share=float(own.share),
-            stride=max(1, wiring.samples // SAMPLES),
+            stride=max(1, round(TAKEN / wiring.control_period)),
             gradient=np.zeros(start.size),
             steps=np.zeros(roots.shape),
             factors=np.zeros(roots.shape),
