@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
@@ -16,7 +16,7 @@ from scipy.linalg import eigh, solve_triangular
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..model.tree_regressor import BODY
-from ..settings import Settings, require_gains
+from ..settings import Settings, plain, require_gains
 from ..signals import Array, Layout
 from . import law
 from .adaptation import Adaptation
@@ -55,12 +55,12 @@ class Adapting(Settings, frozen=True):
         ConfigError: A number that is negative, not finite or 0 where it must not be.
     """
 
-    rate: float = 30.0
+    rate: float = 100.0
     viscous: float = 1.0
     coulomb: float = 10.0
     rotor: float = 0.0
     leakage: float = 0.0
-    share: float = 0.1
+    share: float = 0.2
     modification: Literal["sigma", "e"] = "sigma"
     bounds: float = 100.0
     friction_bound: float = 10.0
@@ -166,6 +166,11 @@ class Adaptive(CompiledController):
     def weights(self, memory: Memory) -> dict[str, Array]:
         """The estimate, (k,)."""
         return {"theta": memory["theta"]}
+
+    def facts(self) -> dict[str, Any]:
+        """Gains, settings and start, with the names of the parameters."""
+        named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
+        return {"feedback": plain(self.feedback), "adapting": plain(self.adapting)} | named
 
     def findings(self, memory: Memory) -> list[str]:
         """Says when the run did not excite all that matters: then the estimate tracks, but is no knowledge."""
