@@ -389,7 +389,9 @@ class Experiment(Settings, frozen=True):
         if name == "computed_torque":
             return ComputedTorque(feedback)
         if name == "adaptive":
-            return adaptive_controller(self.adaptive, feedback, robot, (self.robot, self.overrides), self.learning.learning)
+            return adaptive_controller(
+                self.adaptive, feedback, robot, (self.robot, self.overrides), self.learning.learning
+            )
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)
