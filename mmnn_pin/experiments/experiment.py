@@ -56,7 +56,8 @@ TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
     "two_layer_random": "random",
 }
 LEARNERS = (*TWO_LAYERS, "one_layer")
-DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None)  # what an experiment runs unless it says
+# What an experiment runs unless it says.
+DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None and name != "adaptive")
 # Pictures that a run can write; `show.plots` draws them.
 PLOTS = (
     *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
