@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
+import runpy
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -326,6 +329,13 @@ def test_a_poor_motion_is_told_and_harmless():
     rich = loop_of(adaptive(), 12.0).run()
     assert poor.outcome.status == "completed"
     assert excited(poor.outcome.message) < excited(rich.outcome.message)
+
+
+@pytest.mark.skipif(PLAIN, reason="needs a long run")
+def test_the_example_knows_more_after_the_richer_motion(capsys):
+    runpy.run_path(str(Path(__file__).parents[1] / "examples" / "adaptive.py"), run_name="__main__")
+    rich, poor = ([float(x) for x in re.findall(r"0[.]\d{4}", line)] for line in capsys.readouterr().out.splitlines())
+    assert rich[0] < 0.1 and all(a < b for a, b in zip(rich, poor, strict=True))
 
 
 def test_it_acts_alike_on_a_robot_of_other_masses():

@@ -4,8 +4,7 @@
 
 For each body P = [Sigma, mc; mc', m] is its pseudo-inertia: mass and density are possible just where P > 0 (Wensing,
 Kim, Slotine 2018, IEEE RA-L 3(1)). With the log-det Bregman divergence `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4`
-and L the symmetric matrix of `tr(dP L) = s' Y dtheta`, the natural law of Lee, Kwon, Park 2018 (IEEE/RSJ IROS; proof in
-Lee and Park 2018, IEEE RA-L 3(4)) is
+and L the symmetric matrix of `tr(dP L) = s' Y dtheta`, the natural law of Lee, Kwon, Park 2018 (IEEE/RSJ IROS) is
 
     P_hat' = gamma P_hat L P_hat,       so that      d/dt D(P || P_hat) = -gamma s' Y (theta - theta_hat)
 
