@@ -24,6 +24,8 @@ _HOME = {
     "model.dynamics": ("Dynamics",),
     "reference": ("Circle", "Eight", "Hold", "Line", "MinimumJerk", "Sine", "Table", "Trajectory", "Waypoints"),
     "kinematic": ("Kinematic",),
+    "model.regressor": ("Regressor",),
+    "torque.adaptive": ("Adapting", "Adaptive"),
     "torque.controller": ("Feedback", "Memory", "TorqueController", "Wiring"),
     "torque.model_based": ("PD", "ComputedTorque", "ScheduledPD"),
     "torque.neural": ("Inputs", "Neural", "OneLayer", "Robust", "TwoLayer"),

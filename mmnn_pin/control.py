@@ -10,7 +10,7 @@ from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
 from .rig import Rig, is_stopped, send
-from .sample import before_torque
+from .sample import before_torque, estimate
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
@@ -98,6 +98,8 @@ class Torque:
             return
         if self.model is not None:
             self._model_psi(self.model)
+        if self.law.adaptation is not None:
+            estimate(self.row, self.at, self.law.adaptation, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
 
     def _model_psi(self, model: Dynamics) -> None:

@@ -37,7 +37,6 @@ from .signals import INDEX, SIGNALS, Array, Layout
 from .start import FIRST_REFERENCE, Bounds, Start
 from .timing import Timing
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
-from .torque.neural import Neural
 
 Engine = CompiledLoop | OrdinaryLoop
 PLANTS = ("ideal", "contact")
@@ -172,7 +171,7 @@ class Loop:
 
     def judged(self, outcome: Outcome, memory: Any) -> Outcome:
         """An outcome whose message also tells what the controller's memory shows after the run."""
-        if outcome.status == "interrupted" or not isinstance(self.controller, Neural):
+        if outcome.status == "interrupted" or not isinstance(self.controller, CompiledController):
             return outcome
         findings = self.controller.findings(memory)
         return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))

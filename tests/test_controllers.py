@@ -655,6 +655,15 @@ def test_networks_know_no_robot_and_learners_no_model() -> None:
         assert not [name for name in known(edges, module) if name.split(".")[0] in {"model", "plant"}], module
 
 
+def test_an_adaptive_controller_knows_how_the_robot_moves_and_not_what_it_weighs() -> None:
+    edges = graph()
+    for arithmetic in ("torque.adaptation", "torque.pseudo_inertia"):
+        assert {name.split(".")[0] for name in known(edges, arithmetic)} <= FEET | {"torque"}
+    weighs = {"model.parameters", "model.dynamics", "model.robot", "model.payload", "model.state", "model.terms"}
+    assert "model.regressor" in edges["torque.adaptive"]
+    assert not known(edges, "torque.adaptive") & weighs
+
+
 def test_imports_run_one_way() -> None:
     """errors, signals <- model <- blocks <- loop <- experiments, proof, study, show <- cli; blocks are siblings."""
     for module, targets in graph().items():

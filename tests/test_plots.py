@@ -86,7 +86,7 @@ def test_a_controller_looks_the_same_everywhere():
 
 
 def test_styles_differ_in_colour_and_in_dash():
-    assert set(STYLES) == {*CONTROLLERS, "pd_effective_one_layer", "two_layer_zero", "two_layer_random"}
+    assert set(STYLES) == {*CONTROLLERS, "two_layer_zero", "two_layer_random", "adaptive"}
     assert STYLES["two_layer_zero"] == STYLES["two_layer"], "the thesis's network, wherever it appears"
     named = [style for name, style in STYLES.items() if name != "two_layer_zero"]
     for a, b in combinations(named, 2):

@@ -25,9 +25,11 @@ from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
+from ..torque.adaptive import Adapting
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
+from .adaptive import adaptive_controller
 from .inertia import effective_inertia
 from .tolerance import Case, Tolerance
 
@@ -43,6 +45,7 @@ CONTROLLERS = {
     "pd": "the feedback alone",
     "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
     "pd_effective_one_layer": "PD at the effective gain of one_layer",
+    "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
     "computed_torque": "feedback and the true model: the oracle",
 }
 ORACLES = ("computed_torque",)
@@ -53,7 +56,8 @@ TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
     "two_layer_random": "random",
 }
 LEARNERS = (*TWO_LAYERS, "one_layer")
-DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None)  # what an experiment runs unless it says
+# What an experiment runs unless it says.
+DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None and name != "adaptive")
 # Pictures that a run can write; `show.plots` draws them.
 PLOTS = (
     *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
@@ -197,6 +201,7 @@ class Experiment(Settings, frozen=True):
         robust_of: Kz, ZB of single learners.
         two_layer: The two-layer network.
         one_layer: The one-layer network.
+        adaptive: The adaptive controller.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
@@ -237,6 +242,7 @@ class Experiment(Settings, frozen=True):
     robust_of: RobustOf = RobustOf()
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
+    adaptive: Adapting = Adapting()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
@@ -383,6 +389,10 @@ class Experiment(Settings, frozen=True):
             return PD(feedback)
         if name == "computed_torque":
             return ComputedTorque(feedback)
+        if name == "adaptive":
+            return adaptive_controller(
+                self.adaptive, feedback, robot, (self.robot, self.overrides), self.learning.learning
+            )
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)

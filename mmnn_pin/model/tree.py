@@ -48,6 +48,7 @@ def flatten(
     control_frame: tuple[float, float, float] = (0.0, 0.0, 0.0),
     samples: int = 5,
     seed: int = 0,
+    absorb: bool = True,
 ) -> Tree:
     """Flatten a Pinocchio model and check the result against Pinocchio at random states.
 
@@ -58,6 +59,7 @@ def flatten(
         control_frame: Control frame in the root link, `(x, y, psi)` [m, m, rad].
         samples: Number of random states of the check.
         seed: Their seed.
+        absorb: Lump wheels that are alike all around their axis; off keeps a body for every joint that moves.
 
     Raises:
         RobotError: A joint of a type that cannot be flattened, values that are not finite, arrays of wrong shape,
@@ -68,7 +70,9 @@ def flatten(
     frame = _array("control_frame", control_frame, (3,))
     _refuse(model)
     bodies = _lump(model, T, rest)
-    rotors = T.T @ np.diag(model.armature) @ T + _absorb_wheels(bodies, T, _mobile(model))
+    rotors = T.T @ np.diag(model.armature) @ T
+    if absorb:
+        rotors = rotors + _absorb_wheels(bodies, T, _mobile(model))
     tree = _tables(model, bodies, T, rotors, frame)
     verify(tree, model, T, rest, samples, seed)
     return tree

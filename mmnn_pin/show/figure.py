@@ -63,6 +63,7 @@ STYLES = {
     "two_layer_zero": Style("#0072B2", (0, None), 1.8),
     "two_layer_random": Style("#CC79A7", (0, (9, 1.5)), 1.6),
     "one_layer": Style("#D55E00", (0, (5, 1.6))),
+    "adaptive": Style("#7F4F24", (0, (3, 1))),
     "pd": Style("#000000", (0, (1, 1.4))),
     "pd_effective": Style("#56B4E9", (0, (6, 1.5, 1, 1.5)), 1.6),
     "pd_effective_one_layer": Style("#E69F00", (0, (5, 1.2, 1, 1.2, 1, 1.2)), 1.6),

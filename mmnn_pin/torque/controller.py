@@ -11,7 +11,7 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
 from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
+
+if TYPE_CHECKING:
+    from .adaptation import Adaptation
 
 
 @dataclass(frozen=True)
@@ -82,11 +85,14 @@ class Law:
         kind: Which law.
         sizes: int64 numbers.
         settings: float64 numbers.
+        adaptation: The numbers of an adaptive law, which writes psi_hat before the step; None for the others, whose
+            runs do not compile it.
     """
 
     kind: int
     sizes: NDArray[np.int64]
     settings: Array
+    adaptation: Adaptation | None = None
 
 
 class TorqueController(ABC):
@@ -166,6 +172,10 @@ class CompiledController(ABC):
     def facts(self) -> dict[str, Any]:
         """Settings that a recording should hold; of a learner enough for `recorded_learner` to build it again."""
         return {}
+
+    def findings(self, memory: Memory) -> list[str]:
+        """What the memory shows after a run that the user should be told."""
+        return []
 
 
 class Feedback(Settings, frozen=True):

@@ -61,7 +61,7 @@ def verdicts(psi: Psi) -> Iterator[str]:
     for half, where in psi.halves.items():
         online = worst(psi.online[where])
         if not psi.frozen:
-            yield f"{half}: FVU online {number(online)}; nothing is learned, so there are no weights to hold fixed."
+            yield f"{half}: FVU online {number(online)}; no network learned, so no weights are held fixed."
             continue
         same, other = (
             worst(psi.frozen[name].fvu[where]) if name in psi.frozen else math.nan for name in ("same", "held_out")

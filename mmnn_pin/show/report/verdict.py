@@ -128,10 +128,11 @@ def points(result: Result) -> Iterator[str]:
             left = percent(scores[name] / scores[judged[0]])
             yield f"{name} knows the true model; its errors are {left} of those of {judged[0]}: so much is left to win."
     for name, recording in result.recordings.items():
-        if controller_of(name, recording) in LEARNERS:
+        if (kind := controller_of(name, recording)) in (*LEARNERS, "adaptive"):
             shares = {part: percent(result.metrics[name][f"learned_share.{part}"]) for part in halves(recording)}
             told = " and ".join(f"{share} of the {part}'s" for part, share in shares.items())
-            yield f"{name}: its networks carry {told} torque (RMS)."
+            what = "networks carry" if kind in LEARNERS else "estimate carries"
+            yield f"{name}: its {what} {told} torque (RMS)."
     if ranges := result.figure_ranges():
         met = sum(row["inside"] for row in ranges)
         yield f"{met} of {len(ranges)} extremes lie where the axes of the thesis's figures have them."

@@ -1,0 +1,40 @@
+"""What an adaptive controller knows after a run: its last estimate held fixed, on motions that it has not seen."""
+
+import numpy as np
+
+from mmnn_pin import Adaptive, Circle, ComputedTorque, Eight, Feedback, Loop, Regressor, Sine, Timing, Trajectory, load
+
+robot = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
+regressor, gains = Regressor.of(robot), Feedback(500.0, 30.0)
+
+
+def loop(controller, base, periods, duration):
+    """A closed loop on the thesis robot with friction."""
+    arm = [Sine(amplitude=0.785, period=period, phase=np.pi / 2) for period in periods]
+    timing = Timing(duration=duration, control_period=0.002, plant_step=0.002, integrator="implicit_friction")
+    return Loop(robot, Trajectory(base=base, arm=arm), controller, timing=timing)
+
+
+def unexplained(theta, run):
+    """Fraction of the variance of Psi that a fixed theta leaves, per component."""
+    motion = zip(run["position"], run["nu"], run["nu_ref"], run["nudot_ref"], strict=True)
+    error = run["psi"] - np.array([regressor.matrix(*state) @ theta for state in motion])
+    return np.sum(error[250:] ** 2, axis=0) / np.sum((run["psi"] - run["psi"].mean(0))[250:] ** 2, axis=0)
+
+
+TRAINING = {
+    "eight, arm swinging": (Eight(length=1.5, width=0.75, period=12.0, ramp=1.0), (4.0, 3.0)),
+    "circle, arm slow": (Circle(radius=1.0, speed=0.4, ramp=1.0), (40.0, 40.0)),
+}
+HELD_OUT = {
+    "eight": (Eight(length=1.5, width=0.75, period=9.2, ramp=1.0), (3.1, 2.3)),
+    "circle": (Circle(radius=0.7, speed=0.5, ramp=1.0), (3.1, 2.3)),
+}
+
+if __name__ == "__main__":
+    truth = {name: loop(ComputedTorque(gains), *motion, 10.0).run() for name, motion in HELD_OUT.items()}
+    for name, motion in TRAINING.items():
+        learned = loop(Adaptive(regressor, gains), *motion, 48.0).run()
+        theta = learned.weights["theta"][-1]
+        frozen = "  ".join(f"{held} {unexplained(theta, run).mean():.4f}" for held, run in truth.items())
+        print(f"{name:20} FVU frozen, held out: {frozen}   {learned.outcome.message}")

@@ -1,0 +1,240 @@
+"""Slotine-Li adaptive control with physical estimates: `tau = Y theta_hat + K s`, `s = [z; r]`; see `adaptation`.
+
+The controller knows how the robot moves (`model.regressor`), never what it weighs: it starts from a guess or from the
+parameters of a nominal robot that it is given as numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from scipy.linalg import eigh, solve_triangular
+
+from ..errors import ConfigError
+from ..model.regressor import Regressor
+from ..model.tree_regressor import BODY
+from ..settings import Settings, plain, require_gains
+from ..signals import Array, Layout
+from . import law
+from .adaptation import Adaptation
+from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .pseudo_inertia import to_matrix, to_vector
+
+FLOOR = 1e-4  # least share of the guess that a nominal body keeps: massless and flat ones have no density
+TAKEN = 0.01  # how often a sample is taken for the excitation [s]
+EXCITED = 1e-3  # share of what random motion of unit speed excites, above which a direction counts as excited
+
+
+class Adapting(Settings, frozen=True):
+    """How an adaptive controller learns.
+
+    The rates are in units of energy, whatever the robot: a body's estimate moves by its own size where `rate` times
+    the energy that its error does in a sample is one. Friction is measured by `c_j = 1 / (t_j K^-1 t_j')`, the feedback
+    gain that joint j with the row t_j of T feels.
+
+    Args:
+        rate: gamma of the pseudo-inertias [1/J].
+        viscous: Rate of viscous friction; gamma_j is `viscous c_j^2` [s^2/J rad^2, 1/s^2 J m^2].
+        coulomb: Rate of dry friction; gamma_j is `coulomb c_j^2` [1/J].
+        rotor: Rate of the rotors' inertias; gamma_j is `rotor c_j^2`. Mostly a link's own inertia says the same: 0.
+        leakage: sigma, how fast the estimate is pulled back to its start [1/s].
+        share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut.
+        modification: "sigma" leaks always, "e" in proportion to |s|.
+        bounds: rho, the largest ratio of an estimate to its start, either way.
+        friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
+        initial: "guess" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's.
+        mass: Masses of the guess, (base, every other body) [kg].
+        size: Radii of gyration of the guess about each axis, likewise [m].
+        nominal: The robot of "nominal", a name or a path; empty for the robot itself, with wrong masses.
+        masses: Factor on the nominal robot's masses.
+
+    Raises:
+        ConfigError: A number that is negative, not finite or 0 where it must not be.
+    """
+
+    rate: float = 100.0
+    viscous: float = 1.0
+    coulomb: float = 10.0
+    rotor: float = 0.0
+    leakage: float = 0.0
+    share: float = 0.2
+    modification: Literal["sigma", "e"] = "sigma"
+    bounds: float = 100.0
+    friction_bound: float = 10.0
+    initial: Literal["guess", "nominal"] = "guess"
+    mass: tuple[float, float] = (30.0, 2.0)
+    size: tuple[float, float] = (0.3, 0.2)
+    nominal: str = ""
+    masses: float = 0.7
+
+    def __post_init__(self) -> None:
+        require_gains(self, "adaptive", "rate", "viscous", "coulomb", "rotor", "leakage", "share", "friction_bound")
+        for name in ("mass", "size", "masses"):
+            if not (np.isfinite(getattr(self, name)).all() and np.all(np.asarray(getattr(self, name)) > 0)):
+                raise ConfigError(f"{getattr(self, name)}", fix="use finite numbers > 0", key=f"adaptive.{name}")
+        if not (np.isfinite(self.bounds) and self.bounds > 1):
+            raise ConfigError(f"{self.bounds}", fix="use a finite ratio > 1", key="adaptive.bounds")
+
+
+@dataclass(frozen=True, eq=False)
+class Adaptive(CompiledController):
+    """`tau = Y theta_hat + K s` with `V' = -s' K s`: s goes to zero without leakage, bounds and disturbances.
+
+    Args:
+        regressor: How the robot moves.
+        feedback: K.
+        adapting: Rates, start and bounds.
+        nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
+        learning: Off keeps the estimate as it starts.
+
+    Raises:
+        ConfigError: A start from nominal parameters without them, or with others than k finite ones.
+    """
+
+    regressor: Regressor
+    feedback: Feedback = field(default_factory=Feedback)
+    adapting: Adapting = field(default_factory=Adapting)
+    nominal: Array | None = None
+    learning: bool = True
+    name: str = "adaptive"
+
+    def __post_init__(self) -> None:
+        k, given = self.regressor.size, self.nominal
+        if self.adapting.initial == "nominal" and given is None:
+            raise ConfigError(
+                "no nominal parameters", fix="give them, or use initial = 'guess'", key="adaptive.initial"
+            )
+        if given is not None and (given.shape != (k,) or not np.isfinite(given).all()):
+            raise ConfigError(f"{given.size} parameters", fix=f"give {k} finite ones", key="adaptive.nominal")
+
+    @property
+    def notes(self) -> list[str]:
+        """How many of the parameters matter."""
+        known = self.identifiable[1].shape[1]
+        return [f"adaptive: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
+
+    def law(self, wiring: Wiring) -> Law:
+        """The numbers of the law, with a memory of its own to work in.
+
+        Raises:
+            ConfigError: A gain of 0: the bound on s then does not hold.
+        """
+        K, start, own = self.feedback.vector(wiring.layout), self.start(), self.adapting
+        if not (K > 0).all():
+            raise ConfigError(f"gains {K.tolist()}", why="adaptation needs all > 0", fix="raise them", key="feedback")
+        scale, first = self.scales(K), self.regressor.inertial
+        matrices = pseudo_inertias(start[:first])
+        roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
+        rates = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
+        adaptation = Adaptation(
+            known=self.regressor.workspace(),
+            gain=K,
+            learning=self.learning,
+            h=float(wiring.control_period),
+            gamma=float(own.rate),
+            sigma=float(own.leakage),
+            by_error=own.modification == "e",
+            rho=float(own.bounds),
+            roots=roots,
+            inverses=np.array([solve_triangular(C, np.eye(4), lower=True) for C in roots]).reshape(roots.shape),
+            rates=rates,
+            start=start[first:].copy(),
+            top=np.maximum(own.friction_bound * scale, start[first:]),
+            share=float(own.share),
+            stride=max(1, round(TAKEN / wiring.control_period)),
+            gradient=np.zeros(start.size),
+            steps=np.zeros(roots.shape),
+            factors=np.zeros(roots.shape),
+            work=np.zeros((3, 4, 4)),
+        )
+        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, adaptation)
+
+    def init(self, wiring: Wiring) -> Memory:
+        """The estimate at its start, and nothing seen yet."""
+        k = self.regressor.size
+        memory = Memory.of(theta=(k,), samples=(1,), gram=(k, k))
+        memory["theta"] = self.start()
+        return memory
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """K, (p,)."""
+        return self.feedback.vector(layout)
+
+    def weights(self, memory: Memory) -> dict[str, Array]:
+        """The estimate, (k,)."""
+        return {"theta": memory["theta"]}
+
+    def facts(self) -> dict[str, Any]:
+        """Gains, settings and start, with the names of the parameters."""
+        named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
+        return {"feedback": plain(self.feedback), "adapting": plain(self.adapting)} | named
+
+    def findings(self, memory: Memory) -> list[str]:
+        """Says when the run did not excite all that matters: then the estimate tracks, but is no knowledge."""
+        gram, (mean, basis) = memory["gram"], self.identifiable
+        if not self.learning or not np.isfinite(gram).all() or memory["samples"][0] == 0:
+            return []
+        values = eigh(basis.T @ gram @ basis, basis.T @ mean @ basis, eigvals_only=True)
+        excited, known = int(np.sum(values > EXCITED * values[-1])), basis.shape[1]
+        if excited == known:
+            return []
+        return [f"{self.name}: the motion excited {excited} of {known} combinations of parameters that matter"]
+
+    def start(self) -> Array:
+        """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""
+        guess, first = self.guess(), self.regressor.inertial
+        if self.adapting.initial == "guess" or self.nominal is None:
+            return guess
+        theta = np.maximum(self.nominal, 0.0)
+        pairs = zip(pseudo_inertias(self.nominal[:first]), pseudo_inertias(guess[:first]), strict=True)
+        theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
+        return theta
+
+    def guess(self) -> Array:
+        """Balls at every joint and no friction, (k,)."""
+        theta, own = np.zeros(self.regressor.size), self.adapting
+        for i, body in enumerate(self.regressor.bodies):
+            m, size = (own.mass[body != "root"], own.size[body != "root"])
+            theta[BODY * i] = m
+            theta[BODY * i + np.array([4, 7, 9])] = m * size**2
+        return theta
+
+    def counts(self) -> tuple[int, int, int]:
+        """How many parameters are rotors, viscous and dry friction."""
+        count = len(self.regressor.joints)
+        return count, self.regressor.massless.base + count, count
+
+    def scales(self, K: Array) -> Array:
+        """c_j of rotors, viscous and dry friction, (k - 10 bodies,)."""
+        joints = 1.0 / np.einsum("ki,i,ki->k", self.regressor.massless.joints, 1.0 / K, self.regressor.massless.joints)
+        return np.concatenate((joints, K[: self.regressor.massless.base], joints, joints))
+
+    @cached_property
+    def identifiable(self) -> tuple[Array, Array]:
+        """Mean `Y' Y` of random motion (k, k), and the directions of theta that it depends on."""
+        return self.regressor.gram(), self.regressor.identifiable()
+
+
+def pseudo_inertias(theta: Array) -> Array:
+    """Pseudo-inertias of the inertial parameters, (bodies, 4, 4)."""
+    matrices = np.zeros((theta.size // BODY, 4, 4))
+    for P, numbers in zip(matrices, theta.reshape(-1, BODY), strict=True):
+        to_matrix(numbers, 1.0, P)
+    return matrices
+
+
+def vector_of(P: Array) -> Array:
+    """The ten numbers of a pseudo-inertia."""
+    theta = np.zeros(BODY)
+    to_vector(P, theta)
+    return theta
+
+
+def lifted(P: Array, guess: Array) -> Array:
+    """A pseudo-inertia with at least `FLOOR` times a guess, in every direction in which it has less."""
+    values, vectors = eigh(P, guess)
+    back = guess @ vectors
+    return np.asarray(back @ np.diag(np.maximum(values, FLOOR)) @ back.T)

@@ -1,0 +1,392 @@
+"""Adaptive control: the natural law against its geodesic, divergence and projection; passivity; a closed loop."""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm, sqrtm
+
+from mmnn_pin import PD, Circle, Eight, Loop, Sine, Start, Timing, Trajectory, load, load_experiment
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop import Loop as ClosedLoop
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.torque.adaptation import adapt
+from mmnn_pin.torque.adaptive import Adapting, Adaptive, lifted, pseudo_inertias, vector_of
+from mmnn_pin.torque.controller import Feedback, Wiring
+from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, within
+
+PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
+ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
+REGRESSOR = Regressor.of(ROBOT)
+TRUE = parameters(ROBOT)
+K = Feedback(500.0, 30.0)
+seeds = st.integers(0, 2**32 - 1)
+
+
+def positive(rng, spread=2.0):
+    """A random positive definite 4 x 4 matrix."""
+    return np.asarray(sqrtm(expm(spread * symmetric(rng)))).real
+
+
+def symmetric(rng):
+    A = rng.standard_normal((4, 4))
+    return (A + A.T) / 2
+
+
+def divergence(P, Q):
+    """Log-det Bregman divergence D(P || Q), by determinants and an inverse."""
+    return np.linalg.slogdet(Q)[1] - np.linalg.slogdet(P)[1] + np.trace(np.linalg.solve(Q, P)) - 4
+
+
+class Bench:
+    """An adaptive controller alone: Y and s go in, theta moves."""
+
+    def __init__(self, h=1e-3, regressor=REGRESSOR, **adapting):
+        self.adapting = Adapting(**{"share": 1e9, "rotor": 0.5} | adapting)
+        self.controller = Adaptive(regressor, K, self.adapting)
+        self.layout, self.h = ROBOT.layout, h
+        wiring = Wiring(self.layout, h, 10)
+        self.a, self.memory = self.controller.law(wiring).adaptation, self.controller.init(wiring)
+        self.row, self.theta = self.layout.new_row(), self.memory["theta"]
+
+    def step(self, Y, s):
+        """Psi_hat of one sample, with theta from before it."""
+        self.a.known.Y[:] = Y
+        self.row[self.layout.where("z")], self.row[self.layout.where("r")] = s[:2], s[2:]
+        adapt(self.row, self.layout.offsets, self.a, self.memory.values)
+        return self.row[self.layout.where("psi_hat")].copy()
+
+    def distance(self, theta=TRUE):
+        """The part of V that theta has."""
+        first = REGRESSOR.inertial
+        bodies = zip(pseudo_inertias(theta[:first]), pseudo_inertias(self.theta[:first]), strict=True)
+        moves = self.a.rates > 0
+        rest = (theta - self.theta)[first:][moves] ** 2 / (2 * self.a.rates[moves])
+        return sum(divergence(*pair) for pair in bodies) / self.adapting.rate + rest.sum()
+
+
+# --- the law of one body
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds, st.floats(1e-3, 0.1))
+def test_a_step_is_close_to_the_geodesic_and_always_positive(seed, size):
+    rng = np.random.default_rng(seed)
+    X, E = symmetric(rng), np.zeros((4, 4))
+    X *= size / np.linalg.norm(X, 2)
+    exponential(X, E)
+    np.testing.assert_allclose(E @ E, expm(X), atol=size**3)
+    exponential(1e4 * X, E)
+    assert np.linalg.eigvalsh(E).min() > 0
+
+
+@settings(max_examples=40, deadline=None)
+@given(seeds)
+def test_one_sample_of_a_body_is_the_natural_law(seed):
+    """By matrices: P+ = P^1/2 exp(h gamma P^1/2 L P^1/2) P^1/2, with tr(L dP) = s' Y dtheta, for every body."""
+    rng = np.random.default_rng(seed)
+    bench = Bench(h=1e-5, rate=2.0)
+    before = bench.theta.copy()
+    Y, s = rng.standard_normal((4, REGRESSOR.size)), rng.standard_normal(4)
+    np.testing.assert_allclose(bench.step(Y, s), Y @ before, rtol=1e-12)
+    first = REGRESSOR.inertial
+    for b, P in enumerate(pseudo_inertias(before[:first])):
+        g = (Y.T @ s)[10 * b : 10 * b + 10]
+        L = dual(g)
+        root = np.asarray(sqrtm(P)).real
+        expected = root @ expm(bench.h * 2.0 * root @ L @ root) @ root
+        moved = pseudo_inertias(bench.theta[:first])[b] - P
+        np.testing.assert_allclose(moved, expected - P, atol=1e-4 * np.abs(expected - P).max())
+    moved = bench.theta[first:] - before[first:]
+    np.testing.assert_allclose(moved, np.maximum(bench.h * bench.a.rates * (Y.T @ s)[first:], 0), atol=1e-15)
+
+
+def dual(g):
+    """L with tr(L P(dtheta)) = g' dtheta, column by column from the ten unit parameters."""
+    units = pseudo_inertias(np.eye(10).ravel())
+    gram = np.array([[np.trace(a @ b) for b in units] for a in units])
+    return np.tensordot(np.linalg.solve(gram, g), units, axes=1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seeds, st.floats(1.5, 50.0))
+def test_clipping_is_the_projection_in_the_divergence(seed, rho):
+    """Pythagoras for Bregman projections: D(P || Q) >= D(P || clipped Q) + D(clipped Q || Q) for every P within."""
+    rng = np.random.default_rng(seed)
+    Q, P, work, half = positive(rng, 4.0), positive(rng), np.zeros((4, 4)), np.zeros((4, 4))
+    values, vectors = np.linalg.eigh(P)
+    P = vectors @ np.diag(np.clip(values, 1 / rho, rho)) @ vectors.T
+    clipped = Q.copy()
+    clip(clipped, rho, work, half)
+    ends = np.linalg.eigvalsh(clipped)
+    assert 1 / rho * (1 - 1e-9) <= ends[0] and ends[-1] <= rho * (1 + 1e-9)
+    if within(Q, rho, work, half):
+        np.testing.assert_allclose(clipped, Q, atol=1e-9 * np.abs(Q).max())
+    left = divergence(P, Q)
+    assert left >= divergence(P, clipped) + divergence(clipped, Q) - 1e-8 * (1 + left)
+
+
+def test_cholesky_says_where_there_is_none():
+    rng, B = np.random.default_rng(0), np.zeros((4, 4))
+    P = positive(rng)
+    assert cholesky(P, B)
+    np.testing.assert_allclose(B @ B.T, P, atol=1e-12)
+    assert not cholesky(P - 2 * np.linalg.eigvalsh(P)[-1] * np.eye(4), B)
+    assert not cholesky(np.full((4, 4), np.nan), B)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds)
+def test_what_the_estimate_loses_is_the_work_of_its_error(seed):
+    """d/dt V_theta = -s' Y (theta - theta_hat), by a small step."""
+    rng = np.random.default_rng(seed)
+    bench = Bench(h=1e-9, rate=3.0)
+    bench.theta[REGRESSOR.inertial :] += 0.1  # off the wall at zero
+    before, Y, s = bench.distance(), rng.standard_normal((4, REGRESSOR.size)), rng.standard_normal(4)
+    work = s @ Y @ (TRUE - bench.theta)
+    bench.step(Y, s)
+    assert (bench.distance() - before) / bench.h == pytest.approx(-work, rel=1e-3, abs=0.05)
+
+
+def test_the_map_from_s_to_the_error_of_psi_is_passive():
+    """The integral of s' Y (theta_hat - theta) is at least -V_theta(0), up to what a sample costs: it goes with h."""
+    rng = np.random.default_rng(3)
+    amplitude, rate, phase = rng.standard_normal((3, 4, REGRESSOR.size))
+    excess = []
+    truth, first = TRUE.copy(), REGRESSOR.inertial
+    truth[first:] = 30.0
+    for h in (2e-3, 1e-3):
+        bench, supplied = Bench(h=h, rate=1.0, viscous=0.01, coulomb=0.01, rotor=0.01, friction_bound=1e3), 0.0
+        bench.theta[first:] = 25.0  # off the walls
+        start = bench.distance(truth)
+        for t in np.arange(0.0, 0.05 if PLAIN else 1.0, h):
+            Y, s = 0.1 * amplitude * np.sin(5 * rate * t + phase), 0.05 * np.sin(7 * t + np.arange(4.0))
+            supplied += h * s @ (Y @ truth - bench.step(Y, s))
+        excess.append(start - bench.distance(truth) - supplied)
+        assert supplied <= start + abs(excess[-1])
+        assert (bench.theta[first:] > 0).all()
+    assert abs(excess[0]) < 0.01 * abs(supplied)
+    assert abs(excess[1]) < 0.6 * abs(excess[0])
+
+
+def test_leakage_alone_pulls_the_dual_variable_to_its_start():
+    """d/dt P^-1 = sigma (P_0^-1 - P^-1), so P^-1 - P_0^-1 decays with exp(-sigma t)."""
+    bench = Bench(h=1e-3, leakage=2.0, rate=1.0)
+    first = REGRESSOR.inertial
+    P0 = pseudo_inertias(bench.theta[:first])
+    bench.theta[:] *= 3.0
+    for _ in range(500):
+        bench.step(np.zeros((4, REGRESSOR.size)), np.ones(4))
+    left = np.linalg.inv(pseudo_inertias(bench.theta[:first])) - np.linalg.inv(P0)
+    np.testing.assert_allclose(left, -np.exp(-1.0) * (2 / 3) * np.linalg.inv(P0), rtol=0.01, atol=1e-6)
+
+
+def test_e_modification_leaks_with_the_error():
+    still, moving = Bench(leakage=2.0, modification="e"), Bench(leakage=2.0, modification="e")
+    for bench, s in ((still, 0.0), (moving, 1.0)):
+        bench.theta[:] *= 3.0
+        bench.step(np.zeros((4, REGRESSOR.size)), np.full(4, s))
+    start = 3.0 * still.controller.start()
+    np.testing.assert_allclose(still.theta, start, rtol=1e-12)
+    assert (moving.theta[:10] != start[:10]).any()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(0.0, 1e6))
+def test_the_estimate_stays_physical_and_bounded_whatever_comes(seed, size):
+    rng, bench = np.random.default_rng(seed), Bench(h=0.01, bounds=7.0, rate=5.0)
+    first, starts = REGRESSOR.inertial, pseudo_inertias(Bench().controller.start()[: REGRESSOR.inertial])
+    for _ in range(5):
+        bench.step(size * rng.standard_normal((4, REGRESSOR.size)), rng.standard_normal(4))
+        for P, P0 in zip(pseudo_inertias(bench.theta[:first]), starts, strict=True):
+            ratios = np.linalg.eigvals(np.linalg.solve(P0, P)).real
+            assert ratios.min() > 1 / 7.01 and ratios.max() < 7.01
+        assert (bench.theta[first:] >= 0).all() and (bench.theta[first:] <= bench.a.top).all()
+
+
+def test_a_sample_answers_at_most_its_share_of_the_feedback():
+    rng, h = np.random.default_rng(1), 2e-3
+    Y, s = 100 * rng.standard_normal((4, REGRESSOR.size)), 1e-3 * rng.standard_normal(4)
+    for share in (0.1, 0.01):
+        bench = Bench(h=h, share=share, bounds=1e6, friction_bound=1e6)
+        before = bench.theta.copy()
+        before[REGRESSOR.inertial :] = bench.theta[REGRESSOR.inertial :] = 50.0
+        bench.step(Y, s)
+        feedback = s @ (K.vector(ROBOT.layout) * s)
+        assert s @ Y @ (bench.theta - before) == pytest.approx(share * feedback, rel=0.02)
+
+
+def test_a_start_from_a_robot_without_density_is_made_physical():
+    rng = np.random.default_rng(0)
+    guess, flat = positive(rng), np.diag([1.0, 2.0, 0.0, 3.0])
+    made = lifted(flat, guess)
+    assert np.linalg.eigvalsh(made).min() > 0 and np.linalg.eigvalsh(made - flat).min() > -1e-12
+    full = guess + positive(rng)
+    np.testing.assert_allclose(lifted(full, guess), full, atol=1e-12)
+    np.testing.assert_allclose(pseudo_inertias(vector_of(made))[0], made)
+
+
+# --- in a closed loop
+
+
+def loop_of(controller, duration=4.0, h=0.002, **more):
+    base = more.pop("base", Eight(length=1.5, width=0.75, period=12.0, ramp=1.0))
+    arm = [Sine(0.785, 4.0, 0.0, np.pi / 2), Sine(0.5, 3.0, 0.0, np.pi / 2)]
+    timing = Timing(duration=0.02 if PLAIN else duration, control_period=h, plant_step=h, integrator="rk4")
+    more = {"start": Start((-0.01, 0.0, 0.0))} | more
+    return Loop(ROBOT, Trajectory(base=base, arm=arm), controller, timing=timing, **more)
+
+
+def adaptive(**adapting):
+    return Adaptive(REGRESSOR, K, Adapting(**adapting))
+
+
+@pytest.mark.skipif(PLAIN, reason="needs a long run")
+def test_v_falls_by_the_feedback_alone_up_to_what_sampling_costs():
+    """V(T) - V(0) + integral of s' K s goes to zero with the control period, and V never grows by more than that."""
+    left, rates = [], {"rate": 3.0, "viscous": 0.0, "coulomb": 0.0, "share": 1e9}  # no friction: no walls are touched
+    for h in (1e-3, 2.5e-4):
+        loop = replace(loop_of(adaptive(**rates), 1.0, h, weights_interval=h), robot=load("platform_arm"))
+        run, bench, dynamics = loop.run(), Bench(**rates, rotor=0.0), Dynamics(loop.robot)
+        s = np.hstack((run["z"], run["r"]))
+        kinetic = [0.5 * e @ dynamics.mass_matrix(q) @ e for q, e in zip(run["position"], s, strict=True)]
+        V = []
+        for energy, theta in zip(kinetic, run.weights["theta"], strict=False):
+            bench.theta[:] = theta
+            V.append(energy + bench.distance())
+        power = (s**2 @ K.vector(ROBOT.layout))[: len(V)]
+        lost = np.concatenate([[0.0], np.cumsum(0.5 * h * (power[1:] + power[:-1]))])
+        left.append(np.abs(np.array(V) - V[0] + lost).max() / V[0])
+        assert np.diff(V).max() < 0.01 * V[0] * h / 1e-3
+        assert V[-1] < 0.97 * V[0]
+    assert left[0] < 0.05
+    assert left[1] < 0.4 * left[0]
+
+
+def test_both_engines_agree_and_stop_where_they_are_told():
+    runs = [loop_of(adaptive(), 0.1, engine=engine).run() for engine in ("compiled", "ordinary")]
+    for name in ("psi_hat", "torque", "e", "weight_norm"):
+        np.testing.assert_allclose(runs[0][name], runs[1][name], rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(runs[0].final["memory"], runs[1].final["memory"], rtol=1e-6, atol=1e-8)
+    frozen = loop_of(replace(adaptive(), learning=False), 0.1).run()
+    np.testing.assert_array_equal(frozen.weights["theta"][0], frozen.weights["theta"][-1])
+    assert "combinations" not in frozen.outcome.message
+
+
+def test_a_resumed_run_equals_the_uninterrupted_one():
+    half = 0.01 if PLAIN else 0.1
+    whole, first = loop_of(adaptive(), 2 * half), loop_of(adaptive(), half)
+    if PLAIN:
+        whole, first = (replace(loop, timing=replace_duration(loop, d)) for loop, d in ((whole, 0.02), (first, 0.01)))
+    straight, begun = whole.run(), first.run()
+    memory = first.controller.init(first.wiring())
+    memory.values[:] = begun.final["memory"]
+    state = (begun.final["position"], begun.final["nu"])
+    resumed = whole.run(memory=memory, state=state, first=round(half / 0.002))
+    np.testing.assert_array_equal(resumed.final["memory"], straight.final["memory"])
+
+
+def replace_duration(loop: ClosedLoop, duration: float) -> Timing:
+    timing = loop.timing
+    return Timing(duration, timing.control_period, timing.plant_step, timing.sensor_period, timing.integrator)
+
+
+@pytest.mark.skipif(PLAIN, reason="needs a long run")
+def test_it_learns_from_a_guess_and_from_a_wrong_robot():
+    def late(run):
+        errors = np.hstack((run["true_pose_error"], run["true_e"]))[run.time > 8.0]
+        return np.sqrt(np.mean(errors**2, axis=0))
+
+    wrong = Adaptive(REGRESSOR, K, Adapting(initial="nominal"), parameters(load("platform_arm").with_masses(0.7)))
+    pd = late(loop_of(PD(K), 12.0).run())
+    for controller in (adaptive(), wrong):
+        run = loop_of(controller, 12.0).run()
+        assert run.outcome.status == "completed" and (late(run) < pd).all()
+        assert late(run)[3:].max() < 0.2 * pd[3:].min() or late(run)[3:].sum() < 0.15 * pd[3:].sum()
+        for theta in run.weights["theta"]:
+            assert all(np.linalg.eigvalsh(P)[0] > 0 for P in pseudo_inertias(theta[: REGRESSOR.inertial]))
+
+
+@pytest.mark.skipif(PLAIN, reason="needs a long run")
+def test_a_poor_motion_is_told_and_harmless():
+    def excited(message):
+        return int(message.split("excited ")[1].split()[0])
+
+    still = [Sine(0.0, 4.0), Sine(0.0, 4.0)]
+    poor = replace(
+        loop_of(adaptive(), 12.0), trajectory=Trajectory(base=Circle(speed=0.3, radius=1.0), arm=still)
+    ).run()
+    rich = loop_of(adaptive(), 12.0).run()
+    assert poor.outcome.status == "completed"
+    assert excited(poor.outcome.message) < excited(rich.outcome.message)
+
+
+@pytest.mark.skipif(PLAIN, reason="needs a long run")
+def test_the_example_knows_more_after_the_richer_motion(capsys):
+    runpy.run_path(str(Path(__file__).parents[1] / "examples" / "adaptive.py"), run_name="__main__")
+    rich, poor = ([float(x) for x in re.findall(r"0[.]\d{4}", line)] for line in capsys.readouterr().out.splitlines())
+    assert rich[0] < 0.1 and all(a < b for a, b in zip(rich, poor, strict=True))
+
+
+def test_it_acts_alike_on_a_robot_of_other_masses():
+    """What the controller is made of does not depend on the true robot: the same row gives the same torque."""
+    heavy = ROBOT.with_masses(3.0).with_friction(0.0)
+    benches = [Bench(regressor=Regressor.of(robot)) for robot in (ROBOT, heavy)]
+    rng = np.random.default_rng(0)
+    Y, s = rng.standard_normal((4, REGRESSOR.size)), rng.standard_normal(4)
+    np.testing.assert_array_equal(*[bench.step(Y, s) for bench in benches])
+    np.testing.assert_array_equal(*[bench.theta for bench in benches])
+
+
+# --- settings
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({"rate": -1.0}, "adaptive.rate"),
+        ({"mass": (0.0, 1.0)}, "adaptive.mass"),
+        ({"size": (0.1, np.nan)}, "adaptive.size"),
+        ({"bounds": 1.0}, "adaptive.bounds"),
+        ({"masses": -0.7}, "adaptive.masses"),
+    ],
+)
+def test_impossible_settings_are_refused_with_their_key(settings, key):
+    with pytest.raises(ConfigError) as error:
+        Adapting(**settings)
+    assert error.value.key == key
+
+
+def test_what_does_not_fit_is_refused():
+    with pytest.raises(ConfigError, match="no nominal parameters"):
+        adaptive(initial="nominal")
+    with pytest.raises(ConfigError, match="give 64 finite ones"):
+        Adaptive(REGRESSOR, K, nominal=np.ones(3))
+    with pytest.raises(ConfigError, match="adaptation needs all > 0"):
+        Adaptive(REGRESSOR, Feedback(0.0, 1.0)).law(Wiring(ROBOT.layout, 0.001, 1))
+
+
+def test_an_experiment_makes_it():
+    said = ["adaptive.initial=nominal", "adaptive.masses=0.5", "adaptive.rate=7"]
+    experiment = load_experiment("track", said)
+    robot = experiment.load_robot()
+    controller = experiment.controller("adaptive", robot=robot)
+    assert controller.adapting.rate == 7 and controller.notes == [
+        f"adaptive: {controller.identifiable[1].shape[1]} combinations of its 64 parameters matter on this robot"
+    ]
+    np.testing.assert_allclose(controller.nominal[0], 0.5 * parameters(robot)[0])
+    other = load_experiment("track", ["adaptive.initial=nominal", "adaptive.nominal=two_axis_arm"])
+    with pytest.raises(ConfigError, match="does not move as platform_arm"):
+        other.controller("adaptive", robot=robot)
+    with pytest.raises(ConfigError, match="rate"):
+        load_experiment("track", ["adaptive.rate=-1"])
