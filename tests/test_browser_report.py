@@ -58,6 +58,9 @@ def test_it_is_whole_at_any_width_by_day_and_by_night(chromium: Any, page: Path,
         assert seen.problems == [] and seen.requests == []
 
 
+ZOOM = 'report.groups[[...document.querySelectorAll("[data-section]")].findIndex(p => p.dataset.section === "errors")].stretch'
+
+
 def test_values_are_read_and_zoomed_with_mouse_and_keys(chromium: Any, page: Path) -> None:
     with opened(chromium, page, READY, viewport={"width": 1280, "height": 900}) as seen:
         plot = seen.page.locator("#plots .plot").first
@@ -74,17 +77,17 @@ def test_values_are_read_and_zoomed_with_mouse_and_keys(chromium: Any, page: Pat
         seen.page.mouse.down()
         seen.page.mouse.move(box["x"] + 0.9 * box["width"], middle, steps=4)
         seen.page.mouse.up()
-        low, high = seen.page.evaluate("report.groups[0].stretch")
+        low, high = seen.page.evaluate(ZOOM)
         assert abs(low - time) < 0.02 * DURATION and low < high < DURATION
         seen.page.mouse.dblclick(box["x"] + 0.5 * box["width"], middle)
-        assert seen.page.evaluate("report.groups[0].stretch") is None
+        assert seen.page.evaluate(ZOOM) is None
         plot.locator("svg").focus()
         for key in ("ArrowRight", "+", "+", "ArrowLeft"):
             seen.page.keyboard.press(key)
-        low, high = seen.page.evaluate("report.groups[0].stretch")
+        low, high = seen.page.evaluate(ZOOM)
         assert high - low < 0.3 * DURATION and plot.locator("output").inner_text().startswith("t = ")
         seen.page.keyboard.press("0")
-        assert seen.page.evaluate("report.groups[0].stretch") is None
+        assert seen.page.evaluate(ZOOM) is None
         assert seen.problems == []
 
 
