@@ -58,7 +58,8 @@ def test_it_is_whole_at_any_width_by_day_and_by_night(chromium: Any, page: Path,
         assert seen.problems == [] and seen.requests == []
 
 
-ZOOM = 'report.groups[[...document.querySelectorAll("[data-section]")].findIndex(p => p.dataset.section === "errors")].stretch'
+PLACE = '[...document.querySelectorAll("[data-section]")].findIndex(p => p.dataset.section === "errors")'
+ZOOM = f"report.groups[{PLACE}].stretch"
 
 
 def test_values_are_read_and_zoomed_with_mouse_and_keys(chromium: Any, page: Path) -> None:
