@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from mmnn_pin import load_experiment, run_experiment
 from mmnn_pin.cli import main
-from mmnn_pin.experiments.experiment import EFFECTIVE, Experiment
+from mmnn_pin.experiments.controllers import EFFECTIVE
+from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.experiments.figure_ranges import figure_intervals, figure_ranges
 from mmnn_pin.experiments.improvement import Improvement, improvements
 from mmnn_pin.experiments.readings import SWITCHES, readings, told

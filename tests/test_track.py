@@ -16,8 +16,9 @@ from robots import dynamics, mobile_arm, place, robot_of
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.experiment import Experiment, Swing
+from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.experiments.inertia import effective_inertia
+from mmnn_pin.experiments.references import Swing
 from mmnn_pin.experiments.runner import run_experiment
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot

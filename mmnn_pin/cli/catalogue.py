@@ -19,7 +19,8 @@ from .output import DONE, say, say_json
 def list_(as_json: bool) -> int:
     """List the bundled experiments and robots, the controllers and the references."""
     from ..experiments.config import bundled, read_toml, variants
-    from ..experiments.experiment import ARM_PROFILES, BASE_PATHS, CONTROLLERS
+    from ..experiments.controllers import CONTROLLERS
+    from ..experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots
     from ..model.robots import extra
 

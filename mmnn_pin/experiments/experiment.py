@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Iterable
-from typing import Any, Literal
-
 import msgspec
 import numpy as np
 
@@ -17,8 +13,7 @@ from ..loop import PLANTS, Loop
 from ..model.overrides import Overrides
 from ..model.robot import Robot, load_with
 from ..plant.contact.floor import Contact
-from ..reference import BasePath, Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Trajectory, Waypoints
-from ..reference.arm import JointProfile
+from ..reference import Trajectory
 from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Settings, require_gains
@@ -30,46 +25,17 @@ from ..torque.controller import CompiledController, Feedback, TorqueController, 
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from .adaptive import adaptive_controller
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
+from .references import HeldOut, ReferenceTables
 from .tolerance import Case, Tolerance
 
-BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
-ARM_PROFILES = {"sine": Sine, "hold": Hold, "minimum_jerk": MinimumJerk}
-# PD at a learner's effective gain: the learner whose gain it takes, see also `effective`.
-EFFECTIVE = {"pd_effective": "two_layer", "pd_effective_one_layer": "one_layer"}
-CONTROLLERS = {
-    "two_layer": "the thesis's two-layer network, both layers learn (3.39), (3.48)-(3.50)",
-    "two_layer_zero": "the same with all weights from zero, whatever two_layer.initial says",
-    "two_layer_random": "the same with W = 0 and V random",
-    "one_layer": "one-layer Gaussian network of reference [9], its law reconstructed",
-    "pd": "the feedback alone",
-    "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
-    "pd_effective_one_layer": "PD at the effective gain of one_layer",
-    "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
-    "computed_torque": "feedback and the true model: the oracle",
-}
-ORACLES = ("computed_torque",)
-# Two-layer networks: how their weights start, None for what `two_layer.initial` says.
-TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
-    "two_layer": None,
-    "two_layer_zero": "zero",
-    "two_layer_random": "random",
-}
-LEARNERS = (*TWO_LAYERS, "one_layer")
-# What an experiment runs unless it says.
-DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None and name != "adaptive")
 # Pictures that a run can write; `show.plots` draws them.
 PLOTS = (
     *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
     *("fvu", "frozen", "shares", "ranks", "lyapunov", "lyapunov-terms", "equality"),
     *("figure-4.2", "figure-4.3", "figure-4.4", "figure-5.3", "figure-5.4", "figure-5.5"),
 )
-
-
-def effective(controllers: Iterable[str]) -> dict[str, str]:
-    """`EFFECTIVE` for controllers that run together: `pd_effective` goes with the first of `TWO_LAYERS` among them."""
-    names = set(controllers)
-    return EFFECTIVE | {"pd_effective": next((name for name in TWO_LAYERS if name in names), "two_layer")}
 
 
 class Friction(Settings, frozen=True):
@@ -92,86 +58,6 @@ class Friction(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_gains(self, "friction")
-
-
-class ReferenceTables(Settings, frozen=True):
-    """The reference: tables with `type` and its arguments.
-
-    Args:
-        base: The base's path.
-        heading: Profile of a holonomic base's heading [rad]; None turns it along the path.
-        arm: One profile per arm joint, or one table for all of them (type "swing", see `Swing`).
-    """
-
-    base: dict[str, Any] | None = None
-    heading: dict[str, Any] | None = None
-    arm: tuple[dict[str, Any], ...] | dict[str, Any] = ()
-
-
-class HeldOut(ReferenceTables, frozen=True):
-    """A reference that no learner is trained on, by which `mmnn prove` judges what it knows.
-
-    Args:
-        duration: Its length [s].
-    """
-
-    duration: float = 10.0
-
-
-@dataclasses.dataclass(frozen=True)
-class Swing:
-    """A sine around the middle of each joint's range, from rest; around 0 for a joint without limits.
-
-    Args:
-        amplitude: Largest amplitude [rad or m].
-        share: Largest amplitude as a share of half the joint's range.
-        period: [s].
-    """
-
-    amplitude: float
-    period: float
-    share: float = 0.5
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.share <= 1:
-            raise ConfigError(f"share {self.share}", fix="use a number from 0 to 1", key="reference.arm.share")
-
-    def of(self, lower: float, upper: float) -> Sine:
-        """The profile of one joint with these limits."""
-        if not np.isfinite(upper - lower):
-            return Sine(self.amplitude, self.period, float(np.clip(0.0, lower, upper)), np.pi / 2)
-        amplitude = min(self.amplitude, self.share * (upper - lower) / 2)
-        return Sine(amplitude, self.period, (lower + upper) / 2, np.pi / 2)
-
-
-class RobustOf(Settings, frozen=True):
-    """Robust terms of single learners in place of the common one; with them a comparison is no longer fair.
-
-    Args:
-        two_layer: Kz, ZB of the two-layer controller; None for the common ones.
-        one_layer: Kz, ZB of the one-layer controller; None for the common ones.
-    """
-
-    two_layer: Robust | None = None
-    one_layer: Robust | None = None
-
-
-class Learning(Settings, frozen=True):
-    """Conventions and switches of the learners.
-
-    Args:
-        rates: "per_sample" (Appendix B) or "per_second".
-        update: "after_output", or "before_output" as in Appendix B.
-        learning: Off keeps the initial weights.
-        leakage: Off drops the e-modification.
-        robust_term: Off drops the robust term (3.50).
-    """
-
-    rates: Literal["per_sample", "per_second"] = "per_sample"
-    update: Literal["after_output", "before_output"] = "after_output"
-    learning: bool = True
-    leakage: bool = True
-    robust_term: bool = True
 
 
 class Experiment(Settings, frozen=True):
@@ -313,42 +199,7 @@ class Experiment(Settings, frozen=True):
             ConfigError: Unknown type or argument, or not one profile per arm joint.
             TrajectoryError: A path that the base cannot follow, or an argument out of range.
         """
-        if layout.base and self.reference.base is None:
-            raise ConfigError("no path for the base", fix="add [reference.base] with a type", key="reference.base")
-        return Trajectory(self._path(layout.base), self._arm(layout, limits))
-
-    def _path(self, nb: int) -> BasePath | None:
-        tables = self.reference
-        if not nb or tables.base is None:
-            return None
-        path = make(BASE_PATHS, tables.base, "reference.base")
-        if nb == 3:
-            heading = tables.heading
-            return Holonomic(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
-        if tables.heading is not None:
-            raise ConfigError(
-                "a heading for a differential drive",
-                why="it looks along its path",
-                fix="leave the table out",
-                key="reference.heading",
-            )
-        return path
-
-    def _arm(self, layout: Layout, limits: tuple[Array, Array] | None) -> tuple[JointProfile, ...]:
-        tables, n = self.reference.arm, layout.arm
-        if isinstance(tables, dict):
-            common = make({"swing": Swing, **ARM_PROFILES}, tables, "reference.arm")
-            lower, upper = limits or (np.full(n, -np.inf), np.full(n, np.inf))
-            if not isinstance(common, Swing):
-                return (common,) * n
-            return tuple(common.of(float(a), float(b)) for a, b in zip(lower, upper, strict=True))
-        if len(tables) != n:
-            raise ConfigError(
-                f"{len(tables)} profiles for {n} arm joints",
-                fix="add one [[reference.arm]] per joint, or one [reference.arm] for all",
-                key="reference.arm",
-            )
-        return tuple(make(ARM_PROFILES, table, f"reference.arm.{i}") for i, table in enumerate(tables))
+        return self.reference.trajectory(layout, limits)
 
     def trajectory_of(self, robot: Robot) -> Trajectory:
         """The reference for a robot, within the limits of its joints; errors as in `trajectory`."""
@@ -445,25 +296,3 @@ class Experiment(Settings, frozen=True):
     def to_json(self) -> str:
         """The complete experiment with its defaults, as text (JSON) for a recording."""
         return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
-
-
-def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
-    """Object from a table with its `type` and arguments.
-
-    Raises:
-        UnknownName: No such type or argument.
-        ConfigError: A value of the wrong type, an argument is missing.
-    """
-    name = table.get("type", "")
-    if name not in kinds:
-        raise UnknownName("type", str(name), kinds, key=f"{key}.type")
-    kind, arguments = kinds[name], {k: v for k, v in table.items() if k != "type"}
-    known = [field.name for field in dataclasses.fields(kind) if field.init]
-    for argument in arguments:
-        if argument not in known:
-            raise UnknownName("key", argument, known, key=key)
-    try:
-        return msgspec.convert(arguments, kind)
-    except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at ")
-        raise ConfigError(message, key=key + where.strip("`").removeprefix("$")) from error

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from .experiment import LEARNERS, Experiment
+from .controllers import LEARNERS
+from .experiment import Experiment
 
 
 def unfair(experiment: Experiment, metrics: Mapping[str, Mapping[str, float]]) -> str:

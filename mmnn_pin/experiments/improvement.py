@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .experiment import effective
+from .controllers import effective
 
 
 @dataclass(frozen=True)

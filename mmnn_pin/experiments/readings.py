@@ -10,7 +10,8 @@ import msgspec
 
 from ..metrics import ERRORS
 from ..torque.neural import THESIS_INPUT
-from .experiment import LEARNERS, Experiment
+from .controllers import LEARNERS
+from .experiment import Experiment
 from .runner import Result, run_experiment
 
 APPENDIX_B_SHORT = ("alpha", "alphadot", "e", "r", "q_ref", "qdot_ref", "qddot_ref")

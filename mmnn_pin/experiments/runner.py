@@ -16,7 +16,8 @@ from ..metrics import as_columns, metrics
 from ..model.robot import Robot
 from ..recording import Recording
 from ..reference import warnings
-from .experiment import EFFECTIVE, Experiment, effective
+from .controllers import EFFECTIVE, effective
+from .experiment import Experiment
 from .fairness import unfair
 from .figure_ranges import figure_ranges
 from .improvement import Improvement, improvements

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError, RecordingError
-from ..experiments.experiment import CONTROLLERS
+from ..experiments.controllers import CONTROLLERS
 from ..metrics import halves
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot

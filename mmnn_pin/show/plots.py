@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import RecordingError
-from ..experiments.experiment import ORACLES, effective
+from ..experiments.controllers import ORACLES, effective
 from ..metrics import TRUE
 from ..recording import Recording
 from ..signals import Array

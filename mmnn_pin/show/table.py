@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from ..experiments.experiment import ORACLES
+from ..experiments.controllers import ORACLES
 from ..experiments.fairness import unfair
 from ..experiments.runner import Result
 from ..metrics import ERRORS, halves

@@ -14,7 +14,7 @@ from .. import __version__
 from ..batch import needed_bytes, require_memory
 from ..compiled_loop import CompiledLoop
 from ..errors import InputError, StudyError, UnknownName
-from ..experiments.experiment import EFFECTIVE
+from ..experiments.controllers import EFFECTIVE
 from ..metrics import Reducer
 from ..recorder import versions
 from .execution import AGAIN

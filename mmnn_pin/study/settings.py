@@ -8,7 +8,7 @@ from typing import Any, Literal
 import msgspec
 
 from ..errors import ConfigError, UnknownName
-from ..experiments.experiment import CONTROLLERS
+from ..experiments.controllers import CONTROLLERS
 from ..settings import Settings
 from .factors import Factor
 

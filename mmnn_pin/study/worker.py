@@ -16,7 +16,8 @@ import msgspec
 
 from ..batch import simulate
 from ..errors import InputError, StudyError
-from ..experiments.experiment import EFFECTIVE, Experiment
+from ..experiments.controllers import EFFECTIVE
+from ..experiments.experiment import Experiment
 from ..loop import Loop
 from ..metrics import as_columns
 from ..model.robot import Robot

@@ -12,7 +12,7 @@ from typing import Any
 
 import jinja2
 
-from mmnn_pin.experiments.experiment import EFFECTIVE
+from mmnn_pin.experiments.controllers import EFFECTIVE
 
 from .unstated import LEARNERS
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import RecordingError
-from ...experiments.experiment import ORACLES
+from ...experiments.controllers import ORACLES
 from ...proof.fvu import error_in, windows
 from ...proof.proof import Proof
 from ...recording import Recording

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from ...errors import InputError
-from ...experiments.experiment import CONTROLLERS
+from ...experiments.controllers import CONTROLLERS
 from ...experiments.runner import Result
 from ...recording import Recording
 from .. import replay

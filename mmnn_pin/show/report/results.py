@@ -7,7 +7,9 @@ from typing import Any
 
 from ...errors import RecordingError
 from ...experiments.config import recorded_experiment
-from ...experiments.experiment import CONTROLLERS, Experiment, ReferenceTables
+from ...experiments.controllers import CONTROLLERS
+from ...experiments.experiment import Experiment
+from ...experiments.references import ReferenceTables
 from ...experiments.runner import Result
 from ...metrics import metrics
 from ...recording import Recording

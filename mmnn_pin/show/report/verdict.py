@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from ...experiments.experiment import LEARNERS, ORACLES, effective
+from ...experiments.controllers import LEARNERS, ORACLES, effective
 from ...experiments.fairness import unfair
 from ...experiments.improvement import Improvement
 from ...experiments.runner import Result
