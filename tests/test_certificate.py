@@ -73,6 +73,40 @@ def test_a_projection_bounds_what_no_leakage_does() -> None:
     assert Boxes(replace(loop, projection=0.2), box).networks[1].W == 0.2
 
 
+def test_on_the_faces_of_the_region_the_worst_velocity_error_pulls_inward() -> None:
+    """Pose and arm: s of the region's energy in the direction that drives the error most, by the kinematics."""
+    found, rng = certificate(), np.random.default_rng(0)
+    loop, box = found.boxes.loop, found.region.box
+    N, pose, nearest = loop.samples.arm_metric, loop.pose, -np.inf
+    for _ in range(300):
+        M_inverse = loop.samples.M_inverse[rng.integers(len(loop.samples.M))]
+
+        def worst_s(force: np.ndarray, M_inverse: np.ndarray = M_inverse) -> np.ndarray:
+            return M_inverse @ force * np.sqrt(2 * box.energy / (force @ M_inverse @ force))
+
+        v = rng.standard_normal(2)
+        e = loop.samples.arm_root @ v / np.linalg.norm(v) * box.arm
+        s = worst_s(np.concatenate(([0, 0], N @ e)))
+        rate = e @ N @ (s[2:] - loop.K * e)
+        assert rate < 0
+        assert e @ N @ s[2:] / box.arm <= found.boxes.arm_stands(box) * loop.arm_decay * (1 + 1e-9)
+        nearest = max(nearest, 1 + rate / (e @ N @ (loop.K * e)))
+        error = rng.standard_normal(3) * np.array([1, 1, np.sqrt(pose.ky)]) * box.pose
+        error /= np.abs(error).max() * 1e3
+        while pose.size((1.005 * error)[None])[0] <= box.pose:
+            error *= 1.005
+        x, y, phi = error
+        pull = np.array([x, (np.sin(phi) / np.sqrt(pose.ky) + pose.eps * np.cos(phi) * y) / np.sqrt(pose.ky), 0, 0])
+        z = worst_s(pull)[:2]
+        driven = np.hypot(z[0], pose.yaw_gain(found.region.reach.cosine) * z[1])
+        assert driven <= found.boxes.pose_stands(box) * found.region.decay * (1 + 1e-9)
+        v_ref = pose.slowest
+        turn = v_ref * (pose.ky * y + pose.kth * np.sin(phi)) - z[1]
+        step = np.array([turn * y - pose.kx * x + z[0], -turn * x + v_ref * np.sin(phi), -turn])
+        assert pose.size((error + 1e-6 * step)[None])[0] < pose.size(error[None])[0]
+    assert nearest > 0.8  # the bound on the arm errors is not far from what they can do
+
+
 # -- the search for a run that violates it ---------------------------------------------------------------------------
 
 

@@ -14,17 +14,20 @@ import sympy as sp
 from certified import learner_loop
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import eigh
 from scipy.special import expit
 
 from mmnn_pin.kinematic import command
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.proof.boxes import Box, Boxes
+from mmnn_pin.proof.certified_loop import CertifiedLoop
 from mmnn_pin.proof.inputs_bound import signal_bounds
 from mmnn_pin.proof.motion_bound import Forces, dissipation, push
 from mmnn_pin.proof.pose_bound import PoseBound
 from mmnn_pin.proof.rate import radius
 from mmnn_pin.proof.weights_bound import growth
 from mmnn_pin.sampled import held_loop
+from mmnn_pin.signals import Array
 from mmnn_pin.torque.network import one_layer_update, two_layer_update
 
 DOCUMENT = Path(__file__).parents[1] / "docs" / "theory.md"
@@ -76,6 +79,8 @@ def test_what_z2_weighs() -> None:
     g2 = (1 - eps**2 * (2 - c) * c) / (ky * (1 - eps**2))
     assert sp.simplify(weight - sp.diag(1, g2)) == sp.zeros(2)
     assert sp.simplify(sp.diff(g2, c) + 2 * eps**2 * (1 - c) / (ky * (1 - eps**2))) == 0  # falls up to c = 1
+    weights = [np.sqrt(float(weight[1, 1].subs({c: at, eps: 0.6, ky: 7.0}))) for at in np.linspace(0.3, 1, 8)]
+    assert PoseBound(1.0, 7.0, 5.0, 0.3, 0.3, 0.0, 0.6).yaw_gain(0.3) == pytest.approx(max(weights), rel=1e-12)
 
 
 def test_the_size_that_excludes_a_heading() -> None:
@@ -119,6 +124,23 @@ def test_the_pose_error_obeys_its_bound(
         z = rng.uniform(-1, 1, 2) * np.array([1.0, yaw_error])
         rate = rate_of_size(bound, error, v, yaw, z)
         assert rate <= -decay * a + np.hypot(z[0], g * z[1]) + 1e-9 * (1 + abs(decay) * a)
+
+
+@settings(max_examples=25, deadline=None)
+@given(gains, st.floats(0.05, 0.95), st.floats(0.1, 0.6), st.floats(0, 1), st.floats(0.05, 0.9))
+def test_the_decay_is_the_smallest_over_all_that_may_vary(
+    k: tuple[float, float, float], weight: float, slow: float, turning: float, share: float
+) -> None:
+    """Brute force over vr, w and cos ephi in their intervals, ends included: nothing below, and it is reached."""
+    bound, yaw_error = PoseBound(*k, slow, 1.5 * slow, turning, weight), 0.2
+    reach = bound.reach(share * bound.largest)
+    most = turning + 1.5 * slow * reach.turn + yaw_error
+    P, found = bound.metric(reach.cosine), []
+    for v in np.linspace(slow, 1.5 * slow, 4):
+        for yaw in np.linspace(-most, most, 5):
+            for c in np.linspace(reach.cosine, 1, 4):
+                found.append(eigh(bound.decay_matrix(v, yaw, c), P, eigvals_only=True)[0])
+    assert bound.decay(share * bound.largest, yaw_error) == pytest.approx(min(found), rel=1e-9, abs=1e-9)
 
 
 def rate_of_size(bound: PoseBound, error: np.ndarray, v_ref: float, yaw: float, z: np.ndarray) -> float:
@@ -272,6 +294,83 @@ def test_the_energy_of_the_errors_obeys_its_bound(seed: int) -> None:
         for name in ("alpha", "alphadot", "e", "edot", "r", "z", "nu_ref", "nudot_ref", "pose_error"):
             assert (np.abs(row[layout.where(name)]) <= limits[name] + 1e-9).all(), name
     assert reach.cosine > 0
+
+
+def at_state(loop: CertifiedLoop, k: int, error: Array, e: Array, s: Array) -> dict[str, Array]:
+    """Signals of `command` at the k-th sample's configuration, with these errors."""
+    layout, along = loop.robot.layout, loop.samples.along
+    row, gains, q = layout.new_row(), loop.kinematic.base_gains(2), loop.samples.q[k]
+    values = {"pose_ref": error, "velocity_ref": along.v_ref[k], "acceleration_ref": along.a_ref[k], "q_ref": q + e}
+    values |= {"qdot_ref": along.qdot_ref[k], "qddot_ref": along.qddot_ref[k], "q": q}
+    for name, value in values.items():
+        row[layout.where(name)] = value
+    command(row, layout.offsets, gains, loop.K)
+    nu = row[layout.where("nu_ref")] - s
+    row[layout.where("velocity")], row[layout.where("qdot")] = nu[:2], nu[2:]
+    command(row, layout.offsets, gains, loop.K)
+    return {name: row[layout.where(name)].copy() for name in ("nu_ref", "nudot_ref", "alpha", "alphadot")}
+
+
+def test_what_the_errors_add_to_the_reference_velocity() -> None:
+    """`drive` against `command`: never less, entry by entry of Az, and not much more."""
+    loop = learner_loop()
+    box = Box(0.5 * loop.pose.largest, 0.15, 0.08)
+    added, rng, samples = Boxes(loop, box).drive(box), np.random.default_rng(0), loop.samples
+    most = {"nu": np.zeros(4), "nudot": np.zeros(2), "Az": np.zeros((4, 4))}
+    for _ in range(400):
+        k, e = rng.integers(len(samples.M)), samples.arm_root @ ball(rng, 2) * box.arm
+        error, zero4 = pose_error(rng, loop.pose, box.pose), np.zeros(4)
+        still = at_state(loop, k, error, e, zero4)
+        Az = np.array([at_state(loop, k, error, e, s)["nudot_ref"] - still["nudot_ref"] for s in np.eye(4)]).T
+        np.testing.assert_allclose(still["nudot_ref"][2:] - samples.along.qddot_ref[k], -(loop.K**2) * e, atol=1e-12)
+        here = {
+            "nu": np.abs(still["nu_ref"] - samples.along.nu[k]),
+            "nudot": np.abs(still["alphadot"] - samples.along.a_ref[k]),
+            "Az": np.abs(Az - added.middle),
+        }
+        most = {name: np.maximum(value, here[name]) for name, value in most.items()}
+    for name, limit in (("nu", added.nu), ("nudot", added.nudot), ("Az", added.half)):
+        assert (most[name] <= limit + 1e-12).all(), name
+        assert (most[name][limit > 0] > 0.2 * limit[limit > 0]).all(), name
+
+
+def test_the_quadratic_form_in_s_is_exact() -> None:
+    """Without other errors: s' Psi = s' centre - s' K s + s' M (Az - middle) s, K of the code, Psi of Pinocchio."""
+    loop = learner_loop()
+    box = Box(0.3 * loop.pose.largest, 0.1, 0.05)
+    samples, dynamics, rng = loop.samples, Dynamics(loop.robot), np.random.default_rng(0)
+    boxes = Boxes(loop, box)
+    added, none = boxes.drive(box), np.zeros(4)
+    K, _ = dissipation(samples, added, none)
+    centre = Forces.of(samples, added, boxes.gains).centre
+    for _ in range(50):
+        k, s = rng.integers(len(samples.M)), rng.standard_normal(4)
+        there = at_state(loop, k, np.zeros(3), np.zeros(2), s)
+        still = at_state(loop, k, np.zeros(3), np.zeros(2), none)
+        position = loop.robot.neutral_position()
+        position[loop.robot.arm_index] = samples.q[k]
+        position = loop.robot.follow(position)
+        psi = dynamics.psi(position, there["nu_ref"] - s, there["nu_ref"], there["nudot_ref"])
+        moved = there["nudot_ref"] - still["nudot_ref"] - added.middle @ s
+        right = s @ centre[k] - s @ K[k] @ s + s @ samples.M[k] @ moved
+        assert s @ psi == pytest.approx(right, rel=1e-9, abs=1e-9)
+
+
+def test_what_the_rest_of_a_box_takes_from_the_quadratic_form() -> None:
+    """At corners of Az and nu_ref, s the worst direction: s' K s falls by at most `lost` s' M s."""
+    loop = learner_loop()
+    box, rng, worst = Box(0.5 * loop.pose.largest, 0.15, 0.08), np.random.default_rng(0), np.inf
+    samples, added = loop.samples, Boxes(loop, box).drive(box)
+    K, lost = dissipation(samples, added, np.zeros(4))
+    for _ in range(300):
+        k, sign = rng.integers(len(samples.M)), rng.choice((-1.0, 1.0), (4, 4))
+        nu = samples.along.nu[k] + rng.choice((-1.0, 1.0), 4) * added.nu
+        true = samples.viscous - samples.M[k] @ (added.middle + sign * added.half)
+        true = true + np.einsum("ijk,k->ij", samples.coriolis[k], nu)
+        least = eigh((true + true.T) / 2 - K[k], samples.M[k], eigvals_only=True)[0]
+        assert least >= -lost[k] * (1 + 1e-9)
+        worst = min(worst, least / lost[k])
+    assert worst < -0.5
 
 
 def list_of(gains: object) -> list:
