@@ -32,15 +32,24 @@ def say_json(content: dict[str, Any]) -> None:
     say(json.dumps(content, allow_nan=False))
 
 
-def compile_if_cold() -> None:
-    """Compile what a run needs, unless that was done, and tell so on standard error."""
-    from ..compiled import is_warm
+def compile_if_cold(rig: bool = False) -> None:
+    """Compile what a run needs, unless that was done, and tell so on standard error.
+
+    Args:
+        rig: Whether the run has sensors, motors, a supervisor or disturbances, for which the loop is compiled again.
+    """
+    from ..compiled import cache_folder, is_warm
 
     if not is_warm():
         click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
         from ..precompile import precompile
 
         precompile()
+    folder = cache_folder()
+    if rig and folder is not None and not (told := folder / "told of the rig").exists():
+        parts = "sensors, motors, a supervisor or disturbances"
+        click.echo(f"first run with {parts}: their part of the loop is compiled, about half a minute more", err=True)
+        told.touch()
 
 
 @contextmanager

@@ -72,14 +72,14 @@ def run(
     """
     from ..experiments.cases import run_cases
     from ..experiments.config import load_experiment
-    from ..experiments.runner import run_experiment
+    from ..experiments.runner import has_rig, run_experiment
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
     overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
     asked, name = load_experiment(experiment, overrides, variant), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     require_no_pictures([] if force else [folder / f"{plot}.png" for plot in asked.plots])
-    compile_if_cold()
+    compile_if_cold(has_rig(asked))
     with progress_bar() as show, remembered_interrupt() as stop_if_pressed:
 
         def progress(controller: str, fraction: float) -> None:

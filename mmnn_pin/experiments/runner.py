@@ -162,6 +162,12 @@ def require_free(files: Sequence[Path], force: bool) -> None:
             raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=folder)
 
 
+def has_rig(experiment: Experiment) -> bool:
+    """Whether there is more between controller and robot than wires, see `rig`."""
+    perfect = experiment.sensor.exact and experiment.actuator.perfect
+    return not perfect or experiment.safety is not None or bool(experiment.disturbances)
+
+
 def require_runnable(experiment: Experiment, robot: Robot) -> None:
     """Refuse what cannot run, before anything is written.
 
