@@ -56,7 +56,9 @@ def test_a_score_is_the_quantile_over_the_rows_of_the_study(tmp_path: Path) -> N
     study = load_study(written(tmp_path, TUNE))
     assert study.settings.tune is not None
     with threads(2) as pool:
-        score = Scorer(study, study.settings.tune, pool).score({})
+        scorer = Scorer(study, study.settings.tune, pool)
+        score, lost = scorer.score({}), scorer.score({"bounds.joint_speed": 0.01})
+    assert lost.lost == 1.0 and lost.value == 2 * LOST, "the error of a run that diverged is not its error so far"
     assert len(rows) == 24 and np.sort(score.metric).tolist() == expected.tolist()
     assert score.value == expected[int(np.ceil(0.75 * 8)) - 1]
 
