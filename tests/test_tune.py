@@ -23,6 +23,7 @@ from mmnn_pin.study.tuning import NAME
 optuna = pytest.importorskip("optuna")
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 
+EXAMPLE = Path(__file__).parent.parent / "examples" / "tuning.toml"
 TUNE = (
     SHORT
     + """
@@ -101,6 +102,17 @@ def test_gains_that_are_unstable_when_sampled_are_refused_without_a_run(tmp_path
         score = scorer.score({"feedback.arm": 1e5})
         assert list(violations(scorer.plan({"feedback.arm": 10.0}))) == []
     assert score.value == REFUSED * 2.0 and "the sampled PD loop is unstable" in score.complaint
+
+
+def test_rates_beyond_the_condition_of_the_certificate_are_refused() -> None:
+    """Chapter 4's own rates are allowed on the example's draws, four times as much is not."""
+    study = load_study(EXAMPLE)
+    assert study.settings.tune is not None
+    with threads(1) as pool:
+        scorer = Scorer(study, study.settings.tune, pool)
+        assert list(violations(scorer.plan({}))) == []
+        complaints = list(violations(scorer.plan({"two_layer.F": [4.0, 0.8], "two_layer.G": [4.0, 0.8]})))
+    assert complaints and all("times its largest rate" in line for line in complaints)
 
 
 def test_trials_of_other_settings_are_refused_without_force(tmp_path: Path, capsys) -> None:

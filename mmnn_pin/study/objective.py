@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import MmnnError
 from ..signals import Array
-from .constraints import numbers, violations
+from .constraints import judged, violations
 from .execution import execute
 from .factors import Factor
 from .intervals import Interval, quantile
@@ -92,7 +92,7 @@ class Scorer:
         plan = self.plan(gains)
         complaints = list(violations(plan))
         if complaints:
-            share = len(complaints) / len(numbers(plan))
+            share = len(complaints) / len(judged(plan))
             return Score(np.zeros(0), self.tune.quantile, share, complaints[0])
         metric = np.full(len(plan), math.inf)
         for row, done in execute(self.pool, plan, map(plan.row, range(len(plan))), self.handed):
