@@ -631,7 +631,7 @@ def test_list_names_all_there_is(call: Call) -> None:
     _, text, _ = call("list")
     code, out, _ = call("list", "--json")
     got = json.loads(out)
-    assert code == 0 and set(got["controllers"]) == {*ALL, "two_layer_zero", "two_layer_random"}
+    assert code == 0 and set(got["controllers"]) == {*ALL, "adaptive", "two_layer_zero", "two_layer_random"}
     assert set(got["experiments"]) == set(bundled()) and {"platform_arm", "two_axis_arm"} <= set(got["robots"])
     assert set(got["references"]["base"]) == {"line", "circle", "eight", "waypoints"}
     for names in (*got.values(), *got["references"].values()):
