@@ -103,7 +103,24 @@ def compiled_parts() -> dict[str, Part]:
         "tree: Psi": lambda n: repeat_psi(n, b.tree, position, nu_ref, nudot_ref, w.scratch, psi),
         "motor torques, energy balance, guard": lambda n: repeat_after(n, row, at, w.M, e.E_inv, e.bounds),
         "plant: solve and integrate": lambda n: repeat_plant(
-            n, 0.0, b.T, w.v, w.M, w.h, w.F, b.damping, b.dry, b.viscous, tau, b.base, w.L, w.rest, w.grip, y, w.ydot
+            n,
+            0.0,
+            b.T,
+            w.v,
+            w.M,
+            w.h,
+            w.F,
+            b.damping,
+            b.dry,
+            w.hold,
+            b.viscous,
+            tau,
+            b.base,
+            w.L,
+            w.rest,
+            w.grip,
+            y,
+            w.ydot,
         ),
         "copy of the row": lambda n: repeat_row(n, engine.rows, row),
     }
@@ -118,9 +135,9 @@ def ordinary_parts() -> dict[str, Part]:
     e, plant, dynamics, arm = engine, engine.plant, engine.plant.dynamics, loop.robot.arm_index
     calls: dict[str, Callable[[], Any]] = {
         "reference, measurement, velocity command": lambda: before_torque(
-            e.row, e.at, 0.1, plant.y, e.table[100], True, arm, e.gains, e.K
+            e.row, e.at, 0.1, plant.y, e.table[100], True, arm, e.control.gains, e.control.K
         ),
-        "networks: torque and update of the weights": lambda: e.torque.step(0.1),
+        "networks: torque and update of the weights": lambda: e.control.torque.step(0.1),
         "Pinocchio: M, C nu + gravity, reduced": plant.refresh,
         "Pinocchio: Psi": lambda: dynamics.refresh_psi(e.nu_ref, e.nudot_ref, e.psi),
         "motor torques, energy balance, guard": lambda: after_torque(
