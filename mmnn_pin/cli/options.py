@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -34,6 +35,24 @@ def understanding(function: F) -> F:
     return gathered  # type: ignore[return-value]
 
 
+def makes_runs(function: F) -> F:
+    """Add argument and options of a command that makes the runs of a study: which file, where they are made."""
+    for option in reversed(STUDY_OPTIONS):
+        function = option(function)
+    return function
+
+
+STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
+    click.argument("file", metavar="STUDY.toml", type=click.Path(path_type=Path)),
+    click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]"),
+    click.option("--processes", is_flag=True, help="Processes even where threads would do."),
+    click.option(
+        "--cluster", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, see docs/cluster.md."
+    ),
+    click.option(
+        "--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the study; repeatable."
+    ),
+)
 SAID = ("base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "strict")
 ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--base", metavar="KIND", help="What the base is: differential_drive, holonomic or fixed."),

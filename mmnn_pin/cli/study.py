@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from .options import examples, shared
+from .options import examples, makes_runs, shared
 from .output import DONE, FAILED, STOPPED, compile_if_cold, say, say_json
 from .run import remembered_interrupt
 
@@ -33,12 +33,8 @@ if TYPE_CHECKING:
         "mmnn export runs/robustness --to csv",
     ),
 )
-@click.argument("file", metavar="STUDY.toml", type=click.Path(path_type=Path))
-@click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]")
-@click.option("--processes", is_flag=True, help="Processes even where threads would do.")
-@click.option("--cluster", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, see docs/cluster.md.")
+@makes_runs
 @click.option("--row", type=int, metavar="N", help="Run row N alone, record all its signals, compare its numbers.")
-@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the study; repeatable.")
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]")
 @click.option(
     "--force", is_flag=True, help="Settings may have changed: keep the rows that are the same, drop the rest."

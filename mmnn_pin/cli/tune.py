@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import examples, shared
+from .options import examples, makes_runs, shared
 from .output import DONE, STOPPED, compile_if_cold, say, say_json
 from .run import remembered_interrupt
 from .study import choose
@@ -30,11 +30,7 @@ if TYPE_CHECKING:
         "mmnn tune examples/tuning.toml --cluster tcp://10.0.0.1:8786",
     ),
 )
-@click.argument("file", metavar="STUDY.toml", type=click.Path(path_type=Path))
-@click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]")
-@click.option("--processes", is_flag=True, help="Processes even where threads would do.")
-@click.option("--cluster", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, see docs/cluster.md.")
-@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the study; repeatable.")
+@makes_runs
 @click.option("--out", type=click.Path(path_type=Path), help="Folder for the trials.  [default: runs/STUDY]")
 @click.option("--force", is_flag=True, help="Drop trials of other settings and start anew.")
 @shared
@@ -51,8 +47,9 @@ def tune(
     """Try gains within the bounds of STUDY.toml's [tune] and tell the best.
 
     Each set of gains is run on all draws of the study; a quantile of the objective over them counts, not one run. Gains
-    that make the sampled PD loop unstable are refused without a run. Trials are stored as they finish: the same command
-    goes on with what is missing. Needs `pip install 'mmnn_pin[tune]'`.
+    that make the sampled PD loop unstable, and learning rates beyond the certificate's condition, are refused without
+    the study's runs. Trials are stored as they finish: the same command goes on with what is missing. Needs
+    `pip install 'mmnn_pin[tune]'`.
     """
     from ..study.plan import plan_of
     from ..study.reading import load_study

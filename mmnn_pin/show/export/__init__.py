@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 from ...errors import RecordingError, UnknownName
 from ...recording import Recording
@@ -11,6 +12,8 @@ from ..whole import require_free, whole
 from .tables import write_csv, write_npz, write_parquet
 
 __all__ = ["FORMATS", "export"]
+
+T = TypeVar("T")
 
 
 def write_mcap(recording: Recording, path: Path) -> None:
@@ -43,13 +46,19 @@ def export(recording: Recording, path: str | Path, to: str = "", *, force: bool 
             tell its robot.
     """
     path = Path(path)
-    to = to or path.suffix[1:].lower()
-    if to not in FORMATS:
-        raise UnknownName("format", to, FORMATS)
+    return write_as(FORMATS, "format", recording, path, to or path.suffix[1:].lower(), force)
+
+
+def write_as(
+    formats: Mapping[str, Callable[[T, Path], None]], what: str, content: T, path: Path, to: str, force: bool
+) -> Path:
+    """Write something in one of its formats; errors as in `export`."""
+    if to not in formats:
+        raise UnknownName(what, to, formats)
     require_free(path, force)
     with whole(path, "export") as part:
         try:
-            FORMATS[to](recording, part)
+            formats[to](content, part)
         except ModuleNotFoundError as error:
             raise missing(to, error) from error
     return path

@@ -8,11 +8,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ...errors import UnknownName
 from ...study.results import Results
 from ...study.store import Stored
-from ..export import missing
-from ..whole import require_free, whole
+from ..export import write_as
 
 ABOUT = ("id", "point", "controller", "seed", "status", "time", "signal", "message", "seconds", "host", "finished")
 
@@ -73,15 +71,7 @@ def export(results: Results, path: Path, to: str, *, force: bool = False) -> Pat
         UnknownName: A format that has no rows.
         RecordingError: The file exists or cannot be written; a package is missing.
     """
-    if to not in FORMATS:
-        raise UnknownName("format for the rows of a study", to, FORMATS)
-    require_free(path, force)
-    with whole(path, "export") as part:
-        try:
-            FORMATS[to](results, part)
-        except ModuleNotFoundError as error:
-            raise missing(to, error) from error
-    return path
+    return write_as(FORMATS, "format for the rows of a study", results, path, to, force)
 
 
 FORMATS: Mapping[str, Callable[[Results, Path], None]] = {"csv": write_csv, "parquet": write_parquet}
