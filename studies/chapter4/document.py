@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 import shutil
@@ -10,34 +9,24 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-import jinja2
-
 from mmnn_pin.experiments.controllers import EFFECTIVE
 
+from ..document import DOCS, environment, filled, kept, renew_figures
 from .unstated import LEARNERS
 
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
-DOCS = HERE.parents[1] / "docs"
 
 
 def render(summary: dict[str, Any]) -> str:
     """The document."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-    )
-    environment.filters |= {"percent": percent, "three": three, "within": within, "share": share, "median": median}
-    environment.filters |= {"exp": lambda value: three(math.exp(value)), "tiny": lambda value: f"{value:.0e}"}
-    environment.filters |= {"wins": wins, "parts": parts, "changed": changed, "own": own, "listed": listed}
-    environment.tests["search"] = lambda text, pattern: re.search(pattern, text) is not None
-    environment.globals |= {"same_peaks": same_peaks, "same_fit": same_fit}
-    text = environment.get_template("chapter4.md.j2").render(**summary)
-    return "\n".join(line.rstrip() for line in text.splitlines()) + "\n"
+    templates = environment(HERE)
+    templates.filters |= {"percent": percent, "three": three, "within": within, "share": share, "median": median}
+    templates.filters |= {"exp": lambda value: three(math.exp(value)), "tiny": lambda value: f"{value:.0e}"}
+    templates.filters |= {"wins": wins, "parts": parts, "changed": changed, "own": own, "listed": listed}
+    templates.tests["search"] = lambda text, pattern: re.search(pattern, text) is not None
+    templates.globals |= {"same_peaks": same_peaks, "same_fit": same_fit}
+    return filled(templates, "chapter4.md.j2", summary)
 
 
 def percent(value: float | None) -> str:
@@ -144,13 +133,9 @@ def publish(out: Path) -> None:
     """Renew the summary that is kept, the document and the figures that it shows."""
     shutil.copyfile(out / "summary.json", SUMMARY)
     write_document()
-    text = (DOCS / "chapter4.md").read_text(encoding="utf-8")
-    (DOCS / "figures").mkdir(exist_ok=True)
-    for name in re.findall(r"\(figures/([^)]+)\)", text):
-        shutil.copyfile(out / "figures" / name, DOCS / "figures" / name)
+    renew_figures(out, DOCS / "chapter4.md")
 
 
 def write_document() -> None:
     """docs/chapter4.md from the summary that is kept."""
-    summary = json.loads(SUMMARY.read_text(encoding="utf-8"))
-    (DOCS / "chapter4.md").write_text(render(summary), encoding="utf-8")
+    (DOCS / "chapter4.md").write_text(render(kept(SUMMARY)), encoding="utf-8")
