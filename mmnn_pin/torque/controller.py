@@ -145,7 +145,7 @@ class CompiledController(ABC):
 
     @property
     def uses_model(self) -> bool:
-        """Whether the law adds Psi of a model: of `model`, or of the loop's nominal robot (of the true one: an oracle)."""
+        """Whether the law adds Psi of a model: its own, or the loop's nominal robot (the true one: an oracle)."""
         return False
 
     @property
