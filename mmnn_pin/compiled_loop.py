@@ -285,7 +285,7 @@ class CompiledLoop:
         self.body = body_of(robot)
         self.work = new_work(self.body)
         uses_model = loop.controller.uses_model
-        nominal = loop.nominal or robot
+        nominal = loop.believed
         self.nominal = body_of(nominal) if uses_model else self.body
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))

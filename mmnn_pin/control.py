@@ -32,7 +32,7 @@ class Control:
     def __init__(self, loop: Loop, row: Array, memory: Any, rig: Rig | None) -> None:
         layout = loop.robot.layout
         self.row, self.at, self.rig, self.arm = row, layout.offsets, rig, loop.robot.arm_index
-        self.torque = Torque(loop.controller, loop.wiring(), row, loop.nominal or loop.robot, memory)
+        self.torque = Torque(loop.controller, loop.wiring(), row, loop.believed, memory)
         self.gains, self.K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
         self.weights = memory.values if isinstance(memory, Memory) else np.zeros(0)
 
@@ -60,7 +60,7 @@ class Torque:
         controller: The controller.
         wiring: What it is told before the run.
         row: The row it reads and writes.
-        nominal: The robot that a model-based controller believes in.
+        nominal: The robot that a controller believes in which uses a model and brings none.
         memory: Its memory.
     """
 
@@ -82,6 +82,7 @@ class Torque:
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
             if controller.uses_model:
+                nominal = controller.model or nominal
                 self.model, self.arm_index = Dynamics(nominal), nominal.arm_index
                 self.position, self.nu = nominal.neutral_position(), np.zeros(layout.dof)
 

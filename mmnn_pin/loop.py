@@ -63,7 +63,7 @@ class Loop:
         kinematic: Gains of the kinematic layer.
         timing: Periods.
         start: Where the run starts.
-        nominal: The robot that a model-based controller believes in; None for the true one.
+        nominal: The robot that a controller believes in which uses a model and brings none; None for the true one.
         bounds: Where a state counts as lost.
         seed: The run's one seed.
         weights_interval: Time between two records of the weights [s].
@@ -264,15 +264,22 @@ class Loop:
                 key="first",
             )
 
+    @property
+    def believed(self) -> Robot:
+        """The robot that the controller believes in, where it uses a model."""
+        own: Robot | None = self.controller.model if isinstance(self.controller, CompiledController) else None
+        return own or self.nominal or self.robot
+
     def require_nominal(self) -> None:
         """Refuse a nominal robot of another shape.
 
         Raises:
             ConfigError: It has another base or other joints.
         """
-        if self.nominal is not None and self.nominal.layout != self.robot.layout:
+        believed = replace(self.believed.layout, wheels=self.robot.layout.wheels, rig=self.robot.layout.rig)
+        if believed != self.robot.layout:
             raise ConfigError(
-                f"the nominal robot has {self.nominal.layout}, the robot {self.robot.layout}",
+                f"the nominal robot has {believed}, the robot {self.robot.layout}",
                 fix="use one with the same base and the same joints",
                 key="nominal",
             )

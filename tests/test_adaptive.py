@@ -358,7 +358,6 @@ def test_it_acts_alike_on_a_robot_of_other_masses():
         ({"mass": (0.0, 1.0)}, "adaptive.mass"),
         ({"size": (0.1, np.nan)}, "adaptive.size"),
         ({"bounds": 1.0}, "adaptive.bounds"),
-        ({"masses": -0.7}, "adaptive.masses"),
     ],
 )
 def test_impossible_settings_are_refused_with_their_key(settings, key):
@@ -377,7 +376,7 @@ def test_what_does_not_fit_is_refused():
 
 
 def test_an_experiment_makes_it():
-    said = ["adaptive.initial=nominal", "adaptive.masses=0.5", "adaptive.rate=7"]
+    said = ["adaptive.initial=nominal", "nominal.masses=0.5", "adaptive.rate=7"]
     experiment = load_experiment("track", said)
     robot = experiment.load_robot()
     controller = experiment.controller("adaptive", robot=robot)
@@ -385,7 +384,7 @@ def test_an_experiment_makes_it():
         f"adaptive: {controller.identifiable[1].shape[1]} combinations of its 64 parameters matter on this robot"
     ]
     np.testing.assert_allclose(controller.nominal[0], 0.5 * parameters(robot)[0])
-    other = load_experiment("track", ["adaptive.initial=nominal", "adaptive.nominal=two_axis_arm"])
+    other = load_experiment("track", ["adaptive.initial=nominal", "nominal.robot=two_axis_arm"])
     with pytest.raises(ConfigError, match="does not move as platform_arm"):
         other.controller("adaptive", robot=robot)
     with pytest.raises(ConfigError, match="rate"):

@@ -19,6 +19,8 @@ CONTROLLERS = {
     "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
     "pd_effective_one_layer": "PD at the effective gain of one_layer",
     "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
+    "two_layer_residual": "a nominal model with wrong masses, and the two-layer network on the difference",
+    "nominal": "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
     "computed_torque": "feedback and the true model: the oracle",
 }
 ORACLES = ("computed_torque",)
@@ -30,7 +32,7 @@ TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
 }
 LEARNERS = (*TWO_LAYERS, "one_layer")
 # What an experiment runs unless it says.
-DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None and name != "adaptive")
+DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
 
 
 def effective(controllers: Iterable[str]) -> dict[str, str]:

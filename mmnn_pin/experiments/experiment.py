@@ -24,9 +24,11 @@ from ..torque.adaptive import Adapting
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
+from ..torque.residual import Residual
 from .adaptive import adaptive_controller
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
+from .nominal import Nominal, nominal_robot
 from .references import HeldOut, ReferenceTables
 from .tolerance import Case, Tolerance
 
@@ -88,6 +90,7 @@ class Experiment(Settings, frozen=True):
         two_layer: The two-layer network.
         one_layer: The one-layer network.
         adaptive: The adaptive controller.
+        nominal: The model that is wrong on purpose, for those that have one.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
@@ -129,6 +132,7 @@ class Experiment(Settings, frozen=True):
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
     adaptive: Adapting = Adapting()
+    nominal: Nominal = Nominal()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
@@ -242,13 +246,15 @@ class Experiment(Settings, frozen=True):
             return ComputedTorque(feedback)
         if name == "adaptive":
             return adaptive_controller(
-                self.adaptive, feedback, robot, (self.robot, self.overrides), self.learning.learning
+                self.adaptive, feedback, robot, self.nominal, self.overrides, self.learning.learning
             )
+        if name == "nominal":
+            return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)
         switches = self.learning
-        return Neural(
+        learner = Neural(
             network=self.network(name),
             feedback=feedback,
             robust=robust if switches.robust_term else None,
@@ -260,17 +266,20 @@ class Experiment(Settings, frozen=True):
             update=switches.update,
             called=name,
         )
+        if name != "two_layer_residual":
+            return learner
+        return Residual(learner, nominal_robot(self.nominal, robot, self.overrides), switches.learning)
 
     def network(self, name: str) -> TwoLayer | OneLayer:
-        """The network of one of `LEARNERS`."""
-        if name not in TWO_LAYERS:
+        """The network of a learner that has one."""
+        if name == "one_layer":
             return self.one_layer
-        initial = TWO_LAYERS[name]
+        initial = TWO_LAYERS.get(name)
         return self.two_layer if initial is None else msgspec.structs.replace(self.two_layer, initial=initial)
 
     def robust_term(self, name: str) -> Robust:
         """Kz and ZB of a controller: its own, or the common ones."""
-        return getattr(self.robust_of, "two_layer" if name in TWO_LAYERS else name, None) or self.robust
+        return getattr(self.robust_of, "two_layer" if name.startswith("two_layer") else name, None) or self.robust
 
     def loop(self, robot: Robot, controller: CompiledController | TorqueController) -> Loop:
         """The closed loop of this experiment around one controller."""

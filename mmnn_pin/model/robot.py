@@ -252,6 +252,12 @@ class Robot:
         rough = replace(self, damping=read_only(damping), coulomb=read_only(level), breakaway=read_only(ratio))
         return replace(rough, stribeck=float(stribeck))
 
+    def without_friction(self) -> Robot:
+        """The same robot with no friction at all: of its joints, of its gears, of its base."""
+        none, smooth = read_only(np.zeros(self.layout.full)), read_only(np.ones(self.layout.full))
+        viscous = read_only(np.zeros(self.layout.dof))
+        return replace(self, damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
+
     @property
     def dry(self) -> Array:
         """Dry friction of the joints, (nv, 3): Coulomb, static minus Coulomb, Stribeck velocity."""

@@ -45,11 +45,10 @@ class Adapting(Settings, frozen=True):
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: rho, the largest ratio of an estimate to its start, either way.
         friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
-        initial: "guess" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's.
+        initial: "guess" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's (in an
+            experiment the one of `[nominal]`).
         mass: Masses of the guess, (base, every other body) [kg].
         size: Radii of gyration of the guess about each axis, likewise [m].
-        nominal: The robot of "nominal", a name or a path; empty for the robot itself, with wrong masses.
-        masses: Factor on the nominal robot's masses.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -67,12 +66,10 @@ class Adapting(Settings, frozen=True):
     initial: Literal["guess", "nominal"] = "guess"
     mass: tuple[float, float] = (30.0, 2.0)
     size: tuple[float, float] = (0.3, 0.2)
-    nominal: str = ""
-    masses: float = 0.7
 
     def __post_init__(self) -> None:
         require_gains(self, "adaptive", "rate", "viscous", "coulomb", "rotor", "leakage", "share", "friction_bound")
-        for name in ("mass", "size", "masses"):
+        for name in ("mass", "size"):
             if not (np.isfinite(getattr(self, name)).all() and np.all(np.asarray(getattr(self, name)) > 0)):
                 raise ConfigError(f"{getattr(self, name)}", fix="use finite numbers > 0", key=f"adaptive.{name}")
         if not (np.isfinite(self.bounds) and self.bounds > 1):

@@ -145,8 +145,13 @@ class CompiledController(ABC):
 
     @property
     def uses_model(self) -> bool:
-        """Whether the law adds Psi of the nominal robot (an oracle when that is the true robot)."""
+        """Whether the law adds Psi of a model: its own, or the loop's nominal robot (the true one: an oracle)."""
         return False
+
+    @property
+    def model(self) -> Any:
+        """The `Robot` whose Psi the law adds; None for the loop's nominal one."""
+        return None
 
     @property
     def notes(self) -> list[str]:

@@ -22,8 +22,9 @@ EFFECTIVE_GAIN, TORQUE, WEIGHT_NORM = INDEX["effective_gain"], INDEX["torque"], 
 
 CONSTANT_GAIN, SCHEDULED_GAIN, TWO_LAYER, ONE_LAYER = 0, 1, 2, 3  # kinds of law
 
-# sizes of a network controller: nx, learning, order, (hidden of the base network, of the arm network), nx rows of x
-NX, LEARNING, ORDER, HIDDEN, ROWS = 0, 1, 2, 3, 5
+# sizes of a network controller: nx, learning, order, hidden of the base network, of the arm network, whether the Psi of
+# a model is added, nx rows of x
+NX, LEARNING, ORDER, HIDDEN, MODEL, ROWS = 0, 1, 2, 3, 5, 6
 OUTPUT_FIRST, UPDATE_FIRST = 0, 1
 # settings of a network controller: dt, per network (rate of W, rate of V or width, leakage, ZB), k (p), Kz (p), what
 # the networks' s and torque are multiplied with (p, p), scale of the input (nx), offset of the input (nx)
@@ -56,7 +57,11 @@ def step(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, 
         copy_to(memory[start:], gain)
         memory[0] += 1.0
     else:
+        if sizes[MODEL] == 1:
+            copy_to(psi_hat, torque)
         networks(kind, row, at, sizes, settings, memory)
+        for i in range(torque.size if sizes[MODEL] == 1 else 0):
+            psi_hat[i] += torque[i]
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(torque.size):
         s = z[i] if i < z.size else r[i - z.size]

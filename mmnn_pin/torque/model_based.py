@@ -1,11 +1,12 @@
 """Controllers without a network: PD, PD at a learner's effective gain, computed torque.
 
-Only computed torque uses a model, the *nominal* robot of the run; with the true robot it is the oracle.
+Only computed torque uses a model: its own, or the *nominal* robot of the run; with the true robot it is the oracle.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +14,9 @@ from ..errors import ConfigError
 from ..signals import Array, Layout
 from . import law
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
+
+if TYPE_CHECKING:
+    from ..model.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -39,16 +43,23 @@ class PD(CompiledController):
         return self.feedback.vector(layout)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ComputedTorque(CompiledController):
     """`tau = Psi + k s` with Psi of the nominal model at the measured state (Slotine-Li form with known parameters).
 
     Args:
         feedback: k1, k2.
+        model: The robot that it believes in; None for the loop's nominal one.
+        name: Name in tables and recordings.
     """
 
     feedback: Feedback = field(default_factory=Feedback)
+    model: Robot | None = None
     name: str = "computed_torque"
+
+    def facts(self) -> dict[str, Any]:
+        """What is told of its model."""
+        return {} if self.model is None else {"model": self.model.facts()}
 
     @property
     def uses_model(self) -> bool:

@@ -236,7 +236,7 @@ class Neural(CompiledController):
         layout = wiring.layout
         order = law.UPDATE_FIRST if self.update == "before_output" else law.OUTPUT_FIRST
         rows = self.inputs.rows(layout)
-        sizes = [rows.size, int(self.learning), order, self.network.hidden, self.network.hidden, *rows]
+        sizes = [rows.size, int(self.learning), order, self.network.hidden, self.network.hidden, 0, *rows]
         dt = 1.0 if self.rates == "per_sample" else wiring.control_period
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
         per_network = [(*self.network.rates(i, self.leakage), robust.ZB[i]) for i in range(2)]

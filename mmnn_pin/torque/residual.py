@@ -1,0 +1,83 @@
+"""A learner on top of a nominal model: `Psi_hat = Psi_0 + network`, so the network learns only the difference.
+
+Psi_0 is a known function of measured and commanded signals, so the thesis's closed loop and its proof hold as they
+stand with `Psi - Psi_0` in the place of Psi: what has to be small is the distance of that difference from a network.
+(A rigid-body model and something learned for what it leaves: Nguyen-Tuong and Peters 2010, Using model knowledge for
+learning inverse dynamics, IEEE ICRA.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from ..signals import Array, Layout
+from . import law
+from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .neural import Neural
+
+if TYPE_CHECKING:
+    from ..model.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Residual(CompiledController):
+    """`tau = k s + Psi_0 + network + robust term`: a network of the thesis with a nominal model taken out of it.
+
+    Args:
+        learner: The network with its feedback and robust term.
+        model: The nominal robot; None for the loop's.
+        learning: Off keeps the weights as they are.
+        name: Name in tables and recordings.
+    """
+
+    learner: Neural
+    model: Robot | None = None
+    learning: bool = True
+    name: str = "two_layer_residual"
+
+    @property
+    def feedback(self) -> Feedback:
+        """k1, k2."""
+        return self.learner.feedback
+
+    @property
+    def uses_model(self) -> bool:
+        """Psi of the nominal robot is added."""
+        return True
+
+    @property
+    def notes(self) -> list[str]:
+        """What the network has to say."""
+        return self._own.notes
+
+    def law(self, wiring: Wiring) -> Law:
+        """The network's numbers; the loop writes the model's Psi into psi_hat."""
+        numbers = self._own.law(wiring)
+        numbers.sizes[law.MODEL] = 1
+        return numbers
+
+    def init(self, wiring: Wiring) -> Memory:
+        """Initial weights of the network."""
+        return self._own.init(wiring)
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """The network's, (p,)."""
+        return self._own.feedback_gain(layout)
+
+    def weights(self, memory: Memory) -> dict[str, Array]:
+        """The network's."""
+        return self._own.weights(memory)
+
+    def facts(self) -> dict[str, Any]:
+        """The network's settings and what is told of the model."""
+        believed = {} if self.model is None else {"model": self.model.facts()}
+        return self._own.facts() | believed
+
+    def findings(self, memory: Memory) -> list[str]:
+        """What the network's weights show."""
+        return self._own.findings(memory)
+
+    @property
+    def _own(self) -> Neural:
+        return replace(self.learner, called=self.name, learning=self.learning and self.learner.learning)

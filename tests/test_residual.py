@@ -1,0 +1,99 @@
+"""A nominal model with wrong masses, alone and with a network on the difference."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numba import config
+
+from mmnn_pin import load_experiment, simulate_many
+from mmnn_pin.control import Torque
+from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.parameters import parameters
+from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.residual import Residual
+
+FRICTION = ["friction.base=[30.0,5.0]", "friction.arm=0.5", "friction.coulomb=0.5"]
+SHORT = 0.02 if config.DISABLE_JIT else 0.4
+
+
+def made(name, *said, duration=SHORT):
+    experiment = load_experiment("track", [*FRICTION, f"time.duration={duration}", *said])
+    robot = experiment.load_robot()
+    return experiment.loop(robot, experiment.controller(name, robot=robot))
+
+
+def test_psi_hat_is_the_models_psi_and_the_networks_output():
+    """Second answer: Pinocchio's Psi of the nominal robot at the measured state, and the network stepped without it."""
+    loop = made("two_layer_residual", "nominal.masses=0.6")
+    run = loop.run()
+    controller = loop.controller
+    assert isinstance(controller, Residual) and controller.model is not None
+    expected = loop.robot.with_masses(0.6).without_friction()
+    np.testing.assert_allclose(parameters(controller.model), parameters(expected), rtol=1e-12)
+    dynamics, layout, row = Dynamics(expected), loop.robot.layout, loop.robot.layout.new_row()
+    memory = controller.learner.init(loop.wiring())
+    network = Torque(controller.learner, loop.wiring(), row, loop.robot, memory)
+    for k in range(0, len(run)):
+        for name in run:
+            row[layout.where(name)] = run[name][k]
+        network.step(run.time[k])
+        position = loop.robot.neutral_position()
+        position[:3], position[loop.robot.arm_index] = run["pose"][k], run["q"][k]
+        nu = np.concatenate((run["velocity"][k], run["qdot"][k]))
+        psi0 = dynamics.psi(position, nu, run["nu_ref"][k], run["nudot_ref"][k])
+        np.testing.assert_allclose(run["psi_hat"][k], psi0 + network.psi_hat, rtol=1e-9, atol=1e-9)
+        feedback = run["effective_gain"][k] * np.concatenate((run["z"][k], run["r"][k]))
+        np.testing.assert_allclose(run["torque"][k], feedback + run["psi_hat"][k], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(memory.values, run.final["memory"], rtol=1e-9, atol=1e-12)
+
+
+def test_a_nominal_model_that_is_right_makes_an_oracle():
+    right = made("nominal", "nominal.masses=1.0", "nominal.friction=true").run()
+    np.testing.assert_array_equal(right["psi_hat"], made("computed_torque").run()["psi_hat"])
+    told = made("nominal")
+    same = replace(told, controller=ComputedTorque(told.controller.feedback), nominal=told.controller.model).run()
+    np.testing.assert_array_equal(told.run()["torque"], same["torque"])
+
+
+@pytest.mark.parametrize("name", ["two_layer_residual", "nominal"])
+def test_both_engines_and_a_batch_agree(name):
+    loop = made(name)
+    runs = [replace(loop, engine=engine).run() for engine in ("compiled", "ordinary")]
+    for signal in ("psi_hat", "torque", "e"):
+        np.testing.assert_allclose(runs[0][signal], runs[1][signal], rtol=1e-9, atol=1e-9)
+    kept = simulate_many([replace(loop, engine="compiled")], keep=True)[0].recording
+    np.testing.assert_array_equal(kept["torque"], runs[0]["torque"])
+
+
+def test_without_learning_the_weights_stay():
+    loop = made("two_layer_residual")
+    run = replace(loop, controller=replace(loop.controller, learning=False)).run()
+    np.testing.assert_array_equal(run.weights["W1"][0], run.weights["W1"][-1])
+    assert run.meta["controller_settings"]["model"]["robot"]
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
+def test_the_network_makes_up_for_wrong_masses():
+    def late(name):
+        run = made(name, duration=3.0).run()
+        return np.sqrt(np.mean(np.hstack((run["true_pose_error"], run["true_e"]))[run.time > 1.0] ** 2, axis=0))
+
+    pd, nominal, residual = (late(name) for name in ("pd", "nominal", "two_layer_residual"))
+    assert (nominal < pd).all() and (residual < 0.2 * nominal).all()
+
+
+def test_what_cannot_be_a_nominal_model_is_refused_with_its_key():
+    for said, key, kind in (
+        ("nominal.masses=-1.0", "nominal.masses", ConfigError),
+        ("nominal.masses={nobody = 0.5}", "nominal.masses", UnknownName),
+        ("nominal.robot=two_axis_arm", "nominal.robot", ConfigError),
+    ):
+        with pytest.raises(kind) as error:
+            made("two_layer_residual", said)
+        assert error.value.key == key
+    with pytest.raises(ConfigError, match="of no robot"):
+        load_experiment("track").controller("nominal")
