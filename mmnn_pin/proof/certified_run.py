@@ -52,8 +52,8 @@ def certified_run(proof: Proof) -> CertifiedRun:
         missing["certificate"] = sentence(error)
     try:
         rate = rate_of(subject)
-        if proof.has("ideal") and subject.learner is not None:
-            bounds = printed(subject, subject.learner, proof.ideal, push_bound(subject))
+        if proof.has("ideal") and subject.networks is not None:
+            bounds = printed(subject, subject.networks, proof.ideal, push_bound(subject))
     except InputError as error:
         missing["rate"] = sentence(error)
     return CertifiedRun(certificate, run, rate, bounds, missing)
