@@ -10,16 +10,19 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ..control import wiring_of
 from ..errors import RecordingError
 from ..experiments.config import recorded_experiment
 from ..experiments.controllers import CONTROLLERS, EFFECTIVE
+from ..experiments.laws import GIVEN, known_law, with_settings
 from ..model.regressor import Regressor
 from ..model.robot import Robot
 from ..recording import Recording
 from ..run_file import encode
 from ..signals import Array
 from ..torque.adaptive import Adapting, Adaptive
-from ..torque.controller import Feedback, Memory, Wiring
+from ..torque.controller import Feedback, Memory
+from ..torque.learning_law import LearningLaw
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from .learner import Learner
 from .networks import Networks
@@ -52,7 +55,7 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
         return None
     seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
     period = float(recording.meta["control_period"])
-    wiring = Wiring(robot.layout, period, len(recording), np.random.default_rng(seed))
+    wiring = wiring_of(controller, robot, period, len(recording), np.random.default_rng(seed))
     start = controller.init(wiring)
     snapshots = recording.weights
     if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:
@@ -69,6 +72,8 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
         InputError: It needs a nominal robot that cannot be loaded.
     """
     name, settings = str(recording.meta.get("controller")), recording.meta.get("controller_settings") or {}
+    if "law" in recording.meta:
+        return law_of(recording, settings)
     if name in NETWORKS:
         if not settings:
             what = f"the recording does not tell the settings of {name}"
@@ -79,6 +84,21 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
     if name not in CONTROLLERS or name in EFFECTIVE:
         return None
     return of_experiment(recording, robot, name, settings)
+
+
+def law_of(recording: Recording, settings: dict[str, Any]) -> LearningLaw | None:
+    """A user's law, where its class is defined in this process; None where it is not, or where it is no law.
+
+    Raises:
+        InputError: The class does not take the recorded settings.
+    """
+    about = recording.meta["law"]
+    kind = known_law(about["class"].rpartition(".")[2], about["sha256"]) if set(GIVEN) <= settings.keys() else None
+    if kind is None:
+        return None
+    given = {"feedback": msgspec.convert(settings["feedback"], Feedback), "learning": bool(settings["learning"])}
+    rest = {key: value for key, value in settings.items() if key not in GIVEN}
+    return with_settings(kind, rest, f"laws.{recording.meta['controller']}", given)
 
 
 def networks_of(network: type[Any], settings: dict[str, Any]) -> Neural:
