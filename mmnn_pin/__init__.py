@@ -27,6 +27,8 @@ _HOME = {
     "model.regressor": ("Regressor",),
     "torque.adaptive": ("Adapting", "Adaptive"),
     "torque.controller": ("Feedback", "Memory", "TorqueController", "Wiring"),
+    "torque.learning_law": ("LearningLaw",),
+    "torque.now": ("Now",),
     "torque.model_based": ("PD", "ComputedTorque", "ScheduledPD"),
     "torque.neural": ("Inputs", "Neural", "OneLayer", "Robust", "TwoLayer"),
     "actuator": ("Actuator",),

@@ -3,20 +3,47 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.random import Generator
 
-from .errors import ConfigError
+from .errors import ConfigError, InputError
 from .model.dynamics import Dynamics
+from .model.regressor import Regressor
 from .model.robot import Robot
 from .rig import Rig, is_stopped, send
 from .sample import before_torque, estimate
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
+from .torque.learning_law import LearningLaw, norms
+from .torque.now import Now
+from .torque.origin import blamed
 
 if TYPE_CHECKING:
     from .loop import Loop
+
+REGRESSORS: WeakKeyDictionary[Robot, Regressor] = WeakKeyDictionary()
+
+
+def wiring_of(
+    controller: CompiledController | TorqueController, robot: Robot, period: float, samples: int, rng: Generator
+) -> Wiring:
+    """What a controller is told before a run of a robot; how it moves only where a learning law asks for it."""
+    told = isinstance(controller, LearningLaw) and controller.knows_motion
+    return Wiring(robot.layout, period, samples, rng, regressor_of(robot) if told else None)
+
+
+def regressor_of(robot: Robot) -> Regressor:
+    """The regressor of a robot, made once.
+
+    Raises:
+        RobotError: A joint that cannot be flattened.
+    """
+    if robot not in REGRESSORS:
+        REGRESSORS[robot] = Regressor.of(robot)
+    return REGRESSORS[robot]
 
 
 class Control:
@@ -77,8 +104,11 @@ class Torque:
         self.reference, self.measurement = Reference.of(row, layout), Measurement.of(row, layout)
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
+        self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
         self.model: Dynamics | None = None
         self.python = controller if isinstance(controller, TorqueController) else None
+        if isinstance(controller, LearningLaw):
+            self.layout, self.now, self.K = layout, Now.of(row, wiring), controller.feedback_gain(layout)
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
             if controller.uses_model:
@@ -89,19 +119,52 @@ class Torque:
     def step(self, time: float) -> None:
         """Write psi_hat, robust, effective_gain and torque of this sample into the row."""
         if self.python is not None:
-            torque = self.python.step(time, self.reference, self.measurement, self.command, self.memory)
-            if np.shape(torque) != self.torque.shape:
-                raise ConfigError(
-                    f"controller '{self.controller.name}' returned a torque of shape {np.shape(torque)}",
-                    fix=f"return an array of shape {self.torque.shape}",
-                )
-            self.torque[:] = torque
+            try:
+                if isinstance(self.python, LearningLaw):
+                    self._learning_law(time, self.python)
+                else:
+                    self._python(time, self.python)
+            except InputError:
+                raise
+            except Exception as error:
+                raise blamed(error, self.python) from error
             return
         if self.model is not None:
             self._model_psi(self.model)
         if self.law.adaptation is not None:
             estimate(self.row, self.at, self.law.adaptation, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
+
+    def _python(self, time: float, controller: TorqueController) -> None:
+        """Torque of a controller in plain Python, and its Psi_hat if it tells one."""
+        answer = controller.step(time, self.reference, self.measurement, self.command, self.memory)
+        torque, psi_hat = answer if isinstance(answer, tuple) and len(answer) == 2 else (answer, None)
+        self.torque[:] = self._of_shape("torque", torque)
+        if psi_hat is not None:
+            self.psi_hat[:] = self._of_shape("Psi_hat", psi_hat)
+
+    def _learning_law(self, time: float, controller: LearningLaw) -> None:
+        """`tau = K s + Psi_hat` of a law in plain Python, and what it learns."""
+        self.now.refresh(time)
+        self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.now, self.memory))
+        self.gain[:] = self.K
+        self.weight_norm[:] = norms(controller.weights(self.memory), self.layout)
+        self.torque[:] = self.K * self.now.s + self.psi_hat
+        if controller.learning:
+            controller.learn(self.now, self.memory)
+
+    def _of_shape(self, what: str, values: Any) -> Any:
+        """The same, if there is one number per velocity.
+
+        Raises:
+            ConfigError: There is not.
+        """
+        if np.shape(values) != self.torque.shape:
+            raise ConfigError(
+                f"controller '{self.controller.name}' returned a {what} of shape {np.shape(values)}",
+                fix=f"return an array of shape {self.torque.shape}",
+            )
+        return values
 
     def _model_psi(self, model: Dynamics) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""

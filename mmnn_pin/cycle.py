@@ -28,6 +28,7 @@ from .safety.supervisor import GOOD, HEARD
 from .sensing import Sensor
 from .signals import SIGNALS, Array, Measurement
 from .torque.controller import CompiledController, Memory
+from .torque.learning_law import LearningLaw
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -220,7 +221,7 @@ class Cycle:
         """Compile all that a step calls, and forget it."""
         kept = self.rig.memory.copy(), self.control.weights.copy()
         accept(self.row, self.at, 0.0, 0.0, True, self.rig.guard)
-        if isinstance(self.loop.controller, CompiledController):
+        if isinstance(self.loop.controller, CompiledController | LearningLaw):
             self.control.step(0, 0.0, self.nothing, self.table[0], False)
         has_ended(0.0, self.rig.limits, self.rig.guard)
         self.rig.memory[:], self.control.weights[:], self.row[:] = *kept, 0.0

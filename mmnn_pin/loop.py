@@ -17,6 +17,7 @@ import numpy as np
 
 from .actuator import Actuator
 from .compiled_loop import CompiledLoop
+from .control import wiring_of
 from .disturbance import Disturbance, payload
 from .errors import ConfigError, InputError, RobotError, UnknownName
 from .kinematic import Kinematic
@@ -37,6 +38,8 @@ from .signals import INDEX, SIGNALS, Array, Layout
 from .start import FIRST_REFERENCE, Bounds, Start
 from .timing import Timing
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
+from .torque.learning_law import LearningLaw
+from .torque.origin import blamed, origin_of
 
 Engine = CompiledLoop | OrdinaryLoop
 PLANTS = ("ideal", "contact")
@@ -185,7 +188,7 @@ class Loop:
     def wiring(self) -> Wiring:
         """What the controller is told before the run."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
-        return Wiring(self.robot.layout, self.timing.control_period, self.timing.samples, rng)
+        return wiring_of(self.controller, self.robot, self.timing.control_period, self.timing.samples, rng)
 
     def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
         """Random generators of the sensors and of the disturbances, split from the run's seed."""
@@ -224,6 +227,7 @@ class Loop:
         own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
         own |= {"kinematic": plain(self.kinematic), "time": plain(self.timing)}
         own |= {"controller_settings": self.controller.facts()}
+        own |= {"law": origin_of(type(self.controller))} if isinstance(self.controller, TorqueController) else {}
         believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
         rig = {} if self.sensor.exact else {"sensor": plain(self.sensor)}
         rig |= {} if self.actuator.perfect else {"actuator": plain(self.actuator)}
@@ -239,7 +243,7 @@ class Loop:
         Raises:
             ConfigError: It is unstable at one of them, with the numbers.
         """
-        if not self.check_gains or isinstance(self.controller, TorqueController):
+        if not self.check_gains or not isinstance(self.controller, CompiledController | LearningLaw):
             return
         layout, dynamics, table = self.robot.layout, Dynamics(self.robot), self.table()
         gains = self.controller.feedback_gain(layout)
@@ -290,7 +294,7 @@ class Loop:
         Raises:
             ConfigError: It is of another controller or of other settings, or not finite.
         """
-        new = self.controller.init(self.wiring())
+        new = self._new_memory()
         if given is None:
             return new
         if not isinstance(new, Memory):
@@ -304,6 +308,27 @@ class Loop:
                 key="memory",
             )
         new.values[:] = finite("memory", given.values, new.values.shape)
+        return new
+
+    def _new_memory(self) -> Any:
+        """What the controller's `init` gives.
+
+        Raises:
+            InputError: It fails, or a learning law gives something else than a `Memory`.
+        """
+        if isinstance(self.controller, CompiledController):
+            return self.controller.init(self.wiring())
+        try:
+            new = self.controller.init(self.wiring())
+        except InputError:
+            raise
+        except Exception as error:
+            raise blamed(error, self.controller) from error
+        if isinstance(self.controller, LearningLaw):
+            if not isinstance(new, Memory):
+                what = f"{self.controller.name}.init returned {type(new).__name__}"
+                raise ConfigError(what, why="a law learns in a `Memory`", fix="return Memory.of(name=shape, ...)")
+            self.controller.weights(new)
         return new
 
     def _engine(self, table: Array, position: Array, nu: Array, memory: Any, rig_memory: Array | None) -> Engine:

@@ -10,8 +10,8 @@ from mmnn_pin import Feedback, Hold, Line, Loop, Neural, Robust, Sine, Start, Ti
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.proof.certified_loop import CertifiedLoop
-from mmnn_pin.proof.learner import Learner
 from mmnn_pin.proof.motion_samples import Along
+from mmnn_pin.proof.networks import Networks
 from mmnn_pin.torque.controller import Wiring
 
 PERIOD = 2e-4
@@ -66,6 +66,6 @@ def learner_loop(
         along=Along(v, a, q, qdot, qddot, pose),
         period=period,
         gain=control.feedback.vector(layout),
-        learner=Learner(control, wiring, memory, memory.snapshot(), 0.0),
+        learner=Networks(control, wiring, memory, memory.snapshot(), 0.0, robot),
         disturbance=np.zeros(layout.dof) if disturbance is None else disturbance,
     )

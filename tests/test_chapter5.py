@@ -22,7 +22,7 @@ from mmnn_pin.experiments.fairness import unfair
 from mmnn_pin.experiments.largest_errors import THESIS, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.experiments.readings import readings
 from mmnn_pin.experiments.runner import Result
-from mmnn_pin.proof.learner import recorded_learner
+from mmnn_pin.proof.rebuild import recorded_learner
 from mmnn_pin.recorded_robot import recorded_robot
 from mmnn_pin.show import table
 from mmnn_pin.torque.neural import Inputs, Neural, TwoLayer
@@ -225,7 +225,7 @@ def test_a_proof_knows_both_starts_and_the_unit_of_the_error(tmp_path: Any, caps
     run_experiment(e, "x", out=tmp_path)
     for name in ("two_layer_zero", "two_layer_random"):
         recording = Recording.open(tmp_path / f"{name}.h5")
-        learner = recorded_learner(recording, e.load_robot().layout)
+        learner = recorded_learner(recording, e.load_robot())
         assert learner is not None and learner.controller == e.controller(name)
         assert main(["prove", str(tmp_path / f"{name}.h5"), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)

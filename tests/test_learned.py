@@ -20,10 +20,11 @@ from mmnn_pin.proof import ideal as ideal_module
 from mmnn_pin.proof.fvu import error_in, fvu, fvu_in, windows, worst
 from mmnn_pin.proof.held_out import held_out, recorded_under_computed_torque
 from mmnn_pin.proof.ideal import PENALTY, hidden_weights, ideal_weights, output_weights, variances
-from mmnn_pin.proof.learner import controller_of, said
+from mmnn_pin.proof.networks import seen
 from mmnn_pin.proof.payload import loaded, tip, usual_payload
 from mmnn_pin.proof.psi import psi_along, psi_of
 from mmnn_pin.proof.rank import effective_rank, excitation
+from mmnn_pin.proof.rebuild import networks_of
 from mmnn_pin.proof.shares import shares, sizes
 from mmnn_pin.proof.subject import Subject
 from mmnn_pin.torque.neural import OneLayer, TwoLayer
@@ -132,9 +133,9 @@ def test_a_learner_is_built_again_and_says_what_its_networks_say(kind: str, whic
     controller = learner(kind, which, inertia=tuple(np.linspace(0.5, 2.0, p)))
     run = loop_of(kind, controller, duration=0.02).run()
     subject = subject_of(kind, run)
-    found = subject.learner
+    found = subject.networks
     assert found is not None and found.controller == controller and found.end_time == pytest.approx(0.02)
-    told = said(found, found.end, subject.rows)
+    told = seen(found, found.end, subject.rows)
     names = controller.inputs.signals
     x = np.hstack([run[name].reshape(len(run), -1) for name in names if name in run])
     np.testing.assert_array_equal(told.inputs, x)
@@ -152,24 +153,24 @@ def test_a_learner_is_built_again_and_says_what_its_networks_say(kind: str, whic
 
 def test_a_killed_run_has_the_weights_of_its_last_snapshot() -> None:
     run = loop_of("fixed", learner("fixed"), duration=0.05, weights_interval=0.01).run()
-    whole = Subject.of(run).learner
+    whole = Subject.of(run).networks
     run.__dict__["final"] = {}  # a run that was killed wrote nothing at its end
     for name in ("W2", "V2"):
         run.weights[name][-1] = np.nan  # nor all of its last snapshot
-    found = Subject.of(run).learner
+    found = Subject.of(run).networks
     assert whole is not None and found is not None
     assert whole.end_time == pytest.approx(0.05) and found.end_time == pytest.approx(0.04)
     np.testing.assert_array_equal(found.end["W2"], run.weights["W2"][-2])
     run.__dict__["weights"] = {}
     with pytest.raises(RecordingError, match="no weights"):
-        _ = Subject.of(run).learner
+        _ = Subject.of(run).networks
 
 
 def test_settings_of_a_learner_survive_the_recording() -> None:
     for which, more in (("two_layer", {"rates": "per_second", "robust": None}), ("one_layer", {"leakage": False})):
         controller = learner("differential", which, **more)
         kind = TwoLayer if which == "two_layer" else OneLayer
-        assert controller_of(kind, controller.facts()) == controller
+        assert networks_of(kind, controller.facts()) == controller
 
 
 # -- frozen weights --
@@ -181,9 +182,9 @@ def test_a_network_that_knows_is_told_from_one_that_follows() -> None:
     loop = loop_of("differential", learner("differential"), duration=1.0)
     subject = Subject.of(loop.run())
     follows = psi_of(subject)
-    assert subject.learner is not None
-    weights = ideal_weights(subject, subject.learner)
-    memory = subject.learner.start.snapshot()
+    assert subject.networks is not None
+    weights = ideal_weights(subject, subject.networks)
+    memory = subject.networks.start.snapshot()
     for i, found in weights.items():
         memory[f"W{i}"], memory[f"V{i}"] = found.W, found.V
     fixed = replace(loop, controller=replace(loop.controller, learning=False))
@@ -290,8 +291,8 @@ def test_it_is_the_same_for_all_learners_and_followed() -> None:
         subject = Subject.of(loop.run(meta={"config": experiment.to_json()}))
         wanted.append(held_out(replace(subject, rows=subject.rows[:rows])))
     assert wanted[0] == wanted[1]
-    assert subject.learner is not None
-    rows = recorded_under_computed_torque(subject, robot, wanted[0], subject.learner.controller.feedback)
+    assert subject.networks is not None
+    rows = recorded_under_computed_torque(subject, robot, wanted[0], subject.networks.controller.feedback)
     assert len(rows) == round(wanted[0].duration / 0.002)
     assert np.abs(rows[:, robot.layout.where("pose_error")]).max() < 2e-3
     np.testing.assert_allclose(
@@ -352,22 +353,22 @@ def test_ideal_weights_are_a_minimum_and_find_a_network_that_exists(monkeypatch:
 
 def test_ideal_weights_of_a_run_are_numbers_that_fit_each_other() -> None:
     subject = Subject.of(loop_of("differential", learner("differential"), duration=0.1).run())
-    assert subject.learner is not None
-    for i, found in ideal_weights(subject, subject.learner).items():
-        part = dict(subject.learner.networks)[i]
-        x = said(subject.learner, subject.learner.start, subject.rows).inputs
+    assert subject.networks is not None
+    for i, found in ideal_weights(subject, subject.networks).items():
+        part = dict(subject.networks.networks)[i]
+        x = seen(subject.networks, subject.networks.start, subject.rows).inputs
         error = subject.signal("psi")[:, part] - expit(x @ found.V) @ found.W
         np.testing.assert_allclose(found.eps, np.abs(error).max(axis=0))
         assert found.eps_N == pytest.approx(np.linalg.norm(error, axis=1).max())
         assert found.norm == pytest.approx(np.hypot(np.linalg.norm(found.W), np.linalg.norm(found.V)))
         assert found.distance == pytest.approx(np.hypot(found.distance_W, found.distance_V))
-        assert found.distance_W == pytest.approx(np.linalg.norm(found.W - subject.learner.end[f"W{i}"]))
-        assert found.assumed == subject.learner.controller.robust.ZB[i - 1] and found.unexplained.max() < 0.1
+        assert found.distance_W == pytest.approx(np.linalg.norm(found.W - subject.networks.end[f"W{i}"]))
+        assert found.assumed == subject.networks.controller.robust.ZB[i - 1] and found.unexplained.max() < 0.1
 
 
 def test_units_that_start_alike_are_told_apart_by_the_fit() -> None:
     controller = learner("fixed", network=TwoLayer(hidden=4, initial="zero"))
     subject = Subject.of(loop_of("fixed", controller, duration=0.1, timing=Timing(0.1, PERIOD, PERIOD)).run())
-    assert subject.learner is not None
-    (found,) = ideal_weights(subject, subject.learner).values()
-    assert np.linalg.matrix_rank(found.V) > 1 and effective_rank(subject.learner.end["V2"]) == pytest.approx(1)
+    assert subject.networks is not None
+    (found,) = ideal_weights(subject, subject.networks).values()
+    assert np.linalg.matrix_rank(found.V) > 1 and effective_rank(subject.networks.end["V2"]) == pytest.approx(1)

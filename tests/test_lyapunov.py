@@ -81,7 +81,7 @@ def test_the_weights_part_changes_exactly_as_its_terms_say(which: str, what: str
     if "inertia" in more:
         more["inertia"] = (2.0, 0.7, 0.3, 1.4)
     subject = Subject.of(loop_of("differential", learner("differential", which, **more), duration=DURATION).run())
-    one = subject.learner
+    one = subject.networks
     assert one is not None
     rows, every = subject.rows, np.arange(len(subject.rows))
     found = weights_part(one, ideal_weights(subject, one), rows, every)
@@ -97,7 +97,7 @@ def test_the_weights_part_changes_exactly_as_its_terms_say(which: str, what: str
 def test_the_remainder_is_what_the_thesis_calls_w() -> None:
     """`w = Wt' sigma' V*' x + W*' O + eps` with O of (3.34), each computed here from the formulas."""
     subject = Subject.of(loop_of("fixed", learner("fixed"), duration=0.01).run())
-    one = subject.learner
+    one = subject.networks
     assert one is not None
     (ideal,) = ideal_weights(subject, one).values()
     found = weights_part(one, {2: ideal}, subject.rows, np.array([0]))
@@ -120,7 +120,7 @@ def test_appendix_b_updates_before_the_output() -> None:
     """The weights of a sample are those after its step; `hold` takes what the order does."""
     controller = learner("differential", update="before_output")
     subject = Subject.of(loop_of("differential", controller, duration=DURATION).run())
-    one = subject.learner
+    one = subject.networks
     assert one is not None
     ideal = ideal_weights(subject, one)
     v = lyapunov(subject, ideal, most=10**6)
@@ -153,8 +153,8 @@ def test_sensors_that_err_have_a_term_of_their_own() -> None:
 
 def test_few_samples_tell_the_same_at_their_places() -> None:
     subject = Subject.of(loop_of("differential", learner("differential"), duration=DURATION).run())
-    assert subject.learner is not None
-    ideal = ideal_weights(subject, subject.learner)
+    assert subject.networks is not None
+    ideal = ideal_weights(subject, subject.networks)
     every, some = lyapunov(subject, ideal, most=10**6), lyapunov(subject, ideal, most=7)
     places = np.searchsorted(every.time, some.time)
     assert 1 < len(some.time) <= 7

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 import numpy as np
 
@@ -28,6 +30,7 @@ from ..torque.residual import Residual
 from .adaptive import adaptive_controller
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
+from .laws import own_controller, resolved
 from .nominal import Nominal, nominal_robot
 from .references import HeldOut, ReferenceTables
 from .tolerance import Case, Tolerance
@@ -72,7 +75,7 @@ class Experiment(Settings, frozen=True):
         overrides: What is said about the robot, as in the file beside its URDF.
         masses: Factor on the inertias of the true robot's bodies, one for all or one per joint that carries a body
             (`root` for a mobile base), see `Robot.with_masses`.
-        controllers: Controllers to run, names of `CONTROLLERS`.
+        controllers: Controllers to run, names of `CONTROLLERS` or of `laws`; `FILE.py:Class` for a class of a user.
         seed: The one seed.
         windows: Intervals for the RMS errors [s].
         weights_interval: Time between two records of the weights [s].
@@ -91,6 +94,7 @@ class Experiment(Settings, frozen=True):
         one_layer: The one-layer network.
         adaptive: The adaptive controller.
         nominal: The model that is wrong on purpose, for those that have one.
+        laws: Controllers of a user by name: `law`, where the class is, and its settings.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
@@ -133,6 +137,7 @@ class Experiment(Settings, frozen=True):
     one_layer: OneLayer = OneLayer()
     adaptive: Adapting = Adapting()
     nominal: Nominal = Nominal()
+    laws: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
@@ -150,7 +155,11 @@ class Experiment(Settings, frozen=True):
     def __post_init__(self) -> None:
         if not self.controllers:
             raise ConfigError("no controllers", fix=f"choose from: {', '.join(CONTROLLERS)}", key="controllers")
-        for key, names, known in (("controller", self.controllers, CONTROLLERS), ("plot", self.plots, PLOTS)):
+        controllers, laws = resolved(self.controllers, self.laws, CONTROLLERS)
+        msgspec.structs.force_setattr(self, "controllers", controllers)
+        msgspec.structs.force_setattr(self, "laws", laws)
+        there = {**CONTROLLERS, **laws}
+        for key, names, known in (("controller", self.controllers, there), ("plot", self.plots, PLOTS)):
             for name in names:
                 if name not in known:
                     raise UnknownName(key, name, known, key=f"{key}s")
@@ -225,21 +234,26 @@ class Experiment(Settings, frozen=True):
             return None
         return effective_inertia(robot, self.trajectory_of(robot), self.time.duration, self.time.control_period)
 
-    def controller(self, name: str, gains: Array | None = None, robot: Robot | None = None) -> CompiledController:
-        """A controller by name.
+    def controller(
+        self, name: str, gains: Array | None = None, robot: Robot | None = None
+    ) -> CompiledController | TorqueController:
+        """A controller by name; one of a user runs its file.
 
         Args:
-            name: One of `CONTROLLERS`.
+            name: One of `CONTROLLERS` or of `laws`.
             gains: (samples, p) schedule of a PD at an effective gain.
             robot: The robot whose effective inertias scale the gains; needed when `feedback.scaling` is "inertia".
 
         Raises:
             ConfigError: Gains that are to be scaled, and no robot.
+            InputError: A user's file or class that cannot be used.
         """
         feedback, robust = self.feedback, self.robust_term(name)
         inertia = None if robot is None else self.inertia(robot)
         if robot is not None and inertia is not None:
             feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
+        if name in self.laws:
+            return own_controller(name, self.laws[name], feedback, self.learning.learning)
         if name == "pd":
             return PD(feedback)
         if name == "computed_torque":

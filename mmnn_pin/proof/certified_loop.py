@@ -12,8 +12,8 @@ from ..kinematic import Kinematic
 from ..model.robot import Robot
 from ..signals import Array
 from ..torque.controller import per_velocity
-from .learner import Learner
 from .motion_samples import Along, MotionSamples, sample
+from .networks import Networks
 from .pose_bound import PoseBound
 from .subject import Subject
 
@@ -43,7 +43,7 @@ class CertifiedLoop:
     along: Along
     period: float
     gain: Array
-    learner: Learner | None
+    learner: Networks | None
     disturbance: Array
     projection: float | None = None
     spread: Array | None = None
@@ -94,7 +94,7 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
     why = refusal(subject)
     if why:
         raise RecordingError("no certificate", why=why, file=subject.recording.path)
-    learner, layout = subject.learner, subject.layout
+    learner, layout = subject.networks, subject.layout
     safety = subject.recording.meta.get("safety") or {}
     return CertifiedLoop(
         robot=subject.robot,
@@ -133,9 +133,9 @@ def refusal(subject: Subject) -> str:
     for name in ("kx", "ky", "kth", "K"):
         if not np.all(np.asarray(getattr(k, name)) > 0):
             return f"kinematic.{name} is 0"
-    learner = subject.learner
+    learner = subject.networks
     if learner is None:
-        return "" if proportional(subject) else f"{subject.controller} is no learner of this package, nor PD"
+        return "" if proportional(subject) else f"{subject.controller} is no learner of the thesis, nor PD"
     if learner.controller.update != "after_output":
         return "the weights are updated before the output, with the hidden outputs of the call before"
     return ""

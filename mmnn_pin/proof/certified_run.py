@@ -70,8 +70,8 @@ def certified_run(
         missing["certificate"] = sentence(error)
     try:
         rate = rate_of(subject)
-        if proof.has("ideal") and subject.learner is not None:
-            bounds = printed(subject, subject.learner, proof.ideal, push_bound(subject) + force)
+        if proof.has("ideal") and subject.networks is not None:
+            bounds = printed(subject, subject.networks, proof.ideal, push_bound(subject) + force)
     except InputError as error:
         missing["rate"] = sentence(error)
     return CertifiedRun(certificate, run, rate, bounds, missing)

@@ -19,7 +19,7 @@ from scipy.special import expit
 
 from ..signals import Array
 from ..torque.neural import TwoLayer
-from .learner import Learner, said
+from .networks import Networks, seen
 from .subject import Subject
 
 PENALTY = 1e-6
@@ -60,10 +60,10 @@ class Ideal:
     unexplained: Array
 
 
-def ideal_weights(subject: Subject, learner: Learner) -> dict[int, Ideal]:
+def ideal_weights(subject: Subject, learner: Networks) -> dict[int, Ideal]:
     """Ideal weights of every network on the rows of a run, network (1 the base's, 2 the arm's) to weights."""
     two_layer = isinstance(learner.controller.network, TwoLayer)
-    told, psi = said(learner, learner.start, subject.rows), subject.signal("psi")
+    told, psi = seen(learner, learner.start, subject.rows), subject.signal("psi")
     some = slice(None, None, -(-len(psi) // MOST))
     scale, found = learner.controller.network_scales(subject.layout)[1], {}
     for i, part in learner.networks:
@@ -119,7 +119,7 @@ def spread(V: Array) -> Array:
     return np.random.default_rng(0).uniform(-1.0, 1.0, V.shape)
 
 
-def judged(learner: Learner, i: int, W: Array, V: Array, target: Array, hidden: Array, scale: Array) -> Ideal:
+def judged(learner: Networks, i: int, W: Array, V: Array, target: Array, hidden: Array, scale: Array) -> Ideal:
     """Ideal weights with what they leave and how far the run's weights are from them."""
     error = target - hidden @ W
     both = isinstance(learner.controller.network, TwoLayer)

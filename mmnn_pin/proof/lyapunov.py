@@ -99,8 +99,8 @@ def lyapunov(
     true = subject.truth(rows)
     pose, motion = pose_of(subject, true), motion_energy(subject, true)
     weights = None
-    if ideal and subject.learner is not None:
-        weights = weights_part(subject.learner, ideal, subject.rows, at, progress)
+    if ideal and subject.networks is not None:
+        weights = weights_part(subject.networks, ideal, subject.rows, at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
     rates = powers(subject, rows[here], true[here], subject.given.torque[starts], subject.given.push[starts])

@@ -20,7 +20,7 @@ import numpy as np
 from ..signals import Array
 from ..torque.neural import Robust
 from .ideal import Ideal
-from .learner import Learner, said
+from .networks import Networks, seen
 from .subject import Subject
 
 
@@ -50,10 +50,10 @@ class Printed:
         return self.robust > self.C[2]
 
 
-def printed(subject: Subject, learner: Learner, ideal: dict[int, Ideal], force: Array) -> dict[int, Printed]:
+def printed(subject: Subject, learner: Networks, ideal: dict[int, Ideal], force: Array) -> dict[int, Printed]:
     """The printed bounds of every network (1 the base's, 2 the arm's); empty where kappa is 0; force (p,) is d."""
     controller, h = learner.controller, learner.controller.network.hidden
-    x = np.linalg.norm(said(learner, learner.start, subject.rows).inputs, axis=1)
+    x = np.linalg.norm(seen(learner, learner.start, subject.rows).inputs, axis=1)
     gain, parts = controller.feedback.vector(subject.layout), dict(learner.networks)
     s = {i: np.linalg.norm(subject.signal("z" if i == 1 else "r"), axis=1) for i in parts}
     numbers: dict[int, tuple[tuple[float, float, float, float], float, float]] = {}
@@ -80,7 +80,7 @@ def printed(subject: Subject, learner: Learner, ideal: dict[int, Ideal], force: 
     return found
 
 
-def follows(subject: Subject, learner: Learner, i: int) -> float:
+def follows(subject: Subject, learner: Networks, i: int) -> float:
     """c2 of the base's or c10 of the arm's network: largest factor from z, or r, to the input that depends on it."""
     signals, scale, k = learner.controller.inputs.signals, learner.controller.inputs.scale, subject.kinematic
     K, nb = k.arm_gains(subject.layout), subject.layout.base

@@ -59,7 +59,7 @@ class Proof:
         Raises:
             RecordingError: The controller has no networks.
         """
-        learner = self.subject.learner
+        learner = self.subject.networks
         if learner is None:
             why = f"{self.subject.controller} is no network of this package"
             raise RecordingError("no ideal weights", why=why, file=self.subject.recording.path)

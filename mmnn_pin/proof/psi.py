@@ -18,12 +18,11 @@ from ..metrics import halves
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
 from ..signals import Array, Layout
-from ..torque.network import numerical_rank
 from . import held_out as held
+from .features import Network, features_of
 from .fvu import START, error_in, fvu, fvu_in, windows
 from .learner import Learner, said
 from .payload import loaded, usual_payload
-from .rank import Excitation, effective_rank, excitation
 from .shares import shares, sizes
 from .subject import Subject
 
@@ -56,25 +55,6 @@ class Frozen:
 
 
 @dataclass(frozen=True, eq=False)
-class Network:
-    """The weights of one network at the end, and the activations that they had along the run.
-
-    Attributes:
-        name: `base` or `arm`.
-        ranks: Effective rank of W, V and what else there is of weights.
-        numerical: Numerical rank of the same.
-        singular: Singular values of the same.
-        excitation: Of the activations.
-    """
-
-    name: str
-    ranks: dict[str, float]
-    numerical: dict[str, int]
-    singular: dict[str, Array]
-    excitation: Excitation
-
-
-@dataclass(frozen=True, eq=False)
 class Psi:
     """What of Psi a run followed, and what its learner knows of it.
 
@@ -89,7 +69,7 @@ class Psi:
         sizes: Part of the torque to its RMS over that of the torque, (p,) each.
         frozen: Final weights held fixed, by name: `same`, `held_out`, `payload`; empty for a controller that learns
             nothing.
-        networks: Its networks; empty likewise.
+        networks: Its networks, or its regressor; empty likewise, and where it does not tell.
         weights_time: When the weights were taken [s].
         remarks: What could not be told, and why.
     """
@@ -171,27 +151,27 @@ def known(
     """What the final weights say; the networks; what could not be told."""
     show = progress or (lambda what, fraction: None)
     robot, remarks, where = subject.robot, list[str](), subject.layout.where
-    rows = subject.rows[:: -(-len(subject.rows) // MOST)]
+    every = -(-len(subject.rows) // MOST)
+    rows = subject.rows[::every]
     time = rows[:, where("time")][:, 0]
     show("frozen weights", 0.1)
-    visited = said(learner, learner.end, rows)
-    frozen = {"same": Frozen("the run's own trajectory", time, rows[:, where("psi")], visited.psi_hat)}
+    visited = said(learner, learner.end, subject.rows, every)
+    frozen = {"same": Frozen("the run's own trajectory", time, rows[:, where("psi")], visited)}
     show("frozen weights", 0.3)
     try:
         wanted = held.held_out(subject)
-        seen = held.recorded_under_computed_torque(subject, robot, wanted, learner.controller.feedback)
+        seen = held.recorded_under_computed_torque(subject, robot, wanted, learner.feedback)
         show("frozen weights", 0.7)
-        told = said(learner, learner.end, seen).psi_hat
+        told = said(learner, learner.end, seen)
         frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], told)
     except InputError as error:
         remarks.append(f"no held-out trajectory: {' '.join(str(error).split())}")
     mass = usual_payload(robot) if payload is None else payload
     place = "at the arm's tip" if robot.joint_names else "on the base"
     truth = psi_along(loaded(robot, mass), rows, subject.layout)
-    frozen["payload"] = Frozen(f"the same with {mass:.3g} kg {place}", time, truth, visited.psi_hat)
+    frozen["payload"] = Frozen(f"the same with {mass:.3g} kg {place}", time, truth, visited)
     show("frozen weights", 1.0)
-    networks = [network_of(learner, i, visited.activations[i]) for i, _ in learner.networks]
-    return frozen, networks, remarks
+    return frozen, features_of(learner, rows), remarks
 
 
 def psi_along(robot: Robot, rows: Array, layout: Layout) -> Array:
@@ -204,15 +184,3 @@ def psi_along(robot: Robot, rows: Array, layout: Layout) -> Array:
         dynamics.refresh(position, nu)
         dynamics.refresh_psi(nu_ref, nudot_ref, psi)
     return found
-
-
-def network_of(learner: Learner, i: int, activations: Array) -> Network:
-    """Ranks and excitation of the i-th network."""
-    weights = {name[0]: W for name, W in learner.controller.weights(learner.end).items() if name.endswith(str(i))}
-    return Network(
-        name={1: "base", 2: "arm"}[i],
-        ranks={name: effective_rank(W) for name, W in weights.items()},
-        numerical={name: numerical_rank(W) for name, W in weights.items()},
-        singular={name: np.asarray(np.linalg.svd(W, compute_uv=False), float) for name, W in weights.items()},
-        excitation=excitation(activations),
-    )

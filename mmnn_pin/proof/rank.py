@@ -30,10 +30,11 @@ class Excitation:
         smallest: Smallest eigenvalue of the Gram matrix `mean sigma sigma'`: weights along its direction leave no trace
             in the output, however long one learns.
         largest: Its largest eigenvalue.
-        directions: Eigenvalues above 1e-6 of the largest: directions in which weights can be told from one another.
+        directions: Eigenvalues above a share of the largest: directions in which weights can be told from one another.
         units: Number of units.
         rank: Effective rank of the activations (N, h).
         singular: Their singular values, largest first.
+        visible: Share of the largest eigenvalue above which a direction counts.
     """
 
     smallest: float
@@ -42,6 +43,7 @@ class Excitation:
     units: int
     rank: float
     singular: Array
+    visible: float
 
 
 def excitation(activations: Array, visible: float = 1e-6) -> Excitation:
@@ -55,4 +57,5 @@ def excitation(activations: Array, visible: float = 1e-6) -> Excitation:
         units=len(values),
         rank=effective_rank(activations),
         singular=np.asarray(singular, float),
+        visible=visible,
     )

@@ -22,7 +22,8 @@ from ..sampled import HeldLoop, held_loop, viscous_friction
 from ..signals import Array
 from ..torque.controller import Memory
 from ..torque.neural import OneLayer
-from .learner import Learner, put
+from .networks import Networks
+from .rebuild import put
 from .subject import Subject
 
 PLACES = 12
@@ -62,9 +63,9 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
     Raises:
         RecordingError: The controller has no networks.
     """
-    learner = subject.learner
+    learner = subject.networks
     if learner is None:
-        why = f"{subject.controller} is no learner of this package"
+        why = f"{subject.controller} is no learner of the thesis"
         raise RecordingError("no condition on the rates", why=why, file=subject.recording.path)
     rows = learned_at(subject, learner, places)
     found = [judged(subject, learner, row, memory) for row, memory in rows]
@@ -73,7 +74,7 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
     return Rate(time, radii, without, share, limit, leakage(subject, learner))
 
 
-def learned_at(subject: Subject, learner: Learner, places: int) -> list[tuple[Array, Memory]]:
+def learned_at(subject: Subject, learner: Networks, places: int) -> list[tuple[Array, Memory]]:
     """Rows of a run at which its weights are recorded, with them."""
     snapshots, times = subject.recording.weights, subject.signal("time")[:, 0]
     if "time" not in snapshots or not len(snapshots["time"]):
@@ -87,7 +88,7 @@ def learned_at(subject: Subject, learner: Learner, places: int) -> list[tuple[Ar
     return found
 
 
-def judged(subject: Subject, learner: Learner, row: Array, memory: Memory) -> tuple[float, float, Array, float]:
+def judged(subject: Subject, learner: Networks, row: Array, memory: Memory) -> tuple[float, float, Array, float]:
     """Radius with and without the learner, shares of the gain, factor left; at a row (width,) and its weights."""
     where, layout = subject.layout.where, subject.layout
     L = kernel(learner, row, memory)
@@ -110,7 +111,7 @@ def judged(subject: Subject, learner: Learner, row: Array, memory: Memory) -> tu
     return radius(held, gain, L, first), without, share, factor(held, gain, L, first)
 
 
-def kernel(learner: Learner, row: Array, memory: Memory) -> Array:
+def kernel(learner: Networks, row: Array, memory: Memory) -> Array:
     """L (p, p): what one update adds to Psi_hat per s, at a row (width,) and the weights of a memory [N s/m, ...]."""
     controller, layout = learner.controller, learner.wiring.layout
     scale, offset = controller.inputs.affine(layout)
@@ -164,7 +165,7 @@ def factor(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
     return float(low)
 
 
-def leakage(subject: Subject, learner: Learner) -> Array:
+def leakage(subject: Subject, learner: Networks) -> Array:
     """Largest kappa F |s| per sample over a run, (2,) base and arm; of W and V the larger."""
     controller, layout = learner.controller, subject.layout
     into, per = controller.network_scales(layout)[0], 1.0

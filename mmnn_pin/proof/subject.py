@@ -18,7 +18,9 @@ from ..sensing import exact
 from ..signals import Array, Layout
 from ..timing import Timing
 from .given import Given
-from .learner import Learner, recorded_learner
+from .learner import Learner
+from .networks import Networks
+from .rebuild import recorded_learner
 
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
 
@@ -94,7 +96,12 @@ class Subject:
     @cached_property
     def learner(self) -> Learner | None:
         """The learner, or None where the controller of the run has none; errors as in `recorded_learner`."""
-        return recorded_learner(self.recording, self.layout)
+        return recorded_learner(self.recording, self.robot)
+
+    @property
+    def networks(self) -> Networks | None:
+        """The learner where it is one of the thesis, with networks; None otherwise; errors as of `learner`."""
+        return self.learner if isinstance(self.learner, Networks) else None
 
     @cached_property
     def given(self) -> Given:

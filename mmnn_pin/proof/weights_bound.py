@@ -18,7 +18,7 @@ import numpy as np
 
 from ..signals import Array
 from ..torque.neural import TwoLayer
-from .learner import Learner
+from .networks import Networks
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class WeightsBound:
         return math.hypot(self.W, self.V)
 
 
-def weights_bound(learner: Learner, i: int, s: Array, x: float, projection: float | None = None) -> WeightsBound:
+def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: float | None = None) -> WeightsBound:
     """Bounds for the i-th network (1 the base's, 2 the arm's).
 
     Args:

@@ -23,7 +23,8 @@ import numpy as np
 from ..signals import Array, IntArray
 from ..torque.neural import TwoLayer
 from .ideal import Ideal
-from .learner import Learner, Stepper
+from .learner import Stepper
+from .networks import Networks
 
 LOST = 1e-3  # relative difference of Psi_hat beyond which stepping again makes no sense
 
@@ -73,7 +74,7 @@ class Network:
     scale_out: Array
 
     @classmethod
-    def of(cls, learner: Learner, i: int, part: slice, ideal: Ideal) -> Network:
+    def of(cls, learner: Networks, i: int, part: slice, ideal: Ideal) -> Network:
         """The i-th network of a learner."""
         controller, h = learner.controller, learner.wiring.control_period
         rate_W, rate_V, leakage = controller.network.rates(i - 1, controller.leakage)
@@ -106,7 +107,7 @@ class Network:
 
 
 def weights_part(
-    learner: Learner,
+    learner: Networks,
     ideal: dict[int, Ideal],
     rows: Array,
     at: IntArray,
@@ -122,7 +123,7 @@ def weights_part(
         progress: Called now and then with the fraction done.
     """
     layout, controller, h = learner.wiring.layout, learner.controller, learner.wiring.control_period
-    stepper = Stepper(controller, learner.wiring, learner.start.snapshot())
+    stepper = Stepper(learner, learner.start.snapshot())
     memory, first = stepper.memory, controller.update == "before_output"
     networks = {i: Network.of(learner, i, part, ideal[i]) for i, part in learner.networks}
     psi, recorded = layout.where("psi"), rows[:, layout.where("psi_hat")]

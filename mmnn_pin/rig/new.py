@@ -14,6 +14,7 @@ from ..model.robot import Robot
 from ..sensing.encoders import DEPTH
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, Memory
+from ..torque.learning_law import LearningLaw
 from .parts import Rig
 
 if TYPE_CHECKING:
@@ -163,7 +164,7 @@ def stopping_gains(loop: Loop) -> Array:
 
     In the latter case `G M^-1` has no eigenvalue beyond half of what would be deadbeat in one control period.
     """
-    if isinstance(loop.controller, CompiledController):
+    if isinstance(loop.controller, CompiledController | LearningLaw):
         return loop.controller.feedback_gain(loop.robot.layout)
     M = Dynamics(loop.nominal or loop.robot).mass_matrix(loop.robot.neutral_position())
     fastest = float(np.linalg.eigvals(np.linalg.solve(M, np.diag(np.diag(M)))).real.max())

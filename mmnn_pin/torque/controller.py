@@ -33,12 +33,14 @@ class Wiring:
         control_period: Time between two control samples [s].
         samples: Number of control samples of the run.
         rng: The controller's own random generator, split from the run's seed.
+        regressor: How the robot moves (`model.regressor.Regressor`), for a `LearningLaw` that asks for it; else None.
     """
 
     layout: Layout
     control_period: float
     samples: int
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    regressor: Any = None
 
 
 @dataclass
@@ -119,10 +121,11 @@ class TorqueController(ABC):
     @abstractmethod
     def step(
         self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, memory: Any
-    ) -> Array:
+    ) -> Array | tuple[Array, Array]:
         """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
 
-        The records are views that change at the next sample: copy what you keep. `memory` is what `init` returned.
+        Or the torque and what of it is an estimate of Psi, (p,), which is recorded, so that it can be judged. The
+        records are views that change at the next sample: copy what you keep. `memory` is what `init` returned.
         """
 
     def weights(self, memory: Any) -> dict[str, Array]:

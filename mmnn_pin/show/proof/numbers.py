@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 
 from ...proof.balance import TOLERANCE, Balance
+from ...proof.features import Network
 from ...proof.fvu import worst
 from ...proof.growth import Growth
 from ...proof.ideal import Ideal
 from ...proof.lyapunov import Lyapunov
 from ...proof.proof import Proof
-from ...proof.psi import Network, Psi
+from ...proof.psi import Psi
 from ...signals import Array
 
 NAMES = {1: "base", 2: "arm"}
@@ -64,7 +65,7 @@ def network_dict(network: Network) -> dict[str, Any]:
     """Ranks and excitation of a network."""
     found = network.excitation
     return {
-        "effective_rank": {**network.ranks, "activations": found.rank},
+        "effective_rank": {**network.ranks, network.what: found.rank},
         "numerical_rank": network.numerical,
         "units": found.units,
         "gram_smallest": number(found.smallest),

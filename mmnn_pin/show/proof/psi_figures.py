@@ -28,6 +28,7 @@ MARKERS = {"same": "o", "held_out": "^", "payload": "s"}
 PARTS = {"feedback": "feedback", "network": r"network, $\hat\Psi$", "robust": "robust term"}
 SHADES = {"feedback": "#999999", "network": "#0072B2", "robust": "#D55E00"}
 FLOOR = 1e-17
+OF = {"base": "base's network", "arm": "arm's network", "all": "all velocities"}
 
 
 @styled
@@ -142,24 +143,26 @@ def ranks_figure(recordings: Recordings) -> Figure:
     proofs = {n: p for n, p in having(recordings, "psi", "ranks").items() if p.psi.networks}
     if not proofs:
         raise RecordingError("nothing to plot for ranks", why="no controller of these runs has networks")
-    first = next(iter(proofs.values())).psi.networks
+    names = list(dict.fromkeys(network.name for proof in proofs.values() for network in proof.psi.networks))
     kinds = sorted({kind for proof in proofs.values() for n in proof.psi.networks for kind in n.singular}, reverse=True)
-    figure = new_figure(3.0 * (len(kinds) + 1) + 0.6, 2.2 * len(first) + 1.2)
-    grid = figure.subplots(len(first), len(kinds) + 1, sharey=True, squeeze=False)
+    whats = list(dict.fromkeys(network.what for proof in proofs.values() for network in proof.psi.networks))
+    figure = new_figure(3.0 * (len(kinds) + len(whats)) + 0.6, 2.2 * len(names) + 1.2)
+    grid = figure.subplots(len(names), len(kinds) + len(whats), sharey=True, squeeze=False)
     styles = styles_of(recordings)
-    for row, i in zip(grid, range(len(first)), strict=True):
-        row[0].set_ylabel(f"{first[i].name}'s network")
-        for name, proof in proofs.items():
-            network = proof.psi.networks[i]
-            spectra = {**network.singular, "activations": network.excitation.singular}
-            for axes, kind in zip(row, [*kinds, "activations"], strict=True):
+    for name, proof in proofs.items():
+        for network in proof.psi.networks:
+            row = grid[names.index(network.name)]
+            spectra = {**network.singular, network.what: network.excitation.singular}
+            for axes, kind in zip(row, [*kinds, *whats], strict=True):
                 if kind in spectra and spectra[kind].any():
                     values = np.maximum(spectra[kind] / spectra[kind][0], FLOOR)
                     look = {**line_of(styles[name]), "marker": ".", "linewidth": 1.0}
                     axes.plot(np.arange(1, len(values) + 1), values, **look)
                 axes.set_yscale("log")
-    for axes, kind in zip(grid[0], [*kinds, "activations"], strict=True):
-        axes.set_title({"W": "W", "V": "V"}.get(kind, kind))
+    for row, which in zip(grid, names, strict=True):
+        row[0].set_ylabel(OF.get(which, which))
+    for axes, kind in zip(grid[0], [*kinds, *whats], strict=True):
+        axes.set_title(plain(kind))
     for axes in grid.flat:
         axes.xaxis.get_major_locator().set_params(integer=True)
     for axes in grid[-1]:

@@ -111,20 +111,19 @@ def component_table(title: str, psi: Psi, columns: Mapping[str, Array]) -> Table
 def network_table(proof: Proof) -> Table:
     """Ranks, excitation and ideal weights: a column per network."""
     networks = {network.name: network for network in proof.psi.networks}
+    first = next(iter(networks.values()))
     table = Table(box=SIMPLE_HEAD, padding=0)
-    table.add_column("Networks", overflow="fold")
+    table.add_column("Networks" if first.what == "activations" else "Learner", overflow="fold")
     for name in networks:
         table.add_column(f"  {name}", justify="right", no_wrap=True)
-    first = next(iter(networks.values()))
     for weights in first.ranks:
         cells = (f"{number(n.ranks[weights])} of {len(n.singular[weights])}" for n in networks.values())
         table.add_row(f"effective rank of {weights}", *cells)
     found = [network.excitation for network in networks.values()]
-    table.add_row("effective rank of the activations", *(f"{number(e.rank)} of {e.units}" for e in found))
-    table.add_row(
-        "excited directions (eigenvalue > 1e-6 of the largest)", *(f"{e.directions} of {e.units}" for e in found)
-    )
-    table.add_row("smallest eigenvalue of the activations' Gram matrix", *(small(e.smallest) for e in found))
+    table.add_row(f"effective rank of the {first.what}", *(f"{number(e.rank)} of {e.units}" for e in found))
+    above = f"excited directions (eigenvalue > {first.excitation.visible:g} of the largest)"
+    table.add_row(above, *(f"{e.directions} of {e.units}" for e in found))
+    table.add_row(f"smallest eigenvalue of the Gram matrix of the {first.what}", *(small(e.smallest) for e in found))
     if proof.has("ideal"):
         table.add_section()
         ideal = list(proof.ideal.values())

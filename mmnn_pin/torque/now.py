@@ -1,0 +1,98 @@
+"""What a learning law is told at a control sample: what is measured and commanded, and what was sent last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..model.tree_regressor import measured, regress
+from ..signals import Array, Measurement, Reference, VelocityCommand
+from .controller import Wiring
+
+if TYPE_CHECKING:
+    from ..model.tree_regressor import Massless
+
+
+@dataclass(eq=False)
+class Now:
+    """One control sample. The arrays are overwritten at the next one: copy what you keep.
+
+    Attributes:
+        time: [s].
+        period: Control period [s].
+        s: (p,) error `[z; r] = nu_ref - nu`.
+        nu: (p,) measured velocities.
+        sent: (p,) torque of the control period that has just ended, as the motors were asked for it, supervisor
+            included; zeros at the start.
+        reference: What the robot should do.
+        measurement: What the sensors say: pose, velocity, q, qdot.
+        command: What the kinematic layer asks for: nu_ref, nudot_ref, alpha, the errors z, e, r ...
+    """
+
+    time: float
+    period: float
+    s: Array
+    nu: Array
+    sent: Array
+    reference: Reference
+    measurement: Measurement
+    command: VelocityCommand
+    _torque: Array
+    _known: Massless | None
+
+    @classmethod
+    def of(cls, row: Array, wiring: Wiring) -> Now:
+        """The samples of a row (width,)."""
+        layout, h = wiring.layout, wiring.control_period
+        views = (Reference.of(row, layout), Measurement.of(row, layout), VelocityCommand.of(row, layout))
+        known = None if wiring.regressor is None else wiring.regressor.workspace()
+        s, nu, sent = np.zeros((3, layout.dof))
+        return cls(0.0, h, s, nu, sent, *views, row[layout.where("torque")], known)
+
+    @property
+    def q(self) -> Array:
+        """Measured joint angles, (n,) [rad or m]."""
+        return self.measurement.q
+
+    @property
+    def nu_ref(self) -> Array:
+        """Reference velocities, (p,)."""
+        return self.command.nu_ref
+
+    @property
+    def nudot_ref(self) -> Array:
+        """Their time derivative, (p,)."""
+        return self.command.nudot_ref
+
+    @property
+    def regressor(self) -> Array:
+        """Y at this sample, (p, k): `Psi = Y theta`; for a law with `knows_motion`. A view.
+
+        Raises:
+            ConfigError: The law does not ask for it.
+        """
+        return self.regressor_at(self.q, self.nu, self.nu_ref, self.nudot_ref)
+
+    def regressor_at(self, q: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
+        """Y at other angles (n,) and velocities (p,), at the measured pose, (p, k); a view, as `regressor`.
+
+        Raises:
+            ConfigError: The law does not ask for it.
+        """
+        if self._known is None:
+            raise ConfigError("the law is not told how the robot moves", fix="write knows_motion = True in its class")
+        nb, q, nu = self._known.base, np.asarray(q, float), np.asarray(nu, float)
+        measured(self._known, self.measurement.pose, nu[:nb].copy(), q.copy(), nu[nb:].copy())
+        regress(self._known, np.array(nu_ref, float), np.array(nudot_ref, float))
+        return self._known.Y
+
+    def refresh(self, time: float) -> None:
+        """Take in a new sample of the row, before its torque is written."""
+        nb, command, measurement = len(self.command.z), self.command, self.measurement
+        self.time = time
+        self.s[:nb], self.s[nb:] = command.z, command.r
+        self.nu[:nb], self.nu[nb:] = measurement.velocity, measurement.qdot
+        self.sent[:] = self._torque
