@@ -10,6 +10,7 @@ from numpy.random import Generator
 
 from .errors import ConfigError, InputError
 from .model.dynamics import Dynamics
+from .model.reduction import as_measured
 from .model.regressor import Regressor
 from .model.robot import Robot
 from .rig import Rig, is_stopped, send
@@ -112,7 +113,7 @@ class Torque:
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
             if controller.uses_model:
-                self.model, self.arm_index = Dynamics(nominal), nominal.arm_index
+                self.model, self.arm_map = Dynamics(nominal), nominal.arm_map()
                 self.position, self.nu = nominal.neutral_position(), np.zeros(layout.dof)
 
     def step(self, time: float) -> None:
@@ -167,9 +168,7 @@ class Torque:
 
     def _model_psi(self, model: Dynamics) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""
-        measured, nb = self.measurement, self.measurement.velocity.size
-        self.position[: measured.pose.size] = measured.pose
-        self.position[self.arm_index] = measured.q
-        self.nu[:nb], self.nu[nb:] = measured.velocity, measured.qdot
+        m = self.measurement
+        as_measured(*self.arm_map, m.pose, m.velocity, m.q, m.qdot, self.position, self.nu)
         model.refresh(self.position, self.nu)
         model.refresh_psi(self.command.nu_ref, self.command.nudot_ref, self.psi_hat)

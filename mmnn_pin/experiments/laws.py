@@ -251,7 +251,7 @@ def line_of(kind: type) -> int | None:
 def known_law(name: str, digest: str) -> type[LearningLaw] | None:
     """A law that is defined in this process, by the name of its class; of several the one of that file's hash."""
     found: list[type[LearningLaw]] = []
-    left: list[type[LearningLaw]] = [LearningLaw]
+    left: list[Any] = [LearningLaw]
     while left:
         children = left.pop().__subclasses__()
         found += [kind for kind in children if kind.__name__ == name]

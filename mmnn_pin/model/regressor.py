@@ -64,9 +64,7 @@ class Regressor:
         model = with_any_inertias(robot.model)
         full = flatten(model, T, robot.neutral_position(), frame, absorb=False)
         theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base)
-        offset = robot.follow(place_arm(robot, 0.0))
-        columns = [robot.follow(place_arm(robot, 1.0, i)) - offset for i in range(layout.arm)]
-        arm = np.ascontiguousarray(np.reshape(columns, (layout.arm, layout.full)).T)
+        offset, arm = robot.arm_map()
         massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed)
         names = robot.full_velocity_names
         bodies = ("root",) * bool(layout.base) + tuple(names[i] for i in full.links[BASE.w + 1 :, 2])
@@ -207,14 +205,6 @@ def moving_joints(T: Array, base: int) -> NDArray[np.int64]:
     """Rows of T of the joints that move, without the root."""
     root = 3 if base else 0
     return root + np.flatnonzero(T[root:].any(axis=1))
-
-
-def place_arm(robot: Robot, value: float, only: int | None = None) -> Array:
-    """Position at rest, (nv,), with the arm's joints, or only one of them, at a value and the others at 0."""
-    position = robot.neutral_position()
-    position[robot.arm_index] = 0.0
-    position[robot.arm_index if only is None else robot.arm_index[only]] = value
-    return position
 
 
 def with_any_inertias(model: pin.Model, seed: int = 0) -> pin.Model:

@@ -10,12 +10,15 @@ import numpy as np
 
 from ..errors import InputError, RecordingError
 from ..recording import Recording
+from ..torque.adaptive import Adaptive
 from .balance import BUDGET, TOLERANCE, Balance, balance
 from .growth import Growth, growth
 from .ideal import Ideal, ideal_weights
 from .lyapunov import Lyapunov, lyapunov
+from .networks import Networks
 from .psi import WINDOWS, Psi, psi_of
 from .subject import Subject
+from .truth import Truth, true_parameters
 
 PARTS = ("psi", "ideal", "lyapunov", "balance")
 MISSED = 1e-6  # relative difference of Psi_hat beyond which the weights of a run are not its weights
@@ -53,17 +56,19 @@ class Proof:
         return psi_of(self.subject, self.payload, self.windows, self._progress)
 
     @cached_property
-    def ideal(self) -> dict[int, Ideal]:
-        """Ideal weights of the networks, see `ideal_weights`.
+    def ideal(self) -> dict[int, Ideal] | Truth:
+        """Ideal weights of the networks, see `ideal_weights`; the true parameters for an adaptive controller.
 
         Raises:
-            RecordingError: The controller has no networks.
+            RecordingError: The controller has neither.
         """
-        learner = self.subject.networks
-        if learner is None:
-            why = f"{self.subject.controller} is no network of this package"
-            raise RecordingError("no ideal weights", why=why, file=self.subject.recording.path)
-        return ideal_weights(self.subject, learner)
+        subject, learner = self.subject, self.subject.learner
+        if isinstance(learner, Networks):
+            return ideal_weights(subject, learner)
+        if learner is not None and isinstance(learner.controller, Adaptive):
+            return true_parameters(subject, learner)
+        why = f"{subject.controller} has no networks of this package, nor the robot's parameters"
+        raise RecordingError("no ideal weights", why=why, file=subject.recording.path)
 
     @cached_property
     def lyapunov(self) -> Lyapunov:

@@ -14,6 +14,7 @@ from ...proof.ideal import Ideal
 from ...proof.lyapunov import Lyapunov
 from ...proof.proof import Proof
 from ...proof.psi import Psi
+from ...proof.truth import Truth
 from ...signals import Array
 
 NAMES = {1: "base", 2: "arm"}
@@ -29,7 +30,7 @@ def to_dict(proof: Proof) -> dict[str, Any]:
         "robot": subject.robot.name,
         "outcome": recording.outcome.status,
         "psi": psi_dict(proof.psi) if proof.has("psi") else None,
-        "ideal": {NAMES[i]: ideal_dict(w) for i, w in proof.ideal.items()} if proof.has("ideal") else None,
+        "ideal": ideal_of(proof.ideal) if proof.has("ideal") else None,
         "lyapunov": lyapunov_dict(proof.lyapunov, proof.growth) if proof.has("lyapunov") else None,
         "equality": balance_dict(proof.balance) if proof.has("balance") else None,
         "holds": proof.holds,
@@ -72,6 +73,15 @@ def network_dict(network: Network) -> dict[str, Any]:
         "gram_largest": number(found.largest),
         "excited_directions": found.directions,
     }
+
+
+def ideal_of(ideal: dict[int, Ideal] | Truth) -> dict[str, Any]:
+    """Ideal weights by network, or the true parameters and the estimate's distance from them."""
+    if not isinstance(ideal, Truth):
+        return {NAMES[i]: ideal_dict(weights) for i, weights in ideal.items()}
+    ends = {name: {"start": number(v[0]), "end": number(v[1])} for name, v in ideal.parts.items()}
+    eps = [number(value) for value in ideal.eps]
+    return {"parameters": {"theta": ideal.theta.tolist(), "known": ideal.known, "eps": eps, "distance": ends}}
 
 
 def ideal_dict(ideal: Ideal) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from ...proof.growth import Growth
 from ...proof.lyapunov import TERMS, Lyapunov
 from ...proof.proof import Proof
 from ...proof.psi import Psi
+from ...proof.truth import Truth
 from ...signals import Array
 from ..table import WIDTH, number
 
@@ -126,6 +127,12 @@ def network_table(proof: Proof) -> Table:
     table.add_row(f"smallest eigenvalue of the Gram matrix of the {first.what}", *(small(e.smallest) for e in found))
     if proof.has("ideal"):
         table.add_section()
+        if isinstance(proof.ideal, Truth):
+            for part, (start, end) in proof.ideal.parts.items():
+                cell = f"{number(start)} to {number(end)}"
+                table.add_row(f"distance in V from the true parameters, {part}, start to end", cell)
+            table.add_row("largest |Psi - Y theta| of the true ones [N, N m]", number(proof.ideal.eps.max()))
+            return table
         ideal = list(proof.ideal.values())
         table.add_row("|Z| learned", *(number(w.learned_norm) for w in ideal))
         table.add_row("|Z*| of the ideal weights, fitted offline", *(number(w.norm) for w in ideal))
