@@ -31,6 +31,10 @@ class LeastSquares(LearningLaw):
         memory["R"] = (self.noise * self.feedback.vector(wiring.layout)) ** 2 / (self.pole * wiring.control_period)
         return memory
 
+    def features(self, now, memory):
+        """What the weights are multiplied with; the monitors look at its excitation."""
+        return now.regressor
+
     def estimate(self, now, memory):
         """Psi_hat of this sample."""
         return now.regressor @ memory["theta"]

@@ -135,6 +135,14 @@ class Torque:
             estimate(self.row, self.at, self.law.adaptation, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
 
+    def features(self) -> Array | None:
+        """What the weights were multiplied with at the last step, (rows, k) or (k,); None where it is not told."""
+        if isinstance(self.controller, LearningLaw):
+            return self.controller.features(self.now, self.memory)
+        if isinstance(self.controller, CompiledController):
+            return self.controller.features(self.law, self.memory)
+        return None
+
     def _python(self, time: float, controller: TorqueController) -> None:
         """Torque of a controller in plain Python, and its Psi_hat if it tells one."""
         answer = controller.step(time, self.reference, self.measurement, self.command, self.memory)

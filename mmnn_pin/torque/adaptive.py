@@ -172,6 +172,10 @@ class Adaptive(CompiledController):
         named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
         return {"feedback": plain(self.feedback), "adapting": plain(self.adapting)} | named
 
+    def features(self, law: Law, memory: Memory) -> Array | None:
+        """Y, (p, k)."""
+        return None if law.adaptation is None else law.adaptation.known.Y
+
     def findings(self, memory: Memory) -> list[str]:
         """Says when the run did not excite all that matters: then the estimate tracks, but is no knowledge."""
         gram, (mean, basis) = memory["gram"], self.identifiable

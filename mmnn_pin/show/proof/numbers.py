@@ -11,6 +11,7 @@ from ...proof.features import Network
 from ...proof.fvu import worst
 from ...proof.growth import Growth
 from ...proof.ideal import Ideal
+from ...proof.linear_fit import LinearFit
 from ...proof.lyapunov import Lyapunov
 from ...proof.proof import Proof
 from ...proof.psi import Psi
@@ -75,13 +76,17 @@ def network_dict(network: Network) -> dict[str, Any]:
     }
 
 
-def ideal_of(ideal: dict[int, Ideal] | Truth) -> dict[str, Any]:
-    """Ideal weights by network, or the true parameters and the estimate's distance from them."""
+def ideal_of(ideal: dict[int, Ideal] | Truth | LinearFit) -> dict[str, Any]:
+    """Ideal weights by network; true parameters and the estimate's distance from them; best fixed weights."""
+    if isinstance(ideal, LinearFit):
+        ends = {"start": number(ideal.distance[0]), "end": number(ideal.distance[1])}
+        eps, left = ([number(value) for value in values] for values in (ideal.eps, ideal.unexplained))
+        return {"linear": {"norm": number(ideal.norm), "distance": ends, "eps": eps, "fvu": left}}
     if not isinstance(ideal, Truth):
         return {NAMES[i]: ideal_dict(weights) for i, weights in ideal.items()}
-    ends = {name: {"start": number(v[0]), "end": number(v[1])} for name, v in ideal.parts.items()}
+    parts = {name: {"start": number(v[0]), "end": number(v[1])} for name, v in ideal.parts.items()}
     eps = [number(value) for value in ideal.eps]
-    return {"parameters": {"theta": ideal.theta.tolist(), "known": ideal.known, "eps": eps, "distance": ends}}
+    return {"parameters": {"theta": ideal.theta.tolist(), "known": ideal.known, "eps": eps, "distance": parts}}
 
 
 def ideal_dict(ideal: Ideal) -> dict[str, Any]:

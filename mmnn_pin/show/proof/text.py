@@ -12,6 +12,7 @@ from rich.table import Table
 from ...proof.balance import TOLERANCE, Balance
 from ...proof.fvu import worst
 from ...proof.growth import Growth
+from ...proof.linear_fit import LinearFit
 from ...proof.lyapunov import TERMS, Lyapunov
 from ...proof.proof import Proof
 from ...proof.psi import Psi
@@ -132,6 +133,13 @@ def network_table(proof: Proof) -> Table:
                 cell = f"{number(start)} to {number(end)}"
                 table.add_row(f"distance in V from the true parameters, {part}, start to end", cell)
             table.add_row("largest |Psi - Y theta| of the true ones [N, N m]", number(proof.ideal.eps.max()))
+            return table
+        if isinstance(proof.ideal, LinearFit):
+            start, end = proof.ideal.distance
+            table.add_row("|W*| of the best fixed weights, fitted offline", number(proof.ideal.norm))
+            table.add_row("|W* - W| from start to end", f"{number(start)} to {number(end)}")
+            table.add_row("largest error of the best fixed weights [N, N m]", number(proof.ideal.eps.max()))
+            table.add_row("FVU of the best fixed weights (worst component)", number(proof.ideal.unexplained.max()))
             return table
         ideal = list(proof.ideal.values())
         table.add_row("|Z| learned", *(number(w.learned_norm) for w in ideal))
