@@ -29,7 +29,8 @@ class LinearFit:
         norm: |W|.
         eps: (p,) largest `|Psi - Psi_0 - Phi W|` on the visited set [N, N m].
         unexplained: (p,) fraction of variance that they leave.
-        distance: |W - learned weights| at the start and at the end, (2,); NaN where the weights are kept otherwise.
+        distance: How far the run's weights are from them at its start and end, (2,): RMS of `Phi (W - W_run)` over the
+            standard deviation of Psi; NaN where the weights are kept otherwise.
     """
 
     W: Array
@@ -46,9 +47,8 @@ def linear_fit(subject: Subject, learner: Learner) -> LinearFit | None:
         return None
     psi, rows = subject.signal("psi")[told.at], told.Phi.shape[1]
     m = 1 if rows > 1 else psi.shape[1]
-    ends = [
-        of_shape(learner.controller.weights(memory), told.Phi.shape[2], m) for memory in (learner.start, learner.end)
-    ]
+    weights = map(learner.controller.weights, (learner.start, learner.end))
+    ends = [of_shape(arrays, told.Phi.shape[2], m) for arrays in weights]
     known = 0.0 if ends[1] is None else told.psi_hat - (told.Phi @ ends[1]).reshape(psi.shape)
     target, scale = psi - known, np.sqrt(variances(psi))
     if rows == 1:
@@ -62,8 +62,13 @@ def linear_fit(subject: Subject, learner: Learner) -> LinearFit | None:
         norm=float(np.linalg.norm(W)),
         eps=np.abs(left).max(axis=0),
         unexplained=(left**2).mean(axis=0) / variances(psi),
-        distance=np.array([np.nan if end is None else np.linalg.norm(W - end) for end in ends]),
+        distance=np.array([np.nan if W_run is None else away(told.Phi @ (W - W_run), scale) for W_run in ends]),
     )
+
+
+def away(difference: Array, scale: Array) -> float:
+    """RMS of a difference in Psi_hat (n, rows, m), each component over its scale (p,)."""
+    return float(np.sqrt(((difference.reshape(-1, scale.size) / scale) ** 2).mean()))
 
 
 def least_squares(table: Array, target: Array) -> Array:

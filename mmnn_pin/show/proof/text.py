@@ -137,7 +137,7 @@ def network_table(proof: Proof) -> Table:
         if isinstance(proof.ideal, LinearFit):
             start, end = proof.ideal.distance
             table.add_row("|W*| of the best fixed weights, fitted offline", number(proof.ideal.norm))
-            table.add_row("|W* - W| from start to end", f"{number(start)} to {number(end)}")
+            table.add_row("their Psi_hat against the run's, over Psi's deviation", f"{number(start)} to {number(end)}")
             table.add_row("largest error of the best fixed weights [N, N m]", number(proof.ideal.eps.max()))
             table.add_row("FVU of the best fixed weights (worst component)", number(proof.ideal.unexplained.max()))
             return table
