@@ -11,6 +11,7 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast, get_type_hints
@@ -225,6 +226,16 @@ def read_module(name: str) -> Any:
         found = told(error, f"no module '{name}'", None)
         found.fix = "name a file as FILE.py:Class, or an installed module as package.module:Class"
         raise found from error
+
+
+def digest_of(spec: str) -> str:
+    """Hash of the file of a class, which is not run; empty where it cannot be read."""
+    found = SPEC.fullmatch(spec)
+    place = "" if found is None else found["place"]
+    with suppress(OSError, ImportError, AttributeError, TypeError, ValueError):
+        file = place if place.endswith(".py") else importlib.util.find_spec(place).origin  # type: ignore[union-attr]
+        return sha256(Path(file).read_bytes())  # type: ignore[arg-type]
+    return ""
 
 
 def own_classes(module: Any) -> Iterator[str]:

@@ -126,6 +126,18 @@ class Regressor:
         kept = vectors[:, values > RANK * values[-1]] / scale[:, None]
         return np.asarray(np.linalg.qr(kept)[0])
 
+    def unit(self, samples: int = 200, seed: int = 0) -> Array:
+        """The same directions scaled so that random motion excites each with 1, (k, number of base parameters).
+
+        With these columns W, `W' gram() W = 1`, and the eigenvalues of `W' G W` are the excitation of a motion whose
+        mean `Y' Y` is G, relative to random motion.
+        """
+        gram = self.gram(samples, seed)
+        scale = 1.0 / np.sqrt(np.where(np.diag(gram) > 0, np.diag(gram), 1.0))
+        values, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
+        kept = values > RANK * values[-1]
+        return np.asarray(scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))
+
     def random_position(self, rng: np.random.Generator) -> Array:
         """A pose and an arm somewhere, slaves with their masters, (nv,)."""
         m = self.massless

@@ -107,6 +107,4 @@ def linear_of(learner: Learner, Phi: Array) -> Network:
     regressor = learner.wiring.regressor or getattr(learner.controller, "regressor", None)
     if not isinstance(regressor, Regressor) or regressor.size != k or rows == 1:
         return Network.of("all", "features", weights, excitation(table))
-    mean, basis = regressor.gram(), regressor.identifiable()
-    white = basis @ np.linalg.inv(np.linalg.cholesky(basis.T @ mean @ basis)).T
-    return Network.of("all", "regressor", weights, excitation(table @ white, EXCITED))
+    return Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED))

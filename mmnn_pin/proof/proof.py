@@ -66,7 +66,7 @@ class Proof:
         subject, learner = self.subject, self.subject.learner
         if isinstance(learner, Networks):
             return ideal_weights(subject, learner)
-        if learner is not None and isinstance(learner.controller, Adaptive):
+        if learner is not None and isinstance(learner.controller, Adaptive) and learner.controller.name == "adaptive":
             return true_parameters(subject, learner)
         fit = None if learner is None else linear_fit(subject, learner)
         if fit is not None:

@@ -87,7 +87,7 @@ def true_parameters(subject: Subject, learner: Learner) -> Truth:
         "bodies": distances(numbers, theta, ends, slice(0, first)),
         "friction": distances(numbers, theta, ends, slice(first, None)),
     }
-    known = controller.identifiable[1].shape[1]
+    known = controller.unit.shape[1]
     return Truth(theta, known, np.abs(eps).max(axis=0), parts["bodies"] + parts["friction"], parts)
 
 
