@@ -14,7 +14,7 @@ import numpy as np
 from .compiled import compiled, copy_to
 from .disturbance.effects import BRAKE, EARLY, mark
 from .model.dynamics import Dynamics
-from .model.reduction import friction, quadratic, spread
+from .model.reduction import as_measured, friction, quadratic, spread
 from .model.robot import Robot
 from .model.tree import flatten
 from .model.tree_dynamics import potential_energy, psi_again, terms
@@ -37,7 +37,7 @@ POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
 
 
 class Body(NamedTuple):
-    """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and base (p,)."""
+    """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and base (p,), `Robot.arm_map`."""
 
     tree: Tree
     T: Array
@@ -47,6 +47,8 @@ class Body(NamedTuple):
     arm: IntArray
     base: int
     feels_gravity: bool
+    offset: Array
+    columns: Array
 
 
 class Work(NamedTuple):
@@ -114,6 +116,7 @@ def new_body(robot: Robot) -> Body:
     """
     frame = robot.frame if robot.layout.base else np.zeros(3)
     tree = flatten(robot.model, robot.T, robot.neutral_position(), tuple(frame))
+    offset, columns = robot.arm_map()
     return Body(
         tree=tree,
         T=np.array(robot.T),
@@ -123,6 +126,8 @@ def new_body(robot: Robot) -> Body:
         arm=np.array(robot.arm_index),
         base=robot.layout.base,
         feels_gravity=Dynamics(robot).feels_gravity,
+        offset=offset,
+        columns=columns,
     )
 
 
@@ -142,20 +147,6 @@ def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
     friction(body.T, work.v, nu, body.damping, body.dry, body.viscous, work.F)
     for i in range(nu.size):
         work.h[i] += work.F[i]
-
-
-@compiled
-def as_measured(row: Array, at: IntArray, arm: IntArray, base: int, y: Array) -> None:
-    """Measured position and velocity into y (nv + p + 1,), other joints as they are there."""
-    pose, velocity = row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
-    q, qdot = row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]]
-    nu = y[y.size - 1 - base - q.size :]
-    for i in range(pose.size):
-        y[i] = pose[i]
-    for i in range(base):
-        nu[i] = velocity[i]
-    for i in range(q.size):
-        y[arm[i]], nu[base + i] = q[i], qdot[i]
 
 
 @compiled
@@ -209,7 +200,10 @@ def advance(
             now, asked = False, not is_stopped(rig)
         before_torque(row, at, k * plan.h, y, blocks.table[k], now, body.arm, blocks.gains, blocks.K)
         if asked and plan.uses_model:
-            as_measured(row, at, nominal.arm, nominal.base, nominal_y)
+            as_measured(
+                nominal.offset, nominal.columns, row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[Q]],
+                row[at[Q] : at[QDOT]], row[at[QDOT] : at[QDOT + 1]], nominal_y[:nv], nominal_y[nv : nv + p],
+            )  # fmt: skip
             evaluate(nominal, nominal_work, nominal_y[:nv], nominal_y[nv : nv + p])
             psi_again(nominal.tree, nominal_y[:nv], nu_ref, nudot_ref, nominal_work.scratch, psi_hat)
             for i in range(p):

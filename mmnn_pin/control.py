@@ -10,6 +10,7 @@ from numpy.random import Generator
 
 from .errors import ConfigError, InputError
 from .model.dynamics import Dynamics
+from .model.reduction import as_measured
 from .model.regressor import Regressor
 from .model.robot import Robot
 from .rig import Rig, is_stopped, send
@@ -113,7 +114,7 @@ class Torque:
             self.law = controller.law(wiring)
             if controller.uses_model:
                 nominal = controller.model or nominal
-                self.model, self.arm_index = Dynamics(nominal), nominal.arm_index
+                self.model, self.arm_map = Dynamics(nominal), nominal.arm_map()
                 self.position, self.nu = nominal.neutral_position(), np.zeros(layout.dof)
 
     def step(self, time: float) -> None:
@@ -134,6 +135,14 @@ class Torque:
         if self.law.adaptation is not None:
             estimate(self.row, self.at, self.law.adaptation, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
+
+    def features(self) -> Array | None:
+        """What the weights were multiplied with at the last step, (rows, k) or (k,); None where it is not told."""
+        if isinstance(self.controller, LearningLaw):
+            return self.controller.features(self.now, self.memory)
+        if isinstance(self.controller, CompiledController):
+            return self.controller.features(self.law, self.memory)
+        return None
 
     def _python(self, time: float, controller: TorqueController) -> None:
         """Torque of a controller in plain Python, and its Psi_hat if it tells one."""
@@ -168,9 +177,7 @@ class Torque:
 
     def _model_psi(self, model: Dynamics) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""
-        measured, nb = self.measurement, self.measurement.velocity.size
-        self.position[: measured.pose.size] = measured.pose
-        self.position[self.arm_index] = measured.q
-        self.nu[:nb], self.nu[nb:] = measured.velocity, measured.qdot
+        m = self.measurement
+        as_measured(*self.arm_map, m.pose, m.velocity, m.q, m.qdot, self.position, self.nu)
         model.refresh(self.position, self.nu)
         model.refresh_psi(self.command.nu_ref, self.command.nudot_ref, self.psi_hat)

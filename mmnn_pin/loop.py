@@ -172,6 +172,18 @@ class Loop:
         position, nu = finite("state", position, (layout.full,)), finite("state", nu, (layout.dof,))
         return self._engine(table, position, nu, memory, rig_memory)
 
+    def rehearse(self) -> None:
+        """Ask a controller in plain Python at two samples, with a memory that is dropped: what fails, fails now.
+
+        Raises:
+            InputError: It fails, or returns something of another shape; what `engine_at` refuses.
+        """
+        engine = self.engine_at()
+        assert isinstance(engine, OrdinaryLoop)
+        engine.control.rig = None
+        for k in range(min(2, self.timing.samples)):
+            engine.control.step(k, k * self.timing.control_period, engine.plant.y, engine.table[k], True)
+
     def judged(self, outcome: Outcome, memory: Any) -> Outcome:
         """An outcome whose message also tells what the controller's memory shows after the run."""
         if outcome.status == "interrupted" or not isinstance(self.controller, CompiledController):

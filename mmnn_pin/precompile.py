@@ -14,9 +14,9 @@ import sys
 import numpy as np
 
 from .compiled import cache_folder, is_warm
-from .compiled_loop import as_measured, body_of, evaluate, new_work
+from .compiled_loop import body_of, evaluate, new_work
 from .metrics import accumulate
-from .model.reduction import quadratic
+from .model.reduction import as_measured, quadratic
 from .model.robot import load
 from .model.tree_dynamics import potential_energy, psi_again
 from .plant.integrators import derivative, euler, rk4_stage
@@ -68,7 +68,8 @@ def call_plant_blocks() -> None:
     layout, body = robot.layout, body_of(robot)
     work, nv, p = new_work(body), layout.full, layout.dof
     row, y, nu = layout.new_row(), np.concatenate((robot.neutral_position(), np.zeros(p + 1))), np.zeros(p)
-    as_measured(row, layout.offsets, body.arm, body.base, y)
+    pose, velocity, q, qdot = (row[layout.where(name)] for name in ("pose", "velocity", "q", "qdot"))
+    as_measured(body.offset, body.columns, pose, velocity, q, qdot, y[:nv], y[nv : nv + p])
     evaluate(body, work, y[:nv], y[nv : nv + p])
     psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
     potential_energy(body.tree, y[:nv], work.scratch)

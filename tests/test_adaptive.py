@@ -381,7 +381,7 @@ def test_an_experiment_makes_it():
     robot = experiment.load_robot()
     controller = experiment.controller("adaptive", robot=robot)
     assert controller.adapting.rate == 7 and controller.notes == [
-        f"adaptive: {controller.identifiable[1].shape[1]} combinations of its 64 parameters matter on this robot"
+        f"adaptive: {controller.unit.shape[1]} combinations of its 64 parameters matter on this robot"
     ]
     np.testing.assert_allclose(controller.nominal[0], 0.5 * parameters(robot)[0])
     other = load_experiment("track", ["adaptive.initial=nominal", "nominal.robot=two_axis_arm"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import click
 
@@ -19,6 +19,28 @@ def shared(function: F) -> F:
     debug = click.option("--debug", is_flag=True, expose_value=False, help="Show the traceback of an error.")
     as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout, nothing else.")
     return as_json(debug(function))
+
+
+def law(function: F) -> F:
+    """Add the option that names the file of a learning law; it is run before the command."""
+    text = (
+        "File of a learning law of yours, FILE.py or FILE.py:Class; it is run to judge the law's weights; repeatable."
+    )
+
+    @functools.wraps(function)
+    def loaded(*args: Any, **kwargs: Any) -> Any:
+        files = kwargs.pop("law_files")
+        if files:
+            from ..experiments.laws import load_class, read_file
+
+            for file in files:
+                if file.endswith(".py"):
+                    read_file(Path(file))
+                else:
+                    load_class(file)
+        return function(*args, **kwargs)
+
+    return cast(F, click.option("--law", "law_files", metavar="FILE", multiple=True, help=text)(loaded))
 
 
 def understanding(function: F) -> F:

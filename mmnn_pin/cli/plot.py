@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import ConfigError, RecordingError
-from .options import examples, shared
+from .options import examples, law, shared
 from .output import DONE, say, say_json
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ WHATS = (
 @click.option("--what", "whats", type=click.Choice(WHATS), multiple=True, default=("errors",), show_default=True)
 @click.option("--out", type=click.Path(path_type=Path), help="A .png, .svg or .pdf file, or a folder.  [default: .]")
 @click.option("--force", is_flag=True, help="Replace existing pictures.")
+@law
 @shared
 def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force: bool, as_json: bool) -> int:
     """Plot recordings side by side. RUN is a recording, or a folder with recordings."""

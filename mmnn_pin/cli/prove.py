@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from ..errors import InputError, RecordingError
-from .options import examples, numbers, shared
+from .options import examples, law, numbers, shared
 from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
 
 
@@ -19,6 +19,7 @@ from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
         "mmnn prove runs/track/two_layer.h5 --payload 3 --plots proof",
         "mmnn prove runs/certified/two_layer.h5 --disturbance v=5",
         "mmnn prove runs/chapter4/pd.h5 --every-period --json",
+        "mmnn prove runs/track/MyLaw.h5 --law my_law.py     a law of your own",
     ),
 )
 @click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
@@ -48,6 +49,7 @@ from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
 )
 @click.option("--plots", type=click.Path(path_type=Path), metavar="DIR", help="Write the figures to this folder.")
 @click.option("--force", is_flag=True, help="Replace existing figures.")
+@law
 @shared
 def prove(
     run: Path,

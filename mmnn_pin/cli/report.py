@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from .options import examples, shared
+from .options import examples, law, shared
 from .output import DONE, say, say_json
 from .plot import open_runs, study_of
 from .replay import by_name
@@ -29,6 +29,7 @@ from .replay import by_name
 @click.option(
     "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
 )
+@law
 @shared
 def report(
     runs: tuple[Path, ...], html: Path, force: bool, no_replay: bool, package_dirs: tuple[str, ...], as_json: bool

@@ -66,9 +66,25 @@ def study(
     compile_if_cold()
     if row is not None:
         return replay(plan, row, folder, force, as_json)
+    require_at_hand(plan, cluster)
     pool = choose(found, workers, processes, cluster)
     stopped = make(plan, found, folder, pool, force)
     return tell(folder, stopped, as_json)
+
+
+def require_at_hand(plan: Plan, cluster: str | None) -> None:
+    """Refuse controllers from files on a cluster: its workers get settings, no code.
+
+    Raises:
+        ConfigError: With the name of the first.
+    """
+    from ..errors import ConfigError
+
+    for name in plan.controllers if cluster is not None else ():
+        if ".py:" in str(plan.base.laws.get(name, {}).get("law", "")):
+            why = "workers elsewhere get settings, and no code"
+            fix = "install it there as a package, and name it package.module:Class"
+            raise ConfigError(f"the controller {name} is a file on this machine", why=why, fix=fix, key="--cluster")
 
 
 def choose(found: Probe, workers: int | None, processes: bool, cluster: str | None) -> AbstractContextManager[Pool]:

@@ -11,6 +11,7 @@ import inspect
 import re
 import sys
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast, get_type_hints
@@ -227,6 +228,16 @@ def read_module(name: str) -> Any:
         raise found from error
 
 
+def digest_of(spec: str) -> str:
+    """Hash of the file of a class, which is not run; empty where it cannot be read."""
+    found = SPEC.fullmatch(spec)
+    place = "" if found is None else found["place"]
+    with suppress(OSError, ImportError, AttributeError, TypeError, ValueError):
+        file = place if place.endswith(".py") else importlib.util.find_spec(place).origin  # type: ignore[union-attr]
+        return sha256(Path(file).read_bytes())  # type: ignore[arg-type]
+    return ""
+
+
 def own_classes(module: Any) -> Iterator[str]:
     """Controllers that are written in a module."""
     for name, value in vars(module).items():
@@ -251,7 +262,7 @@ def line_of(kind: type) -> int | None:
 def known_law(name: str, digest: str) -> type[LearningLaw] | None:
     """A law that is defined in this process, by the name of its class; of several the one of that file's hash."""
     found: list[type[LearningLaw]] = []
-    left: list[type[LearningLaw]] = [LearningLaw]
+    left: list[Any] = [LearningLaw]
     while left:
         children = left.pop().__subclasses__()
         found += [kind for kind in children if kind.__name__ == name]

@@ -16,6 +16,7 @@ from ..metrics import as_columns, metrics
 from ..model.robot import Robot
 from ..recording import Recording
 from ..reference import warnings
+from ..torque.controller import TorqueController
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
 from .fairness import unfair
@@ -178,6 +179,8 @@ def require_runnable(experiment: Experiment, robot: Robot) -> None:
             loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
             loop.require_stable_gains()
             loop.start.state(robot, loop.table()[0])
+            if isinstance(loop.controller, TorqueController):
+                loop.rehearse()
             if experiment.plant == "contact" or loop.robot.layout.rig or not loop.sensor.exact:
                 loop.engine_at()
 

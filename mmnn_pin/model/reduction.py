@@ -19,6 +19,36 @@ COULOMB_SPEED = 0.01
 
 
 @compiled
+def as_measured(
+    offset: Array, arm: Array, pose: Array, velocity: Array, q: Array, qdot: Array, position: Array, nu: Array
+) -> None:
+    """Position (nv,) and nu (p,) of a measurement, in place.
+
+    Slaves stand where their masters have them, and what is not measured (wheel angles) where it rests.
+
+    Args:
+        offset: (nv,) position where the arm's joints stand at 0.
+        arm: (nv, n) what each arm joint moves, itself and its slaves (see `Robot.arm_map`).
+        pose: (3,) measured pose, (0,) for a fixed arm.
+        velocity: (nb,) measured base velocity.
+        q: (n,) measured joints.
+        qdot: (n,) their rates.
+        position: Written.
+        nu: Written.
+    """
+    for i in range(offset.size):
+        position[i] = offset[i]
+        for j in range(q.size):
+            position[i] += arm[i, j] * q[j]
+    for i in range(pose.size):
+        position[i] = pose[i]
+    for i in range(velocity.size):
+        nu[i] = velocity[i]
+    for j in range(q.size):
+        nu[velocity.size + j] = qdot[j]
+
+
+@compiled
 def configuration(
     position: Array,
     nu: Array,

@@ -64,9 +64,7 @@ class Regressor:
         model = with_any_inertias(robot.model)
         full = flatten(model, T, robot.neutral_position(), frame, absorb=False)
         theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base)
-        offset = robot.follow(place_arm(robot, 0.0))
-        columns = [robot.follow(place_arm(robot, 1.0, i)) - offset for i in range(layout.arm)]
-        arm = np.ascontiguousarray(np.reshape(columns, (layout.arm, layout.full)).T)
+        offset, arm = robot.arm_map()
         massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed)
         names = robot.full_velocity_names
         bodies = ("root",) * bool(layout.base) + tuple(names[i] for i in full.links[BASE.w + 1 :, 2])
@@ -127,6 +125,18 @@ class Regressor:
         values, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
         kept = vectors[:, values > RANK * values[-1]] / scale[:, None]
         return np.asarray(np.linalg.qr(kept)[0])
+
+    def unit(self, samples: int = 200, seed: int = 0) -> Array:
+        """The same directions scaled so that random motion excites each with 1, (k, number of base parameters).
+
+        With these columns W, `W' gram() W = 1`, and the eigenvalues of `W' G W` are the excitation of a motion whose
+        mean `Y' Y` is G, relative to random motion.
+        """
+        gram = self.gram(samples, seed)
+        scale = 1.0 / np.sqrt(np.where(np.diag(gram) > 0, np.diag(gram), 1.0))
+        values, vectors = np.linalg.eigh(gram * np.outer(scale, scale))
+        kept = values > RANK * values[-1]
+        return np.asarray(scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))
 
     def random_position(self, rng: np.random.Generator) -> Array:
         """A pose and an arm somewhere, slaves with their masters, (nv,)."""
@@ -207,14 +217,6 @@ def moving_joints(T: Array, base: int) -> NDArray[np.int64]:
     """Rows of T of the joints that move, without the root."""
     root = 3 if base else 0
     return root + np.flatnonzero(T[root:].any(axis=1))
-
-
-def place_arm(robot: Robot, value: float, only: int | None = None) -> Array:
-    """Position at rest, (nv,), with the arm's joints, or only one of them, at a value and the others at 0."""
-    position = robot.neutral_position()
-    position[robot.arm_index] = 0.0
-    position[robot.arm_index if only is None else robot.arm_index[only]] = value
-    return position
 
 
 def with_any_inertias(model: pin.Model, seed: int = 0) -> pin.Model:

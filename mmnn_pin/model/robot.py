@@ -158,6 +158,21 @@ class Robot:
             position[names.index(name)] = slave.at(position[names.index(slave.master)])
         return position
 
+    def arm_map(self) -> tuple[Array, Array]:
+        """Position at rest with the arm's joints at 0, (nv,), and what each arm joint adds per unit, (nv, n).
+
+        A slave (mimic joint) moves with its master.
+        """
+        offset = self.neutral_position()
+        offset[self.arm_index] = 0.0
+        self.follow(offset)
+        columns = np.zeros((offset.size, self.layout.arm))
+        for i, place in enumerate(self.arm_index):
+            one = offset.copy()
+            one[place] = 1.0
+            columns[:, i] = self.follow(one) - offset
+        return offset, columns
+
     def with_masses(self, factors: float | Mapping[str, float]) -> Robot:
         """The same robot with the inertias of its moving bodies scaled (mass and rotational inertia alike).
 

@@ -18,6 +18,7 @@ import math
 from typing import NamedTuple
 
 from mmnn_pin.compiled import compiled
+from mmnn_pin.model.reduction import as_measured
 from mmnn_pin.model.tree_dynamics import psi_again
 from mmnn_pin.model.tree_motion import (
     AT,
@@ -72,17 +73,8 @@ class Massless(NamedTuple):
 
 @compiled
 def measured(known: Massless, pose: Array, velocity: Array, q: Array, qdot: Array) -> None:
-    """Position (nv,) and nu (p,) of a measurement; what is not measured (wheel angles) stands where it rests."""
-    for i in range(known.offset.size):
-        known.position[i] = known.offset[i]
-        for j in range(q.size):
-            known.position[i] += known.arm[i, j] * q[j]
-    for i in range(pose.size):
-        known.position[i] = pose[i]
-    for i in range(velocity.size):
-        known.nu[i] = velocity[i]
-    for j in range(q.size):
-        known.nu[known.base + j] = qdot[j]
+    """Position (nv,) and nu (p,) of a measurement, see `reduction.as_measured`."""
+    as_measured(known.offset, known.arm, pose, velocity, q, qdot, known.position, known.nu)
 
 
 @compiled

@@ -70,7 +70,7 @@ def certified_run(
         missing["certificate"] = sentence(error)
     try:
         rate = rate_of(subject)
-        if proof.has("ideal") and subject.networks is not None:
+        if proof.has("ideal") and subject.networks is not None and isinstance(proof.ideal, dict):
             bounds = printed(subject, subject.networks, proof.ideal, push_bound(subject) + force)
     except InputError as error:
         missing["rate"] = sentence(error)

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..signals import Array
-from ..torque.adaptive import EXCITED, Adaptive
+from ..model.regressor import Regressor
+from ..signals import Array, IntArray
+from ..torque.adaptive import EXCITED
 from ..torque.network import numerical_rank
 from .learner import Learner, Stepper
 from .networks import Networks, seen
@@ -59,9 +60,8 @@ def features_of(learner: Learner, rows: Array) -> list[Network]:
     if isinstance(learner, Networks):
         told = seen(learner, learner.end, rows)
         return [network_of(learner, i, told.activations[i]) for i, _ in learner.networks]
-    if isinstance(learner.controller, Adaptive):
-        return [regressor_of(learner, learner.controller, rows)]
-    return []
+    linear = along(learner, rows)
+    return [] if linear is None else [linear_of(learner, linear.Phi)]
 
 
 def network_of(learner: Networks, i: int, activations: Array) -> Network:
@@ -70,15 +70,41 @@ def network_of(learner: Networks, i: int, activations: Array) -> Network:
     return Network.of({1: "base", 2: "arm"}[i], "activations", weights, excitation(activations))
 
 
-def regressor_of(learner: Learner, controller: Adaptive, rows: Array) -> Network:
-    """Excitation of the regressor in the combinations that matter, against that of random motion."""
-    mean, basis = controller.identifiable
-    white = basis @ np.linalg.inv(np.linalg.cholesky(basis.T @ mean @ basis)).T
-    stepper = Stepper(learner, learner.end.snapshot(), learning=False)
-    known = stepper.torque.law.adaptation.known  # type: ignore[union-attr]
-    found = []
-    for row in rows[:: -(-len(rows) // MOST)]:
-        stepper.step(row)
-        found.append(known.Y @ white)
-    stacked = np.vstack(found) * np.sqrt(len(found[0]))  # the mean is over samples, not over the p rows of each
-    return Network.of("all", "regressor", {}, excitation(stacked, EXCITED))
+@dataclass(frozen=True, eq=False)
+class Along:
+    """A linear learner with fixed weights along a run.
+
+    Attributes:
+        at: (n,) the rows that are looked at.
+        Phi: (n, rows, k) features there.
+        psi_hat: (n, p) what it says there [N, N m].
+    """
+
+    at: IntArray
+    Phi: Array
+    psi_hat: Array
+
+
+def along(learner: Learner, rows: Array) -> Along | None:
+    """Features along a run (N, width); None where the learner does not tell them."""
+    stepper, found = Stepper(learner, learner.end.snapshot(), learning=False), list[tuple[Array, Array]]()
+    at = np.arange(0, len(rows), -(-len(rows) // MOST))
+    for row in rows[at]:
+        psi_hat = stepper.step(row).copy()
+        features = stepper.torque.features()
+        if features is None:
+            return None
+        found.append((np.array(np.atleast_2d(features), float), psi_hat))
+    Phi, said = zip(*found, strict=True)
+    return Along(at, np.array(Phi), np.array(said))
+
+
+def linear_of(learner: Learner, Phi: Array) -> Network:
+    """Excitation of features (n, rows, k); of a regressor in the combinations that matter, against random motion."""
+    _, rows, k = Phi.shape
+    table = Phi.reshape(-1, k) * np.sqrt(rows)  # the mean is over samples, not over the rows of each
+    weights = learner.controller.weights(learner.end)
+    regressor = learner.wiring.regressor or getattr(learner.controller, "regressor", None)
+    if not isinstance(regressor, Regressor) or regressor.size != k or rows == 1:
+        return Network.of("all", "features", weights, excitation(table))
+    return Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED))

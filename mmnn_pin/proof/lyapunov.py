@@ -19,6 +19,7 @@ from ..signals import Array
 from .errors import motion_energy, pose_of
 from .ideal import Ideal
 from .subject import Subject
+from .truth import Truth, estimate_part
 from .weights_part import weights_part
 
 MOST = 5000  # samples that are looked at, evenly spread
@@ -27,7 +28,8 @@ TERMS = {
     "coupling": "ex z1 + (sin ephi/ky) z2: the velocity error drives the pose; (3.19) drops it",
     "feedback": "-s' k s",
     "robust": "-s' Kz (|Z| + ZB) s",
-    "leakage": "kappa |s| tr(Zt' Z): the weights are pulled to zero",
+    "leakage": "kappa |s| tr(Zt' Z): the weights are pulled to zero, an estimate to its start",
+    "cut": "updates of the estimate that are cut to a share of the feedback",
     "remainder": "s' w: what of Psi - Psi_hat no update of the weights cancels",
     "sensors": "the controller's s is not the true one",
     "motors": "-s' (torque of the motors - torque asked for)",
@@ -35,7 +37,7 @@ TERMS = {
     "step": "the update of the weights is a step, not a flow",
     "hold": "torque and weights are held over a control period",
 }
-PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "remainder", "sensors", "motors", "push")
+PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "cut", "remainder", "sensors", "motors", "push")
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +77,7 @@ class Lyapunov:
 
 def lyapunov(
     subject: Subject,
-    ideal: dict[int, Ideal] | None = None,
+    ideal: dict[int, Ideal] | Truth | None = None,
     most: int = MOST,
     progress: Callable[[float], None] | None = None,
 ) -> Lyapunov:
@@ -83,8 +85,8 @@ def lyapunov(
 
     Args:
         subject: The run.
-        ideal: Ideal weights of its networks; without them the weights' part is left out, and `remainder` is all of
-            `s' (Psi - Psi_hat)`.
+        ideal: Ideal weights of its networks, or the true parameters of an adaptive controller; without them the
+            weights' part is left out, and `remainder` is all of `s' (Psi - Psi_hat)`.
         most: Samples to look at.
         progress: Called with the fraction done.
 
@@ -99,14 +101,18 @@ def lyapunov(
     true = subject.truth(rows)
     pose, motion = pose_of(subject, true), motion_energy(subject, true)
     weights = None
-    if ideal and subject.networks is not None:
+    if isinstance(ideal, Truth) and subject.learner is not None:
+        weights = estimate_part(subject, subject.learner, ideal, at, progress)
+    elif isinstance(ideal, dict) and subject.networks is not None:
         weights = weights_part(subject.networks, ideal, subject.rows, at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
     rates = powers(subject, rows[here], true[here], subject.given.torque[starts], subject.given.push[starts])
     terms = {"pose": pose.decay[here], "coupling": pose.coupling[here]} | rates
     if weights is not None:
-        terms |= {"leakage": weights.leakage[here], "remainder": weights.remainder[here], "step": weights.step[there]}
+        cut = np.broadcast_to(weights.cut, len(at))[here]
+        terms |= {"leakage": weights.leakage[here], "remainder": weights.remainder[here], "cut": cut}
+        terms["step"] = weights.step[there]
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed

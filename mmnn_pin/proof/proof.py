@@ -10,12 +10,16 @@ import numpy as np
 
 from ..errors import InputError, RecordingError
 from ..recording import Recording
+from ..torque.adaptive import Adaptive
 from .balance import BUDGET, TOLERANCE, Balance, balance
 from .growth import Growth, growth
 from .ideal import Ideal, ideal_weights
+from .linear_fit import LinearFit, linear_fit
 from .lyapunov import Lyapunov, lyapunov
+from .networks import Networks
 from .psi import WINDOWS, Psi, psi_of
 from .subject import Subject
+from .truth import Truth, true_parameters
 
 PARTS = ("psi", "ideal", "lyapunov", "balance")
 MISSED = 1e-6  # relative difference of Psi_hat beyond which the weights of a run are not its weights
@@ -53,23 +57,28 @@ class Proof:
         return psi_of(self.subject, self.payload, self.windows, self._progress)
 
     @cached_property
-    def ideal(self) -> dict[int, Ideal]:
-        """Ideal weights of the networks, see `ideal_weights`.
+    def ideal(self) -> dict[int, Ideal] | Truth | LinearFit:
+        """Ideal weights of networks, true parameters for an adaptive controller, best ones of another linear learner.
 
         Raises:
-            RecordingError: The controller has no networks.
+            RecordingError: The controller has none of these, or its law is not at hand.
         """
-        learner = self.subject.networks
-        if learner is None:
-            why = f"{self.subject.controller} is no network of this package"
-            raise RecordingError("no ideal weights", why=why, file=self.subject.recording.path)
-        return ideal_weights(self.subject, learner)
+        subject, learner = self.subject, self.subject.learner
+        if isinstance(learner, Networks):
+            return ideal_weights(subject, learner)
+        if learner is not None and isinstance(learner.controller, Adaptive) and learner.controller.name == "adaptive":
+            return true_parameters(subject, learner)
+        fit = None if learner is None else linear_fit(subject, learner)
+        if fit is not None:
+            return fit
+        why = f"{subject.controller} does not tell what its weights are multiplied with"
+        raise RecordingError("no ideal weights", why=why, file=subject.recording.path)
 
     @cached_property
     def lyapunov(self) -> Lyapunov:
         """V along the run and the terms of its derivative, with the weights' part where there are ideal weights."""
         show = self._show("Lyapunov function")
-        if self.has("ideal"):
+        if self.has("ideal") and not isinstance(self.ideal, LinearFit):
             found = lyapunov(self.subject, self.ideal, progress=show)
             if found.missed <= MISSED:
                 return found

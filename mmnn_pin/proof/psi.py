@@ -14,10 +14,12 @@ import numpy as np
 
 from ..errors import InputError, RecordingError
 from ..experiments.controllers import CONTROLLERS
+from ..experiments.laws import GIVEN
 from ..metrics import halves
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
 from ..signals import Array, Layout
+from ..torque.origin import origin_of
 from . import held_out as held
 from .features import Network, features_of
 from .fvu import START, error_in, fvu, fvu_in, windows
@@ -116,6 +118,7 @@ def psi_of(
     learner = subject.learner
     if learner is not None:
         frozen, networks, remarks = known(subject, learner, payload, progress)
+    remarks += remarks_on_law(subject)
     return Psi(
         labels=subject.robot.velocity_names,
         halves=halves(subject.recording),
@@ -140,9 +143,23 @@ def require_psi_hat(subject: Subject, psi_hat: Array) -> None:
     """
     if psi_hat.any():
         return
-    own = subject.controller not in CONTROLLERS
-    why = "a controller of your own hands over a torque, not what it takes for Psi" if own else "it estimates nothing"
+    own = "a controller of your own whose step returns a torque alone; let it return (torque, Psi_hat)"
+    why = own if subject.controller not in CONTROLLERS else "it estimates nothing"
     raise RecordingError(f"{subject.controller} gives no Psi_hat", why=why, file=subject.recording.path)
+
+
+def remarks_on_law(subject: Subject) -> list[str]:
+    """How to hear more of a learning law of a user, or that another file than the run's was used for it."""
+    about = subject.recording.meta.get("law")
+    if about is None or not set(GIVEN) <= (subject.recording.meta.get("controller_settings") or {}).keys():
+        return []
+    file = about["file"] or "FILE.py"
+    if subject.learner is None:
+        return [f"what the weights of {subject.controller} know is told with --law {file}, which runs that file"]
+    used = origin_of(type(subject.learner.controller))
+    if used["sha256"] == about["sha256"]:
+        return []
+    return [f"{used['file'] or used['class']} is not what it was in the run: its SHA-256 differs"]
 
 
 def known(

@@ -79,7 +79,7 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
             what = f"the recording does not tell the settings of {name}"
             raise RecordingError(what, why="an older mmnn_pin wrote it", fix="run it again", file=recording.path)
         return networks_of(NETWORKS[name], settings)
-    if "adapting" in settings:
+    if name == "adaptive" and settings:
         return adaptive_of(settings, robot)
     if name not in CONTROLLERS or name in EFFECTIVE:
         return None

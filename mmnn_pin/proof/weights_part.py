@@ -40,6 +40,7 @@ class WeightsPart:
         step: Second order of the update that led to the row, `|dW|^2 / (2 F)` and so on, over the period [W].
         missed: Largest difference between the Psi_hat of these steps and the recorded one, relative to the largest; one
             beyond `LOST` ends the steps, and the rest is 0.
+        cut: What updates that are cut leave of `s' Y theta_tilde` [W]; of an adaptive controller, else 0.
     """
 
     value: Array
@@ -47,6 +48,7 @@ class WeightsPart:
     remainder: Array
     step: Array
     missed: float
+    cut: Array | float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

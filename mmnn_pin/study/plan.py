@@ -18,6 +18,7 @@ import numpy as np
 
 from ..errors import ConfigError, InputError
 from ..experiments.experiment import Experiment
+from ..experiments.laws import LAW, digest_of
 from .base import COSMETIC, changed_base, paths_of, told
 from .bundle import Bundle
 from .factors import Factor, unit_cube
@@ -162,7 +163,8 @@ class Plan:
     def fingerprint(self, experiment: Experiment, settings: dict[str, Any], controller: str) -> str:
         """Hash of what decides a run's numbers."""
         robot = self.bundle(experiment).digest
-        parts = [self._base_digest, self.study.settings.model, robot, controller, sorted(settings.items())]
+        parts: list[Any] = [self._base_digest, self.study.settings.model, robot, controller, sorted(settings.items())]
+        parts += [digest_of(self.base.laws[controller][LAW])] if controller in self.base.laws else []
         return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
 
     def bundle(self, experiment: Experiment) -> Bundle:
@@ -213,7 +215,7 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
         base,
         table,
         points_of(settings.factors, method, count, seed),
-        settings.controllers or base.controllers,
+        base.controllers,
         seeds_of(settings.seeds, base.seed, settings.factors),
     )
     if len(plan) > MOST:

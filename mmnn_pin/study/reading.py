@@ -13,6 +13,7 @@ import msgspec
 
 from ..errors import ConfigError, InputError, UnknownName
 from ..experiments.config import bundled, load_experiment, override, read_toml, words_of
+from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
 from ..settings import Settings
 from .factors import Factor
@@ -129,10 +130,10 @@ def placed(error: InputError, path: Path) -> InputError:
 
 
 def base_of(settings: StudySettings, path: Path) -> Experiment:
-    """The experiment that a study varies: a bundled one, or a file looked for from the study's folder.
+    """The experiment that a study varies, with the study's controllers: bundled, or a file in the study's folder.
 
     Raises:
-        InputError: It does not load.
+        InputError: It does not load, or does not know a controller.
     """
     name: str | Path = settings.experiment
     if settings.experiment not in bundled():
@@ -141,4 +142,12 @@ def base_of(settings: StudySettings, path: Path) -> Experiment:
             fix = f"name a file from the study's folder, or one of: {', '.join(bundled())}"
             raise placed(ConfigError(f"no experiment '{settings.experiment}'", fix=fix, key="experiment"), path)
         name = beside
-    return load_experiment(name, (), settings.variant)
+    found = load_experiment(name, (), settings.variant)
+    try:
+        if settings.controllers is not None:
+            found = msgspec.structs.replace(found, controllers=settings.controllers)
+        if settings.tune is not None and settings.tune.controller not in (there := {**CONTROLLERS, **found.laws}):
+            raise UnknownName("controller", settings.tune.controller, there, key="tune.controller")
+    except InputError as error:
+        raise placed(error, path) from None
+    return found

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from ..errors import ConfigError, UnknownName
+from ..errors import ConfigError
 from ..experiments.controllers import CONTROLLERS
 from ..settings import Settings
 from .factors import Factor
@@ -78,8 +78,6 @@ class Tune(Settings, frozen=True):
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.controller not in CONTROLLERS:
-            raise UnknownName("controller", self.controller, CONTROLLERS, key="controller")
         if not self.gains:
             raise ConfigError("no gains to tune", fix="add [tune.gains] with bounds", key="gains")
         for name, gain in self.gains.items():
@@ -100,7 +98,7 @@ class StudySettings(Settings, frozen=True):
         experiment: A bundled experiment, or the path of one from the study's folder.
         title: One line for tables and pages.
         variant: Variant of the experiment.
-        controllers: Which of its controllers; all by default.
+        controllers: Which controllers: names, or `FILE.py:Class` for a class of a user; the experiment's by default.
         seeds: Seeds, or how many, counted from the experiment's own.
         model: What model-based controllers and gains scaled by inertia are made from: the "nominal" robot, with the
             masses and friction of the experiment, or the "true" one of each run.
@@ -148,9 +146,6 @@ class StudySettings(Settings, frozen=True):
         if not self.controllers:
             fix = f"choose from: {', '.join(CONTROLLERS)}"
             raise ConfigError("no controllers, so no runs", fix=fix, key="controllers")
-        for name in self.controllers:
-            if name not in CONTROLLERS:
-                raise UnknownName("controller", name, CONTROLLERS, key="controllers")
         if len(set(self.controllers)) < len(self.controllers):
             raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
 

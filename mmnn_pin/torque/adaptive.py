@@ -110,7 +110,7 @@ class Adaptive(CompiledController):
     @property
     def notes(self) -> list[str]:
         """How many of the parameters matter."""
-        known = self.identifiable[1].shape[1]
+        known = self.unit.shape[1]
         return [f"adaptive: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
 
     def law(self, wiring: Wiring) -> Law:
@@ -169,13 +169,17 @@ class Adaptive(CompiledController):
         named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
         return {"feedback": plain(self.feedback), "adapting": plain(self.adapting)} | named
 
+    def features(self, law: Law, memory: Memory) -> Array | None:
+        """Y, (p, k)."""
+        return None if law.adaptation is None else law.adaptation.known.Y
+
     def findings(self, memory: Memory) -> list[str]:
         """Says when the run did not excite all that matters: then the estimate tracks, but is no knowledge."""
-        gram, (mean, basis) = memory["gram"], self.identifiable
+        gram, unit = memory["gram"], self.unit
         if not self.learning or not np.isfinite(gram).all() or memory["samples"][0] == 0:
             return []
-        values = eigh(basis.T @ gram @ basis, basis.T @ mean @ basis, eigvals_only=True)
-        excited, known = int(np.sum(values > EXCITED * values[-1])), basis.shape[1]
+        values = np.linalg.eigvalsh(unit.T @ gram @ unit)
+        excited, known = int(np.sum(values > EXCITED * values[-1])), unit.shape[1]
         if excited == known:
             return []
         return [f"{self.name}: the motion excited {excited} of {known} combinations of parameters that matter"]
@@ -210,9 +214,9 @@ class Adaptive(CompiledController):
         return np.concatenate((joints, K[: self.regressor.massless.base], joints, joints))
 
     @cached_property
-    def identifiable(self) -> tuple[Array, Array]:
-        """Mean `Y' Y` of random motion (k, k), and the directions of theta that it depends on."""
-        return self.regressor.gram(), self.regressor.identifiable()
+    def unit(self) -> Array:
+        """The combinations of theta that matter, each of the size that random motion excites alike, (k, known)."""
+        return self.regressor.unit()
 
 
 def pseudo_inertias(theta: Array) -> Array:

@@ -181,6 +181,13 @@ class CompiledController(ABC):
         """Settings that a recording should hold; of a learner enough for `recorded_learner` to build it again."""
         return {}
 
+    def features(self, law: Law, memory: Memory) -> Array | None:
+        """What the weights were multiplied with at the last step of a law, `Psi_hat = (Phi W).ravel()`.
+
+        (rows, k), a view, with rows times the columns of W equal to p; None where Psi_hat is not linear in the weights.
+        """
+        return None
+
     def findings(self, memory: Memory) -> list[str]:
         """What the memory shows after a run that the user should be told."""
         return []

@@ -76,6 +76,13 @@ class LearningLaw(TorqueController):
     def learn(self, now: Now, memory: Memory) -> None:
         """Change the memory in place; called after `estimate` of the same sample."""
 
+    def features(self, now: Now, memory: Memory) -> Array | None:
+        """What the weights are multiplied with, if Psi_hat is linear in them: `mmnn prove` then tells their excitation.
+
+        (p, k) where all components share the k weights, (k,) where each has its own; None for none of these.
+        """
+        return None
+
     def weights(self, memory: Memory) -> dict[str, Array]:
         """The parts of the memory that are `learned`.
 

@@ -25,8 +25,9 @@ class Now:
         period: Control period [s].
         s: (p,) error `[z; r] = nu_ref - nu`.
         nu: (p,) measured velocities.
+        first: Whether this is the first sample, of a run or after it was resumed.
         sent: (p,) torque of the control period that has just ended, as the motors were asked for it, supervisor
-            included; zeros at the start.
+            included; zeros at the first sample.
         reference: What the robot should do.
         measurement: What the sensors say: pose, velocity, q, qdot.
         command: What the kinematic layer asks for: nu_ref, nudot_ref, alpha, the errors z, e, r ...
@@ -34,6 +35,7 @@ class Now:
 
     time: float
     period: float
+    first: bool
     s: Array
     nu: Array
     sent: Array
@@ -42,6 +44,7 @@ class Now:
     command: VelocityCommand
     _torque: Array
     _known: Massless | None
+    _new: bool = True
 
     @classmethod
     def of(cls, row: Array, wiring: Wiring) -> Now:
@@ -50,7 +53,7 @@ class Now:
         views = (Reference.of(row, layout), Measurement.of(row, layout), VelocityCommand.of(row, layout))
         known = None if wiring.regressor is None else wiring.regressor.workspace()
         s, nu, sent = np.zeros((3, layout.dof))
-        return cls(0.0, h, s, nu, sent, *views, row[layout.where("torque")], known)
+        return cls(0.0, h, True, s, nu, sent, *views, row[layout.where("torque")], known)
 
     @property
     def q(self) -> Array:
@@ -92,7 +95,8 @@ class Now:
     def refresh(self, time: float) -> None:
         """Take in a new sample of the row, before its torque is written."""
         nb, command, measurement = len(self.command.z), self.command, self.measurement
-        self.time = time
+        self.first, self.time = self._new, time
+        self._new = False
         self.s[:nb], self.s[nb:] = command.z, command.r
         self.nu[:nb], self.nu[nb:] = measurement.velocity, measurement.qdot
         self.sent[:] = self._torque

@@ -11,9 +11,11 @@ from ...proof.features import Network
 from ...proof.fvu import worst
 from ...proof.growth import Growth
 from ...proof.ideal import Ideal
+from ...proof.linear_fit import LinearFit
 from ...proof.lyapunov import Lyapunov
 from ...proof.proof import Proof
 from ...proof.psi import Psi
+from ...proof.truth import Truth
 from ...signals import Array
 
 NAMES = {1: "base", 2: "arm"}
@@ -29,7 +31,7 @@ def to_dict(proof: Proof) -> dict[str, Any]:
         "robot": subject.robot.name,
         "outcome": recording.outcome.status,
         "psi": psi_dict(proof.psi) if proof.has("psi") else None,
-        "ideal": {NAMES[i]: ideal_dict(w) for i, w in proof.ideal.items()} if proof.has("ideal") else None,
+        "ideal": ideal_of(proof.ideal) if proof.has("ideal") else None,
         "lyapunov": lyapunov_dict(proof.lyapunov, proof.growth) if proof.has("lyapunov") else None,
         "equality": balance_dict(proof.balance) if proof.has("balance") else None,
         "holds": proof.holds,
@@ -72,6 +74,19 @@ def network_dict(network: Network) -> dict[str, Any]:
         "gram_largest": number(found.largest),
         "excited_directions": found.directions,
     }
+
+
+def ideal_of(ideal: dict[int, Ideal] | Truth | LinearFit) -> dict[str, Any]:
+    """Ideal weights by network; true parameters and the estimate's distance from them; best fixed weights."""
+    if isinstance(ideal, LinearFit):
+        ends = {"start": number(ideal.distance[0]), "end": number(ideal.distance[1])}
+        eps, left = ([number(value) for value in values] for values in (ideal.eps, ideal.unexplained))
+        return {"linear": {"norm": number(ideal.norm), "distance": ends, "eps": eps, "fvu": left}}
+    if not isinstance(ideal, Truth):
+        return {NAMES[i]: ideal_dict(weights) for i, weights in ideal.items()}
+    parts = {name: {"start": number(v[0]), "end": number(v[1])} for name, v in ideal.parts.items()}
+    eps = [number(value) for value in ideal.eps]
+    return {"parameters": {"theta": ideal.theta.tolist(), "known": ideal.known, "eps": eps, "distance": parts}}
 
 
 def ideal_dict(ideal: Ideal) -> dict[str, Any]:

@@ -12,9 +12,11 @@ from rich.table import Table
 from ...proof.balance import TOLERANCE, Balance
 from ...proof.fvu import worst
 from ...proof.growth import Growth
+from ...proof.linear_fit import LinearFit
 from ...proof.lyapunov import TERMS, Lyapunov
 from ...proof.proof import Proof
 from ...proof.psi import Psi
+from ...proof.truth import Truth
 from ...signals import Array
 from ..table import WIDTH, number
 
@@ -126,6 +128,19 @@ def network_table(proof: Proof) -> Table:
     table.add_row(f"smallest eigenvalue of the Gram matrix of the {first.what}", *(small(e.smallest) for e in found))
     if proof.has("ideal"):
         table.add_section()
+        if isinstance(proof.ideal, Truth):
+            for part, (start, end) in proof.ideal.parts.items():
+                cell = f"{number(start)} to {number(end)}"
+                table.add_row(f"distance in V from the true parameters, {part}, start to end", cell)
+            table.add_row("largest |Psi - Y theta| of the true ones [N, N m]", number(proof.ideal.eps.max()))
+            return table
+        if isinstance(proof.ideal, LinearFit):
+            start, end = proof.ideal.distance
+            table.add_row("|W*| of the best fixed weights, fitted offline", number(proof.ideal.norm))
+            table.add_row("their Psi_hat against the run's, over Psi's deviation", f"{number(start)} to {number(end)}")
+            table.add_row("largest error of the best fixed weights [N, N m]", number(proof.ideal.eps.max()))
+            table.add_row("FVU of the best fixed weights (worst component)", number(proof.ideal.unexplained.max()))
+            return table
         ideal = list(proof.ideal.values())
         table.add_row("|Z| learned", *(number(w.learned_norm) for w in ideal))
         table.add_row("|Z*| of the ideal weights, fitted offline", *(number(w.norm) for w in ideal))

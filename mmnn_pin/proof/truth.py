@@ -1,0 +1,199 @@
+"""The truth that an adaptive controller estimates: the robot's parameters, and how far its estimate is from them.
+
+    V_theta = sum over bodies of D(P || P_hat) / gamma + sum over the rest of theta_tilde_j^2 / (2 gamma_j)
+
+with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptation`). Along a run
+
+    d/dt V_theta = -eta s' Y theta_tilde + leakage,     s' (Psi - Psi_hat) = s' Y theta_tilde + s' (Psi - Y theta)
+
+with eta < 1 where a sample's update was cut, so that what is left of both is remainder, cut and leakage. Parameters
+with the rate 0 are not learned: they have no part in V, and what their errors do is in the remainder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import RecordingError
+from ..model.parameters import parameters
+from ..signals import Array, IntArray
+from ..torque.adaptation import Adaptation
+from ..torque.adaptive import Adaptive, pseudo_inertias
+from ..torque.pseudo_inertia import to_matrix
+from .learner import Learner, Stepper
+from .subject import Subject
+from .weights_part import LOST, WeightsPart
+
+BODY = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The true parameters of a run's robot.
+
+    Attributes:
+        theta: (k,) the parameters.
+        known: How many combinations of them change Psi.
+        eps: (p,) largest `|Psi - Y theta|` on the run [N, N m]: of friction not linear in theta, of sensors that err.
+        distance: (2,) V_theta at the start and at the end of the run.
+        parts: The same of bodies and friction, name to (2,).
+    """
+
+    theta: Array
+    known: int
+    eps: Array
+    distance: Array
+    parts: dict[str, Array]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimates:
+    """An adaptive controller stepped again over the rows of its run.
+
+    Attributes:
+        theta: (N, k) its estimate before the update of every row.
+        Y: (k', p, k) its regressor at the rows that were asked for.
+        missed: How well it met the recorded Psi_hat, relative to the largest.
+    """
+
+    theta: Array
+    Y: Array
+    missed: float
+
+
+def true_parameters(subject: Subject, learner: Learner) -> Truth:
+    """The parameters of a run's robot, before it picks up a payload.
+
+    Raises:
+        RecordingError: A body without a density, so that no estimate can come to it, or a robot whose friction on the
+            base's motion is of another kind.
+    """
+    controller: Adaptive = learner.controller
+    theta, numbers = parameters(subject.robot), adaptation_of(learner)
+    bodies = controller.regressor.bodies
+    for name, P in zip(bodies, pseudo_inertias(theta[: controller.regressor.inertial]), strict=True):
+        if np.linalg.eigvalsh(P)[0] <= 1e-12 * np.trace(P):
+            why = f"the body at '{name}' has no density: flat, a point, or with impossible inertias"
+            raise RecordingError("no true parameters", why=why, file=subject.recording.path)
+    some = np.unique(np.linspace(0, len(subject.rows) - 1, 500).astype(int))
+    found = stepped(learner, subject.rows[: some[-1] + 1], some)
+    eps = subject.signal("psi")[some] - found.Y @ theta
+    ends = np.array([learner.start["theta"], learner.end["theta"]])
+    first = controller.regressor.inertial
+    parts = {
+        "bodies": distances(numbers, theta, ends, slice(0, first)),
+        "friction": distances(numbers, theta, ends, slice(first, None)),
+    }
+    known = controller.unit.shape[1]
+    return Truth(theta, known, np.abs(eps).max(axis=0), parts["bodies"] + parts["friction"], parts)
+
+
+def adaptation_of(learner: Learner) -> Adaptation:
+    """The numbers of an adaptive law."""
+    found = learner.controller.law(learner.wiring).adaptation
+    assert found is not None
+    return found
+
+
+def stepped(learner: Learner, rows: Array, at: IntArray, progress: Callable[[float], None] | None = None) -> Estimates:
+    """Estimates along rows (N, width) from the start of a run, and regressors at some of them, ascending."""
+    stepper = Stepper(learner, learner.start.snapshot())
+    adaptation = stepper.torque.law.adaptation
+    assert adaptation is not None
+    theta, Y = np.zeros((len(rows), stepper.memory["theta"].size)), np.zeros((len(at), *adaptation.known.Y.shape))
+    recorded, missed, wanted = rows[:, learner.wiring.layout.where("psi_hat")], 0.0, {n: i for i, n in enumerate(at)}
+    largest = float(np.abs(recorded).max())
+    for n, row in enumerate(rows):
+        theta[n] = stepper.memory["theta"]
+        missed = float(np.maximum(missed, np.abs(stepper.step(row) - recorded[n]).max()))
+        if missed > LOST * largest:
+            break
+        if n in wanted:
+            Y[wanted[n]] = adaptation.known.Y
+        if progress is not None and n % 500 == 0:
+            progress(n / len(rows))
+    return Estimates(theta, Y, (missed if np.isfinite(missed) else np.inf) / (largest or 1.0))
+
+
+def distances(a: Adaptation, theta: Array, estimates: Array, part: slice = slice(None)) -> Array:
+    """V_theta of estimates (N, k), or the part of some of the parameters, (N,)."""
+    first, total = BODY * len(a.roots), np.zeros(len(estimates))
+    wanted = np.zeros(len(theta), bool)
+    wanted[part] = True
+    for b in range(len(a.roots) if a.gamma > 0 else 0):
+        if wanted[BODY * b]:
+            here = slice(BODY * b, BODY * b + BODY)
+            total += divergence(matrix(theta[here]), matrices(estimates[:, here])) / a.gamma
+    learned = (a.rates > 0) & wanted[first:]
+    error = (theta[first:] - estimates[:, first:])[:, learned]
+    return np.asarray(total + (error**2 / (2 * a.rates[learned])).sum(axis=1))
+
+
+def divergence(P: Array, Q: Array) -> Array:
+    """D(P || Q) for many Q (N, 4, 4), (N,)."""
+    ratio = np.linalg.slogdet(Q)[1] - np.linalg.slogdet(P)[1]
+    return np.asarray(ratio + np.trace(np.linalg.solve(Q, np.broadcast_to(P, Q.shape)), axis1=1, axis2=2) - 4.0)
+
+
+def matrix(numbers: Array, side: float = 1.0) -> Array:
+    """The symmetric matrix of ten numbers, those beside its diagonal times a factor."""
+    found = np.zeros((4, 4))
+    to_matrix(np.ascontiguousarray(numbers), side, found)
+    return found
+
+
+def matrices(numbers: Array, side: float = 1.0) -> Array:
+    """The same of many, (N, 10) to (N, 4, 4)."""
+    basis = np.array([matrix(e, side) for e in np.eye(BODY)])
+    return np.asarray(np.einsum("nk,kij->nij", numbers, basis))
+
+
+def estimate_part(
+    subject: Subject, learner: Learner, truth: Truth, at: IntArray, progress: Callable[[float], None] | None = None
+) -> WeightsPart:
+    """V_theta at some rows of a run, (k,) ascending, and what learning leaves of its derivative."""
+    a, rows, h, theta = adaptation_of(learner), subject.rows, learner.wiring.control_period, truth.theta
+    found = stepped(learner, rows, at, progress)
+    estimate, first = found.theta[at], BODY * len(a.roots)
+    s = np.hstack((subject.signal("z"), subject.signal("r")))[at]
+    g, error = np.einsum("npk,np->nk", found.Y, s), theta - estimate
+    learned = np.concatenate((np.full(first, a.gamma > 0), a.rates > 0)) & a.learning
+    pull = (g * error)[:, learned].sum(axis=1)  # s' Y theta_tilde of what is learned
+    eta = shares_of_update(a, estimate, g, (s**2 @ a.gain), h)
+    leak = leakage_of(a, theta, estimate, s) if a.learning else np.zeros(len(at))
+    rest = (s * (rows[at][:, subject.layout.where("psi")] - found.Y @ theta)).sum(axis=1)
+    remainder = rest + (g * error)[:, ~learned].sum(axis=1)
+    value, rate = distances(a, theta, estimate) * a.learning, leak - eta * pull
+    step, follows = np.zeros(len(at)), np.flatnonzero(np.diff(at) == 1)
+    step[follows + 1] = (value[follows + 1] - value[follows]) / h - rate[follows]
+    return WeightsPart(value, leak, remainder, step, found.missed, (1 - eta) * pull)
+
+
+def shares_of_update(a: Adaptation, estimate: Array, g: Array, feedback: Array, h: float) -> Array:
+    """Eta, (N,): which share of its update each sample makes, for gradients `Y' s` (N, k) and `s' K s` (N,)."""
+    first = BODY * len(a.roots)
+    answer = (a.rates * g[:, first:] ** 2).sum(axis=1)
+    for b in range(len(a.roots)):
+        here = slice(BODY * b, BODY * b + BODY)
+        PL = matrices(estimate[:, here]) @ matrices(g[:, here], 0.5)
+        answer += a.gamma * np.einsum("nij,nji->n", PL, PL)
+    answer *= h
+    most = a.share * feedback
+    return np.where(answer > most, most / np.where(answer > most, answer, 1.0), 1.0)
+
+
+def leakage_of(a: Adaptation, theta: Array, estimate: Array, s: Array) -> Array:
+    """What leakage does to V_theta, (N,) [W]."""
+    sigma, first = a.sigma * (np.linalg.norm(s, axis=1) if a.by_error else np.ones(len(s))), BODY * len(a.roots)
+    learned = a.rates > 0
+    error, moved = (theta - estimate)[:, first:], estimate[:, first:] - a.start
+    found = (error * moved)[:, learned] @ (1 / a.rates[learned])
+    for b in range(len(a.roots) if a.gamma > 0 else 0):
+        here = slice(BODY * b, BODY * b + BODY)
+        P, P0, Q = matrix(theta[here]), a.roots[b] @ a.roots[b].T, matrices(estimate[:, here])
+        back = np.array([divergence(one, P0[None])[0] for one in Q])
+        found -= (divergence(P, Q) + back - divergence(P, P0[None])[0]) / a.gamma
+    return np.asarray(sigma * found)
