@@ -22,7 +22,7 @@ from .model.tree_motion import Tree, new_scratch
 from .plant.integrators import METHODS, RK4, derivative, euler, rk4_stage
 from .rig import Rig, act, is_stopped, new_rig, note, rotate, send, sense
 from .safety import TRIPPED, has_ended
-from .sample import after_torque, before_torque, estimate
+from .sample import after_torque, before_torque, estimate, settle
 from .sensing import exact
 from .signals import INDEX, Array, IntArray
 from .torque import law
@@ -220,6 +220,8 @@ def advance(
             law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
         if rig is not None:
             send(k, k * plan.h, row, at, memory, rig)
+        if adaptation is not None:
+            settle(row, at, adaptation.prediction, memory)
         evaluate(body, work, position, nu)
         psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
         for i in range(p):

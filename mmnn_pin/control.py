@@ -10,7 +10,7 @@ from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
 from .rig import Rig, is_stopped, send
-from .sample import before_torque, estimate
+from .sample import before_torque, estimate, settle
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
@@ -51,6 +51,7 @@ class Control:
             self.torque.step(time)
         if self.rig is not None:
             send(k, time, self.row, self.at, self.weights, self.rig)
+        self.torque.settle()
 
 
 class Torque:
@@ -102,6 +103,11 @@ class Torque:
         if self.law.adaptation is not None:
             estimate(self.row, self.at, self.law.adaptation, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
+
+    def settle(self) -> None:
+        """The torque in the row is what is sent: a learner that looks back keeps it."""
+        if self.python is None and self.law.adaptation is not None:
+            settle(self.row, self.at, self.law.adaptation.prediction, self.memory.values)
 
     def _model_psi(self, model: Dynamics) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""

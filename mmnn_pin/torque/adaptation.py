@@ -35,11 +35,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..compiled import compiled
 from ..signals import INDEX, Array
+from .prediction import Prediction, curvature, remaining
 from .pseudo_inertia import (
     cholesky,
     clip,
     exponential,
     product,
+    product_by_transposed,
+    product_of_transposed,
     sandwich,
     to_matrix,
     to_vector,
@@ -54,6 +57,7 @@ if TYPE_CHECKING:
 Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
 EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["effective_gain"], INDEX["weight_norm"]
 BODY = 10
+LARGEST_STEP = 0.2  # by which one step down the prediction error may change a body, relative
 
 
 class Adaptation(NamedTuple):
@@ -79,6 +83,7 @@ class Adaptation(NamedTuple):
         steps: (bodies, 4, 4) memory to work in.
         factors: (bodies, 4, 4) memory to work in.
         work: (3, 4, 4) memory to work in.
+        prediction: The numbers of the prediction error's term; None without it.
     """
 
     known: Massless
@@ -100,6 +105,7 @@ class Adaptation(NamedTuple):
     steps: Array
     factors: Array
     work: Array
+    prediction: Prediction | None
 
 
 @compiled
@@ -130,19 +136,10 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
     row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = norm(theta[:first]), norm(theta[first:])
     if not a.learning:
         return
-    sigma = a.sigma * math.sqrt(square) if a.by_error else a.sigma
-    answer = 0.0
-    for b in range(len(a.roots)):
-        answer += direction(theta[BODY * b : BODY * b + BODY], g[BODY * b : BODY * b + BODY], a, b)
-    for j in range(k - first):
-        answer += a.h * a.rates[j] * g[first + j] ** 2
+    answer = directions(theta, g, a)
     eta = a.share * feedback / answer if answer > a.share * feedback else 1.0
-    for b in range(len(a.roots)):
-        update_body(theta[BODY * b : BODY * b + BODY], eta, sigma, a, b)
-    for j in range(k - first):
-        value = theta[first + j]
-        value += a.h * (eta * a.rates[j] * g[first + j] - sigma * (value - a.start[j]))
-        theta[first + j] = min(max(value, 0.0), a.top[j])
+    move(theta, g, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a)
+    follow(a.prediction, a, memory)
     if int(memory[k]) % a.stride == 0:
         gram = memory[k + 1 :].reshape((k, k))
         for i in range(p):
@@ -151,6 +148,70 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
                     for c in range(k):
                         gram[j, c] += Y[i, j] * Y[i, c]
     memory[k] += 1.0
+
+
+@compiled
+def directions(theta: Array, gradient: Array, a: Adaptation) -> float:
+    """Where a gradient (k,) takes the bodies in a sample, into `a.steps`.
+
+    Returns:
+        `h gradient' Gamma gradient`.
+    """
+    total, first = 0.0, BODY * len(a.roots)
+    for b in range(len(a.roots)):
+        total += direction(theta[BODY * b : BODY * b + BODY], gradient[BODY * b : BODY * b + BODY], a, b)
+    for j in range(a.rates.size):
+        total += a.h * a.rates[j] * gradient[first + j] ** 2
+    return total
+
+
+@compiled
+def move(theta: Array, gradient: Array, eta: float, sigma: float, a: Adaptation) -> None:
+    """One sample of theta, along `directions` times eta and back by the leakage."""
+    first = BODY * len(a.roots)
+    for b in range(len(a.roots)):
+        update_body(theta[BODY * b : BODY * b + BODY], eta, sigma, a, b)
+    for j in range(a.rates.size):
+        value = theta[first + j]
+        value += a.h * (eta * a.rates[j] * gradient[first + j] - sigma * (value - a.start[j]))
+        theta[first + j] = min(max(value, 0.0), a.top[j])
+
+
+@compiled
+def follow(prediction: Prediction | None, a: Adaptation, memory: Array) -> None:
+    """One step down the prediction error, where it is time for one.
+
+    The step is c times the time since the last, but at most the one that minimises the error along its direction, and
+    none that changes a body by more than `LARGEST_STEP` of itself: whatever c is, a step never overshoots.
+    """
+    if prediction is not None:
+        k = a.gradient.size
+        if int(memory[k]) % prediction.every != 0:
+            return
+        theta, g = memory[:k], prediction.gradient
+        remaining(prediction, theta, memory)
+        fall = directions(theta, g, a)
+        velocity(theta, g, a, prediction.velocity)
+        bend = a.h * curvature(prediction, memory)
+        eta = min(prediction.weight * prediction.every, fall / bend if bend > 0.0 else 0.0)
+        for b in range(len(a.roots)):
+            size = norm(a.steps[b].ravel())
+            eta = min(eta, LARGEST_STEP / size if size > 0.0 else eta)
+        move(theta, g, eta, 0.0, a)
+
+
+@compiled
+def velocity(theta: Array, gradient: Array, a: Adaptation, out: Array) -> None:
+    """`Gamma gradient`, how fast theta moves along `directions`, (k,)."""
+    first, L, X = BODY * len(a.roots), a.work[0], a.work[1]
+    for b in range(len(a.roots)):
+        sandwich(a.factors[b], a.steps[b], L, X)
+        sandwich(a.roots[b], X, L, a.work[2])
+        to_vector(a.work[2], out[BODY * b : BODY * b + BODY])
+    for j in range(first):
+        out[j] /= a.h
+    for j in range(a.rates.size):
+        out[first + j] = a.rates[j] * gradient[first + j]
 
 
 @compiled
@@ -188,20 +249,13 @@ def direction(theta: Array, gradient: Array, a: Adaptation, b: int) -> float:
 def update_body(theta: Array, eta: float, sigma: float, a: Adaptation, b: int) -> None:
     """One sample of body b, along its direction times eta and back by the leakage."""
     Q, L, X, B, half = a.work[0], a.work[1], a.steps[b], a.factors[b], a.work[2]
+    product_of_transposed(B, B, L)
     for i in range(4):
         for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += B[c, i] * B[c, j]
-            X[i, j] = eta * X[i, j] - a.h * sigma * (total - (1.0 if i == j else 0.0))
+            X[i, j] = eta * X[i, j] - a.h * sigma * (L[i, j] - (1.0 if i == j else 0.0))
     exponential(X, L)
     product(B, L, X)
-    for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += X[i, c] * X[j, c]
-            Q[i, j] = total
+    product_by_transposed(X, X, Q)
     if not within(Q, a.rho, L, half):
         clip(Q, a.rho, L, half)
     sandwich(a.roots[b], Q, L, X)

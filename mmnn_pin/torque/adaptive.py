@@ -21,11 +21,38 @@ from ..signals import Array, Layout
 from . import law
 from .adaptation import Adaptation
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .filtered import new_filter, parts
+from .prediction import Prediction
 from .pseudo_inertia import to_matrix, to_vector
 
 FLOOR = 1e-4  # least share of the guess that a nominal body keeps: massless and flat ones have no density
 TAKEN = 0.01  # how often a sample is taken for the excitation [s]
 EXCITED = 1e-3  # share of what random motion of unit speed excites, above which a direction counts as excited
+
+
+class Predicting(Settings, frozen=True):
+    """The prediction error's term of a composite adaptive controller.
+
+    Args:
+        weight: c, how much it counts beside the tracking error; dimensionless. Large is safe: a step never overshoots.
+        pole: Of the low-pass of regressor and torque [1/s].
+        memory: T, how long what was seen counts [s].
+        every: Time between two steps [s].
+
+    Raises:
+        ConfigError: A number that is negative or not finite, or a memory or period of 0.
+    """
+
+    weight: float = 10.0
+    pole: float = 10.0
+    memory: float = 10.0
+    every: float = 0.01
+
+    def __post_init__(self) -> None:
+        require_gains(self, "prediction")
+        for name in ("memory", "every"):
+            if getattr(self, name) == 0:
+                raise ConfigError("0 s", fix="use a time > 0", key=f"prediction.{name}")
 
 
 class Adapting(Settings, frozen=True):
@@ -96,7 +123,12 @@ class Adaptive(CompiledController):
     adapting: Adapting = field(default_factory=Adapting)
     nominal: Array | None = None
     learning: bool = True
-    name: str = "adaptive"
+    predicting: Predicting | None = None
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """With a prediction error or without."""
+        return "adaptive" if self.predicting is None else "adaptive_composite"
 
     def __post_init__(self) -> None:
         k, given = self.regressor.size, self.nominal
@@ -111,7 +143,7 @@ class Adaptive(CompiledController):
     def notes(self) -> list[str]:
         """How many of the parameters matter."""
         known = self.identifiable[1].shape[1]
-        return [f"adaptive: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
+        return [f"{self.name}: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
 
     def law(self, wiring: Wiring) -> Law:
         """The numbers of the law, with a memory of its own to work in.
@@ -146,13 +178,33 @@ class Adaptive(CompiledController):
             steps=np.zeros(roots.shape),
             factors=np.zeros(roots.shape),
             work=np.zeros((3, 4, 4)),
+            prediction=self.prediction(wiring, K),
         )
         return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, adaptation)
 
+    def prediction(self, wiring: Wiring, K: Array) -> Prediction | None:
+        """The numbers of the prediction error's term."""
+        own, k, h = self.predicting, self.regressor.size, float(wiring.control_period)
+        if own is None:
+            return None
+        every = max(1, round(own.every / h))
+        return Prediction(
+            filter=new_filter(wiring.layout, h, own.pole),
+            first=k + 1 + k * k,
+            trust=1.0 / K,
+            weight=float(own.weight),
+            keep=float(np.exp(-every * h / own.memory)),
+            every=every,
+            gradient=np.zeros(k),
+            velocity=np.zeros(k),
+        )
+
     def init(self, wiring: Wiring) -> Memory:
         """The estimate at its start, and nothing seen yet."""
-        k = self.regressor.size
-        memory = Memory.of(theta=(k,), samples=(1,), gram=(k, k))
+        k, seen = self.regressor.size, dict[str, tuple[int, ...]]()
+        if self.predicting is not None:
+            seen = {**parts(wiring.layout, wiring.layout.dof, k), "Q": (k, k), "b": (k,)}
+        memory = Memory.of(theta=(k,), samples=(1,), gram=(k, k), **seen)
         memory["theta"] = self.start()
         return memory
 
@@ -167,7 +219,8 @@ class Adaptive(CompiledController):
     def facts(self) -> dict[str, Any]:
         """Gains, settings and start, with the names of the parameters."""
         named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
-        return {"feedback": plain(self.feedback), "adapting": plain(self.adapting)} | named
+        own = {} if self.predicting is None else {"predicting": plain(self.predicting)}
+        return {"feedback": plain(self.feedback), "adapting": plain(self.adapting), **own} | named
 
     def findings(self, memory: Memory) -> list[str]:
         """Says when the run did not excite all that matters: then the estimate tracks, but is no knowledge."""
