@@ -6,18 +6,25 @@ from ..errors import ConfigError
 from ..model.overrides import Overrides
 from ..model.regressor import Regressor
 from ..model.robot import Robot
-from ..torque.adaptive import Adapting, Adaptive
+from ..torque.adaptive import Adapting, Adaptive, Predicting
 from ..torque.controller import Feedback
 from .nominal import Nominal, nominal_parameters
 
 
 def adaptive_controller(
-    adapting: Adapting, feedback: Feedback, robot: Robot | None, nominal: Nominal, said: Overrides, learning: bool
+    adapting: Adapting,
+    predicting: Predicting | None,
+    feedback: Feedback,
+    robot: Robot | None,
+    nominal: Nominal,
+    said: Overrides,
+    learning: bool,
 ) -> Adaptive:
     """The adaptive controller for a robot.
 
     Args:
         adapting: Its settings.
+        predicting: Those of its prediction error; None without one.
         feedback: K.
         robot: The true robot, of which the kinematics are read.
         nominal: The nominal robot, from which it may start.
@@ -31,4 +38,4 @@ def adaptive_controller(
     if robot is None:
         raise ConfigError("adaptive control of no robot", fix="give the robot", key="controllers")
     start = nominal_parameters(nominal, robot, said) if adapting.initial == "nominal" else None
-    return Adaptive(Regressor.of(robot), feedback, adapting, start, learning)
+    return Adaptive(Regressor.of(robot), feedback, adapting, start, learning, predicting)

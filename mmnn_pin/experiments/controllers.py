@@ -19,6 +19,7 @@ CONTROLLERS = {
     "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
     "pd_effective_one_layer": "PD at the effective gain of one_layer",
     "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
+    "adaptive_composite": "the same with the prediction error of filtered torque: its estimate is knowledge",
     "two_layer_residual": "a nominal model with wrong masses, and the two-layer network on the difference",
     "nominal": "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
     "computed_torque": "feedback and the true model: the oracle",

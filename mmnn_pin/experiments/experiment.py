@@ -20,7 +20,7 @@ from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
-from ..torque.adaptive import Adapting
+from ..torque.adaptive import Adapting, Predicting
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
@@ -90,6 +90,7 @@ class Experiment(Settings, frozen=True):
         two_layer: The two-layer network.
         one_layer: The one-layer network.
         adaptive: The adaptive controller.
+        prediction: The prediction error of `adaptive_composite`.
         nominal: The model that is wrong on purpose, for those that have one.
         inputs: What the networks see.
         learning: Conventions and switches.
@@ -132,6 +133,7 @@ class Experiment(Settings, frozen=True):
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
     adaptive: Adapting = Adapting()
+    prediction: Predicting = Predicting()
     nominal: Nominal = Nominal()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
@@ -244,10 +246,10 @@ class Experiment(Settings, frozen=True):
             return PD(feedback)
         if name == "computed_torque":
             return ComputedTorque(feedback)
-        if name == "adaptive":
-            return adaptive_controller(
-                self.adaptive, feedback, robot, self.nominal, self.overrides, self.learning.learning
-            )
+        if name in ("adaptive", "adaptive_composite"):
+            predicting = self.prediction if name == "adaptive_composite" else None
+            switches = (self.nominal, self.overrides, self.learning.learning)
+            return adaptive_controller(self.adaptive, predicting, feedback, robot, *switches)
         if name == "nominal":
             return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
         if name in EFFECTIVE:

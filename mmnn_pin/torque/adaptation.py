@@ -35,7 +35,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..compiled import compiled
 from ..signals import INDEX, Array
-from .prediction import Prediction, curvature, remaining
+from .prediction import Prediction, descend, shortened
 from .pseudo_inertia import (
     cholesky,
     clip,
@@ -57,7 +57,6 @@ if TYPE_CHECKING:
 Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]
 EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["effective_gain"], INDEX["weight_norm"]
 BODY = 10
-LARGEST_STEP = 0.2  # by which one step down the prediction error may change a body, relative
 
 
 class Adaptation(NamedTuple):
@@ -68,6 +67,7 @@ class Adaptation(NamedTuple):
         gain: (p,) K.
         learning: Off keeps the estimate.
         h: Control period [s].
+        tracking: Factor on the gradient of the tracking error, 1 without a prediction error.
         gamma: Rate of the pseudo-inertias [1/J].
         sigma: Leakage [1/s].
         by_error: Whether leakage is multiplied with |s|.
@@ -81,6 +81,7 @@ class Adaptation(NamedTuple):
         stride: Every how many samples `Y' Y` is added to the memory.
         gradient: (k,) memory to work in.
         steps: (bodies, 4, 4) memory to work in.
+        rest: (k - 10 bodies,) memory to work in.
         factors: (bodies, 4, 4) memory to work in.
         work: (3, 4, 4) memory to work in.
         prediction: The numbers of the prediction error's term; None without it.
@@ -90,6 +91,7 @@ class Adaptation(NamedTuple):
     gain: Array
     learning: bool
     h: float
+    tracking: float
     gamma: float
     sigma: float
     by_error: bool
@@ -103,6 +105,7 @@ class Adaptation(NamedTuple):
     stride: int
     gradient: Array
     steps: Array
+    rest: Array
     factors: Array
     work: Array
     prediction: Prediction | None
@@ -137,11 +140,13 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
     if not a.learning:
         return
     answer = directions(theta, g, a)
-    eta = a.share * feedback / answer if answer > a.share * feedback else 1.0
-    move(theta, g, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a)
+    eta = a.tracking
+    if eta * answer > a.share * feedback:
+        eta = a.share * feedback / answer
+    move(theta, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a)
     follow(a.prediction, a, memory)
     if int(memory[k]) % a.stride == 0:
-        gram = memory[k + 1 :].reshape((k, k))
+        gram = memory[k + 1 : k + 1 + k * k].reshape((k, k))
         for i in range(p):
             for j in range(k):
                 if Y[i, j] != 0.0:
@@ -152,7 +157,7 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
 
 @compiled
 def directions(theta: Array, gradient: Array, a: Adaptation) -> float:
-    """Where a gradient (k,) takes the bodies in a sample, into `a.steps`.
+    """Where a gradient (k,) takes theta in a sample, into `a.steps` and `a.rest`.
 
     Returns:
         `h gradient' Gamma gradient`.
@@ -161,57 +166,34 @@ def directions(theta: Array, gradient: Array, a: Adaptation) -> float:
     for b in range(len(a.roots)):
         total += direction(theta[BODY * b : BODY * b + BODY], gradient[BODY * b : BODY * b + BODY], a, b)
     for j in range(a.rates.size):
-        total += a.h * a.rates[j] * gradient[first + j] ** 2
+        a.rest[j] = a.h * a.rates[j] * gradient[first + j]
+        total += a.rest[j] * gradient[first + j]
     return total
 
 
 @compiled
-def move(theta: Array, gradient: Array, eta: float, sigma: float, a: Adaptation) -> None:
-    """One sample of theta, along `directions` times eta and back by the leakage."""
+def move(theta: Array, eta: float, sigma: float, a: Adaptation) -> None:
+    """One sample of theta, along `a.steps` and `a.rest` times eta and back by the leakage."""
     first = BODY * len(a.roots)
     for b in range(len(a.roots)):
         update_body(theta[BODY * b : BODY * b + BODY], eta, sigma, a, b)
     for j in range(a.rates.size):
         value = theta[first + j]
-        value += a.h * (eta * a.rates[j] * gradient[first + j] - sigma * (value - a.start[j]))
+        value += eta * a.rest[j] - a.h * sigma * (value - a.start[j])
         theta[first + j] = min(max(value, 0.0), a.top[j])
 
 
 @compiled
 def follow(prediction: Prediction | None, a: Adaptation, memory: Array) -> None:
-    """One step down the prediction error, where it is time for one.
-
-    The step is c times the time since the last, but at most the one that minimises the error along its direction, and
-    none that changes a body by more than `LARGEST_STEP` of itself: whatever c is, a step never overshoots.
-    """
+    """One step down the prediction error, where there is one and it is time for it."""
     if prediction is not None:
         k = a.gradient.size
-        if int(memory[k]) % prediction.every != 0:
-            return
-        theta, g = memory[:k], prediction.gradient
-        remaining(prediction, theta, memory)
-        fall = directions(theta, g, a)
-        velocity(theta, g, a, prediction.velocity)
-        bend = a.h * curvature(prediction, memory)
-        eta = min(prediction.weight * prediction.every, fall / bend if bend > 0.0 else 0.0)
-        for b in range(len(a.roots)):
-            size = norm(a.steps[b].ravel())
-            eta = min(eta, LARGEST_STEP / size if size > 0.0 else eta)
-        move(theta, g, eta, 0.0, a)
-
-
-@compiled
-def velocity(theta: Array, gradient: Array, a: Adaptation, out: Array) -> None:
-    """`Gamma gradient`, how fast theta moves along `directions`, (k,)."""
-    first, L, X = BODY * len(a.roots), a.work[0], a.work[1]
-    for b in range(len(a.roots)):
-        sandwich(a.factors[b], a.steps[b], L, X)
-        sandwich(a.roots[b], X, L, a.work[2])
-        to_vector(a.work[2], out[BODY * b : BODY * b + BODY])
-    for j in range(first):
-        out[j] /= a.h
-    for j in range(a.rates.size):
-        out[first + j] = a.rates[j] * gradient[first + j]
+        if int(memory[k]) % prediction.every == 0:
+            theta = memory[:k]
+            for b in range(len(a.roots)):
+                factor(theta[BODY * b : BODY * b + BODY], a, b)
+            descend(prediction, a, memory)
+            move(theta, shortened(prediction.step, a), 0.0, a)
 
 
 @compiled
@@ -224,19 +206,26 @@ def norm(vector: Array) -> float:
 
 
 @compiled
+def factor(theta: Array, a: Adaptation, b: int) -> None:
+    """Lower triangular B of body b, `P = C B B' C'` with `P_0 = C C'`."""
+    Q, half = a.work[0], a.work[1]
+    to_matrix(theta, 1.0, a.factors[b])
+    sandwich(a.inverses[b], a.factors[b], half, Q)
+    cholesky(Q, a.factors[b])
+
+
+@compiled
 def direction(theta: Array, gradient: Array, a: Adaptation, b: int) -> float:
     """Where body b goes, `X = h gamma B' L B` with `P = B B'` in the coordinates where P_0 is the identity.
 
     Returns:
         `|X|^2 / (h gamma)`, its part in `h s' Y Gamma Y' s`.
     """
-    Q, L, X, B = a.work[0], a.work[1], a.steps[b], a.factors[b]
-    to_matrix(theta, 1.0, X)
-    sandwich(a.inverses[b], X, L, Q)
+    Q, L, X = a.work[0], a.work[1], a.steps[b]
+    factor(theta, a, b)
     to_matrix(gradient, 0.5, X)
-    transposed_sandwich(a.roots[b], X, B, L)
-    cholesky(Q, B)
-    transposed_sandwich(B, L, Q, X)
+    transposed_sandwich(a.roots[b], X, Q, L)
+    transposed_sandwich(a.factors[b], L, Q, X)
     total = 0.0
     for i in range(4):
         for j in range(4):

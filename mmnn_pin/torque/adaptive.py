@@ -34,7 +34,8 @@ class Predicting(Settings, frozen=True):
     """The prediction error's term of a composite adaptive controller.
 
     Args:
-        weight: c, how much it counts beside the tracking error; dimensionless. Large is safe: a step never overshoots.
+        weight: c, its factor; dimensionless. Large is safe: a step never overshoots.
+        tracking: a, the factor on the gradient of the tracking error, which is 1 without a prediction error.
         pole: Of the low-pass of regressor and torque [1/s].
         memory: T, how long what was seen counts [s].
         every: Time between two steps [s].
@@ -43,9 +44,10 @@ class Predicting(Settings, frozen=True):
         ConfigError: A number that is negative or not finite, or a memory or period of 0.
     """
 
-    weight: float = 10.0
-    pole: float = 10.0
-    memory: float = 10.0
+    weight: float = 1000.0
+    tracking: float = 0.1
+    pole: float = 5.0
+    memory: float = 30.0
     every: float = 0.01
 
     def __post_init__(self) -> None:
@@ -163,6 +165,7 @@ class Adaptive(CompiledController):
             gain=K,
             learning=self.learning,
             h=float(wiring.control_period),
+            tracking=1.0 if self.predicting is None else float(self.predicting.tracking),
             gamma=float(own.rate),
             sigma=float(own.leakage),
             by_error=own.modification == "e",
@@ -176,6 +179,7 @@ class Adaptive(CompiledController):
             stride=max(1, round(TAKEN / wiring.control_period)),
             gradient=np.zeros(start.size),
             steps=np.zeros(roots.shape),
+            rest=np.zeros(rates.size),
             factors=np.zeros(roots.shape),
             work=np.zeros((3, 4, 4)),
             prediction=self.prediction(wiring, K),
@@ -185,18 +189,21 @@ class Adaptive(CompiledController):
     def prediction(self, wiring: Wiring, K: Array) -> Prediction | None:
         """The numbers of the prediction error's term."""
         own, k, h = self.predicting, self.regressor.size, float(wiring.control_period)
-        if own is None:
+        if own is None or not self.learning:
             return None
         every = max(1, round(own.every / h))
+        size = 16 * len(self.regressor.bodies) + k - self.regressor.inertial
         return Prediction(
             filter=new_filter(wiring.layout, h, own.pole),
             first=k + 1 + k * k,
             trust=1.0 / K,
-            weight=float(own.weight),
+            weight=float(own.weight) * every * h,
             keep=float(np.exp(-every * h / own.memory)),
             every=every,
             gradient=np.zeros(k),
             velocity=np.zeros(k),
+            step=np.zeros(size),
+            work=np.zeros((3, size)),
         )
 
     def init(self, wiring: Wiring) -> Memory:
