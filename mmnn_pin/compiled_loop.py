@@ -28,6 +28,7 @@ from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.adaptation import Adaptation
 from .torque.controller import CompiledController
+from .torque.recall import History, keep, recall
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -185,6 +186,7 @@ def advance(
     y: Array,
     rig: Rig | None,
     adaptation: Adaptation | None,
+    history: History | None,
 ) -> int:
     """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
@@ -216,12 +218,16 @@ def advance(
                 psi_hat[i] += nominal_work.F[i]
         if adaptation is not None and asked:
             estimate(row, at, adaptation, memory)
+        if history is not None and asked:
+            recall(row, at, history, memory)
         if asked:
             law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
         if rig is not None:
             send(k, k * plan.h, row, at, memory, rig)
         if adaptation is not None:
             settle(row, at, adaptation.prediction, memory)
+        if history is not None:
+            keep(row, at, history, memory)
         evaluate(body, work, position, nu)
         psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
         for i in range(p):
@@ -292,7 +298,7 @@ class CompiledLoop:
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         numbers = loop.controller.law(loop.wiring())
-        self.adaptation = numbers.adaptation
+        self.adaptation, self.history = numbers.adaptation, numbers.history
         self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
@@ -326,7 +332,7 @@ class CompiledLoop:
         return advance(
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
             self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
-            self.adaptation,
+            self.adaptation, self.history,
         )  # fmt: skip
 
     def _energy(self, position: Array, nu: Array) -> float:

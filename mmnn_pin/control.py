@@ -14,6 +14,7 @@ from .sample import before_torque, estimate, settle
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
+from .torque.recall import keep, recall
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -102,12 +103,16 @@ class Torque:
             self._model_psi(self.model)
         if self.law.adaptation is not None:
             estimate(self.row, self.at, self.law.adaptation, self.memory.values)
+        if self.law.history is not None:
+            recall(self.row, self.at, self.law.history, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
 
     def settle(self) -> None:
         """The torque in the row is what is sent: a learner that looks back keeps it."""
         if self.python is None and self.law.adaptation is not None:
             settle(self.row, self.at, self.law.adaptation.prediction, self.memory.values)
+        if self.python is None and self.law.history is not None:
+            keep(self.row, self.at, self.law.history, self.memory.values)
 
     def _model_psi(self, model: Dynamics) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""

@@ -1,4 +1,4 @@
-"""The adaptive controllers of an experiment: told how the robot moves, and perhaps what a nominal one weighs."""
+"""The learners of an experiment that are told how the robot moves, and perhaps what a nominal one weighs."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from ..model.overrides import Overrides
 from ..model.regressor import Regressor
 from ..model.robot import Robot
 from ..torque.adaptive import Adapting, Adaptive, Predicting
+from ..torque.concurrent import Concurrent, ConcurrentLearner
 from ..torque.controller import Feedback
 from .nominal import Nominal, nominal_parameters
 
@@ -39,3 +40,14 @@ def adaptive_controller(
         raise ConfigError("adaptive control of no robot", fix="give the robot", key="controllers")
     start = nominal_parameters(nominal, robot, said) if adapting.initial == "nominal" else None
     return Adaptive(Regressor.of(robot), feedback, adapting, start, learning, predicting)
+
+
+def concurrent_learner(
+    settings: Concurrent, feedback: Feedback, robot: Robot | None, nominal: Nominal, said: Overrides, learning: bool
+) -> ConcurrentLearner:
+    """The concurrent learner for a robot; arguments and errors as in `adaptive_controller`."""
+    if robot is None:
+        raise ConfigError("concurrent learning of no robot", fix="give the robot", key="controllers")
+    start = nominal_parameters(nominal, robot, said) if settings.initial == "nominal" else None
+    told = (Regressor.of(robot), robot.E.copy(), robot.effort_limits.copy())
+    return ConcurrentLearner(*told, feedback, settings, start, learning)

@@ -20,6 +20,7 @@ CONTROLLERS = {
     "pd_effective_one_layer": "PD at the effective gain of one_layer",
     "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
     "adaptive_composite": "the same with the prediction error of filtered torque: its estimate is knowledge",
+    "concurrent": "knows the kinematics; a stack of chosen equations, so that knowledge outlasts the excitation",
     "two_layer_residual": "a nominal model with wrong masses, and the two-layer network on the difference",
     "nominal": "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
     "computed_torque": "feedback and the true model: the oracle",

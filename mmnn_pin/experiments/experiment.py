@@ -21,11 +21,12 @@ from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
 from ..torque.adaptive import Adapting, Predicting
+from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from ..torque.residual import Residual
-from .adaptive import adaptive_controller
+from .adaptive import adaptive_controller, concurrent_learner
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
 from .nominal import Nominal, nominal_robot
@@ -91,6 +92,7 @@ class Experiment(Settings, frozen=True):
         one_layer: The one-layer network.
         adaptive: The adaptive controller.
         prediction: The prediction error of `adaptive_composite`.
+        concurrent: The concurrent learner.
         nominal: The model that is wrong on purpose, for those that have one.
         inputs: What the networks see.
         learning: Conventions and switches.
@@ -134,6 +136,7 @@ class Experiment(Settings, frozen=True):
     one_layer: OneLayer = OneLayer()
     adaptive: Adapting = Adapting()
     prediction: Predicting = Predicting()
+    concurrent: Concurrent = Concurrent()
     nominal: Nominal = Nominal()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
@@ -250,6 +253,9 @@ class Experiment(Settings, frozen=True):
             predicting = self.prediction if name == "adaptive_composite" else None
             switches = (self.nominal, self.overrides, self.learning.learning)
             return adaptive_controller(self.adaptive, predicting, feedback, robot, *switches)
+        if name == "concurrent":
+            switches = (self.nominal, self.overrides, self.learning.learning)
+            return concurrent_learner(self.concurrent, feedback, robot, *switches)
         if name == "nominal":
             return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
         if name in EFFECTIVE:

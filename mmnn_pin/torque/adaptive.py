@@ -46,7 +46,7 @@ class Predicting(Settings, frozen=True):
 
     weight: float = 1000.0
     tracking: float = 0.1
-    pole: float = 5.0
+    pole: float = 3.0
     memory: float = 30.0
     every: float = 0.01
 
@@ -156,7 +156,7 @@ class Adaptive(CompiledController):
         K, start, own = self.feedback.vector(wiring.layout), self.start(), self.adapting
         if not (K > 0).all():
             raise ConfigError(f"gains {K.tolist()}", why="adaptation needs all > 0", fix="raise them", key="feedback")
-        scale, first = self.scales(K), self.regressor.inertial
+        scale, first = scales(self.regressor, K), self.regressor.inertial
         matrices = pseudo_inertias(start[:first])
         roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
         rates = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
@@ -242,7 +242,7 @@ class Adaptive(CompiledController):
 
     def start(self) -> Array:
         """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""
-        guess, first = self.guess(), self.regressor.inertial
+        guess, first = guess_of(self.regressor, self.adapting), self.regressor.inertial
         if self.adapting.initial == "guess" or self.nominal is None:
             return guess
         theta = np.maximum(self.nominal, 0.0)
@@ -250,29 +250,32 @@ class Adaptive(CompiledController):
         theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
         return theta
 
-    def guess(self) -> Array:
-        """Balls at every joint and no friction, (k,)."""
-        theta, own = np.zeros(self.regressor.size), self.adapting
-        for i, body in enumerate(self.regressor.bodies):
-            m, size = (own.mass[body != "root"], own.size[body != "root"])
-            theta[BODY * i] = m
-            theta[BODY * i + np.array([4, 7, 9])] = m * size**2
-        return theta
-
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""
         count = len(self.regressor.joints)
         return count, self.regressor.massless.base + count, count
 
-    def scales(self, K: Array) -> Array:
-        """c_j of rotors, viscous and dry friction, (k - 10 bodies,)."""
-        joints = 1.0 / np.einsum("ki,i,ki->k", self.regressor.massless.joints, 1.0 / K, self.regressor.massless.joints)
-        return np.concatenate((joints, K[: self.regressor.massless.base], joints, joints))
-
     @cached_property
     def identifiable(self) -> tuple[Array, Array]:
         """Mean `Y' Y` of random motion (k, k), and the directions of theta that it depends on."""
         return self.regressor.gram(), self.regressor.identifiable()
+
+
+def guess_of(regressor: Regressor, adapting: Adapting) -> Array:
+    """Balls at every joint and no friction, (k,)."""
+    theta = np.zeros(regressor.size)
+    for i, body in enumerate(regressor.bodies):
+        m, size = (adapting.mass[body != "root"], adapting.size[body != "root"])
+        theta[BODY * i] = m
+        theta[BODY * i + np.array([4, 7, 9])] = m * size**2
+    return theta
+
+
+def scales(regressor: Regressor, K: Array) -> Array:
+    """c_j of rotors, viscous and dry friction, (k - 10 bodies,): the gain that each of them feels."""
+    known = regressor.massless
+    joints = 1.0 / np.einsum("ki,i,ki->k", known.joints, 1.0 / K, known.joints)
+    return np.concatenate((joints, K[: known.base], joints, joints))
 
 
 def pseudo_inertias(theta: Array) -> Array:
