@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mmnn_pin import Memory, load_experiment
+from mmnn_pin import load_experiment
 from mmnn_pin.control import Torque
 from mmnn_pin.proof.fvu import fvu
 
@@ -33,7 +33,9 @@ def loop(name, motion, said):
 def frozen_fvu(learned, memory, rows, layout):
     """FVU of a learner that no longer learns, mean of the components."""
     row, told = layout.new_row(), np.zeros((len(rows), layout.dof))
-    still = replace(learned.controller, learning=False) if hasattr(learned.controller, "learning") else learned.controller
+    still = (
+        replace(learned.controller, learning=False) if hasattr(learned.controller, "learning") else learned.controller
+    )
     torque = Torque(still, learned.wiring(), row, learned.robot, memory.snapshot())
     for k, row[:] in enumerate(rows):
         row[layout.where("psi_hat")] = 0.0

@@ -10,11 +10,11 @@ from .errors import ConfigError
 from .model.dynamics import Dynamics
 from .model.robot import Robot
 from .rig import Rig, is_stopped, send
-from .sample import before_torque, estimate, settle
+from .sample import before_torque
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
-from .torque.recall import keep, recall
+from .torque.learners import Learners, estimate, settle
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -48,11 +48,13 @@ class Control:
             measure_exactly: Measure that state, else the row already has the measurement.
         """
         before_torque(self.row, self.at, time, y, reference, measure_exactly, self.arm, self.gains, self.K)
-        if self.rig is None or not is_stopped(self.rig):
+        asked = self.rig is None or not is_stopped(self.rig)
+        if asked:
             self.torque.step(time)
         if self.rig is not None:
             send(k, time, self.row, self.at, self.weights, self.rig)
-        self.torque.settle()
+            if asked:
+                self.torque.keep()
 
 
 class Torque:
@@ -80,9 +82,11 @@ class Torque:
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
         self.model: Dynamics | None = None
+        self.learners: Learners | None = None
         self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
+            self.learners = self.law.learners
             if controller.uses_model:
                 nominal = controller.model or nominal
                 self.model, self.arm_index = Dynamics(nominal), nominal.arm_index
@@ -101,18 +105,15 @@ class Torque:
             return
         if self.model is not None:
             self._model_psi(self.model)
-        if self.law.adaptation is not None:
-            estimate(self.row, self.at, self.law.adaptation, self.memory.values)
-        if self.law.history is not None:
-            recall(self.row, self.at, self.law.history, self.memory.values)
+        if self.learners is not None:
+            estimate(self.row, self.at, self.learners, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
+        self.keep()
 
-    def settle(self) -> None:
-        """The torque in the row is what is sent: a learner that looks back keeps it."""
-        if self.python is None and self.law.adaptation is not None:
-            settle(self.row, self.at, self.law.adaptation.prediction, self.memory.values)
-        if self.python is None and self.law.history is not None:
-            keep(self.row, self.at, self.law.history, self.memory.values)
+    def keep(self) -> None:
+        """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
+        if self.learners is not None:
+            settle(self.row, self.at, self.learners, self.memory.values)
 
     def _model_psi(self, model: Dynamics) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""

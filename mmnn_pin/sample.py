@@ -6,18 +6,13 @@ import numpy as np
 
 from . import kinematic
 from .compiled import compiled, copy_to
-from .model.tree_regressor import Massless, measured, regress
 from .sensing.exact import exact
 from .signals import INDEX, Array, IntArray
-from .torque.adaptation import Adaptation, adapt
-from .torque.filtered import low_pass, period, remember
-from .torque.prediction import Prediction, gather
 
 TIME, POSITION, NU, FIRST_REFERENCE, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 TORQUE, MOTOR_TORQUE = INDEX["torque"], INDEX["motor_torque"]
 POSE_REF, ALPHA, Q_REF = (INDEX[n] for n in ("pose_ref", "alpha", "q_ref"))
 TRUE_POSE_ERROR, TRUE_Z, TRUE_E = (INDEX[n] for n in ("true_pose_error", "true_z", "true_e"))
-VELOCITY, Q, QDOT, NU_REF, NUDOT_REF = (INDEX[n] for n in ("velocity", "q", "qdot", "nu_ref", "nudot_ref"))
 ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"))
 
 
@@ -56,38 +51,6 @@ def true_errors(row: Array, at: IntArray, position: Array, nu: Array, arm: IntAr
         row[at[TRUE_Z] + i] = row[at[ALPHA] + i] - nu[i]
     for i in range(arm.size):
         row[at[TRUE_E] + i] = row[at[Q_REF] + i] - position[arm[i]]
-
-
-@compiled
-def estimate(row: Array, at: IntArray, adaptation: Adaptation, memory: Array) -> None:
-    """Psi_hat of an adaptive controller at the measured state, and the update of its estimate."""
-    known, pose = adaptation.known, row[at[POSE] : at[POSE + 1]]
-    look_back(row, at, known, adaptation.prediction, memory)
-    velocity, q, qdot = row[at[VELOCITY] : at[Q]], row[at[Q] : at[QDOT]], row[at[QDOT] : at[QDOT + 1]]
-    measured(known, pose, velocity, q, qdot)
-    regress(known, row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]])
-    adapt(row, at, adaptation, memory)
-
-
-@compiled
-def settle(row: Array, at: IntArray, prediction: Prediction | None, memory: Array) -> None:
-    """Keep the torque that is held from here on, for a learner that looks back at it."""
-    if prediction is not None:
-        remember(row, at, memory[prediction.first :])
-
-
-@compiled
-def look_back(row: Array, at: IntArray, known: Massless, prediction: Prediction | None, memory: Array) -> None:
-    """What the control period before this sample says of the dynamics, into the memory."""
-    if prediction is not None:
-        f, nb = prediction.filter, known.base
-        seen = memory[prediction.first :]
-        if period(row, at, f, seen):
-            measured(known, f.pose, f.nu[:nb], f.q, f.nu[nb:])
-            regress(known, f.nu, f.nudot)
-            low_pass(f, known.Y, seen)
-            if int(memory[prediction.gradient.size]) % prediction.every == 0:
-                gather(prediction, memory)
 
 
 @compiled

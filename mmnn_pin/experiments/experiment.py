@@ -23,12 +23,14 @@ from ..timing import Timing
 from ..torque.adaptive import Adapting, Predicting
 from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
+from ..torque.kalman_settings import KalmanTables
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from ..torque.residual import Residual
 from .adaptive import adaptive_controller, concurrent_learner
-from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, KALMAN, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
+from .kalman import kalman_controller
 from .nominal import Nominal, nominal_robot
 from .references import HeldOut, ReferenceTables
 from .tolerance import Case, Tolerance
@@ -94,6 +96,7 @@ class Experiment(Settings, frozen=True):
         prediction: The prediction error of `adaptive_composite`.
         concurrent: The concurrent learner.
         nominal: The model that is wrong on purpose, for those that have one.
+        kalman: The linear learners.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
@@ -138,6 +141,7 @@ class Experiment(Settings, frozen=True):
     prediction: Predicting = Predicting()
     concurrent: Concurrent = Concurrent()
     nominal: Nominal = Nominal()
+    kalman: KalmanTables = KalmanTables()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
@@ -245,19 +249,20 @@ class Experiment(Settings, frozen=True):
         inertia = None if robot is None else self.inertia(robot)
         if robot is not None and inertia is not None:
             feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
+        told = (self.nominal, self.overrides, self.learning.learning)
         if name == "pd":
             return PD(feedback)
         if name == "computed_torque":
             return ComputedTorque(feedback)
         if name in ("adaptive", "adaptive_composite"):
             predicting = self.prediction if name == "adaptive_composite" else None
-            switches = (self.nominal, self.overrides, self.learning.learning)
-            return adaptive_controller(self.adaptive, predicting, feedback, robot, *switches)
+            return adaptive_controller(self.adaptive, predicting, feedback, robot, *told)
         if name == "concurrent":
-            switches = (self.nominal, self.overrides, self.learning.learning)
-            return concurrent_learner(self.concurrent, feedback, robot, *switches)
+            return concurrent_learner(self.concurrent, feedback, robot, *told)
         if name == "nominal":
             return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
+        if name in KALMAN:
+            return kalman_controller(getattr(self.kalman, KALMAN[name]), feedback, robot, *told)
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)

@@ -22,6 +22,8 @@ from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
 
 if TYPE_CHECKING:
     from .adaptation import Adaptation
+    from .learners import Learners
+    from .linear import Linear
     from .recall import History
 
 
@@ -89,6 +91,7 @@ class Law:
         adaptation: The numbers of an adaptive law, which writes psi_hat before the step; None for the others, whose
             runs do not compile it.
         history: The numbers of a concurrent learner, likewise.
+        linear: The numbers of a linear learner, likewise.
     """
 
     kind: int
@@ -96,6 +99,15 @@ class Law:
     settings: Array
     adaptation: Adaptation | None = None
     history: History | None = None
+    linear: Linear | None = None
+
+    @property
+    def learners(self) -> Learners | None:
+        """All of what learns in one; None where nothing does."""
+        from .learners import Learners
+
+        own = (self.adaptation, self.linear, self.history)
+        return None if own == (None, None, None) else Learners(*own)
 
 
 class TorqueController(ABC):

@@ -2,20 +2,21 @@
 
 Concurrent learning keeps chosen data and learns from them at every sample beside the new ones (Chowdhary and Johnson
 2010, IEEE CDC; Chowdhary, Muehlegg, Johnson 2014, Int. J. Control 87(8)); filtered torque in the place of measured
-accelerations makes it the integral kind (Parikh, Kamalapurkar, Dixon 2019, Int. J. Adaptive Control and Signal Processing
-33(12)). An entry is one filtered equation per velocity, `y = Phi w + noise`, divided by its noise, and the stack has the
+accelerations makes it the integral kind (Parikh, Kamalapurkar, Dixon 2019, Int. J. Adaptive Control and Signal
+Processing 33(12)). An entry is one filtered equation per velocity, `y = Phi w + noise`, divided by its noise, and the stack has the
 information matrix and the estimate
 
     L = 1 + sum Phi_i' Phi_i,      w_L = L^-1 sum Phi_i' y_i,
 
-where 1 is the prior (w is scaled by it). Chowdhary and Johnson replace an entry where the smallest singular value of the
-stack grows. We replace one where `log det L` grows (D-optimal, Fedorov's exchange): it does not stay zero until the stack
-has full rank, does not depend on the units of w, and needs no singular values, as for a candidate C and an entry i
+where 1 is the prior (w is scaled by it). Chowdhary and Johnson replace an entry where the smallest singular value of
+the stack grows (2011, ACC). We replace one where `log det L` grows (D-optimal, Fedorov's exchange): it does not stay
+zero until the stack has full rank, does not depend on the units of w, and needs no singular values, as for a candidate
+C and an entry i
 
     log det L+ - log det L = log det(1 + C P C') + log det(1 - G_i+),      P = L^-1,   G_i = Phi_i P Phi_i',
 
-with G_i+ from after C was added. Every replacement adds at least `growth` and log det L is bounded, so there are finitely
-many of them, unless entries have a lifetime.
+with G_i+ from after C was added. Every replacement adds at least `growth` and log det L is bounded, so there are
+finitely many of them, unless entries have a lifetime.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Stack(NamedTuple):
         P: (k, k) its inverse.
         G: (N, p, p) `Phi_i P Phi_i'`.
         b: (k,) `sum Phi_i' y_i`.
-        count: (2,) entries that are used, and changes.
+        used: (2,) entries that are used, and changes.
     """
 
     Phi: Array
@@ -50,7 +51,7 @@ class Stack(NamedTuple):
     P: Array
     G: Array
     b: Array
-    count: Array
+    used: Array
 
 
 class Scratch(NamedTuple):
@@ -68,7 +69,7 @@ def shapes(entries: int, p: int, k: int) -> dict[str, tuple[int, ...]]:
     """Names and shapes of what a stack remembers, to be parts of a `Memory` that follow one another."""
     return {
         "Phi": (entries, p, k), "y": (entries, p), "born": (entries,), "L": (k, k), "P": (k, k), "G": (entries, p, p),
-        "b": (k,), "count": (2,),
+        "b": (k,), "used": (2,),
     }  # fmt: skip
 
 
@@ -114,7 +115,7 @@ def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: fl
     Returns:
         Whether the stack has changed.
     """
-    N, used = len(s.born), int(s.count[0])
+    N, used = len(s.born), int(s.used[0])
     changed = False
     for i in range(used):
         if has_entry(s, i) and time - s.born[i] > lifetime:
@@ -135,7 +136,7 @@ def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: fl
             place, best = i, loss
     if used < N and best < 0.0:
         place, best = used, 0.0
-        s.count[0] += 1.0
+        s.used[0] += 1.0
     if gain + best < growth:
         return changed
     put(s, w, place, Phi, y, 1.0)
@@ -259,10 +260,10 @@ def put(s: Stack, w: Scratch, place: int, Phi: Array, y: Array, share: float) ->
         for j in range(k):
             s.Phi[place, i, j] = share * Phi[i, j]
     s.born[place] = -1.0
-    s.count[1] += 1.0
+    s.used[1] += 1.0
     inverted(s.L, w, s.P)
     refreshed(s, w, place)
-    refreshed(s, w, int(s.count[1]) % max(1, int(s.count[0])))
+    refreshed(s, w, int(s.used[1]) % max(1, int(s.used[0])))
 
 
 @compiled
@@ -272,7 +273,7 @@ def spread(s: Stack, w: Scratch, Phi: Array, sign: float) -> None:
     image(s, w, Phi)
     if not math.isfinite(log_det_with(w, sign)):
         return
-    for n in range(int(s.count[0])):
+    for n in range(int(s.used[0])):
         across(s.Phi[n], w, w.C)
         solved(w.S, w.C)
         for i in range(p):

@@ -2,8 +2,9 @@
 
     w' = rate (w_L - w) + tracking P Phi' s,      P = L^-1 of the stack (`torque.history`)
 
-The gain of least squares makes all excited directions converge at the same rate [1/s], however ill conditioned the stack
-is. Between two changes of the stack, with a true w and exact equations, `V = s' M s / 2 + w~' L w~ / (2 tracking)` has
+The gain of least squares makes all excited directions converge at the same rate [1/s], however ill conditioned the
+stack is. Between two changes of the stack, with a true w and exact equations, `V = s' M s / 2 + w~' L w~ / (2 tracking)`
+has
 
     V' = -s' K s - rate / tracking w~' (L - 1) w~ - rate / tracking w~' (w - w_0),
 
@@ -135,9 +136,7 @@ def recall(row: Array, at: IntArray, a: History, memory: Array) -> None:
 
 
 @compiled
-def features(
-    a: History, pose: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array
-) -> None:
+def features(a: History, pose: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array) -> None:
     """Phi and Psi_0 at a state, into a.Phi and a.psi0."""
     measured(a.known, pose, velocity, q, qdot)
     regress(a.known, nu_ref, nudot_ref)
