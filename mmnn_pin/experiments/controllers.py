@@ -21,6 +21,7 @@ CONTROLLERS = {
     "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
     "adaptive_composite": "the same with the prediction error of filtered torque: its estimate is knowledge",
     "concurrent": "knows the kinematics; a stack of chosen equations, so that knowledge outlasts the excitation",
+    "two_layer_composite": "the two-layer network with the prediction error of filtered torque and a memory",
     "two_layer_residual": "a nominal model with wrong masses, and the two-layer network on the difference",
     "nominal": "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
     "kalman_regressor": "knows the kinematics; least squares with a covariance on filtered torque",

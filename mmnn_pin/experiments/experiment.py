@@ -21,6 +21,7 @@ from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
 from ..torque.adaptive import Adapting, Predicting
+from ..torque.composite import CompositeNetwork, Replaying
 from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.kalman_settings import KalmanTables
@@ -95,6 +96,7 @@ class Experiment(Settings, frozen=True):
         adaptive: The adaptive controller.
         prediction: The prediction error of `adaptive_composite`.
         concurrent: The concurrent learner.
+        replay: The prediction error of `two_layer_composite`.
         nominal: The model that is wrong on purpose, for those that have one.
         kalman: The linear learners.
         inputs: What the networks see.
@@ -140,6 +142,7 @@ class Experiment(Settings, frozen=True):
     adaptive: Adapting = Adapting()
     prediction: Predicting = Predicting()
     concurrent: Concurrent = Concurrent()
+    replay: Replaying = Replaying()
     nominal: Nominal = Nominal()
     kalman: KalmanTables = KalmanTables()
     inputs: Inputs = Inputs()
@@ -259,6 +262,10 @@ class Experiment(Settings, frozen=True):
             return adaptive_controller(self.adaptive, predicting, feedback, robot, *told)
         if name == "concurrent":
             return concurrent_learner(self.concurrent, feedback, robot, *told)
+        if name == "two_layer_composite":
+            return CompositeNetwork(
+                feedback, self.replay, self.two_layer, rates=self.learning.rates, learning=self.learning.learning
+            )
         if name == "nominal":
             return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
         if name in KALMAN:

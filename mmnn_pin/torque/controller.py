@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from .learners import Learners
     from .linear import Linear
     from .recall import History
+    from .replay import Replay
 
 
 @dataclass(frozen=True)
@@ -91,6 +92,7 @@ class Law:
         adaptation: The numbers of an adaptive law, which writes psi_hat before the step; None for the others, whose
             runs do not compile it.
         history: The numbers of a concurrent learner, likewise.
+        replay: The numbers of a network's prediction error, likewise.
         linear: The numbers of a linear learner, likewise.
     """
 
@@ -99,6 +101,7 @@ class Law:
     settings: Array
     adaptation: Adaptation | None = None
     history: History | None = None
+    replay: Replay | None = None
     linear: Linear | None = None
 
     @property
@@ -106,8 +109,8 @@ class Law:
         """All of what learns in one; None where nothing does."""
         from .learners import Learners
 
-        own = (self.adaptation, self.linear, self.history)
-        return None if own == (None, None, None) else Learners(*own)
+        own = (self.adaptation, self.linear, self.history, self.replay)
+        return None if all(one is None for one in own) else Learners(*own)
 
 
 class TorqueController(ABC):

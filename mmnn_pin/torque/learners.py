@@ -12,6 +12,7 @@ from .filtered import low_pass, period, remember
 from .linear import Linear, keep_torque, learn
 from .prediction import Prediction, gather
 from .recall import History, keep, recall
+from .replay import Replay, keep_held, replay
 
 POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
@@ -24,11 +25,13 @@ class Learners(NamedTuple):
         adaptation: Of an adaptive controller.
         linear: Of a linear learner.
         history: Of a concurrent learner.
+        replay: Of a network's prediction error.
     """
 
     adaptation: Adaptation | None
     linear: Linear | None
     history: History | None
+    replay: Replay | None
 
 
 @compiled
@@ -37,6 +40,7 @@ def estimate(row: Array, at: IntArray, learners: Learners, memory: Array) -> Non
     by_adaptation(row, at, learners.adaptation, memory)
     by_linear(row, at, learners.linear, memory)
     by_history(row, at, learners.history, memory)
+    by_replay(row, at, learners.replay, memory)
 
 
 @compiled
@@ -45,6 +49,7 @@ def settle(row: Array, at: IntArray, learners: Learners, memory: Array) -> None:
     kept_by_adaptation(row, at, learners.adaptation, memory)
     kept_by_linear(row, at, learners.linear, memory)
     kept_by_history(row, at, learners.history, memory)
+    kept_by_replay(row, at, learners.replay, memory)
 
 
 @compiled
@@ -113,3 +118,17 @@ def kept_by_history(row: Array, at: IntArray, history: History | None, memory: A
     """`settle` of a concurrent learner."""
     if history is not None:
         keep(row, at, history, memory)
+
+
+@compiled
+def by_replay(row: Array, at: IntArray, numbers: Replay | None, memory: Array) -> None:
+    """A network's prediction error; its output is the network's own step."""
+    if numbers is not None:
+        replay(row, at, numbers, memory)
+
+
+@compiled
+def kept_by_replay(row: Array, at: IntArray, numbers: Replay | None, memory: Array) -> None:
+    """`settle` of a network's prediction error."""
+    if numbers is not None:
+        keep_held(row, at, numbers, memory)

@@ -88,7 +88,7 @@ def descend(p: Prediction, a: Adaptation, memory: Array) -> None:
 
     With `Gamma = S S'` it is the implicit Euler step of `theta' = c Gamma (b - Q theta)` over the time tau since the
     last, `theta+ = theta + S y`, `(1 + c tau S' Q S) y = c tau S' (b - Q theta)`, by conjugate gradients from y = 0.
-    The implicit step does not overshoot for any c tau, and excited directions of all sizes take their full part in it.
+    It does not overshoot for any c tau, and excited directions of all sizes take their full part in it.
     """
     k, n = p.gradient.size, p.step.size
     y, residual, direction, image = p.step, p.work[0], p.work[1], p.work[2]
