@@ -22,12 +22,12 @@ from .model.tree_motion import Tree, new_scratch
 from .plant.integrators import METHODS, RK4, derivative, euler, rk4_stage
 from .rig import Rig, act, is_stopped, new_rig, note, rotate, send, sense
 from .safety import TRIPPED, has_ended
-from .sample import after_torque, before_torque, estimate
+from .sample import after_torque, before_torque
 from .sensing import exact
 from .signals import INDEX, Array, IntArray
 from .torque import law
-from .torque.adaptation import Adaptation
 from .torque.controller import CompiledController
+from .torque.learners import Learners, estimate, settle
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -175,12 +175,12 @@ def advance(
     nominal_y: Array,
     y: Array,
     rig: Rig | None,
-    adaptation: Adaptation | None,
+    learners: Learners | None,
 ) -> int:
     """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
     One function on purpose: compiled code is optimised anew at every level of calls, seconds of a first run. What
-    stands behind `rig is not None` or `adaptation is not None` is compiled only for runs that have one.
+    stands behind `rig is not None` or `learners is not None` is compiled only for runs that have one.
     """
     nv, p = body.T.shape
     at, position, nu = blocks.at, y[:nv], y[nv : nv + p]
@@ -208,12 +208,14 @@ def advance(
             psi_again(nominal.tree, nominal_y[:nv], nu_ref, nudot_ref, nominal_work.scratch, psi_hat)
             for i in range(p):
                 psi_hat[i] += nominal_work.F[i]
-        if adaptation is not None and asked:
-            estimate(row, at, adaptation, memory)
+        if learners is not None and asked:
+            estimate(row, at, learners, memory)
         if asked:
             law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
         if rig is not None:
             send(k, k * plan.h, row, at, memory, rig)
+        if learners is not None and asked:
+            settle(row, at, learners, memory)
         evaluate(body, work, position, nu)
         psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
         for i in range(p):
@@ -284,7 +286,7 @@ class CompiledLoop:
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         numbers = loop.controller.law(loop.wiring())
-        self.adaptation = numbers.adaptation
+        self.learners = numbers.learners
         self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
@@ -318,7 +320,7 @@ class CompiledLoop:
         return advance(
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
             self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
-            self.adaptation,
+            self.learners,
         )  # fmt: skip
 
     def _energy(self, position: Array, nu: Array) -> float:

@@ -14,10 +14,11 @@ from .model.reduction import as_measured
 from .model.regressor import Regressor
 from .model.robot import Robot
 from .rig import Rig, is_stopped, send
-from .sample import before_torque, estimate
+from .sample import before_torque
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
+from .torque.learners import Learners, estimate, settle
 from .torque.learning_law import LearningLaw, norms
 from .torque.now import Now
 from .torque.origin import blamed
@@ -75,10 +76,13 @@ class Control:
             measure_exactly: Measure that state, else the row already has the measurement.
         """
         before_torque(self.row, self.at, time, y, reference, measure_exactly, self.arm, self.gains, self.K)
-        if self.rig is None or not is_stopped(self.rig):
+        asked = self.rig is None or not is_stopped(self.rig)
+        if asked:
             self.torque.step(time)
         if self.rig is not None:
             send(k, time, self.row, self.at, self.weights, self.rig)
+            if asked:
+                self.torque.keep()
 
 
 class Torque:
@@ -107,15 +111,17 @@ class Torque:
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
         self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
         self.model: Dynamics | None = None
+        self.learners: Learners | None = None
         self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, LearningLaw):
             self.layout, self.now, self.K = layout, Now.of(row, wiring), controller.feedback_gain(layout)
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
+            self.learners = self.law.learners
             if controller.uses_model:
-                nominal = controller.model or nominal
-                self.model, self.arm_map = Dynamics(nominal), nominal.arm_map()
-                self.position, self.nu = nominal.neutral_position(), np.zeros(layout.dof)
+                believed: Robot = controller.model or nominal
+                self.model, self.arm_map = Dynamics(believed), believed.arm_map()
+                self.position, self.nu = believed.neutral_position(), np.zeros(layout.dof)
 
     def step(self, time: float) -> None:
         """Write psi_hat, robust, effective_gain and torque of this sample into the row."""
@@ -132,9 +138,15 @@ class Torque:
             return
         if self.model is not None:
             self._model_psi(self.model)
-        if self.law.adaptation is not None:
-            estimate(self.row, self.at, self.law.adaptation, self.memory.values)
+        if self.learners is not None:
+            estimate(self.row, self.at, self.learners, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
+        self.keep()
+
+    def keep(self) -> None:
+        """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
+        if self.learners is not None:
+            settle(self.row, self.at, self.learners, self.memory.values)
 
     def features(self) -> Array | None:
         """What the weights were multiplied with at the last step, (rows, k) or (k,); None where it is not told."""

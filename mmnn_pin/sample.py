@@ -6,16 +6,13 @@ import numpy as np
 
 from . import kinematic
 from .compiled import compiled, copy_to
-from .model.tree_regressor import measured, regress
 from .sensing.exact import exact
 from .signals import INDEX, Array, IntArray
-from .torque.adaptation import Adaptation, adapt
 
 TIME, POSITION, NU, FIRST_REFERENCE, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 TORQUE, MOTOR_TORQUE = INDEX["torque"], INDEX["motor_torque"]
 POSE_REF, ALPHA, Q_REF = (INDEX[n] for n in ("pose_ref", "alpha", "q_ref"))
 TRUE_POSE_ERROR, TRUE_Z, TRUE_E = (INDEX[n] for n in ("true_pose_error", "true_z", "true_e"))
-VELOCITY, Q, QDOT, NU_REF, NUDOT_REF = (INDEX[n] for n in ("velocity", "q", "qdot", "nu_ref", "nudot_ref"))
 ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"))
 
 
@@ -54,16 +51,6 @@ def true_errors(row: Array, at: IntArray, position: Array, nu: Array, arm: IntAr
         row[at[TRUE_Z] + i] = row[at[ALPHA] + i] - nu[i]
     for i in range(arm.size):
         row[at[TRUE_E] + i] = row[at[Q_REF] + i] - position[arm[i]]
-
-
-@compiled
-def estimate(row: Array, at: IntArray, adaptation: Adaptation, memory: Array) -> None:
-    """Psi_hat of an adaptive controller at the measured state, and the update of its estimate."""
-    known, pose = adaptation.known, row[at[POSE] : at[POSE + 1]]
-    velocity, q, qdot = row[at[VELOCITY] : at[Q]], row[at[Q] : at[QDOT]], row[at[QDOT] : at[QDOT + 1]]
-    measured(known, pose, velocity, q, qdot)
-    regress(known, row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]])
-    adapt(row, at, adaptation, memory)
 
 
 @compiled

@@ -1,4 +1,4 @@
-"""The adaptive controllers of an experiment: told how the robot moves, and perhaps what a nominal one weighs."""
+"""The learners of an experiment that are told how the robot moves, and perhaps what a nominal one weighs."""
 
 from __future__ import annotations
 
@@ -6,18 +6,26 @@ from ..errors import ConfigError
 from ..model.overrides import Overrides
 from ..model.regressor import Regressor
 from ..model.robot import Robot
-from ..torque.adaptive import Adapting, Adaptive
+from ..torque.adaptive import Adapting, Adaptive, Predicting
+from ..torque.concurrent import Concurrent, ConcurrentLearner
 from ..torque.controller import Feedback
 from .nominal import Nominal, nominal_parameters
 
 
 def adaptive_controller(
-    adapting: Adapting, feedback: Feedback, robot: Robot | None, nominal: Nominal, said: Overrides, learning: bool
+    adapting: Adapting,
+    predicting: Predicting | None,
+    feedback: Feedback,
+    robot: Robot | None,
+    nominal: Nominal,
+    said: Overrides,
+    learning: bool,
 ) -> Adaptive:
     """The adaptive controller for a robot.
 
     Args:
         adapting: Its settings.
+        predicting: Those of its prediction error; None without one.
         feedback: K.
         robot: The true robot, of which the kinematics are read.
         nominal: The nominal robot, from which it may start.
@@ -31,4 +39,15 @@ def adaptive_controller(
     if robot is None:
         raise ConfigError("adaptive control of no robot", fix="give the robot", key="controllers")
     start = nominal_parameters(nominal, robot, said) if adapting.initial == "nominal" else None
-    return Adaptive(Regressor.of(robot), feedback, adapting, start, learning)
+    return Adaptive(Regressor.of(robot), feedback, adapting, start, learning, predicting)
+
+
+def concurrent_learner(
+    settings: Concurrent, feedback: Feedback, robot: Robot | None, nominal: Nominal, said: Overrides, learning: bool
+) -> ConcurrentLearner:
+    """The concurrent learner for a robot; arguments and errors as in `adaptive_controller`."""
+    if robot is None:
+        raise ConfigError("concurrent learning of no robot", fix="give the robot", key="controllers")
+    start = nominal_parameters(nominal, robot, said) if settings.initial == "nominal" else None
+    told = (Regressor.of(robot), robot.E.copy(), robot.effort_limits.copy())
+    return ConcurrentLearner(*told, feedback, settings, start, learning)

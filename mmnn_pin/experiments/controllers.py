@@ -19,8 +19,15 @@ CONTROLLERS = {
     "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
     "pd_effective_one_layer": "PD at the effective gain of one_layer",
     "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
+    "adaptive_composite": "the same with the prediction error of filtered torque: its estimate is knowledge",
+    "concurrent": "knows the kinematics; a stack of chosen equations, so that knowledge outlasts the excitation",
+    "two_layer_composite": "the two-layer network with the prediction error of filtered torque and a memory",
     "two_layer_residual": "a nominal model with wrong masses, and the two-layer network on the difference",
     "nominal": "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
+    "kalman_regressor": "knows the kinematics; least squares with a covariance on filtered torque",
+    "kalman_bilinear": "knows the form of the equations: random functions of the arm's joints, the same least squares",
+    "kalman_features": "knows nothing: random functions of states and references, the same least squares",
+    "kalman_residual": "a nominal model with wrong masses, and kalman_bilinear for what it does not say",
     "computed_torque": "feedback and the true model: the oracle",
 }
 ORACLES = ("computed_torque",)
@@ -31,6 +38,7 @@ TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
     "two_layer_random": "random",
 }
 LEARNERS = (*TWO_LAYERS, "one_layer")
+KALMAN = {f"kalman_{table}": table for table in ("regressor", "bilinear", "features", "residual")}
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
 

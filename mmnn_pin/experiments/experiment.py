@@ -22,14 +22,18 @@ from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
-from ..torque.adaptive import Adapting
+from ..torque.adaptive import Adapting, Predicting
+from ..torque.composite import CompositeNetwork, Replaying
+from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
+from ..torque.kalman_settings import KalmanTables
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from ..torque.residual import Residual
-from .adaptive import adaptive_controller
-from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
+from .adaptive import adaptive_controller, concurrent_learner
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, KALMAN, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
+from .kalman import kalman_controller
 from .laws import own_controller, resolved
 from .nominal import Nominal, nominal_robot
 from .references import HeldOut, ReferenceTables
@@ -93,8 +97,12 @@ class Experiment(Settings, frozen=True):
         two_layer: The two-layer network.
         one_layer: The one-layer network.
         adaptive: The adaptive controller.
+        prediction: The prediction error of `adaptive_composite`.
+        concurrent: The concurrent learner.
+        replay: The prediction error of `two_layer_composite`.
         nominal: The model that is wrong on purpose, for those that have one.
         laws: Controllers of a user by name: `law`, where the class is, and its settings.
+        kalman: The linear learners.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
@@ -136,8 +144,12 @@ class Experiment(Settings, frozen=True):
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
     adaptive: Adapting = Adapting()
+    prediction: Predicting = Predicting()
+    concurrent: Concurrent = Concurrent()
+    replay: Replaying = Replaying()
     nominal: Nominal = Nominal()
     laws: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
+    kalman: KalmanTables = KalmanTables()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
@@ -254,16 +266,24 @@ class Experiment(Settings, frozen=True):
             feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
         if name in self.laws:
             return own_controller(name, self.laws[name], feedback, self.learning.learning)
+        told = (self.nominal, self.overrides, self.learning.learning)
         if name == "pd":
             return PD(feedback)
         if name == "computed_torque":
             return ComputedTorque(feedback)
-        if name == "adaptive":
-            return adaptive_controller(
-                self.adaptive, feedback, robot, self.nominal, self.overrides, self.learning.learning
+        if name in ("adaptive", "adaptive_composite"):
+            predicting = self.prediction if name == "adaptive_composite" else None
+            return adaptive_controller(self.adaptive, predicting, feedback, robot, *told)
+        if name == "concurrent":
+            return concurrent_learner(self.concurrent, feedback, robot, *told)
+        if name == "two_layer_composite":
+            return CompositeNetwork(
+                feedback, self.replay, self.two_layer, rates=self.learning.rates, learning=self.learning.learning
             )
         if name == "nominal":
             return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
+        if name in KALMAN:
+            return kalman_controller(getattr(self.kalman, KALMAN[name]), feedback, robot, *told)
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)

@@ -35,11 +35,14 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from ..compiled import compiled
 from ..signals import INDEX, Array
+from .prediction import Prediction, descend, shortened
 from .pseudo_inertia import (
     cholesky,
     clip,
     exponential,
     product,
+    product_by_transposed,
+    product_of_transposed,
     sandwich,
     to_matrix,
     to_vector,
@@ -64,6 +67,7 @@ class Adaptation(NamedTuple):
         gain: (p,) K.
         learning: Off keeps the estimate.
         h: Control period [s].
+        tracking: Factor on the gradient of the tracking error, 1 without a prediction error.
         gamma: Rate of the pseudo-inertias [1/J].
         sigma: Leakage [1/s].
         by_error: Whether leakage is multiplied with |s|.
@@ -77,14 +81,17 @@ class Adaptation(NamedTuple):
         stride: Every how many samples `Y' Y` is added to the memory.
         gradient: (k,) memory to work in.
         steps: (bodies, 4, 4) memory to work in.
+        rest: (k - 10 bodies,) memory to work in.
         factors: (bodies, 4, 4) memory to work in.
         work: (3, 4, 4) memory to work in.
+        prediction: The numbers of the prediction error's term; None without it.
     """
 
     known: Massless
     gain: Array
     learning: bool
     h: float
+    tracking: float
     gamma: float
     sigma: float
     by_error: bool
@@ -98,8 +105,10 @@ class Adaptation(NamedTuple):
     stride: int
     gradient: Array
     steps: Array
+    rest: Array
     factors: Array
     work: Array
+    prediction: Prediction | None
 
 
 @compiled
@@ -130,27 +139,61 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
     row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = norm(theta[:first]), norm(theta[first:])
     if not a.learning:
         return
-    sigma = a.sigma * math.sqrt(square) if a.by_error else a.sigma
-    answer = 0.0
-    for b in range(len(a.roots)):
-        answer += direction(theta[BODY * b : BODY * b + BODY], g[BODY * b : BODY * b + BODY], a, b)
-    for j in range(k - first):
-        answer += a.h * a.rates[j] * g[first + j] ** 2
-    eta = a.share * feedback / answer if answer > a.share * feedback else 1.0
-    for b in range(len(a.roots)):
-        update_body(theta[BODY * b : BODY * b + BODY], eta, sigma, a, b)
-    for j in range(k - first):
-        value = theta[first + j]
-        value += a.h * (eta * a.rates[j] * g[first + j] - sigma * (value - a.start[j]))
-        theta[first + j] = min(max(value, 0.0), a.top[j])
+    answer = directions(theta, g, a)
+    eta = a.tracking
+    if eta * answer > a.share * feedback:
+        eta = a.share * feedback / answer
+    move(theta, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a)
+    follow(a.prediction, a, memory)
     if int(memory[k]) % a.stride == 0:
-        gram = memory[k + 1 :].reshape((k, k))
+        gram = memory[k + 1 : k + 1 + k * k].reshape((k, k))
         for i in range(p):
             for j in range(k):
                 if Y[i, j] != 0.0:
                     for c in range(k):
                         gram[j, c] += Y[i, j] * Y[i, c]
     memory[k] += 1.0
+
+
+@compiled
+def directions(theta: Array, gradient: Array, a: Adaptation) -> float:
+    """Where a gradient (k,) takes theta in a sample, into `a.steps` and `a.rest`.
+
+    Returns:
+        `h gradient' Gamma gradient`.
+    """
+    total, first = 0.0, BODY * len(a.roots)
+    for b in range(len(a.roots)):
+        total += direction(theta[BODY * b : BODY * b + BODY], gradient[BODY * b : BODY * b + BODY], a, b)
+    for j in range(a.rates.size):
+        a.rest[j] = a.h * a.rates[j] * gradient[first + j]
+        total += a.rest[j] * gradient[first + j]
+    return total
+
+
+@compiled
+def move(theta: Array, eta: float, sigma: float, a: Adaptation) -> None:
+    """One sample of theta, along `a.steps` and `a.rest` times eta and back by the leakage."""
+    first = BODY * len(a.roots)
+    for b in range(len(a.roots)):
+        update_body(theta[BODY * b : BODY * b + BODY], eta, sigma, a, b)
+    for j in range(a.rates.size):
+        value = theta[first + j]
+        value += eta * a.rest[j] - a.h * sigma * (value - a.start[j])
+        theta[first + j] = min(max(value, 0.0), a.top[j])
+
+
+@compiled
+def follow(prediction: Prediction | None, a: Adaptation, memory: Array) -> None:
+    """One step down the prediction error, where there is one and it is time for it."""
+    if prediction is not None:
+        k = a.gradient.size
+        if int(memory[k]) % prediction.every == 0:
+            theta = memory[:k]
+            for b in range(len(a.roots)):
+                factor(theta[BODY * b : BODY * b + BODY], a, b)
+            descend(prediction, a, memory)
+            move(theta, shortened(prediction.step, a), 0.0, a)
 
 
 @compiled
@@ -163,19 +206,26 @@ def norm(vector: Array) -> float:
 
 
 @compiled
+def factor(theta: Array, a: Adaptation, b: int) -> None:
+    """Lower triangular B of body b, `P = C B B' C'` with `P_0 = C C'`."""
+    Q, half = a.work[0], a.work[1]
+    to_matrix(theta, 1.0, a.factors[b])
+    sandwich(a.inverses[b], a.factors[b], half, Q)
+    cholesky(Q, a.factors[b])
+
+
+@compiled
 def direction(theta: Array, gradient: Array, a: Adaptation, b: int) -> float:
     """Where body b goes, `X = h gamma B' L B` with `P = B B'` in the coordinates where P_0 is the identity.
 
     Returns:
         `|X|^2 / (h gamma)`, its part in `h s' Y Gamma Y' s`.
     """
-    Q, L, X, B = a.work[0], a.work[1], a.steps[b], a.factors[b]
-    to_matrix(theta, 1.0, X)
-    sandwich(a.inverses[b], X, L, Q)
+    Q, L, X = a.work[0], a.work[1], a.steps[b]
+    factor(theta, a, b)
     to_matrix(gradient, 0.5, X)
-    transposed_sandwich(a.roots[b], X, B, L)
-    cholesky(Q, B)
-    transposed_sandwich(B, L, Q, X)
+    transposed_sandwich(a.roots[b], X, Q, L)
+    transposed_sandwich(a.factors[b], L, Q, X)
     total = 0.0
     for i in range(4):
         for j in range(4):
@@ -188,20 +238,13 @@ def direction(theta: Array, gradient: Array, a: Adaptation, b: int) -> float:
 def update_body(theta: Array, eta: float, sigma: float, a: Adaptation, b: int) -> None:
     """One sample of body b, along its direction times eta and back by the leakage."""
     Q, L, X, B, half = a.work[0], a.work[1], a.steps[b], a.factors[b], a.work[2]
+    product_of_transposed(B, B, L)
     for i in range(4):
         for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += B[c, i] * B[c, j]
-            X[i, j] = eta * X[i, j] - a.h * sigma * (total - (1.0 if i == j else 0.0))
+            X[i, j] = eta * X[i, j] - a.h * sigma * (L[i, j] - (1.0 if i == j else 0.0))
     exponential(X, L)
     product(B, L, X)
-    for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += X[i, c] * X[j, c]
-            Q[i, j] = total
+    product_by_transposed(X, X, Q)
     if not within(Q, a.rho, L, half):
         clip(Q, a.rho, L, half)
     sandwich(a.roots[b], Q, L, X)

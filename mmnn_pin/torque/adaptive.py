@@ -21,11 +21,40 @@ from ..signals import Array, Layout
 from . import law
 from .adaptation import Adaptation
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .filtered import new_filter, parts
+from .prediction import Prediction
 from .pseudo_inertia import to_matrix, to_vector
 
 FLOOR = 1e-4  # least share of the guess that a nominal body keeps: massless and flat ones have no density
 TAKEN = 0.01  # how often a sample is taken for the excitation [s]
 EXCITED = 1e-3  # share of what random motion of unit speed excites, above which a direction counts as excited
+
+
+class Predicting(Settings, frozen=True):
+    """The prediction error's term of a composite adaptive controller.
+
+    Args:
+        weight: c, its factor; dimensionless. Large is safe: a step never overshoots.
+        tracking: a, the factor on the gradient of the tracking error, which is 1 without a prediction error.
+        pole: Of the low-pass of regressor and torque [1/s].
+        memory: T, how long what was seen counts [s].
+        every: Time between two steps [s].
+
+    Raises:
+        ConfigError: A number that is negative or not finite, or a memory or period of 0.
+    """
+
+    weight: float = 1000.0
+    tracking: float = 0.1
+    pole: float = 3.0
+    memory: float = 30.0
+    every: float = 0.01
+
+    def __post_init__(self) -> None:
+        require_gains(self, "prediction")
+        for name in ("memory", "every"):
+            if getattr(self, name) == 0:
+                raise ConfigError("0 s", fix="use a time > 0", key=f"prediction.{name}")
 
 
 class Adapting(Settings, frozen=True):
@@ -96,7 +125,12 @@ class Adaptive(CompiledController):
     adapting: Adapting = field(default_factory=Adapting)
     nominal: Array | None = None
     learning: bool = True
-    name: str = "adaptive"
+    predicting: Predicting | None = None
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """With a prediction error or without."""
+        return "adaptive" if self.predicting is None else "adaptive_composite"
 
     def __post_init__(self) -> None:
         k, given = self.regressor.size, self.nominal
@@ -111,7 +145,7 @@ class Adaptive(CompiledController):
     def notes(self) -> list[str]:
         """How many of the parameters matter."""
         known = self.unit.shape[1]
-        return [f"adaptive: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
+        return [f"{self.name}: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
 
     def law(self, wiring: Wiring) -> Law:
         """The numbers of the law, with a memory of its own to work in.
@@ -122,7 +156,7 @@ class Adaptive(CompiledController):
         K, start, own = self.feedback.vector(wiring.layout), self.start(), self.adapting
         if not (K > 0).all():
             raise ConfigError(f"gains {K.tolist()}", why="adaptation needs all > 0", fix="raise them", key="feedback")
-        scale, first = self.scales(K), self.regressor.inertial
+        scale, first = scales(self.regressor, K), self.regressor.inertial
         matrices = pseudo_inertias(start[:first])
         roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
         rates = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
@@ -131,6 +165,7 @@ class Adaptive(CompiledController):
             gain=K,
             learning=self.learning,
             h=float(wiring.control_period),
+            tracking=1.0 if self.predicting is None else float(self.predicting.tracking),
             gamma=float(own.rate),
             sigma=float(own.leakage),
             by_error=own.modification == "e",
@@ -144,15 +179,39 @@ class Adaptive(CompiledController):
             stride=max(1, round(TAKEN / wiring.control_period)),
             gradient=np.zeros(start.size),
             steps=np.zeros(roots.shape),
+            rest=np.zeros(rates.size),
             factors=np.zeros(roots.shape),
             work=np.zeros((3, 4, 4)),
+            prediction=self.prediction(wiring, K),
         )
         return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, adaptation)
 
+    def prediction(self, wiring: Wiring, K: Array) -> Prediction | None:
+        """The numbers of the prediction error's term."""
+        own, k, h = self.predicting, self.regressor.size, float(wiring.control_period)
+        if own is None or not self.learning:
+            return None
+        every = max(1, round(own.every / h))
+        size = 16 * len(self.regressor.bodies) + k - self.regressor.inertial
+        return Prediction(
+            filter=new_filter(wiring.layout, h, own.pole),
+            first=k + 1 + k * k,
+            trust=1.0 / K,
+            weight=float(own.weight) * every * h,
+            keep=float(np.exp(-every * h / own.memory)),
+            every=every,
+            gradient=np.zeros(k),
+            velocity=np.zeros(k),
+            step=np.zeros(size),
+            work=np.zeros((3, size)),
+        )
+
     def init(self, wiring: Wiring) -> Memory:
         """The estimate at its start, and nothing seen yet."""
-        k = self.regressor.size
-        memory = Memory.of(theta=(k,), samples=(1,), gram=(k, k))
+        k, seen = self.regressor.size, dict[str, tuple[int, ...]]()
+        if self.predicting is not None:
+            seen = {**parts(wiring.layout, wiring.layout.dof, k), "Q": (k, k), "b": (k,)}
+        memory = Memory.of(theta=(k,), samples=(1,), gram=(k, k), **seen)
         memory["theta"] = self.start()
         return memory
 
@@ -167,7 +226,8 @@ class Adaptive(CompiledController):
     def facts(self) -> dict[str, Any]:
         """Gains, settings and start, with the names of the parameters."""
         named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
-        return {"feedback": plain(self.feedback), "adapting": plain(self.adapting)} | named
+        own = {} if self.predicting is None else {"predicting": plain(self.predicting)}
+        return {"feedback": plain(self.feedback), "adapting": plain(self.adapting), **own} | named
 
     def features(self, law: Law, memory: Memory) -> Array | None:
         """Y, (p, k)."""
@@ -186,7 +246,7 @@ class Adaptive(CompiledController):
 
     def start(self) -> Array:
         """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""
-        guess, first = self.guess(), self.regressor.inertial
+        guess, first = guess_of(self.regressor, self.adapting), self.regressor.inertial
         if self.adapting.initial == "guess" or self.nominal is None:
             return guess
         theta = np.maximum(self.nominal, 0.0)
@@ -194,29 +254,32 @@ class Adaptive(CompiledController):
         theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
         return theta
 
-    def guess(self) -> Array:
-        """Balls at every joint and no friction, (k,)."""
-        theta, own = np.zeros(self.regressor.size), self.adapting
-        for i, body in enumerate(self.regressor.bodies):
-            m, size = (own.mass[body != "root"], own.size[body != "root"])
-            theta[BODY * i] = m
-            theta[BODY * i + np.array([4, 7, 9])] = m * size**2
-        return theta
-
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""
         count = len(self.regressor.joints)
         return count, self.regressor.massless.base + count, count
 
-    def scales(self, K: Array) -> Array:
-        """c_j of rotors, viscous and dry friction, (k - 10 bodies,)."""
-        joints = 1.0 / np.einsum("ki,i,ki->k", self.regressor.massless.joints, 1.0 / K, self.regressor.massless.joints)
-        return np.concatenate((joints, K[: self.regressor.massless.base], joints, joints))
-
     @cached_property
     def unit(self) -> Array:
         """The combinations of theta that matter, each of the size that random motion excites alike, (k, known)."""
         return self.regressor.unit()
+
+
+def guess_of(regressor: Regressor, adapting: Adapting) -> Array:
+    """Balls at every joint and no friction, (k,)."""
+    theta = np.zeros(regressor.size)
+    for i, body in enumerate(regressor.bodies):
+        m, size = (adapting.mass[body != "root"], adapting.size[body != "root"])
+        theta[BODY * i] = m
+        theta[BODY * i + np.array([4, 7, 9])] = m * size**2
+    return theta
+
+
+def scales(regressor: Regressor, K: Array) -> Array:
+    """c_j of rotors, viscous and dry friction, (k - 10 bodies,): the gain that each of them feels."""
+    known = regressor.massless
+    joints = 1.0 / np.einsum("ki,i,ki->k", known.joints, 1.0 / K, known.joints)
+    return np.concatenate((joints, K[: known.base], joints, joints))
 
 
 def pseudo_inertias(theta: Array) -> Array:

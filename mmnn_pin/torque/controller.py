@@ -22,6 +22,10 @@ from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
 
 if TYPE_CHECKING:
     from .adaptation import Adaptation
+    from .learners import Learners
+    from .linear import Linear
+    from .recall import History
+    from .replay import Replay
 
 
 @dataclass(frozen=True)
@@ -89,12 +93,26 @@ class Law:
         settings: float64 numbers.
         adaptation: The numbers of an adaptive law, which writes psi_hat before the step; None for the others, whose
             runs do not compile it.
+        history: The numbers of a concurrent learner, likewise.
+        replay: The numbers of a network's prediction error, likewise.
+        linear: The numbers of a linear learner, likewise.
     """
 
     kind: int
     sizes: NDArray[np.int64]
     settings: Array
     adaptation: Adaptation | None = None
+    history: History | None = None
+    replay: Replay | None = None
+    linear: Linear | None = None
+
+    @property
+    def learners(self) -> Learners | None:
+        """All of what learns in one; None where nothing does."""
+        from .learners import Learners
+
+        own = (self.adaptation, self.linear, self.history, self.replay)
+        return None if all(one is None for one in own) else Learners(*own)
 
 
 class TorqueController(ABC):

@@ -147,6 +147,8 @@ class Inputs(Settings, frozen=True):
         scale: Factor on every input (180/pi puts joint angles in degrees).
         error_scale: Factor on the error s that teaches, undone at the output: with 180/pi for both the whole network
             works in degrees, and so do its leakage and the norm of its weights.
+        bias: One more input that never changes, which (3.24) lacks: without it the hidden units see no constant; 0 for
+            none.
         constant_yaw_rate: Appendix B's slip `wd = (5)`: this number in place of the second component of alpha.
 
     Raises:
@@ -158,13 +160,14 @@ class Inputs(Settings, frozen=True):
     pose_error: Literal["body", "world"] = "body"
     scale: float = 1.0
     error_scale: float = 1.0
+    bias: float = 0.0
     constant_yaw_rate: float | None = None
 
     def __post_init__(self) -> None:
         for name in self.signals:
             if name not in MEASURED:
                 raise UnknownName("network input", name, MEASURED, key="inputs.signals")
-        for name in ("scale", "error_scale", "constant_yaw_rate"):
+        for name in ("scale", "error_scale", "bias", "constant_yaw_rate"):
             value = getattr(self, name)
             if value is not None and not np.isfinite(value):
                 raise ConfigError(f"{value} is not finite", fix="use a finite number", key=f"inputs.{name}")
@@ -175,6 +178,7 @@ class Inputs(Settings, frozen=True):
         """Places of the inputs in a row, (nx,) int64."""
         frames = {"pose_error": "world_error"} if self.pose_error == "world" else {}
         places = [np.arange(layout.width)[layout.where(frames.get(name, name))] for name in self.signals]
+        places += [np.zeros(1, np.int64)] if self.bias else []
         return np.concatenate(places).astype(np.int64)
 
     def affine(self, layout: Layout) -> tuple[Array, Array]:
@@ -184,6 +188,8 @@ class Inputs(Settings, frozen=True):
         if self.constant_yaw_rate is not None and layout.base == 2:
             wd = rows == layout.where("alpha").start + 1
             scale[wd], offset[wd] = 0.0, self.constant_yaw_rate
+        if self.bias:
+            scale[-1], offset[-1] = 0.0, self.bias
         return scale, offset
 
 

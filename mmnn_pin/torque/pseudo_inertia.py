@@ -42,27 +42,39 @@ def product(A: Array, B: Array, out: Array) -> None:
 
 
 @compiled
-def sandwich(A: Array, S: Array, half: Array, out: Array) -> None:
-    """`A S A'`, 4 x 4."""
-    product(A, S, half)
+def product_by_transposed(A: Array, B: Array, out: Array) -> None:
+    """`A B'`, 4 x 4."""
     for i in range(4):
         for j in range(4):
             total = 0.0
             for c in range(4):
-                total += half[i, c] * A[j, c]
+                total += A[i, c] * B[j, c]
             out[i, j] = total
+
+
+@compiled
+def product_of_transposed(A: Array, B: Array, out: Array) -> None:
+    """`A' B`, 4 x 4."""
+    for i in range(4):
+        for j in range(4):
+            total = 0.0
+            for c in range(4):
+                total += A[c, i] * B[c, j]
+            out[i, j] = total
+
+
+@compiled
+def sandwich(A: Array, S: Array, half: Array, out: Array) -> None:
+    """`A S A'`, 4 x 4."""
+    product(A, S, half)
+    product_by_transposed(half, A, out)
 
 
 @compiled
 def transposed_sandwich(A: Array, S: Array, half: Array, out: Array) -> None:
     """`A' S A`, 4 x 4."""
     product(S, A, half)
-    for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += A[c, i] * half[c, j]
-            out[i, j] = total
+    product_of_transposed(A, half, out)
 
 
 @compiled
@@ -123,12 +135,7 @@ def clip(Q: Array, rho: float, U: Array, half: Array) -> None:
         value = min(max(Q[i, i], 1.0 / rho), rho)
         for j in range(4):
             half[j, i] = U[j, i] * value
-    for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += half[i, c] * U[j, c]
-            Q[i, j] = total
+    product_by_transposed(half, U, Q)
 
 
 @compiled

@@ -1,0 +1,241 @@
+"""Concurrent learning of the parameters of a robot whose kinematics are known: knowledge that outlasts the excitation.
+
+`torque.recall` has the law, `torque.history` the stack of equations that it learns from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..model.regressor import Regressor
+from ..settings import Settings, plain, require_gains
+from ..signals import Array, Layout
+from . import law
+from .adaptive import Adapting, guess_of, scales
+from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .filtered import new_filter, parts
+from .history import scratch, shapes
+from .recall import History
+
+SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
+RADIUS = 10.0  # bound on w, as root mean square in standard deviations of the prior
+UNKNOWN = 0.1  # share of the prior variance of Psi left on random motion, above which a run did not excite
+RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
+SAMPLES = 300  # of random motion
+
+
+class Concurrent(Settings, frozen=True):
+    """How a concurrent learner learns.
+
+    Args:
+        entries: Places of the history stack; each holds one equation per velocity.
+        rate: How fast the estimate goes to what the stack says [1/s].
+        tracking: How fast it follows the tracking error where nothing is known yet [1/J].
+        noise: Standard deviation of an equation, divided by K: the velocity error that would hide it [m/s, rad/s].
+        growth: Least gain of log det of the information for which an entry is replaced.
+        lifetime: Of an entry [s]; 0 for ever. With one, what is not excited again is forgotten, and a robot that has
+            changed is learned anew.
+        pole: Of the low-pass of regressor and torque [1/s].
+        every: Time between two candidates [s].
+        spread: Standard deviation of the prior, in sizes of the guess; of friction in tenths of c_j (see `Adapting`).
+        initial: "guess" starts from balls without friction, "nominal" from a nominal robot (in an experiment the one
+            of `[nominal]`).
+
+    Raises:
+        ConfigError: A number that is negative, not finite or 0 where it must not be.
+    """
+
+    entries: int = 60
+    rate: float = 2.0
+    tracking: float = 10.0
+    noise: float = 0.005
+    growth: float = 0.05
+    lifetime: float = 0.0
+    pole: float = 3.0
+    every: float = 0.02
+    spread: float = 1.0
+    initial: Literal["guess", "nominal"] = "guess"
+
+    def __post_init__(self) -> None:
+        numbers = [name for name in self.__struct_fields__ if name != "initial"]
+        require_gains(self, "concurrent", *numbers)
+        for name in ("entries", "noise", "growth", "every", "spread"):
+            if not getattr(self, name) > 0:
+                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=f"concurrent.{name}")
+
+
+@dataclass(frozen=True, eq=False)
+class ConcurrentLearner(CompiledController):
+    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see `torque.recall` for what holds.
+
+    Args:
+        regressor: How the robot moves.
+        E: (p, motors) torque on nu from motor torques.
+        effort: (motors,) largest torques of the motors [N m or N], inf for no limit.
+        feedback: K.
+        settings: Stack, rates and start.
+        nominal: (k0,) parameters to start from, needed for `initial = "nominal"`.
+        learning: Off keeps the estimate.
+
+    Raises:
+        ConfigError: A start from nominal parameters without them, or with others than k0 finite ones.
+    """
+
+    regressor: Regressor
+    E: Array
+    effort: Array
+    feedback: Feedback = field(default_factory=Feedback)
+    settings: Concurrent = field(default_factory=Concurrent)
+    nominal: Array | None = None
+    learning: bool = True
+    name: str = "concurrent"
+
+    def __post_init__(self) -> None:
+        k, given = self.regressor.size, self.nominal
+        if self.settings.initial == "nominal" and given is None:
+            raise ConfigError(
+                "no nominal parameters", fix="give them, or use initial = 'guess'", key="concurrent.initial"
+            )
+        if given is not None and (given.shape != (k,) or not np.isfinite(given).all()):
+            raise ConfigError(f"{given.size} parameters", fix=f"give {k} finite ones", key="nominal")
+
+    @property
+    def notes(self) -> list[str]:
+        """How many of the parameters matter."""
+        return [f"{self.name}: {self.dimension} combinations of its {self.regressor.size} parameters matter"]
+
+    @property
+    def dimension(self) -> int:
+        """Number of combinations that matter, k."""
+        return self._typical[1].shape[1]
+
+    def law(self, wiring: Wiring) -> Law:
+        """The numbers of the law, with a memory of its own to work in.
+
+        Raises:
+            ConfigError: A gain of 0: noise is measured by the gains.
+        """
+        K, own, h = self.feedback.vector(wiring.layout), self.settings, float(wiring.control_period)
+        if not (K > 0).all():
+            raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
+        p, k, E = K.size, self.dimension, np.ascontiguousarray(self.E)
+        history = History(
+            known=self.regressor.workspace(),
+            basis=self.basis(K),
+            theta0=self.start(),
+            filter=new_filter(wiring.layout, h, own.pole),
+            gain=K,
+            precision=1.0 / (own.noise * K),
+            learning=self.learning,
+            h=h,
+            every=max(1, round(own.every / h)),
+            rate=float(own.rate),
+            tracking=float(own.tracking),
+            share=SHARE,
+            radius=RADIUS * float(np.sqrt(k)),
+            growth=float(own.growth),
+            lifetime=float(own.lifetime) if own.lifetime else np.inf,
+            entries=own.entries,
+            E=E,
+            E_inv=np.ascontiguousarray(np.linalg.pinv(E)),
+            effort=self.effort.copy(),
+            motors=np.zeros(self.effort.size),
+            Phi=np.zeros((p, k)),
+            psi0=np.zeros(p),
+            y=np.zeros(p),
+            gradient=np.zeros(k),
+            target=np.zeros(k),
+            scratch=scratch(p, k),
+        )
+        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, history=history)
+
+    def init(self, wiring: Wiring) -> Memory:
+        """The estimate at its start, and an empty stack."""
+        p, k = wiring.layout.dof, self.dimension
+        stack = shapes(self.settings.entries, p, k)
+        memory = Memory.of(w=(k,), samples=(1,), **parts(wiring.layout, p, k), **stack)
+        memory["L"] = memory["P"] = np.eye(k)
+        memory["born"] = -1.0
+        return memory
+
+    def basis(self, K: Array) -> Array:
+        """`theta = theta_0 + basis w`, (k0, k): the directions that matter, of the size of the prior."""
+        del K
+        deviation, directions = self._typical
+        return np.ascontiguousarray(deviation[:, None] * directions)
+
+    def start(self) -> Array:
+        """The parameters before anything is learned, (k0,)."""
+        if self.settings.initial == "nominal" and self.nominal is not None:
+            return np.array(self.nominal)
+        return guess_of(self.regressor, Adapting())
+
+    def theta(self, memory: Memory, layout: Layout) -> Array:
+        """The estimate as parameters of the robot, (k0,)."""
+        return np.asarray(self.start() + self.basis(self.feedback.vector(layout)) @ memory["w"])
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """K, (p,)."""
+        return self.feedback.vector(layout)
+
+    def weights(self, memory: Memory) -> dict[str, Array]:
+        """The estimate, (k,)."""
+        return {"w": memory["w"]}
+
+    def facts(self) -> dict[str, Any]:
+        """Gains, settings and start, with the names of the parameters."""
+        own = {"feedback": plain(self.feedback), "settings": plain(self.settings), "learning": self.learning}
+        return own | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
+
+    def unknown(self, memory: Memory) -> Array:
+        """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
+        Phi = self.random_motion() @ self.basis(np.zeros(0))
+        left = np.einsum("nij,jk,nik->i", Phi, memory["P"], Phi)
+        return np.asarray(left / np.einsum("nij,nij->i", Phi, Phi))
+
+    def findings(self, memory: Memory) -> list[str]:
+        """Says when the run did not excite what the learner would have to know of other motions."""
+        if not self.learning or not np.isfinite(memory.values).all():
+            return []
+        unknown = float(self.unknown(memory).max())
+        if unknown <= UNKNOWN:
+            return []
+        return [
+            f"{self.name}: not excited: {unknown:.0%} of what it did not know is left, on random motion; what it "
+            "learned tracks the motions of this run and is no knowledge of others"
+        ]
+
+    def random_motion(self, seed: int = 0) -> Array:
+        """Regressors of random motion of unit speed, (samples, p, k0)."""
+        rng, p = np.random.default_rng(seed), self.regressor.massless.nu.size
+        place = self.regressor.random_position
+        return np.array([self.regressor.matrix(place(rng), *rng.standard_normal((3, p))) for _ in range(SAMPLES)])
+
+    @cached_property
+    def _typical(self) -> tuple[Array, Array]:
+        """Standard deviations of the prior (k0,), and orthonormal directions of the scaled parameters that matter."""
+        deviation = self.settings.spread * self._sizes()
+        Y = self.random_motion().reshape(-1, self.regressor.size) * deviation
+        _, singular, directions = np.linalg.svd(Y, full_matrices=False)
+        return deviation, np.ascontiguousarray(directions[singular > RANK * singular[0]].T)
+
+    def _sizes(self) -> Array:
+        """Sizes of the parameters, (k0,): of the guess, and of friction a tenth of the gain that the joint feels."""
+        adapting, k = Adapting(), self.regressor.inertial
+        found = np.zeros(self.regressor.size)
+        for i, body in enumerate(self.regressor.bodies):
+            m, size = adapting.mass[body != "root"], adapting.size[body != "root"]
+            found[10 * i : 10 * i + 10] = m * size ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+        layout_gains = self._gains()
+        found[k:] = 0.1 * scales(self.regressor, layout_gains)
+        return found
+
+    def _gains(self) -> Array:
+        massless = self.regressor.massless
+        layout = Layout(massless.base, massless.nu.size - massless.base, massless.offset.size, 0)
+        return self.feedback.vector(layout)

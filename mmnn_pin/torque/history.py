@@ -1,0 +1,325 @@
+"""A history stack: the equations worth keeping, so that knowledge needs no motion that goes on exciting. Compiled.
+
+Concurrent learning keeps chosen data and learns from them at every sample beside the new ones (Chowdhary and Johnson
+2010, IEEE CDC; Chowdhary, Muehlegg, Johnson 2014, Int. J. Control 87(8)); filtered torque in the place of measured
+accelerations makes it the integral kind (Parikh, Kamalapurkar, Dixon 2019, Int. J. Adaptive Control and Signal
+Processing 33(12)). An entry is one filtered equation per velocity, `y = Phi w + noise`, divided by its noise, and the stack has the
+information matrix and the estimate
+
+    L = 1 + sum Phi_i' Phi_i,      w_L = L^-1 sum Phi_i' y_i,
+
+where 1 is the prior (w is scaled by it). Chowdhary and Johnson replace an entry where the smallest singular value of
+the stack grows (2011, ACC). We replace one where `log det L` grows (D-optimal, Fedorov's exchange): it does not stay
+zero until the stack has full rank, does not depend on the units of w, and needs no singular values, as for a candidate
+C and an entry i
+
+    log det L+ - log det L = log det(1 + C P C') + log det(1 - G_i+),      P = L^-1,   G_i = Phi_i P Phi_i',
+
+with G_i+ from after C was added. Every replacement adds at least `growth` and log det L is bounded, so there are
+finitely many of them, unless entries have a lifetime.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..compiled import compiled
+from ..signals import Array
+
+
+class Stack(NamedTuple):
+    """A history stack, all of it views into a controller's memory.
+
+    Attributes:
+        Phi: (N, p, k) entries; zeros where there is none.
+        y: (N, p) their other sides.
+        born: (N,) when each was taken [s].
+        L: (k, k) information matrix.
+        P: (k, k) its inverse.
+        G: (N, p, p) `Phi_i P Phi_i'`.
+        b: (k,) `sum Phi_i' y_i`.
+        used: (2,) entries that are used, and changes.
+    """
+
+    Phi: Array
+    y: Array
+    born: Array
+    L: Array
+    P: Array
+    G: Array
+    b: Array
+    used: Array
+
+
+class Scratch(NamedTuple):
+    """Memory to work in: PU (k, p), S (p, p), C (p, p), X (p, p), factor (k, k), column (k,)."""
+
+    PU: Array
+    S: Array
+    C: Array
+    X: Array
+    factor: Array
+    column: Array
+
+
+def shapes(entries: int, p: int, k: int) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of what a stack remembers, to be parts of a `Memory` that follow one another."""
+    return {
+        "Phi": (entries, p, k), "y": (entries, p), "born": (entries,), "L": (k, k), "P": (k, k), "G": (entries, p, p),
+        "b": (k,), "used": (2,),
+    }  # fmt: skip
+
+
+def scratch(p: int, k: int) -> Scratch:
+    """Memory to work in."""
+    return Scratch(*(np.zeros(shape) for shape in ((k, p), (p, p), (p, p), (p, p), (k, k), (k,))))
+
+
+@compiled
+def views(memory: Array, N: int, p: int, k: int) -> Stack:
+    """The stack that lies in a memory, from its first part on."""
+    a = N * p * k
+    b = a + N * p
+    c = b + N
+    d = c + k * k
+    e = d + k * k
+    f = e + N * p * p
+    return Stack(
+        memory[:a].reshape((N, p, k)),
+        memory[a:b].reshape((N, p)),
+        memory[b:c],
+        memory[c:d].reshape((k, k)),
+        memory[d:e].reshape((k, k)),
+        memory[e:f].reshape((N, p, p)),
+        memory[f : f + k],
+        memory[f + k : f + k + 2],
+    )
+
+
+@compiled
+def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: float, lifetime: float) -> bool:
+    """Put an equation into the stack where it is worth it; drop one whose time is over.
+
+    Args:
+        s: The stack.
+        w: Memory to work in.
+        Phi: (p, k) the equation's features, divided by its noise.
+        y: (p,) its other side, likewise.
+        time: Now [s].
+        growth: Least gain of log det L, > 0.
+        lifetime: Of an entry [s]; inf for ever.
+
+    Returns:
+        Whether the stack has changed.
+    """
+    N, used = len(s.born), int(s.used[0])
+    changed = False
+    for i in range(used):
+        if has_entry(s, i) and time - s.born[i] > lifetime:
+            put(s, w, i, Phi, y, 0.0)
+            changed = True
+            break
+    image(s, w, Phi)
+    gain = log_det_with(w, 1.0)
+    if gain < growth:
+        return changed
+    place, best = -1, -math.inf
+    for i in range(used):
+        loss = 0.0
+        if has_entry(s, i):
+            removed(s, w, i)
+            loss = log_det(w.X, w.C)
+        if loss > best:
+            place, best = i, loss
+    if used < N and best < 0.0:
+        place, best = used, 0.0
+        s.used[0] += 1.0
+    if gain + best < growth:
+        return changed
+    put(s, w, place, Phi, y, 1.0)
+    s.born[place] = time
+    return True
+
+
+@compiled
+def has_entry(s: Stack, i: int) -> bool:
+    """Whether a place of the stack is taken."""
+    return bool(s.born[i] >= 0.0)
+
+
+@compiled
+def image(s: Stack, w: Scratch, Phi: Array) -> None:
+    """`P Phi'` into w.PU, and `Phi P Phi'` into w.S."""
+    p, k = Phi.shape
+    for j in range(k):
+        for i in range(p):
+            total = 0.0
+            for c in range(k):
+                total += s.P[j, c] * Phi[i, c]
+            w.PU[j, i] = total
+    across(Phi, w, w.S)
+
+
+@compiled
+def across(Phi: Array, w: Scratch, out: Array) -> None:
+    """`Phi P U` with the w.PU of an equation U, (p, p)."""
+    p, k = Phi.shape
+    for i in range(p):
+        for j in range(p):
+            total = 0.0
+            for c in range(k):
+                total += Phi[i, c] * w.PU[c, j]
+            out[i, j] = total
+
+
+@compiled
+def log_det_with(w: Scratch, sign: float) -> float:
+    """`log det(1 + sign S)`; w.S becomes the Cholesky factor of `1 + sign S`."""
+    p, total = len(w.S), 0.0
+    for i in range(p):
+        for j in range(p):
+            w.X[i, j] = sign * w.S[i, j] + (1.0 if i == j else 0.0)
+    if not factored(w.X, w.S):
+        return -math.inf
+    for i in range(p):
+        total += 2.0 * math.log(w.S[i, i])
+    return total
+
+
+@compiled
+def removed(s: Stack, w: Scratch, i: int) -> None:
+    """`1 - G_i+` into w.X, with G_i+ as it is once the equation of w.PU has been added."""
+    p = len(w.S)
+    across(s.Phi[i], w, w.C)
+    solved(w.S, w.C)
+    for a in range(p):
+        for b in range(p):
+            total = (1.0 if a == b else 0.0) - s.G[i, a, b]
+            for c in range(p):
+                total += w.C[a, c] * w.C[b, c]
+            w.X[a, b] = total
+
+
+@compiled
+def solved(factor: Array, C: Array) -> None:
+    """`C F'^-1` in place for a lower triangular F, so that `C C'` becomes `C (F F')^-1 C'`."""
+    for a in range(len(C)):
+        for j in range(len(factor)):
+            total = C[a, j]
+            for c in range(j):
+                total -= C[a, c] * factor[j, c]
+            C[a, j] = total / factor[j, j]
+
+
+@compiled
+def log_det(X: Array, factor: Array) -> float:
+    """Logarithm of a determinant, -inf where the matrix is not positive definite; the factor is written."""
+    if not factored(X, factor):
+        return -math.inf
+    total = 0.0
+    for i in range(len(X)):
+        total += 2.0 * math.log(factor[i, i])
+    return total
+
+
+@compiled
+def factored(A: Array, F: Array) -> bool:
+    """Lower triangular `A = F F'`; False where A is not positive definite."""
+    for j in range(len(A)):
+        for i in range(j, len(A)):
+            total = A[i, j]
+            for c in range(j):
+                total -= F[i, c] * F[j, c]
+            if i > j:
+                F[i, j] = total / F[j, j]
+            elif total > 0.0:
+                F[j, j] = math.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@compiled
+def put(s: Stack, w: Scratch, place: int, Phi: Array, y: Array, share: float) -> None:
+    """Replace an entry by share (1 or 0) times an equation: L, b, P, and G of all entries."""
+    p, k = Phi.shape
+    old = s.Phi[place]
+    for i in range(p):
+        for j in range(k):
+            s.b[j] += share * Phi[i, j] * y[i] - old[i, j] * s.y[place, i]
+            for c in range(k):
+                s.L[j, c] += share * Phi[i, j] * Phi[i, c] - old[i, j] * old[i, c]
+    if share == 1.0:
+        spread(s, w, Phi, 1.0)
+    spread(s, w, old, -1.0)
+    for i in range(p):
+        s.y[place, i] = share * y[i]
+        for j in range(k):
+            s.Phi[place, i, j] = share * Phi[i, j]
+    s.born[place] = -1.0
+    s.used[1] += 1.0
+    inverted(s.L, w, s.P)
+    refreshed(s, w, place)
+    refreshed(s, w, int(s.used[1]) % max(1, int(s.used[0])))
+
+
+@compiled
+def spread(s: Stack, w: Scratch, Phi: Array, sign: float) -> None:
+    """What an equation that comes (1) or goes (-1) makes of P and of every G_i."""
+    p, k = Phi.shape
+    image(s, w, Phi)
+    if not math.isfinite(log_det_with(w, sign)):
+        return
+    for n in range(int(s.used[0])):
+        across(s.Phi[n], w, w.C)
+        solved(w.S, w.C)
+        for i in range(p):
+            for j in range(p):
+                for c in range(p):
+                    s.G[n, i, j] -= sign * w.C[i, c] * w.C[j, c]
+    solved(w.S, w.PU)
+    for i in range(k):
+        for j in range(k):
+            for c in range(p):
+                s.P[i, j] -= sign * w.PU[i, c] * w.PU[j, c]
+
+
+@compiled
+def refreshed(s: Stack, w: Scratch, i: int) -> None:
+    """G_i from P."""
+    image(s, w, s.Phi[i])
+    for a in range(len(w.S)):
+        for b in range(len(w.S)):
+            s.G[i, a, b] = w.S[a, b]
+
+
+@compiled
+def inverted(L: Array, w: Scratch, P: Array) -> None:
+    """`L^-1` into P; P stays where L is not positive definite."""
+    k, F, x = len(L), w.factor, w.column
+    if not factored(L, F):
+        return
+    for j in range(k):
+        for i in range(j, k):
+            total = 1.0 if i == j else 0.0
+            for c in range(j, i):
+                total -= F[i, c] * x[c]
+            x[i] = total / F[i, i]
+        for i in range(k - 1, j - 1, -1):
+            total = x[i]
+            for c in range(i + 1, k):
+                total -= F[c, i] * x[c]
+            x[i] = total / F[i, i]
+            P[i, j] = P[j, i] = x[i]
+
+
+@compiled
+def estimate_of(s: Stack, out: Array) -> None:
+    """`w_L = P b` into out (k,)."""
+    for i in range(out.size):
+        out[i] = 0.0
+        for j in range(out.size):
+            out[i] += s.P[i, j] * s.b[j]
