@@ -179,7 +179,8 @@ def known(
     show("frozen weights", 0.3)
     try:
         wanted = held.held_out(subject)
-        seen = held.recorded_under_computed_torque(subject, robot, wanted, learner.controller.feedback)
+        feedback = learner.controller.feedback
+        seen = held.recorded_under_computed_torque(robot, wanted, feedback, subject.kinematic, subject.timing)
         show("frozen weights", 0.7)
         told = said(learner, learner.end, seen).psi_hat
         frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], told)
