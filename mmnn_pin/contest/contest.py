@@ -180,6 +180,7 @@ def run_contest(
                 if progress is not None:
                     progress(label, (k + fraction) / count)
 
+            _ = task.rows  # no run where there is no held-out trajectory
             file = out / task.name / f"{controller}.h5" if out else None
             rows, step = heat(task, controller, file, workers, show)
             store.put(label, Heat(mark, known(step), rows))

@@ -67,9 +67,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     rms: dict[str, Number]
     peak: dict[str, Number]
     peak_of_all: dict[str, Number]
-    effort: float
-    torque: float
-    kick: float
+    effort: Number
+    torque: Number
+    kick: Number
     online_fvu: Number
     online_worst: Number
     frozen_fvu: Number
@@ -163,17 +163,17 @@ def training_numbers(
     mean, worst = summary(fvu(psi, psi_hat))
     per = max(1, round(bins / period))
     whole = len(errors) // per
-    squares = (errors[: whole * per] ** 2).reshape(whole, per, -1).mean(axis=1)
+    squares = (errors[: whole * per] ** 2).reshape(whole, per, len(axes)).mean(axis=1)
     return {
         "rms": rms_of(axes, errors[late]),
         "peak": peak_of(axes, errors[late]),
         "peak_of_all": peak_of(axes, errors),
-        "effort": float((motors**2).sum() * period),
-        "torque": float(share.max(initial=0.0)),
-        "kick": float(share[time < start - 1e-9].max(initial=0.0)),
+        "effort": known(float((motors**2).sum() * period)),
+        "torque": known(share.max(initial=0.0)),
+        "kick": known(share[time < start - 1e-9].max(initial=0.0)),
         "online_fvu": known(mean),
         "online_worst": known(worst),
-        "curve": squares.tolist(),
+        "curve": squares[np.isfinite(squares).all(axis=1)].tolist(),
     }
 
 

@@ -112,7 +112,7 @@ def unexcited(names: Iterable[str], task: str, of: Rows) -> Target:
 
 def kick(names: Iterable[str], tasks: Iterable[str], where: str, limit: float, of: Rows) -> Target:
     """Largest torque of the start on some tasks, over the limits of the motors."""
-    values = {f"{name} on {task}": row.kick for task in tasks for name in names for row in of(task, name)}
+    values = {f"{name} on {task}": nan(row.kick) for task in tasks for name in names for row in of(task, name)}
     worst = max(values, key=values.__getitem__, default="")
     about = f"largest torque of the start over the motors' limits, any learner, on {where}: at most {limit:g}"
     return Target(about, limit, values.get(worst), worst, bool(values) and values[worst] <= limit)

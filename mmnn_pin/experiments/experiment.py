@@ -216,7 +216,7 @@ class Experiment(Settings, frozen=True):
         try:
             return msgspec.structs.replace(self, reference=tables).trajectory_of(robot)
         except InputError as error:
-            error.key = (error.key or "").replace("reference", f"held_out.{name}", 1) or None
+            error.key = (error.key or "reference").replace("reference", f"held_out.{name}", 1)
             raise
 
     def inertia(self, robot: Robot) -> Array | None:

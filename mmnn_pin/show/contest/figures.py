@@ -11,8 +11,9 @@ import numpy as np
 
 from ...contest.contest import BASELINE, Standing
 from ...contest.row import Row, arm_of, base_of, nan
+from ...experiments.controllers import ORACLES
 from ..figure import OTHERS, STYLES, Style, new_figure, plain, save, styled
-from .text import over_all
+from .columns import over_all
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -77,7 +78,11 @@ def dots(standing: Standing, title: str, columns: Sequence[tuple[str, Callable[.
             for k, name in enumerate(names):
                 values = [of(row, **options) for row in standing.of(task, name) if row.completed]
                 line(axes, -k, [value for value in values if math.isfinite(value) and value > 0], style[name])
-            axes.set_xscale("log")
+            if axes.lines:
+                log_ticks(axes)
+            else:
+                axes.set_xticks([])
+                axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="0.5")
             axes.set_yticks([-k for k in range(len(names))], [plain(name) for name in names] if j == 0 else [])
             axes.set_ylim(0.6 - len(names), 0.6)
             axes.set_title(f"{task}: " * (j == 0) + label + "".join(f", {how}" for how in options.values()))
@@ -88,16 +93,28 @@ def dots(standing: Standing, title: str, columns: Sequence[tuple[str, Callable[.
 def line(axes: Axes, at: float, values: Sequence[float], style: Style) -> None:
     """All seeds of a controller as dots, the median as a bar."""
     if not values:
-        axes.text(0.5, at, "-", transform=axes.get_yaxis_transform(), ha="center", va="center", color="0.5")
         return
     axes.plot(values, [at] * len(values), "o", ms=4, color=style.color, alpha=0.6, mew=0)
     axes.plot([float(np.median(values))], [at], "|", ms=11, mew=2, color=style.color)
+
+
+def log_ticks(axes: Axes) -> None:
+    """A logarithmic axis with numbers at powers of ten, or at 1, 2 and 5 of them where it is short."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    subs = (1.0,) if high > 30 * low else (1.0, 2.0, 5.0)
+    axes.xaxis.set_major_locator(LogLocator(subs=subs, numticks=8))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
 
 
 @styled
 def known(standing: Standing) -> Figure:
     """Frozen against online FVU: what a learner knows against what it follows; on the diagonal both are one."""
     tasks, style = run_tasks(standing), looks(standing)
+    learners = [name for name in standing.controllers if name not in (BASELINE, *ORACLES)]
     columns = min(4, len(tasks))
     rows = -(-len(tasks) // columns)
     figure = new_figure(3.2 * columns, 3.1 * rows + 0.9)
@@ -105,10 +122,10 @@ def known(standing: Standing) -> Figure:
     for axes in grid.flat[len(tasks) :]:
         axes.set_axis_off()
     for axes, task in zip(grid.flat, tasks, strict=False):
-        for name in standing.controllers:
+        for name in learners:
             pairs = [(nan(row.online_fvu), nan(row.frozen_fvu)) for row in standing.of(task, name)]
             pairs = [pair for pair in pairs if all(value > 0 for value in pair)]
-            if pairs and name != BASELINE:
+            if pairs:
                 axes.plot(*zip(*pairs, strict=True), "o", ms=5, color=style[name].color, alpha=0.7, label=plain(name))
         axes.set(xscale="log", yscale="log", xlabel="FVU online", ylabel="FVU frozen, worst held out", title=task)
         low, high = min(axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])
