@@ -22,7 +22,8 @@ __version__ = "0.1.0"
 _HOME = {
     "model.robot": ("Robot", "load"),
     "model.dynamics": ("Dynamics",),
-    "reference": ("Circle", "Eight", "Hold", "Line", "MinimumJerk", "Sine", "Table", "Trajectory", "Waypoints"),
+    "reference": ("Circle", "Eight", "Line", "Table", "Trajectory", "Waypoints"),
+    "reference.arm": ("Hold", "MinimumJerk", "Sine", "Sines"),
     "kinematic": ("Kinematic",),
     "model.regressor": ("Regressor",),
     "torque.adaptive": ("Adapting", "Adaptive"),

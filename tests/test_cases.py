@@ -11,8 +11,9 @@ import pytest
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.experiments.cases import judge, merged, run_cases, with_case
+from mmnn_pin.experiments.cases import judge, run_cases, with_case
 from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.experiments.files import merged
 from mmnn_pin.experiments.tolerance import Case, Tolerance
 from mmnn_pin.recorder import Recorder
 from mmnn_pin.recording import Outcome

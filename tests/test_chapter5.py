@@ -15,10 +15,10 @@ from marks import leaves, marked
 from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.experiments.config import bundled, read_toml
 from mmnn_pin.experiments.controllers import effective
 from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.experiments.fairness import unfair
+from mmnn_pin.experiments.files import bundled, read_toml
 from mmnn_pin.experiments.largest_errors import THESIS, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.experiments.readings import readings
 from mmnn_pin.experiments.runner import Result

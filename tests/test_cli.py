@@ -17,8 +17,9 @@ import pytest
 
 from mmnn_pin import Dynamics, Recording, load
 from mmnn_pin.cli import main
-from mmnn_pin.experiments.config import bundled, load_experiment
+from mmnn_pin.experiments.config import load_experiment
 from mmnn_pin.experiments.controllers import CONTROLLERS
+from mmnn_pin.experiments.files import bundled
 from mmnn_pin.show import table, verdicts
 
 SHORT = ("--set", "time.duration=0.02")

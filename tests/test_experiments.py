@@ -10,9 +10,10 @@ import pytest
 
 from mmnn_pin import InputError, Recording, load_experiment, run_experiment
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
-from mmnn_pin.experiments.config import bundled, keys_of, kind_at, override, parse_value
+from mmnn_pin.experiments.config import keys_of, kind_at
 from mmnn_pin.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.experiments.files import bundled, override, parse_value
 from mmnn_pin.experiments.runner import Result, in_order
 from mmnn_pin.metrics import as_columns, metrics
 from mmnn_pin.recorder import Recorder

@@ -292,7 +292,8 @@ def test_it_is_the_same_for_all_learners_and_followed() -> None:
         wanted.append(held_out(replace(subject, rows=subject.rows[:rows])))
     assert wanted[0] == wanted[1]
     assert subject.networks is not None
-    rows = recorded_under_computed_torque(subject, robot, wanted[0], subject.networks.controller.feedback)
+    feedback = subject.networks.controller.feedback
+    rows = recorded_under_computed_torque(robot, wanted[0], feedback, subject.kinematic, subject.timing)
     assert len(rows) == round(wanted[0].duration / 0.002)
     assert np.abs(rows[:, robot.layout.where("pose_error")]).max() < 2e-3
     np.testing.assert_allclose(
@@ -301,17 +302,17 @@ def test_it_is_the_same_for_all_learners_and_followed() -> None:
 
 
 def test_a_config_may_name_its_own() -> None:
-    own = ["held_out.duration=1.5", 'held_out.base={type="circle", radius=1.0, speed=0.5}']
-    own += ['held_out.arm={type="hold", value=0.2}', "time.duration=0.02"]
+    own = ["held_out.ring.duration=1.5", 'held_out.ring.base={type="circle", radius=1.0, speed=0.5}']
+    own += ['held_out.ring.arm={type="hold", value=0.2}', "time.duration=0.02"]
     experiment = load_experiment("chapter4", own)
     robot = experiment.load_robot()
     loop = experiment.loop(robot, experiment.controller("two_layer", robot=robot))
     found = held_out(Subject.of(loop.run(meta={"config": experiment.to_json()})))
     assert found.duration == 1.5 and type(found.trajectory.base).__name__ == "Circle"
-    broken = load_experiment("chapter4", [*own, 'held_out.base={type="ring"}'])
+    broken = load_experiment("chapter4", [*own, 'held_out.ring.base={type="ring"}'])
     with pytest.raises(Exception, match="held_out") as caught:
-        broken.held_out_of(robot)
-    assert caught.value.key == "held_out.base.type"  # type: ignore[attr-defined]
+        broken.held_out_of(robot, "ring")
+    assert caught.value.key == "held_out.ring.base.type"  # type: ignore[attr-defined]
 
 
 # -- ideal weights --

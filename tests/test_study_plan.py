@@ -238,7 +238,7 @@ def test_a_fingerprint_knows_the_content_of_the_robots_files(tmp_path: Path) -> 
 
 
 def test_an_experiment_beside_the_study_is_found_from_any_folder(tmp_path: Path, monkeypatch) -> None:
-    from mmnn_pin.experiments.config import bundled
+    from mmnn_pin.experiments.files import bundled
 
     (tmp_path / "mine.toml").write_text(bundled()["chapter4"].read_text())
     monkeypatch.chdir("/")

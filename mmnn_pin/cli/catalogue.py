@@ -18,8 +18,8 @@ from .output import DONE, say, say_json
 @shared
 def list_(as_json: bool) -> int:
     """List the bundled experiments and robots, the controllers and the references."""
-    from ..experiments.config import bundled, read_toml, variants
     from ..experiments.controllers import CONTROLLERS
+    from ..experiments.files import bundled, read_toml, variants
     from ..experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots
     from ..model.robots import extra

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import RecordingError
+from .contest import contest, tell_contest
 from .options import examples, shared, understanding
 from .output import DONE, FAILED, STOPPED, compile_if_cold, progress_bar, say, say_json
 
@@ -34,6 +35,8 @@ if TYPE_CHECKING:
         "mmnn run track --robot my_robot.urdf --wheels left_joint,right_joint --lock head_joint=0.2",
         "mmnn run track --plant contact              wheels that may slip, in MuJoCo",
         "mmnn run faults                            what sensors, motors and the world can do to a run",
+        "mmnn run contest                           who tracks, who learns, who knows; minutes",
+        "mmnn run contest --case eight --controller adaptive --set contest.seeds=2",
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
@@ -41,6 +44,7 @@ if TYPE_CHECKING:
 @click.option("--variant", metavar="NAME", help="A variant of the experiment, see `mmnn list`.  [default: its first]")
 @click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
 @click.option("--controller", "controllers", metavar="NAME", multiple=True, help="Only this controller; repeatable.")
+@click.option("--case", "cases", metavar="NAME", multiple=True, help="Only this case or task; repeatable.")
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the TOML; repeatable.")
 @click.option("--plant", metavar="NAME", help="ideal, or contact: wheels that may slip, in MuJoCo.")
 @click.option("--seed", type=int, help="The seed, short for --set seed=N.")
@@ -55,6 +59,7 @@ def run(
     variant: str | None,
     robot: str | None,
     controllers: tuple[str, ...],
+    cases: tuple[str, ...],
     settings: tuple[str, ...],
     plant: str | None,
     seed: int | None,
@@ -67,29 +72,34 @@ def run(
 
     EXPERIMENT is a bundled name (see `mmnn list`) or the path of a TOML file. Writes one HDF5 recording per controller
     and the pictures that the experiment asks for. An experiment with cases runs all controllers in each of them and
-    gives every run a verdict (exit code 1 if one fails). Ctrl-C ends the run and keeps what is recorded (exit code
+    gives every run a verdict (exit code 1 if one fails). A contest runs them with several seeds, compares them in
+    tables and figures, and goes on where it was stopped. Ctrl-C ends the run and keeps what is recorded (exit code
     130).
     """
-    from ..experiments.cases import run_cases
+    from ..experiments.cases import chosen_cases, run_cases
     from ..experiments.config import load_experiment
     from ..experiments.runner import has_rig, run_experiment
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
     overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
-    asked, name = load_experiment(experiment, overrides, variant), Path(experiment).stem
+    asked, name = chosen_cases(load_experiment(experiment, overrides, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     require_no_pictures([] if force else [folder / f"{plot}.png" for plot in asked.plots])
-    compile_if_cold(has_rig(asked))
+    compile_if_cold(bool(asked.cases) or has_rig(asked))
     with progress_bar() as show, remembered_interrupt() as stop_if_pressed:
 
         def progress(controller: str, fraction: float) -> None:
             stop_if_pressed()
             show(controller, fraction)
 
-        if asked.cases:
+        if asked.contest is not None:
+            standing = contest(asked, name, folder, force, progress)
+        elif asked.cases:
             matrix = run_cases(asked, name, out=folder, force=force, progress=progress)
         else:
             result = run_experiment(asked, name, out=folder, force=force, progress=progress)
+    if asked.contest is not None:
+        return tell_contest(standing, folder, as_json)
     if asked.cases:
         tell_cases(matrix, folder, as_json)
         return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED

@@ -5,7 +5,7 @@ A run has either tracked within its tolerance, or was stopped safely, or failed;
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,10 +13,11 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from ..errors import InputError
+from ..errors import ConfigError, InputError, UnknownName
 from ..metrics import as_columns
 from ..recording import Recording
 from .experiment import Experiment
+from .files import merged
 from .runner import Result, finite, require_free, require_runnable, run_experiment
 from .tolerance import Tolerance
 
@@ -105,7 +106,7 @@ def with_case(experiment: Experiment, name: str) -> Experiment:
     from .config import config_error, require_disturbances
 
     case = experiment.cases[name]
-    table = merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
+    table = case.set if case.experiment else merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
     try:
         require_disturbances(table.get("disturbances"))
         return msgspec.convert(table, Experiment)
@@ -118,13 +119,21 @@ def with_case(experiment: Experiment, name: str) -> Experiment:
         raise
 
 
-def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """A table with the keys of another, tables in it likewise."""
-    result = dict(table)
-    for key, value in changes.items():
-        both = isinstance(value, Mapping) and isinstance(result.get(key), Mapping)
-        result[key] = merged(result[key], value) if both else value
-    return result
+def chosen_cases(experiment: Experiment, names: Sequence[str]) -> Experiment:
+    """The experiment with some of its cases; with all where none are named.
+
+    Raises:
+        ConfigError: It has no cases.
+        UnknownName: It has no such case.
+    """
+    if not names:
+        return experiment
+    if not experiment.cases:
+        raise ConfigError("has no cases", fix="leave --case out", key="--case")
+    for name in names:
+        if name not in experiment.cases:
+            raise UnknownName("case", name, experiment.cases, key="--case")
+    return msgspec.structs.replace(experiment, cases={name: experiment.cases[name] for name in dict.fromkeys(names)})
 
 
 def run_cases(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import glob
 import re
-import tomllib
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
@@ -14,28 +12,13 @@ from typing import Any, Literal, Union, get_args, get_origin
 import msgspec
 
 from ..disturbance import Disturbance
-from ..errors import ConfigError, InputError, RecordingError, UnknownName
+from ..errors import ConfigError, InputError, RecordingError
 from ..model.overrides import Overrides
 from ..recording import Recording
 from .experiment import Experiment
+from .files import find, find_variant, override, read_toml, whole, with_starts
 
 UNIONS = (Union, UnionType)
-FOLDER = Path(__file__).parent
-
-
-def bundled() -> dict[str, Path]:
-    """Experiments that come with the package, name to file; of one with variants the file of its default."""
-    return {path.stem: path for path in sorted(FOLDER.glob("*.toml")) if "." not in path.stem}
-
-
-def variants(path: Path) -> dict[str, Path]:
-    """Variants of an experiment, name to file, the default first.
-
-    `NAME.toml` is the default and says its variant's name itself; the others are `NAME.VARIANT.toml` beside it.
-    """
-    own = read_toml(path).get("variant")
-    others = sorted(path.parent.glob(f"{glob.escape(path.stem)}.*.toml"))
-    return ({own: path} if own else {}) | {other.stem.removeprefix(f"{path.stem}."): other for other in others}
 
 
 def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), variant: str | None = None) -> Experiment:
@@ -50,12 +33,13 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
         UnknownName: No such experiment or variant.
         ConfigError: The file cannot be read or is not TOML, a key is unknown, a value of the wrong type or range.
     """
-    path = find(name_or_path)
+    path, texts = find(name_or_path), tuple(overrides)
     if variant is not None:
         path = find_variant(path, variant)
-    table = read_toml(path)
-    for text in overrides:
+    table = whole(path)
+    for text in texts:
         override(table, text)
+    with_starts(table, read_toml(path), path, texts)
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
@@ -116,105 +100,6 @@ def require_disturbances(items: Any) -> None:
             except InputError as error:
                 error.key = f"disturbances.{i}.{(error.key or '').removeprefix('disturbances.')}"
                 raise
-
-
-def find(name_or_path: str | Path) -> Path:
-    """File of an experiment.
-
-    Raises:
-        UnknownName: Neither a bundled name nor something that looks like a path.
-        ConfigError: A path without a file.
-    """
-    text = str(name_or_path)
-    if text in bundled():
-        return bundled()[text]
-    path = Path(text)
-    if path.suffix != ".toml" and len(path.parts) < 2 and not path.exists():
-        raise UnknownName("experiment", text, bundled())
-    if not path.is_file():
-        raise ConfigError("no such file", fix=f"name a TOML file, or one of: {', '.join(bundled())}", file=path)
-    return path
-
-
-def find_variant(path: Path, variant: str) -> Path:
-    """File of an experiment's variant.
-
-    Raises:
-        UnknownName: It has no such variant.
-        ConfigError: It has no variants.
-    """
-    known = variants(path)
-    if not known:
-        raise ConfigError("has no variants", fix="leave --variant out", file=path, key="--variant")
-    if variant not in known:
-        raise UnknownName("variant", variant, known, file=path, key="--variant")
-    return known[variant]
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file.
-
-    Raises:
-        ConfigError: It cannot be read, is not UTF-8 or not TOML; with the line.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from error
-    except UnicodeDecodeError as error:
-        raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
-    except tomllib.TOMLDecodeError as error:
-        line = re.search(r"at line (\d+)", str(error))
-        number = int(line[1]) if line else None
-        raise ConfigError("not valid TOML", why=str(error), file=path, line=number) from error
-
-
-def override(table: dict[str, Any], text: str) -> None:
-    """Set `key.path=value` in a table read from TOML.
-
-    Raises:
-        ConfigError: No `=`, or the path runs through something that is not a table.
-    """
-    key, equals, value = text.partition("=")
-    key = key.strip()
-    if not equals or not all(key.split(".")):
-        raise ConfigError(f"'{text}' sets nothing", fix="write key.path=value, e.g. time.duration=2", key="--set")
-    put(table, key, parse_value(value.strip()))
-
-
-def put(table: dict[str, Any], key: str, value: Any) -> None:
-    """Set a value at a key path of a table; numbers in the path are places in lists, counted from 0.
-
-    Raises:
-        ConfigError: The path runs through something that is not a table, or a list has no such place.
-    """
-    parts = key.split(".")
-    here: Any = table
-    for part in parts[:-1]:
-        here = here[place(here, part, key)] if isinstance(here, list) else here.setdefault(part, {})
-        if not isinstance(here, (dict, list)):
-            raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key)
-    last = place(here, parts[-1], key) if isinstance(here, list) else parts[-1]
-    here[last] = value
-
-
-def place(items: list[Any], part: str, key: str) -> int:
-    """Place in a list that a part of a key path names.
-
-    Raises:
-        ConfigError: The list has no such place.
-    """
-    if not (part.isdecimal() and int(part) < len(items)):
-        raise ConfigError(f"'{part}' is no place in a list of {len(items)}", fix="count from 0", key=key)
-    return int(part)
-
-
-def parse_value(text: str) -> Any:
-    """Value as TOML reads it; what TOML does not read is a text."""
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
 
 
 def config_error(error: msgspec.ValidationError, path: Path | None, table: Any = None) -> ConfigError:

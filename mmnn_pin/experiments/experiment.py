@@ -31,6 +31,7 @@ from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from ..torque.residual import Residual
 from .adaptive import adaptive_controller, concurrent_learner
+from .contest import Contest
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, KALMAN, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
 from .kalman import kalman_controller
@@ -115,7 +116,9 @@ class Experiment(Settings, frozen=True):
         contact: The floor of the contact plant.
         cases: Changes of this experiment, name to case; with them it runs once in each, and every run gets a verdict.
         tolerance: What a case asks of its runs.
-        held_out: The held-out trajectory; None for one that follows from the reference (see `proof.held_out`).
+        contest: With it the cases are the tasks of a contest: runs are not judged one by one but compared.
+        held_out: Held-out trajectories, by name; without any there is one that follows from the reference (see
+            `proof.held_out`). `mmnn prove` judges by the first.
 
     Raises:
         UnknownName: A controller, a plot or a plant that does not exist.
@@ -162,7 +165,8 @@ class Experiment(Settings, frozen=True):
     contact: Contact = Contact()
     cases: dict[str, Case] = msgspec.field(default_factory=dict)
     tolerance: Tolerance = Tolerance()
-    held_out: HeldOut | None = None
+    held_out: dict[str, HeldOut] = msgspec.field(default_factory=dict)
+    contest: Contest | None = None
 
     def __post_init__(self) -> None:
         if not self.controllers:
@@ -230,14 +234,14 @@ class Experiment(Settings, frozen=True):
         """The reference for a robot, within the limits of its joints; errors as in `trajectory`."""
         return self.trajectory(robot.layout, (robot.lower[robot.arm_index], robot.upper[robot.arm_index]))
 
-    def held_out_of(self, robot: Robot) -> Trajectory:
-        """The held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
-        assert self.held_out is not None
-        tables = ReferenceTables(self.held_out.base, self.held_out.heading, self.held_out.arm)
+    def held_out_of(self, robot: Robot, name: str) -> Trajectory:
+        """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
+        given = self.held_out[name]
+        tables = ReferenceTables(given.base, given.heading, given.arm)
         try:
             return msgspec.structs.replace(self, reference=tables).trajectory_of(robot)
         except InputError as error:
-            error.key = (error.key or "").replace("reference", "held_out", 1) or None
+            error.key = (error.key or "reference").replace("reference", f"held_out.{name}", 1)
             raise
 
     def inertia(self, robot: Robot) -> Array | None:

@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 
 from ..errors import ConfigError, UnknownName
-from ..reference import BasePath, Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Trajectory, Waypoints
+from ..reference import BasePath, Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Sines, Trajectory, Waypoints
 from ..reference.arm import JointProfile
 from ..settings import Settings
 from ..signals import Array, Layout
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
-ARM_PROFILES = {"sine": Sine, "hold": Hold, "minimum_jerk": MinimumJerk}
+ARM_PROFILES = {"sine": Sine, "sines": Sines, "hold": Hold, "minimum_jerk": MinimumJerk}
 
 
 class ReferenceTables(Settings, frozen=True):

@@ -14,11 +14,14 @@ class Case(Settings, frozen=True):
 
     Args:
         title: A few words for the table.
-        set: Keys of the experiment that it changes, tables in tables.
+        set: Keys that it changes, tables in tables.
+        experiment: A bundled experiment or a file from which it starts, in place of the one that it is a case of; what
+            that one says itself holds in this case, too.
     """
 
     title: str
     set: dict[str, Any] = msgspec.field(default_factory=dict)
+    experiment: str = ""
 
 
 class Tolerance(Settings, frozen=True):

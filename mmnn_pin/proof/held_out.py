@@ -15,11 +15,13 @@ import numpy as np
 from ..errors import RecordingError
 from ..experiments.config import recorded_experiment
 from ..experiments.experiment import Experiment
+from ..kinematic import Kinematic
 from ..loop import Loop
 from ..model.robot import Robot
 from ..reference import BasePath, Eight, Holonomic, Sine, Trajectory
 from ..signals import Array
 from ..start import Start
+from ..timing import Timing
 from ..torque.controller import Feedback
 from ..torque.model_based import ComputedTorque
 from .subject import Subject, finite_rows
@@ -55,30 +57,49 @@ def held_out(subject: Subject) -> HeldOut:
         InputError: The config cannot be read, or its trajectory does not suit the robot.
     """
     experiment = recorded_experiment(subject.recording)
-    if experiment is not None and experiment.held_out is not None:
-        duration = experiment.held_out.duration
-        return HeldOut(experiment.held_out_of(subject.robot), duration, "as [held_out] of its config says")
-    return usual(subject, subject.rows if experiment is None else whole_reference(subject, experiment))
+    if experiment is not None:
+        return next(iter(all_held_out(experiment, subject.robot).values()))
+    return usual(subject.robot, subject.timing.control_period, subject.rows)
 
 
-def whole_reference(subject: Subject, experiment: Experiment) -> Array:
+def all_held_out(experiment: Experiment, robot: Robot) -> dict[str, HeldOut]:
+    """All that an experiment names, or the one that follows from its reference, by name.
+
+    Raises:
+        InputError: One does not suit the robot.
+    """
+    if not experiment.held_out:
+        rows = whole_reference(experiment, robot)
+        return {"usual": usual(robot, experiment.time.control_period, rows)}
+    return {
+        name: HeldOut(experiment.held_out_of(robot, name), given.duration, f"as [held_out.{name}] of its config says")
+        for name, given in experiment.held_out.items()
+    }
+
+
+def whole_reference(experiment: Experiment, robot: Robot) -> Array:
     """The reference of a whole run as rows (N, width), also of one that ended early."""
-    layout, timing = subject.layout, subject.timing
+    layout, timing = robot.layout, experiment.time
     rows = np.zeros((timing.samples, layout.width))
     where = slice(layout.where("pose_ref").start, layout.where("qddot_ref").stop)
     times = np.arange(timing.samples) * timing.control_period
-    rows[:, where] = experiment.trajectory_of(subject.robot).table(times, layout)
+    rows[:, where] = experiment.trajectory_of(robot).table(times, layout)
     return rows
 
 
-def usual(subject: Subject, rows: Array) -> HeldOut:
-    """The trajectory that follows from the reference in some rows, see the top of this module."""
-    layout = subject.layout
+def usual(robot: Robot, h: float, rows: Array) -> HeldOut:
+    """The trajectory that follows from the reference in some rows, see the top of this module.
+
+    Args:
+        robot: The robot.
+        h: Control period [s].
+        rows: (N, width).
+    """
+    layout = robot.layout
     velocity, q, qdot = (rows[:, layout.where(name)] for name in ("velocity_ref", "q_ref", "qdot_ref"))
     base, lap = base_path(velocity)
-    profiles, period = arm_profiles(subject.robot, q, qdot)
-    duration = float(np.clip(lap or 3 * period, SHORTEST, LONGEST))
-    h, words = subject.timing.control_period, []
+    profiles, period = arm_profiles(robot, q, qdot)
+    duration, words = float(np.clip(lap or 3 * period, SHORTEST, LONGEST)), []
     if base is not None:
         eight = base.path if isinstance(base, Holonomic) else base
         assert isinstance(eight, Eight)
@@ -117,18 +138,27 @@ def arm_profiles(robot: Robot, q: Array, qdot: Array) -> tuple[tuple[Sine, ...],
     return profiles, max((profile.period for profile in profiles), default=0.0)
 
 
-def recorded_under_computed_torque(subject: Subject, robot: Robot, wanted: HeldOut, feedback: Feedback) -> Array:
+def recorded_under_computed_torque(
+    robot: Robot, wanted: HeldOut, feedback: Feedback, kinematic: Kinematic, timing: Timing
+) -> Array:
     """Rows (N, width) of a robot that does what is wanted, knowing its own model, with exact sensors.
+
+    Args:
+        robot: The robot.
+        wanted: What it does.
+        feedback: K.
+        kinematic: Gains of the kinematic layer.
+        timing: Of the run in question; its duration does not count.
 
     Raises:
         RecordingError: It is lost on the way.
     """
-    timing = msgspec.structs.replace(subject.timing, duration=wanted.duration, sensor_period=None)
+    timing = msgspec.structs.replace(timing, duration=wanted.duration, sensor_period=None)
     loop = Loop(
         robot=robot,
         trajectory=wanted.trajectory,
         controller=ComputedTorque(feedback),
-        kinematic=subject.kinematic,
+        kinematic=kinematic,
         timing=timing,
         start=Start(moving=True),
         check_gains=False,

@@ -74,6 +74,7 @@ class Stepper:
     def step(self, row: Array) -> Array:
         """Output at a row (width,), a view (p,) that the next step overwrites; a learner learns from it."""
         self.row[:] = row
+        self.psi_hat[:] = 0.0  # one that says nothing leaves it as it was
         self.row[self._torque] = self._sent  # a controller finds what was sent last
         self.torque.step(float(row[self._time]))
         self._sent[:] = row[self._torque]

@@ -177,7 +177,7 @@ def known(
     show("frozen weights", 0.3)
     try:
         wanted = held.held_out(subject)
-        seen = held.recorded_under_computed_torque(subject, robot, wanted, learner.feedback)
+        seen = held.recorded_under_computed_torque(robot, wanted, learner.feedback, subject.kinematic, subject.timing)
         show("frozen weights", 0.7)
         told = said(learner, learner.end, seen)
         frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], told)

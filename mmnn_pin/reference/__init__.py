@@ -4,7 +4,7 @@ A base path gives the pose of the control frame and, in the reference's own fram
 derivative, all of them analytic. `Trajectory.table` writes base and arm into rows as the loop reads them.
 """
 
-from .arm import Hold, JointProfile, JointSamples, MinimumJerk, Sine
+from .arm import Hold, JointProfile, JointSamples, MinimumJerk, Sine, Sines
 from .curves import Circle, Eight, Line
 from .holonomic import Holonomic
 from .path import BasePath, BaseSamples
@@ -24,6 +24,7 @@ __all__ = [
     "Line",
     "MinimumJerk",
     "Sine",
+    "Sines",
     "Table",
     "Trajectory",
     "Waypoints",

@@ -1,13 +1,15 @@
-"""Profiles of the arm joints: sine, hold, minimum jerk."""
+"""Profiles of the arm joints: sine, sum of sines, hold, minimum jerk."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..errors import TrajectoryError
 from ..signals import Array
 from .path import require_finite, require_positive, times
 
@@ -55,6 +57,47 @@ class Sine(JointProfile):
         angle = rate * times(t) + self.phase
         swing = self.amplitude * np.sin(angle)
         return JointSamples(self.offset + swing, self.amplitude * rate * np.cos(angle), -(rate**2) * swing)
+
+
+@dataclass(frozen=True)
+class Sines(JointProfile):
+    """`q = offset + sum of amplitude sin(2 pi t / period + phase)`: a motion that excites more than one sine does.
+
+    Args:
+        amplitude: One per sine [rad or m].
+        period: Likewise [s].
+        offset: [rad or m].
+        phase: One per sine [rad]; empty for 0.
+
+    Raises:
+        TrajectoryError: No sines, not as many periods or phases as amplitudes, or one that a sine cannot have.
+    """
+
+    amplitude: tuple[float, ...]
+    period: tuple[float, ...]
+    offset: float = 0.0
+    phase: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_finite(offset=self.offset)
+        count = len(self.amplitude)
+        if not count or len(self.period) != count or len(self.phase) not in (0, count):
+            what = f"{count} amplitudes, {len(self.period)} periods, {len(self.phase)} phases"
+            raise TrajectoryError(what, fix="give one of each per sine; phases may be left out")
+        _ = self.sines
+
+    @cached_property
+    def sines(self) -> tuple[Sine, ...]:
+        """Its parts, around 0."""
+        phases = self.phase or (0.0,) * len(self.amplitude)
+        parts = zip(self.amplitude, self.period, phases, strict=True)
+        return tuple(Sine(amplitude, period, 0.0, phase) for amplitude, period, phase in parts)
+
+    def sample(self, t: ArrayLike) -> JointSamples:
+        """See `JointProfile.sample`."""
+        parts = [sine.sample(t) for sine in self.sines]
+        q, qdot, qddot = (np.sum([getattr(part, name) for part in parts], axis=0) for name in ("q", "qdot", "qddot"))
+        return JointSamples(self.offset + q, qdot, qddot)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ class Sensor(Settings, frozen=True):
         pose: "true", or "odometry": integrated from the wheels' encoders, so that it drifts when they slip.
         noise: Standard deviation of the arm's encoders [rad or m].
         wheel_noise: Of the wheels' encoders [rad].
-        velocity_noise: Of the velocities as they are sent [m/s, rad/s].
+        velocity_noise: Of the velocities as they are sent, one number or one per velocity [m/s, rad/s].
         pose_noise: Of the pose as it is sent (x, y, phi) [m, m, rad].
         delay: Measurements by which the line is late.
         jitter: Largest further delay; every message is late by a whole number of them, equally likely.
@@ -50,7 +50,7 @@ class Sensor(Settings, frozen=True):
     pose: Literal["true", "odometry"] = "true"
     noise: float = 0.0
     wheel_noise: float = 0.0
-    velocity_noise: float = 0.0
+    velocity_noise: float | tuple[float, ...] = 0.0
     pose_noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
     delay: int = 0
     jitter: int = 0
@@ -96,7 +96,7 @@ class Sensor(Settings, frozen=True):
             [VELOCITIES[self.velocity], self.pose == "odometry", period, *self._derivative(period)],
             [self.delay, self.jitter, self.loss, self.delay + self.jitter + 1],
             *(self._encoders(name, len(wheels), layout.arm) for name in ("resolution", "offset", "noise")),
-            np.full(layout.dof, self.velocity_noise),
+            self._noise_of_velocities(layout.dof),
             self.pose_noise if layout.base else (),
         ]
         return Sensing(
@@ -117,6 +117,14 @@ class Sensor(Settings, frozen=True):
             pole = math.exp(-self.bandwidth * period)
             return 1.0 - pole**2, (1.0 - pole) ** 2 / period
         return float(mode in (TRUE, DIFFERENCE)), 0.0
+
+    def _noise_of_velocities(self, count: int) -> Array:
+        """One number per velocity."""
+        given = np.asarray(self.velocity_noise, float)
+        if given.shape not in ((), (count,)):
+            what = f"{given.size} numbers for {count} velocities"
+            raise ConfigError(what, fix="give one number or one per velocity", key="sensor.velocity_noise")
+        return np.broadcast_to(given, count)
 
     def _encoders(self, name: str, wheels: int, joints: int) -> Array:
         """One number per encoder: the wheels', then the arm's."""

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ..errors import ConfigError, UnknownName
-from ..experiments.config import keys_of, kind_at, put
+from ..experiments.config import keys_of, kind_at
+from ..experiments.files import put
 
 NEAR = 6  # how many near keys an error names
 

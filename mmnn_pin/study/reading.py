@@ -12,9 +12,10 @@ from typing import Any, TypeVar
 import msgspec
 
 from ..errors import ConfigError, InputError, UnknownName
-from ..experiments.config import bundled, load_experiment, override, read_toml, words_of
+from ..experiments.config import load_experiment, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
+from ..experiments.files import bundled, override, read_toml
 from ..settings import Settings
 from .factors import Factor
 from .lines import line_of

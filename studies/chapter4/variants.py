@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from mmnn_pin import load_experiment, run_experiment
-from mmnn_pin.experiments.config import find, variants
+from mmnn_pin.experiments.files import find, variants
 from mmnn_pin.experiments.readings import readings, told
 from mmnn_pin.experiments.runner import Result
 from mmnn_pin.show.gallery import write_pictures

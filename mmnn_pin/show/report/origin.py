@@ -10,8 +10,9 @@ from typing import Any
 import msgspec
 
 from ...errors import InputError
-from ...experiments.config import bundled, load_experiment
+from ...experiments.config import load_experiment
 from ...experiments.experiment import Experiment
+from ...experiments.files import bundled
 from ...experiments.runner import Result
 from ...recording import Recording
 

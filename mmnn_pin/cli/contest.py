@@ -1,0 +1,53 @@
+"""What `mmnn run` does with a contest."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .output import DONE, FAILED, STOPPED, say, say_json
+
+if TYPE_CHECKING:
+    from ..contest.contest import Standing
+    from ..experiments.experiment import Experiment
+
+
+def contest(
+    experiment: Experiment, name: str, folder: Path, force: bool, progress: Callable[[str, float], None]
+) -> Standing:
+    """Run it; arguments as in `run_contest`."""
+    from ..contest.contest import run_contest
+
+    return run_contest(experiment, name, out=folder, force=force, progress=progress)
+
+
+def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
+    """Draw and print what came of it; the exit code."""
+    from ..show.contest.figures import write_figures
+    from ..show.contest.text import render
+
+    drawn = write_figures(standing, folder)
+    if as_json:
+        say_json(standing.to_dict() | {"plots": {plot: str(file) for plot, file in drawn.items()}})
+    else:
+        say(render(standing, colour=sys.stdout.isatty()) + "\n")
+        if standing.interrupted:
+            say("stopped: the same command goes on where it was")
+        for note in notes(standing):
+            say(f"note: {note}")
+        for file in (folder / "rows.json", folder / "rows.csv", *drawn.values()):
+            say(f"wrote {file}")
+        say(f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay")
+    return STOPPED if standing.interrupted else DONE if standing.completed else FAILED
+
+
+def notes(standing: Standing) -> list[str]:
+    """Findings of the learners, each told once with its tasks."""
+    found: dict[str, list[str]] = {}
+    for row in standing.rows:
+        for text in row.findings:
+            tasks = found.setdefault(text if text.startswith(row.controller) else f"{row.controller}: {text}", [])
+            tasks += [row.task] if row.task not in tasks else []
+    return [f"{text} ({', '.join(tasks)})" for text, tasks in found.items()]

@@ -1,0 +1,1 @@
+"""What a contest shows: tables and targets as text, figures."""
