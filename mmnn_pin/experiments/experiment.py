@@ -23,20 +23,16 @@ from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
 from ..torque.adaptive import Adapting, Predicting
-from ..torque.composite import CompositeNetwork, Replaying
+from ..torque.composite import Replaying
 from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.kalman_settings import KalmanTables
-from ..torque.model_based import PD, ComputedTorque, ScheduledPD
-from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
-from ..torque.residual import Residual
-from .adaptive import adaptive_controller, concurrent_learner
+from ..torque.neural import Inputs, OneLayer, Robust, TwoLayer
 from .contest import Contest
-from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, KALMAN, TWO_LAYERS, Learning, RobustOf
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
-from .kalman import kalman_controller
-from .laws import own_controller, resolved
-from .nominal import Nominal, nominal_robot
+from .laws import resolved
+from .nominal import Nominal
 from .references import HeldOut, ReferenceTables
 from .tolerance import Case, Tolerance
 
@@ -264,49 +260,9 @@ class Experiment(Settings, frozen=True):
             ConfigError: Gains that are to be scaled, and no robot.
             InputError: A user's file or class that cannot be used.
         """
-        feedback, robust = self.feedback, self.robust_term(name)
-        inertia = None if robot is None else self.inertia(robot)
-        if robot is not None and inertia is not None:
-            feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
-        if name in self.laws:
-            return own_controller(name, self.laws[name], feedback, self.learning.learning)
-        told = (self.nominal, self.overrides, self.learning.learning)
-        if name == "pd":
-            return PD(feedback)
-        if name == "computed_torque":
-            return ComputedTorque(feedback)
-        if name in ("adaptive", "adaptive_composite"):
-            predicting = self.prediction if name == "adaptive_composite" else None
-            return adaptive_controller(self.adaptive, predicting, feedback, robot, *told)
-        if name == "concurrent":
-            return concurrent_learner(self.concurrent, feedback, robot, *told)
-        if name == "two_layer_composite":
-            return CompositeNetwork(
-                feedback, self.replay, self.two_layer, rates=self.learning.rates, learning=self.learning.learning
-            )
-        if name == "nominal":
-            return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
-        if name in KALMAN:
-            return kalman_controller(getattr(self.kalman, KALMAN[name]), feedback, robot, *told)
-        if name in EFFECTIVE:
-            assert gains is not None
-            return ScheduledPD(gains, name)
-        switches = self.learning
-        learner = Neural(
-            network=self.network(name),
-            feedback=feedback,
-            robust=robust if switches.robust_term else None,
-            inertia=None if inertia is None else tuple(inertia.tolist()),
-            inputs=self.inputs,
-            rates=switches.rates,
-            learning=switches.learning,
-            leakage=switches.leakage,
-            update=switches.update,
-            called=name,
-        )
-        if name != "two_layer_residual":
-            return learner
-        return Residual(learner, nominal_robot(self.nominal, robot, self.overrides), switches.learning)
+        from .new_controller import new_controller
+
+        return new_controller(self, name, gains, robot)
 
     def network(self, name: str) -> TwoLayer | OneLayer:
         """The network of a learner that has one."""
