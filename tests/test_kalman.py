@@ -565,7 +565,7 @@ def test_a_cycle_learns_too():
         (KalmanBilinear, {"drift": -1.0}, "kalman.bilinear.drift"),
         (KalmanBilinear, {"hidden": 0}, "kalman.bilinear.hidden"),
         (KalmanFeatures, {"speed": np.nan}, "kalman.features.speed"),
-        (KalmanResidual, {"masses": 0.0}, "kalman.residual.masses"),
+        (KalmanResidual, {"largest": 0}, "kalman.residual.largest"),
     ],
 )
 def test_impossible_settings_are_refused_with_their_key(kind, own, key):
