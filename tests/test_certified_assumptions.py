@@ -20,6 +20,7 @@ from mmnn_pin.proof.moving_reference import drift, jump
 from mmnn_pin.proof.reached import reached, sizes_of
 from mmnn_pin.proof.subject import Subject
 from mmnn_pin.reference.path import BasePath, BaseSamples
+from mmnn_pin.show.proof.certificate_text import side
 
 STILL = Trajectory(Line(speed=0.3), (Hold(0.0), Hold(0.8)))
 
@@ -84,6 +85,10 @@ def test_a_loop_that_nothing_drives_ends_within_a_millionth_of_its_region() -> N
     assert found.holds and len(found.faces) < 150
     again = certify(loop, found.bound.box)  # it divided by an energy of 0
     assert again.holds and found.bound.box.energy < 1e-10 * found.region.box.energy
+
+
+def test_what_has_no_bound_is_told_with_its_sign() -> None:
+    assert [side(value) for value in (np.inf, -np.inf, np.nan, -2.0)] == ["infinity", "-infinity", "no number", "-2.00"]
 
 
 # -- a supervisor ----------------------------------------------------------------------------------------------------
