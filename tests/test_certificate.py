@@ -335,7 +335,9 @@ def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.Cap
         (["--region", "pose=x"], "no number"),
         (["--region", "pose=0", "--region", "arm=1", "--region", "energy=1"], "> 0"),
         (["--disturbance", "x=1"], "unknown velocity"),
-        (["--disturbance", "v=-1"], ">= 0"),
+        (["--disturbance", "v=-1"], "from 0 to 1e+09"),
+        (["--disturbance", "v=1e308"], "from 0 to 1e+09"),
+        (["--region", "pose=inf", "--region", "arm=1", "--region", "energy=1"], "a finite number > 0"),
     ):
         assert main(["prove", str(file), *bad]) == 2
         error = capsys.readouterr().err.strip()

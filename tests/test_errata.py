@@ -45,6 +45,24 @@ def test_the_lie_bracket_of_2_9_has_the_other_sign() -> None:
     assert sp.simplify(sp.Matrix.hstack(s1, s2, bracket).det() ** 2) == 1  # the conclusion holds: independent
 
 
+def test_with_the_wheel_angles_one_rolling_constraint_integrates() -> None:
+    q = sp.symbols("x y phi left right")
+    r, b, phi = *sp.symbols("r b", positive=True), q[2]
+    v = sp.Matrix([sp.cos(phi), sp.sin(phi), 0, 1 / r, 1 / r])
+    w = sp.Matrix([0, 0, 1, -b / r, b / r])
+
+    def bracket(f: sp.Matrix, g: sp.Matrix) -> sp.Matrix:
+        return g.jacobian(q) * f - f.jacobian(q) * g
+
+    first = bracket(v, w)
+    fields = [v, w, first, bracket(v, first), bracket(w, first)]
+    assert [sp.Matrix.hstack(*fields[:k]).rank(simplify=True) for k in (2, 3, 5)] == [2, 3, 4]
+    again = [bracket(f, g) for f in (v, w) for g in fields[3:]]
+    assert sp.Matrix.hstack(*fields, *again).rank(simplify=True) == 4  # it stays
+    integral = phi - r / (2 * b) * (q[4] - q[3])  # which no motion changes
+    assert all(sp.simplify((sp.Matrix([integral]).jacobian(q) * f)[0]) == 0 for f in fields + again)
+
+
 # -- chapter 3: the kinematic controller -------------------------------------------------------------------------------
 
 EX, EY, EPHI, VR, WR, KX, KY, KTH, Z1, Z2 = sp.symbols("ex ey ephi vr wr kx ky kth z1 z2", real=True)
@@ -170,6 +188,30 @@ def test_fast_learning_destabilises_the_loop_of_chapter_4() -> None:
     assert growth(0.99 * limit) < 0 < growth(1.01 * limit)
     assert limit == pytest.approx(3813, abs=1)
     assert limit / (22 / 4 / 0.002) == pytest.approx(1.4, abs=0.03)  # F1: 22 units, sigma' sigma = 22/4, every 2 ms
+
+
+@given(st.floats(0.1, 200), st.floats(0.01, 500), st.floats(0.1, 100), st.floats(0.01, 10), st.floats(0, 50))
+def test_the_gain_condition_does_not_keep_the_transient_in_sz(
+    m: float, F: float, Z0: float, C0: float, D: float
+) -> None:
+    """A state of the sublevel set of V(0), z(0) = 0, that (3.64) allows and that lies outside of Sz."""
+    z = Z0 / np.sqrt(F * m)  # where all that the weights are off at the start is kinetic energy
+    assert 0.5 * m * z**2 == pytest.approx(Z0**2 / (2 * F))  # V there is V(0), with Ztilde = 0
+    Sz = 0.5 * z  # (bx - qB) / (c0 + c2), which may be as small
+    k1 = 2 * (C0 + D) / Sz  # (3.64) holds, with D for kappa C6^2 / 4
+    assert (C0 + D) / k1 < Sz < z  # bz is inside, the transient need not be
+
+
+def test_the_last_trace_of_3_55_is_of_the_second_network() -> None:
+    """d/dt tr(V2t' G2^-1 V2t)/2 by the leakage of (3.49), by finite differences; V1 - V1t is another number."""
+    rng = np.random.default_rng(0)
+    V1, V1_hat, V2, V2_hat = rng.standard_normal((4, 5, 3))
+    kappa, G, r, dt = 0.7, 0.3, 1.9, 1e-7
+    after = V2_hat - dt * kappa * G * r * V2_hat
+    rate = (((V2 - after) ** 2).sum() - ((V2 - V2_hat) ** 2).sum()) / (2 * G * dt)
+    second = kappa * r * np.trace((V2 - V2_hat).T @ (V2 - (V2 - V2_hat)))
+    printed = kappa * r * np.trace((V2 - V2_hat).T @ (V1 - (V1 - V1_hat)))
+    assert rate == pytest.approx(second, rel=1e-5) and abs(printed - second) > 0.1
 
 
 matrices = st.integers(0, 2**32 - 1).map(lambda seed: np.random.default_rng(seed).normal(size=(2, 6, 3)))

@@ -22,8 +22,8 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.proof.boxes import Box, Boxes
 from mmnn_pin.proof.certified_loop import CertifiedLoop
 from mmnn_pin.proof.inputs_bound import signal_bounds
-from mmnn_pin.proof.motion_bound import Forces, dissipation, push
-from mmnn_pin.proof.pose_bound import PoseBound
+from mmnn_pin.proof.motion_bound import Forces, dissipation, drive, push
+from mmnn_pin.proof.pose_bound import PoseBound, PoseSet
 from mmnn_pin.proof.rate import radius
 from mmnn_pin.proof.weights_bound import growth
 from mmnn_pin.sampled import held_loop
@@ -81,6 +81,25 @@ def test_what_z2_weighs() -> None:
     assert sp.simplify(sp.diff(g2, c) + 2 * eps**2 * (1 - c) / (ky * (1 - eps**2))) == 0  # falls up to c = 1
     weights = [np.sqrt(float(weight[1, 1].subs({c: at, eps: 0.6, ky: 7.0}))) for at in np.linspace(0.3, 1, 8)]
     assert PoseBound(1.0, 7.0, 5.0, 0.3, 0.3, 0.0, 0.6).yaw_gain(0.3) == pytest.approx(max(weights), rel=1e-12)
+
+
+def test_what_a_drift_of_the_reference_adds() -> None:
+    """To Vkdot a term of at most `a (d_p + g d_w)`, to alphadot what `Drive` counts: (dx, dy, dw) beside (3.2)."""
+    dx, dy, dw, c = *sp.symbols("dx dy dw", real=True), sp.cos(ephi)
+    off = sp.Matrix([dx, dy, dw])
+    added = (sp.Matrix([Vk]).jacobian([ex, ey, ephi]) * off)[0]
+    assert zero(added - (ex * dx + (ey + eps * eta) * dy + (eta + eps * c * ey) * dw / sp.sqrt(ky)))
+    P, weigh = sp.Matrix([[1, eps], [eps, 1]]), sp.Matrix([1, eps])
+    assert sp.simplify((weigh.T * P.inv() * weigh)[0]) == 1  # |(ex, ey + eps eta)| <= a; the rest is that of z2
+    nudot = alpha.jacobian([ex, ey, ephi]) * off
+    wanted = sp.Matrix([kx * dx - vr * sp.sin(ephi) * dw, vr * (ky * dy + kth * c * dw)])
+    assert all(zero(entry) for entry in nudot - wanted)
+    bound, reach = PoseBound(1.3, 7.0, 5.0, 0.4, 0.5, 0.1, 0.6), PoseSet(0.1, 0.2, 0.3, 0.9, 0.4)
+    still, moving = (
+        drive(bound, reach, 0.0, np.zeros(1), np.ones(1), np.zeros((1, 2)), d) for d in ((0.0, 0.0), (0.02, 0.03))
+    )
+    most = [1.3 * 0.02 + 0.5 * 0.3 * 0.03, 0.5 * (7.0 * 0.02 + 5.0 * 0.03)]
+    np.testing.assert_allclose(moving.nudot - still.nudot, most, rtol=1e-9)
 
 
 def test_the_size_that_excludes_a_heading() -> None:
@@ -230,6 +249,11 @@ def test_what_the_hold_takes() -> None:
 
 def test_completing_the_square_in_energy() -> None:
     """-s'Ks + s'u + 2 rate E - u'Ru/4 = -|R^-1/2 (s - R u/2)|^2 for R = (K - rate M)^-1: never positive."""
+    a, b, c, x, y, f, g = sp.symbols("a b c x y f g", real=True)
+    N, s, u = sp.Matrix([[a, b], [b, c]]), sp.Matrix([x, y]), sp.Matrix([f, g])  # N = K - rate M
+    R = N.inv()
+    off = s - R * u / 2
+    assert sp.simplify((-s.T * N * s + s.T * u - u.T * R * u / 4 + off.T * N * off)[0]) == 0
     rng = np.random.default_rng(0)
     for _ in range(200):
         A, B = rng.standard_normal((2, 4, 4))
@@ -456,9 +480,14 @@ def test_v_may_grow_however_far_the_weights_are() -> None:
     assert sp.simplify(sp.limit(bound, z, 0) - D2**2 / (4 * k2)) == 0
 
 
+def names_in(file: Path) -> set[str]:
+    return set(re.findall(r"^def (test_\w+)\(", file.read_text(), re.M))
+
+
 def test_the_document_names_only_tests_that_exist() -> None:
-    here = set(re.findall(r"^def (test_\w+)\(", Path(__file__).read_text(), re.M))
-    there = set(re.findall(r"^def (test_\w+)\(", (Path(__file__).parent / "test_certificate.py").read_text(), re.M))
+    here = names_in(Path(__file__))
+    files = ("test_certificate.py", "test_certified_assumptions.py", "test_certified_period.py")
+    there = {name for file in files for name in names_in(Path(__file__).parent / file)}
     named = set(re.findall(r"`(test_\w+)`", DOCUMENT.read_text()))
     assert named <= here | there
     assert {name for name in here if "_the_document_" not in name} <= named

@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 
 from ..signals import Array
 from .certified_loop import CertifiedLoop
-from .inputs_bound import input_norm
+from .inputs_bound import input_norm, signal_bounds
 from .motion_bound import Drive, Gains, MotionBound, drive, motion_bound
 from .motion_samples import MotionSamples
 from .pose_bound import PoseSet
+from .supervised import Limit, limits_in
 from .weights_bound import WeightsBound, weights_bound
 
 BoolArray = NDArray[np.bool_]
 STRICT = 1.02  # a box is this much larger than the place where its error may stand still
 STEPS = 200
+SMALL = 1e-12  # of the region's energy: what is below is left to rounding
 SETTLED = 1e-3
 
 
@@ -65,6 +67,7 @@ class Faces:
         motion: The energy in it.
         pose: Size below which the pose error may grow [m]; inf where nothing holds it.
         arm: The same of the arm errors.
+        limits: What may be reached in it of the supervisor's limits.
     """
 
     box: Box
@@ -76,11 +79,13 @@ class Faces:
     motion: MotionBound
     pose: float
     arm: float
+    limits: list[Limit]
 
     @property
     def held(self) -> bool:
-        """Whether no motion leaves the box."""
+        """Whether no motion leaves the box, and no supervisor steps in."""
         inside = self.pose < self.box.pose and self.motion.level < self.box.energy
+        inside = inside and all(limit.value < limit.limit for limit in self.limits)
         return bool(inside and (self.arm < self.box.arm or not len(self.joints)))
 
 
@@ -128,21 +133,25 @@ class Boxes:
     def drive(self, box: Box) -> Drive:
         """What the errors of a box do to the reference velocity."""
         loop, reach = self.loop, self.loop.pose.reach(box.pose)
-        return drive(loop.pose, reach, box.arm, self.joints(box), loop.K, loop.along.a_ref)
+        return drive(loop.pose, reach, box.arm, self.joints(box), loop.K, loop.along.a_ref, loop.drift)
 
-    def pose_stands(self, box: Box) -> float:
-        """Size below which the pose error may grow in a box [m]; inf where nothing holds it."""
-        pose = self.loop.pose
+    def pose_stands(self, box: Box, energy: float | None = None) -> float:
+        """Size below which the pose error may grow in a box [m], for energies up to one below the box's if given.
+
+        inf where nothing holds it.
+        """
+        pose, (away, turning) = self.loop.pose, self.loop.drift
         decay = pose.decay(box.pose, float(self.velocity(box)[1]))
         G = np.array([1.0, pose.yaw_gain(pose.reach(box.pose).cosine)])
         driven = np.linalg.eigvalsh(G[:, None] * self.samples.M_inverse[:, :2, :2] * G).max()
-        return float(np.sqrt(2 * box.energy * driven) / decay) if decay > 0 else np.inf
+        speed = np.sqrt(2 * (box.energy if energy is None else energy) * driven) + away + G[1] * turning
+        return float(speed / decay) if decay > 0 else np.inf
 
     def arm_stands(self, box: Box) -> float:
-        """The same of the arm errors' size; inf for configurations that were not looked at."""
+        """The same of the arm errors' size; inf for configurations that were not looked at, or without decay."""
         if not len(self.loop.K):
             return 0.0
-        if (self.joints(box) > self.samples.spread).any():
+        if (self.joints(box) > self.samples.spread).any() or not self.loop.arm_decay > 0:
             return np.inf
         return float(np.sqrt(2 * box.energy) * self.samples.arm_gain / self.loop.arm_decay)
 
@@ -160,20 +169,29 @@ class Boxes:
             motion=motion_bound(self.samples, self.drive(box), box.energy, self.gains),
             pose=self.pose_stands(box),
             arm=self.arm_stands(box),
+            limits=self.limits(box),
         )
+
+    def limits(self, box: Box) -> list[Limit]:
+        """What may be reached in a box of the supervisor's limits."""
+        if self.loop.supervisor is None:
+            return []
+        s = self.velocity(box)
+        bounds = signal_bounds(self.loop, self.drive(box), box.pose, self.joints(box), s)
+        return limits_in(self.loop.supervisor, bounds, self.gains.upper * s + self.gains.network)
 
     def inner(self, faces: Faces) -> Box:
         """The next smaller box: the energy first, then what it drives."""
         box, level = faces.box, faces.motion.level
         energy = min(box.energy, STRICT * level)
         share = float(np.sqrt(energy / box.energy))
-        pose = min(box.pose, STRICT * share * faces.pose)
+        pose = min(box.pose, STRICT * self.pose_stands(box, energy))
         return Box(pose, min(box.arm, STRICT * share * faces.arm), energy)
 
     def descend(self) -> list[Faces]:
         """From the outermost box, if it is held, to the one that every motion from there ends up in."""
         found = [self.faces(self.outer)]
-        while found[0].held and len(found) < STEPS:
+        while found[0].held and len(found) < STEPS and found[-1].box.energy > SMALL * self.outer.energy:
             faces = self.faces(self.inner(found[-1]))
             found.append(faces)
             if faces.box.energy > (1 - SETTLED) * found[-2].box.energy:

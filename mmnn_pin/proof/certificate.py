@@ -177,10 +177,13 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     )
     yield Condition("face, pose", faces.pose, box.pose, "where the pose error may stand still, within the region [m]")
     if len(faces.joints):
+        yield Condition("decay, arm", loop.arm_decay, 0.0, "decay of the arm errors' size [1/s]", "above")
         yield Condition("face, arm", faces.arm, box.arm, "the same of the arm errors' size")
         share = float((faces.joints / loop.samples.spread).max())
         yield Condition("arm", share, 1.0 + 1e-12, "the region's arm errors over those that were sampled")
     yield Condition("face, energy", motion.level, box.energy, "the same of the energy of the errors [J]")
+    for limit in faces.limits:
+        yield Condition(limit.name, limit.value, limit.limit, limit.words)
 
 
 def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
@@ -190,6 +193,8 @@ def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
     yield Constant("vmin", pose.slowest, "m/s", "given", "slowest reference")
     yield Constant("vmax", pose.fastest, "m/s", "given", "fastest reference")
     yield Constant("wmax", pose.turning, "rad/s", "given", "largest yaw rate of the reference")
+    yield Constant("drift", loop.drift[0], "m/s", "given", "at which the reference's poses leave its velocities")
+    yield Constant("drift, yaw", loop.drift[1], "rad/s", "given", "the same of its heading")
     yield Constant("eps", pose.eps, "", "computed", "weight of ey eta in Vk")
     yield Constant("lambda_a", faces.decay, "1/s", "computed", "decay of the pose error")
     yield Constant("g", faces.yaw_gain, "m", "computed", "how z2 drives the pose error, z1 counting as 1")

@@ -13,12 +13,15 @@ from ..model.robot import Robot
 from ..signals import Array
 from ..torque.controller import per_velocity
 from .motion_samples import Along, MotionSamples, sample
+from .moving_reference import drift, jump
 from .networks import Networks
 from .pose_bound import PoseBound
 from .subject import Subject
+from .supervised import Supervisor, supervisor_of
 
 SPREAD = 0.5  # [rad or m]: arm errors beyond this are not looked at
 SIGNALS = ("velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref", "pose_ref")
+RATES = (("velocity_ref", "acceleration_ref"), ("q_ref", "qdot_ref"), ("qdot_ref", "qddot_ref"))
 SPEED = 1e-6  # [m/s] below which the reference counts as standing
 
 
@@ -35,6 +38,8 @@ class CertifiedLoop:
         learner: Networks and robust term; None for PD.
         disturbance: (p,) largest external force on nu [N, N m].
         projection: Largest norm that the weights are scaled back to, None without.
+        supervisor: Limits that the loop must not pass; None without.
+        drift: Speed [m/s] and yaw rate [rad/s] at which the reference's poses leave its velocities, at most.
         spread: (n,) largest arm error looked at [rad or m].
     """
 
@@ -46,6 +51,8 @@ class CertifiedLoop:
     learner: Networks | None
     disturbance: Array
     projection: float | None = None
+    supervisor: Supervisor | None = None
+    drift: tuple[float, float] = (0.0, 0.0)
     spread: Array | None = None
 
     @cached_property
@@ -60,17 +67,17 @@ class CertifiedLoop:
 
     @cached_property
     def samples(self) -> MotionSamples:
-        """The robot along the reference."""
+        """The robot along the reference; the arm's metric is the one whose errors a given energy drives less far."""
         n = self.robot.layout.arm
-        return sample(self.robot, self.along, np.full(n, SPREAD) if self.spread is None else self.spread)
+        found = sample(self.robot, self.along, np.full(n, SPREAD) if self.spread is None else self.spread)
+        if n == 0 or not np.ptp(self.K):
+            return found
+        return max((found, replace(found, decoupled=True)), key=lambda one: one.arm_decay(self.K) / one.arm_gain)
 
     @cached_property
     def arm_decay(self) -> float:
-        """Rate at which the size of the arm errors decays for r = 0 [1/s]: of `e' N e`, with edot = r - K e."""
-        N = self.samples.arm_metric
-        L = np.linalg.inv(np.linalg.cholesky(N))
-        NK = N * self.K
-        return float(np.linalg.eigvalsh(L @ (NK + NK.T) @ L.T / 2)[0]) if len(N) else np.inf
+        """Rate at which the size of the arm errors decays for r = 0 [1/s]; see `MotionSamples.arm_decay`."""
+        return self.samples.arm_decay(self.K)
 
     @cached_property
     def robust(self) -> tuple[Array, Array]:
@@ -96,15 +103,18 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
         raise RecordingError("no certificate", why=why, file=subject.recording.path)
     learner, layout = subject.networks, subject.layout
     safety = subject.recording.meta.get("safety") or {}
+    along = Along(*(subject.signal(name) for name in SIGNALS))
     return CertifiedLoop(
         robot=subject.robot,
         kinematic=subject.kinematic,
-        along=Along(*(subject.signal(name) for name in SIGNALS)),
+        along=along,
         period=subject.timing.control_period,
         gain=learner.controller.feedback.vector(layout) if learner else subject.signal("effective_gain")[0].copy(),
         learner=learner,
         disturbance=push_bound(subject),
         projection=safety.get("weights"),
+        supervisor=supervisor_of(subject),
+        drift=drift(along.pose_ref, along.v_ref, along.a_ref, subject.timing.control_period),
     )
 
 
@@ -124,18 +134,24 @@ def refusal(subject: Subject) -> str:
         return "its motors do not give what they are asked for"
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
-    safety = meta.get("safety") or {}
-    if safety.get("torque") is not None and np.any(subject.recording["safety"] > 0):
-        return "its supervisor stepped in"
+    if subject.recording.outcome.status == "tripped":
+        return "its supervisor stopped it"
     v_ref, k = subject.signal("velocity_ref"), subject.kinematic
     if not v_ref[:, 0].min() > SPEED:
         return f"vr falls to {v_ref[:, 0].min():.3g} m/s; without vr >= vmin > 0 nothing pulls ey to 0"
+    for name, rate in RATES:
+        at = jump(subject.signal("time")[:, 0], subject.signal(name), subject.signal(rate), timing.control_period)
+        if np.isfinite(at):
+            return f"{name} jumps at t = {at:.4g} s, or {rate} is not its derivative"
     for name in ("kx", "ky", "kth", "K"):
         if not np.all(np.asarray(getattr(k, name)) > 0):
             return f"kinematic.{name} is 0"
     learner = subject.networks
     if learner is None:
-        return "" if proportional(subject) else f"{subject.controller} is no learner of the thesis, nor PD"
+        if proportional(subject):
+            return ""
+        clipped = "safety" in subject.recording and np.any(subject.recording["safety"] > 0)
+        return "its supervisor stepped in" if clipped else f"{subject.controller} is no learner of the thesis, nor PD"
     if learner.controller.update != "after_output":
         return "the weights are updated before the output, with the hidden outputs of the call before"
     return ""

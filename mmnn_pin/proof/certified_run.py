@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..disturbance.settings import MOST
 from ..errors import ConfigError, InputError, UnknownName
 from ..signals import Array
 from .boxes import Box
@@ -55,7 +56,7 @@ def certified_run(
 
     Raises:
         UnknownName: A size or a velocity that does not exist.
-        ConfigError: A size that is missing or not positive, or a force that is negative.
+        ConfigError: A size that is missing or not positive, or a force that is negative or too large.
     """
     subject, missing = proof.subject, {}
     wanted, force = box_of(region, subject.layout.arm), forces(disturbance, subject.robot.velocity_names)
@@ -91,7 +92,7 @@ def box_of(region: Mapping[str, float] | None, joints: int) -> Box | None:
         if name not in needed:
             raise UnknownName("size of a region", name, needed, key="region")
         if not (np.isfinite(size) and size > 0):
-            raise ConfigError(f"{name} = {size}", fix="use a number > 0", key="region")
+            raise ConfigError(f"{name} = {size}", fix="use a finite number > 0", key="region")
     if missing := [name for name in needed if name not in region]:
         raise ConfigError(f"no {' and no '.join(missing)}", fix=f"give {', '.join(needed)}", key="region")
     return Box(region["pose"], region.get("arm", 0.0), region["energy"])
@@ -103,7 +104,7 @@ def forces(disturbance: Mapping[str, float] | None, names: Sequence[str]) -> Arr
     for name, force in (disturbance or {}).items():
         if name not in names:
             raise UnknownName("velocity", name, names, key="disturbance")
-        if not (np.isfinite(force) and force >= 0):
-            raise ConfigError(f"{name} = {force}", fix="use a number >= 0", key="disturbance")
+        if not 0 <= force <= MOST:
+            raise ConfigError(f"{name} = {force}", fix=f"use a number from 0 to {MOST:.0e}", key="disturbance")
         found[list(names).index(name)] = force
     return found

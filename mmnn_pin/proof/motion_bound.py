@@ -65,8 +65,17 @@ class Drive:
     half: Array
 
 
-def drive(pose: PoseBound, reach: PoseSet, arm: float, joints: Array, K: Array, a_ref: Array) -> Drive:
-    """For pose errors, a size of the arm errors and with it |e_i| up to joints (n,)."""
+def drive(
+    pose: PoseBound,
+    reach: PoseSet,
+    arm: float,
+    joints: Array,
+    K: Array,
+    a_ref: Array,
+    drift: tuple[float, float] = (0.0, 0.0),
+) -> Drive:
+    """For pose errors, a size of the arm errors and with it |e_i| up to joints (n,), and a reference that drifts."""
+    away, turning = drift
     fastest, flat = pose.fastest, 1 - reach.cosine
     turn, side = fastest * reach.turn, fastest * reach.sine
     yaw, (v_dot, _) = pose.turning + turn, np.abs(a_ref).max(axis=0)
@@ -74,6 +83,8 @@ def drive(pose: PoseBound, reach: PoseSet, arm: float, joints: Array, K: Array, 
     ex_dot, ey_dot = yaw * reach.ey + pose.kx * reach.ex, yaw * reach.ex + side
     v = v_dot * flat + side * turn + pose.kx * ex_dot
     w = pose.ky * (v_dot * reach.ey + fastest * ey_dot) + pose.kth * (v_dot * reach.sine + fastest * turn)
+    v += pose.kx * away + side * turning
+    w += fastest * (pose.ky * away + pose.kth * turning)
     nu = np.concatenate(([forward, turn], K * joints))
     return Drive(nu, np.array([v, w]), arm, *input_matrix(pose, reach, K))
 
@@ -125,8 +136,9 @@ def motion_bound(samples: MotionSamples, added: Drive, energy: float, gains: Gai
     unheld = settle(samples, added, forces, gains, 1.0, np.inf)[2]
     best = MotionBound(np.nan, np.inf, -np.inf, unheld, fastest, pushed)
     for spent in SPENT:
-        share, constant = max(1 - grip - spent, -1.0), delay**2 / (4 * spent)
-        rate, level, margin = settle(samples, added, forces, gains, share, constant)
+        share = 1 - grip - spent
+        constant = delay**2 / (4 * spent) if share > 0 else np.inf  # nothing is left of the feedback
+        rate, level, margin = settle(samples, added, forces, gains, max(share, -1.0), constant)
         if level < best.level or (np.isinf(level) and np.isinf(best.level) and margin > best.margin):
             best = MotionBound(rate, level, margin, unheld, fastest, pushed)
     return best

@@ -7,7 +7,7 @@ the reference's plus an offset in a box, its corners first.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -68,6 +68,7 @@ class MotionSamples:
         viscous: (p, p) viscous friction on nu, positive semi-definite.
         dry: (p,) largest dry friction on nu.
         spread: (n,) half-width of the box of the arm's offsets from the reference [rad or m].
+        decoupled: Whether the size of arm errors counts every joint by itself, see `arm_metric`.
     """
 
     along: Along
@@ -78,6 +79,7 @@ class MotionSamples:
     viscous: Array
     dry: Array
     spread: Array
+    decoupled: bool = False
     root_inverse: Array = field(init=False)
 
     def __post_init__(self) -> None:
@@ -87,7 +89,7 @@ class MotionSamples:
         """Every step-th sample."""
         keep = np.arange(0, len(self.M), step)
         M, C, gravity = self.M[keep], self.coriolis[keep], self.gravity[keep]
-        return MotionSamples(self.along.at(keep), self.q[keep], M, C, gravity, self.viscous, self.dry, self.spread)
+        return replace(self, along=self.along.at(keep), q=self.q[keep], M=M, coriolis=C, gravity=gravity)
 
     @cached_property
     def M_inverse(self) -> Array:
@@ -108,8 +110,12 @@ class MotionSamples:
 
     @cached_property
     def arm_metric(self) -> Array:
-        """N (n, n), the arm's inertia with the base free: the size of an arm error e is `sqrt(e' N e)`."""
-        return np.linalg.inv(self.M_inverse[:, 2:, 2:].mean(axis=0))
+        """N (n, n): the size of an arm error e is `sqrt(e' N e)`.
+
+        The arm's inertia with the base free; `decoupled` the inverse of what is on the diagonal of its inverse.
+        """
+        mean = self.M_inverse[:, 2:, 2:].mean(axis=0)
+        return np.diag(1 / np.diag(mean)) if self.decoupled else np.asarray(np.linalg.inv(mean))
 
     @cached_property
     def arm_root(self) -> Array:
@@ -128,6 +134,14 @@ class MotionSamples:
             return 0.0
         root = np.linalg.cholesky(self.arm_metric)
         return float(np.sqrt(np.linalg.eigvalsh(root.T @ self.M_inverse[:, 2:, 2:] @ root).max()))
+
+    def arm_decay(self, K: Array) -> float:
+        """Rate at which the size of the arm errors decays for r = 0 [1/s]: of `e' N e`, with edot = r - K e, K (n,)."""
+        N = self.arm_metric
+        if not len(N):
+            return np.inf
+        L, NK = np.linalg.inv(np.linalg.cholesky(N)), N * K
+        return float(np.linalg.eigvalsh(L @ (NK + NK.T) @ L.T / 2)[0])
 
     @cached_property
     def gyration(self) -> Array:

@@ -64,8 +64,10 @@ def verdict(certificate: Certificate) -> str:
 
 def side(value: float) -> str:
     """One side of a condition."""
-    if not math.isfinite(value):
-        return "infinity"
+    if math.isnan(value):
+        return "no number"
+    if math.isinf(value):
+        return "infinity" if value > 0 else "-infinity"
     return f"{'-' if value < 0 else ''}{number(abs(value))}"
 
 

@@ -1,0 +1,201 @@
+"""What else a certificate must count with: gains that differ, a supervisor, a reference that drifts or jumps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from certified import DIAGONAL, kinematic, learner_loop, loop_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmnn_pin import PD, Feedback, Hold, Line, Safety, Start, Table, Timing, Trajectory, load
+from mmnn_pin.proof.boxes import Box, Boxes
+from mmnn_pin.proof.certificate import Certificate, certify
+from mmnn_pin.proof.certified_loop import CertifiedLoop, certified_loop, refusal
+from mmnn_pin.proof.motion_bound import motion_bound
+from mmnn_pin.proof.moving_reference import drift, jump
+from mmnn_pin.proof.reached import reached, sizes_of
+from mmnn_pin.proof.subject import Subject
+from mmnn_pin.reference.path import BasePath, BaseSamples
+from mmnn_pin.show.proof.certificate_text import side
+
+STILL = Trajectory(Line(speed=0.3), (Hold(0.0), Hold(0.8)))
+
+
+def pd(bandwidth: float = 100.0) -> PD:
+    gain = tuple((bandwidth * DIAGONAL).tolist())
+    return PD(Feedback(gain[:2], gain[2:]))
+
+
+def pd_run(duration: float = 0.3, start: Start | None = None, **more: object) -> Subject:
+    """PD along a line, the robot without friction."""
+    options = {"controller": pd(), "robot": load("platform_arm"), "trajectory": STILL} | more
+    return Subject.of(loop_of(start or Start(moving=True), duration, **options).run())
+
+
+# -- gains of the joints that differ ---------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0.3, 30), st.floats(0.3, 30), st.integers(0, 2**32 - 1))
+def test_arm_errors_shrink_in_their_metric_whatever_the_gains_are(k1: float, k2: float, seed: int) -> None:
+    """Along edot = -K e; in the metric of the inertia they need not, and nothing is held there."""
+    loop = learner_loop(K=(k1, k2))
+    e, N = np.random.default_rng(seed).standard_normal(2), loop.samples.arm_metric
+    assert 0 < loop.arm_decay <= min(k1, k2) * (1 + 1e-9)
+    assert -(e @ N @ (loop.K * e)) <= -loop.arm_decay * (e @ N @ e) * (1 - 1e-9)
+    coupled = replace(loop.samples, decoupled=False)
+    if coupled.arm_decay(loop.K) <= 0:
+        box = Box(0.02, 0.005, 0.002)
+        loop = learner_loop(K=(k1, k2))
+        loop.__dict__["samples"] = coupled  # what is cached
+        assert Boxes(loop, box).arm_stands(box) == np.inf
+
+
+def test_the_metric_of_the_inertia_is_left_where_gains_differ_much() -> None:
+    """Its size grows from a place on the face of a small box, at first, that was taken for held."""
+    loop = learner_loop(K=(1.0, 12.0))
+    assert loop.samples.decoupled and not learner_loop(K=3.0).samples.decoupled
+    N = replace(loop.samples, decoupled=False).arm_metric
+    values, vectors = np.linalg.eigh(N * loop.K + (N * loop.K).T)
+    assert values[0] < 0 and vectors[:, 0] @ N @ (loop.K * vectors[:, 0]) < 0
+
+
+# -- the hold, and where nothing drives ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("period", [0.006, 0.008])
+def test_a_period_that_takes_all_of_the_feedback_holds_nothing_however_strong_the_friction(period: float) -> None:
+    robot = load("platform_arm").with_friction(300.0 * DIAGONAL)
+    loop = replace(learner_loop(), robot=robot, learner=None, gain=20.0 * DIAGONAL, period=period)
+    box = Box(0.08, 0.4, 1.0)
+    boxes = Boxes(loop, box)
+    found = motion_bound(loop.samples, boxes.drive(box), box.energy, boxes.gains)
+    assert period * found.fastest > 0.5 and found.margin > 0 and found.level == np.inf
+    brief = motion_bound(loop.samples, boxes.drive(box), box.energy, replace(boxes.gains, period=1e-4))
+    assert np.isfinite(brief.level)
+
+
+def test_a_loop_that_nothing_drives_ends_within_a_millionth_of_its_region() -> None:
+    loop = certified_loop(pd_run(0.01))
+    found = certify(loop)
+    assert found.holds and len(found.faces) < 150
+    again = certify(loop, found.bound.box)  # it divided by an energy of 0
+    assert again.holds and found.bound.box.energy < 1e-10 * found.region.box.energy
+
+
+def test_what_has_no_bound_is_told_with_its_sign() -> None:
+    assert [side(value) for value in (np.inf, -np.inf, np.nan, -2.0)] == ["infinity", "-infinity", "no number", "-2.00"]
+
+
+# -- a supervisor ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("safety", "name"),
+    [
+        (Safety(position_error=0.03), "position"),
+        (Safety(heading_error=0.03), "heading"),
+        (Safety(joint_error=0.05), "joint error"),
+        (Safety(speed=0.33), "speed"),
+        (Safety(joint_speed=0.5), "speed"),
+        (Safety(torque=8.0), "torque"),
+    ],
+)
+def test_a_region_in_which_a_supervisor_may_step_in_is_not_held(safety: Safety, name: str) -> None:
+    subject = pd_run(0.01, safety=safety)
+    assert refusal(subject) == ""
+    loop = certified_loop(subject)
+    free = replace(loop, supervisor=None)
+    box = certify(free).region.box
+    faces = Boxes(loop, box).faces(box)
+    passed = [limit.name for limit in faces.limits if not limit.value < limit.limit]
+    assert Boxes(free, box).faces(box).held and not faces.held and passed == [f"supervisor, {name}"]
+    smaller = certify(loop)
+    assert smaller.holds and all(condition.holds for condition in smaller.conditions)
+    assert smaller.region.box.energy < box.energy or smaller.region.box.pose < box.pose
+
+
+def test_what_is_reached_of_a_limit_is_not_less_than_runs_reach() -> None:
+    """Largest motor torque, speed and errors of a run in the region beside what the certificate has for them."""
+    safety = Safety(torque=1e3, speed=10.0, yaw_rate=10.0, joint_speed=50.0, position_error=1.0, heading_error=1.0)
+    loop = certified_loop(pd_run(0.01, safety=safety))
+    found = certify(loop)
+    size = 0.15 * found.region.box.pose
+    subject = pd_run(0.3, Start((-size, size, 0.0), moving=True), safety=safety)
+    assert sizes_of(subject, loop).inside(found.region.box).all()
+    limits = {limit.name.split(", ")[1]: limit.value for limit in found.region.limits}
+    assert np.abs(subject.recording["motor_torque"]).max() <= limits["torque"]
+    assert np.linalg.norm(subject.signal("pose_error")[:, :2], axis=1).max() <= limits["position"]
+    assert np.abs(subject.signal("pose_error")[:, 2]).max() <= limits["heading"]
+
+
+def test_a_run_that_its_supervisor_stopped_has_no_certificate() -> None:
+    subject = pd_run(0.01, Start((-0.05, 0.0, 0.0), moving=True), safety=Safety(position_error=0.03))
+    assert refusal(subject) == "its supervisor stopped it"
+    clipped = pd_run(0.05, Start((-0.05, 0.0, 0.0)), safety=Safety(torque=1.0))
+    assert refusal(clipped) == "its supervisor stepped in"
+
+
+# -- a reference that is not quite one motion ------------------------------------------------------------------------
+
+
+@cache
+def drifting(sideways: bool) -> tuple[Subject, CertifiedLoop, Certificate]:
+    """A table whose poses move 1.9 % beside its velocities, which `check_followable` lets pass."""
+    t = np.arange(0, 8.01, 0.01)
+    along, aside, speed = (0.3, 0.3 * 0.019, 0.3) if sideways else (0.3, 0.0, 0.3 * 0.981)
+    pose, velocity = np.stack([along * t, aside * t, 0 * t], 1), np.stack([speed + 0 * t, 0 * t], 1)
+    timing = Timing(8.0, 2e-4, 2e-4)
+    subject = pd_run(trajectory=Trajectory(Table(t, pose, velocity), STILL.arm), timing=timing)
+    loop = certified_loop(subject)
+    return subject, loop, certify(loop)
+
+
+@pytest.mark.parametrize("sideways", [False, True])
+def test_a_reference_that_drifts_is_counted_with(sideways: bool) -> None:
+    subject, loop, found = drifting(sideways)
+    sizes = sizes_of(subject, loop)
+    assert loop.drift[0] == pytest.approx(1.5 * 0.3 * 0.019, rel=1e-3) and loop.drift[1] < 1e-9  # of Hermite cubics
+    run = reached(subject, found, sizes)
+    assert found.holds and run.stays and run.settles < 8.0
+    assert sizes.pose[-1] > 0.15 * found.bound.box.pose  # not far below
+    without = certify(replace(loop, drift=(0.0, 0.0)))
+    assert without.holds and not sizes.inside(without.bound.box)[-1]  # it never gets there
+
+
+def test_the_drift_of_paths_of_this_package_is_none() -> None:
+    rng = np.random.default_rng(0)
+    from mmnn_pin import Circle, Eight, Waypoints
+
+    for path in (
+        Circle(1.0, 0.5),
+        Eight(3.0, 1.5, 12.0),
+        Waypoints(((0, 0), (3, 0), (3, 3)), 0.5, 0.4),
+        Line(0.3, (100.0, 50.0, 1.0)),
+    ):
+        h = float(rng.uniform(5e-4, 2e-3))
+        samples = path.sample(np.arange(2000) * h)
+        assert max(drift(samples.pose, samples.velocity, samples.acceleration, h)) < 2e-7
+        assert np.isnan(jump(samples.t, samples.velocity, samples.acceleration, h))
+
+
+class Jumps(BasePath):
+    """Straight ahead, with 1 mm/s more from 0.1 s on."""
+
+    def sample(self, t: object) -> BaseSamples:
+        """See `BasePath.sample`."""
+        t = np.asarray(t, float)
+        v = np.where(t < 0.1, 0.3, 0.301)
+        x = 0.3 * t + 0.001 * np.maximum(t - 0.1, 0)
+        zero = np.zeros_like(t)
+        return BaseSamples(t, np.stack([x, zero, zero], 1), np.stack([v, zero], 1), np.stack([zero, zero], 1))
+
+
+def test_a_reference_that_jumps_has_no_certificate() -> None:
+    subject = pd_run(0.2, trajectory=Trajectory(Jumps(), STILL.arm))
+    assert refusal(subject).startswith("velocity_ref jumps at t = 0.099")
+    assert refusal(pd_run(0.01, kinematic=kinematic(2.0))) == ""
