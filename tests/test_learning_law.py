@@ -17,6 +17,8 @@ from robots import feedback
 from mmnn_pin import PD, Adapting, Adaptive, ComputedTorque, LearningLaw, Memory, Regressor, Safety, TorqueController
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.model.parameters import parameters
+from mmnn_pin.proof.learner import Stepper
+from mmnn_pin.proof.linear_fit import linear_fit
 from mmnn_pin.proof.proof import Proof
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.torque.learning_law import norms
@@ -365,3 +367,37 @@ def test_frozen_weights_of_a_law_say_what_a_sum_by_hand_says() -> None:
     np.testing.assert_allclose(psi.frozen["same"].fvu, by_hand, rtol=1e-9)
     assert set(psi.frozen) == {"same", "held_out", "payload"} and subject.learner is not None
     assert psi.remarks == ()
+
+
+class OnTop(LearningLaw):
+    """Psi of known parameters, and weights of the same regressor on top; it learns from the torque sent."""
+
+    theta: tuple[float, ...] = ()
+    knows_motion = True
+    learned = ("W",)
+
+    def init(self, wiring):
+        return Memory.of(W=(wiring.regressor.size,))
+
+    def features(self, now, memory):
+        return now.regressor
+
+    def estimate(self, now, memory):
+        return now.regressor @ (memory["W"] + np.array(self.theta))
+
+    def learn(self, now, memory):
+        memory["W"] += 1e-6 * now.regressor.T @ (now.sent - now.regressor @ memory["W"])
+
+
+def test_stepping_it_again_gives_its_weights_and_what_is_known_is_not_asked_of_them() -> None:
+    robot = robot_of_kind("differential")
+    law = OnTop(theta=tuple(parameters(robot)), feedback=feedback(robot, 0.002))
+    subject = subject_of("differential", loop_of("differential", law, duration=0.05).run())
+    learner = subject.learner
+    assert learner is not None and np.abs(learner.end["W"]).max() > 1e-6
+    stepper = Stepper(learner, learner.start.snapshot())
+    again = np.array([stepper.step(row).copy() for row in subject.rows])
+    np.testing.assert_allclose(again, subject.signal("psi_hat"), rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(stepper.memory["W"], learner.end["W"], rtol=1e-12)
+    found = linear_fit(subject, learner)
+    assert found is not None and found.norm < 1e-6 and found.unexplained.max() < 1e-12  # nothing is left for them

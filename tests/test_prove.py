@@ -143,7 +143,9 @@ class Own(TorqueController):
 
 def test_a_controller_in_plain_python_is_told_plainly() -> None:
     proof = Proof(loop_of("differential", Own(), duration=0.02).run())
-    assert proof.remarks()[0].startswith("own gives no Psi_hat: a controller of your own hands over a torque")
+    assert proof.remarks()[0].startswith(
+        "own gives no Psi_hat: a controller of your own whose step returns a torque alone"
+    )
     assert proof.balance.holds and not proof.lyapunov.weights.any()
 
 
