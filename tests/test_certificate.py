@@ -149,9 +149,10 @@ def run_from(place: np.ndarray, duration: float, region: Faces) -> Sizes:
     return sizes_of(thinned, certificate().boxes.loop)
 
 
-def worst(sizes: Sizes, box: Box) -> float:
-    """Largest error over its bound; above 1 the box was left."""
-    return float(max(sizes.pose.max() / box.pose, sizes.arm.max() / box.arm, sizes.energy.max() / box.energy))
+def worst(sizes: Sizes, box: Box, first: int = 0) -> float:
+    """Largest error over its bound from a sample on; above 1 the box was left."""
+    pose, arm, energy = sizes.pose[first:], sizes.arm[first:], sizes.energy[first:]
+    return float(max(pose.max() / box.pose, arm.max() / box.arm, energy.max() / box.energy))
 
 
 @compiled_only
@@ -171,16 +172,19 @@ def test_no_run_from_random_places_leaves_the_region_and_all_end_up_in_the_bound
 
 @compiled_only
 def test_a_search_for_the_worst_run_finds_none_that_leaves_the_region() -> None:
-    """Differential evolution over start and pushes, to leave the region within 0.15 s; seeded."""
+    """Differential evolution over start and pushes, to be as far out as can be from 10 ms to 0.15 s; seeded.
+
+    The start itself, at 0.999 of a face, does not count: what is sought is a run that stays there or goes on outward.
+    """
     region = certificate().region
+    later = round(0.01 / PERIOD)
 
     def escape(place: np.ndarray) -> float:
-        return -worst(run_from(place, 0.15, region), region.box)
+        return -worst(run_from(place, 0.15, region), region.box, later)
 
     limits = [(-3.0, 3.0)] * 9 + [(-1.0, 1.0)] * 8
     found = differential_evolution(escape, limits, maxiter=6, popsize=2, seed=1, polish=False, tol=0)
-    assert found.nfev > 150 and -found.fun <= 1.0
-    assert -found.fun > 0.99  # it does reach the region's face
+    assert found.nfev > 150 and 0.9 < -found.fun < 0.999  # it finds runs near the face, and all of them go inward
 
 
 @compiled_only
@@ -204,14 +208,16 @@ def growth(run: Recording) -> float:
     return float(s[-n:].max() / s[n : 2 * n].max()) if run.outcome.status == "completed" else np.inf
 
 
-def arm_run(F: float, update: str = "after_output") -> Recording:
-    """The two-axis arm at rest near its reference, learning with fixed hidden weights 0, so that L = F h/4."""
-    robot, h = load("two_axis_arm"), 0.001
-    gain = Feedback(arm=(6.0, 3.0))
+def arm_run(
+    F: float, update: str = "after_output", *, h: float = 0.001, gains: float = 1.0, duration: float = 1.5
+) -> Recording:
+    """The two-axis arm at rest near its reference, learning with fixed hidden weights 0, so that L = 2 F per sample."""
+    robot = load("two_axis_arm")
+    gain = Feedback(arm=(6.0 * gains, 3.0 * gains))
     network = TwoLayer(hidden=8, F=(F, F), G=(0.0, 0.0), kappa=0.0, v_range=0.0)
     control = Neural(network, gain, None, update=update)  # type: ignore[arg-type]
     hold = Trajectory(None, (Hold(0.3), Hold(0.5)))
-    start, timing = Start(joint_offset=1e-3), Timing(1.5, h, h)
+    start, timing = Start(joint_offset=1e-3), Timing(h * round(duration / h), h, h / max(1, round(h / 0.001)))
     return Loop(robot, hold, control, kinematic=Kinematic(K=2.0), timing=timing, start=start, check_gains=False).run()
 
 
@@ -236,6 +242,29 @@ def test_rates_below_their_limit_settle_and_above_it_grow(make: object, F: float
     assert 1.0 < limit < 1e3
     below, above = make(0.85 * limit * F), make(1.2 * limit * F)  # type: ignore[operator]
     assert verdict(below).radius.max() <= 1 + 1e-9 < verdict(above).radius[0]
+    assert growth(below) < 0.9 and growth(above) > 1.1
+
+
+@compiled_only
+@pytest.mark.parametrize(
+    ("key", "stable", "unstable"), [("h", 0.001, 0.1), ("gains", 1.0, 0.01), ("gains", 1.0, 100.0)]
+)
+def test_the_same_holds_for_the_period_and_the_gains(key: str, stable: float, unstable: float) -> None:
+    """At one rate the period must not be too long, the gain not too low and not too high: the limits by bisection."""
+
+    def run(value: float, duration: float) -> Recording:
+        return arm_run(0.3, duration=duration, **{key: value})  # type: ignore[arg-type]
+
+    def radius(value: float) -> float:
+        return float(verdict(run(value, 20 * value if key == "h" else 0.02)).radius[0])
+
+    assert radius(stable) <= 1 + 1e-9 < radius(unstable)
+    inside, outside = np.log(stable), np.log(unstable)
+    for _ in range(12):
+        middle = (inside + outside) / 2
+        inside, outside = (middle, outside) if radius(float(np.exp(middle))) <= 1 + 1e-9 else (inside, middle)
+    away = np.sign(outside - np.log(stable)) * np.log(1.15)
+    below, above = (run(float(np.exp(outside + side * away)), 1.5) for side in (-1, 1))
     assert growth(below) < 0.9 and growth(above) > 1.1
 
 
