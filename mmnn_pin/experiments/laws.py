@@ -47,6 +47,11 @@ def named(spec: str) -> str:
     return found["kind"]
 
 
+def name_of(controller: str) -> str:
+    """Name of a controller in tables and files, also of one that says where its class is."""
+    return named(controller) if is_spec(controller) else controller
+
+
 def resolved(
     controllers: tuple[str, ...], laws: Mapping[str, Mapping[str, Any]], taken: Mapping[str, Any]
 ) -> tuple[tuple[str, ...], dict[str, dict[str, Any]]]:

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..errors import ConfigError, InputError
 from ..experiments.experiment import Experiment
-from ..experiments.laws import LAW, digest_of
+from ..experiments.laws import LAW, digest_of, name_of
 from .base import COSMETIC, changed_base, paths_of, told
 from .bundle import Bundle
 from .factors import Factor, unit_cube
@@ -215,7 +215,7 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
         base,
         table,
         points_of(settings.factors, method, count, seed),
-        base.controllers,
+        tuple(map(name_of, settings.controllers)) if settings.controllers else base.controllers,
         seeds_of(settings.seeds, base.seed, settings.factors),
     )
     if len(plan) > MOST:

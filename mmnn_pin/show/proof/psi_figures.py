@@ -146,7 +146,7 @@ def ranks_figure(recordings: Recordings) -> Figure:
     names = list(dict.fromkeys(network.name for proof in proofs.values() for network in proof.psi.networks))
     kinds = sorted({kind for proof in proofs.values() for n in proof.psi.networks for kind in n.singular}, reverse=True)
     whats = list(dict.fromkeys(network.what for proof in proofs.values() for network in proof.psi.networks))
-    figure = new_figure(3.0 * (len(kinds) + len(whats)) + 0.6, 2.2 * len(names) + 1.2)
+    figure = new_figure(max(5.4, 3.0 * (len(kinds) + len(whats)) + 0.6), 2.2 * len(names) + 1.2)
     grid = figure.subplots(len(names), len(kinds) + len(whats), sharey=True, squeeze=False)
     styles = styles_of(recordings)
     for name, proof in proofs.items():
