@@ -7,6 +7,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.special import expit
 
 from ..errors import ConfigError
 from ..settings import Settings, plain, require_gains
@@ -43,12 +44,12 @@ class Replaying(Settings, frozen=True):
         ConfigError: A number that is negative, not finite or 0 where it must not be, or a rate of 2 or more.
     """
 
-    rate: float = 0.1
+    rate: float = 0.3
     replays: int = 4
     entries: int = 1000
     every: float = 0.02
-    pole: float = 10.0
-    tracking: float = 0.1
+    pole: float = 60.0
+    tracking: float = 0.3
     unit: float = 0.1
     bound: float = 100.0
     hidden: int = 22
@@ -63,6 +64,9 @@ class Replaying(Settings, frozen=True):
             raise ConfigError(f"{self.rate}", why="the error grows", fix="use a rate below 2", key="replay.rate")
 
 
+NOISE = 0.1  # of a kept sample, in units
+UNKNOWN = 0.005  # share of the output's variance left on random motion, above which a run did not excite
+SAMPLES = 300  # of random motion
 SEEN = Inputs(signals=("q", "velocity", "qdot", "nu_ref", "nudot_ref"), bias=1.0)
 
 
@@ -169,6 +173,37 @@ class CompositeNetwork(CompiledController):
         own = {"feedback": self.feedback, "replaying": self.replaying, "network": self.network, "inputs": self.inputs}
         return {name: plain(value) for name, value in own.items()} | {"rates": self.rates, "learning": self.learning}
 
+    def unknown(self, memory: Memory) -> Array:
+        """Share of the variance of the output that is left on random motion of unit speed, per network.
+
+        The output weights are taken as unknown with a deviation of one unit, the hidden units as they are now, and the
+        kept samples as measured to `NOISE` units.
+        """
+        rng, filled, layout = np.random.default_rng(0), int(memory["counts"][1]), self._layout(memory)
+        n, p = layout.arm, layout.dof
+        scale, offset = self.inputs.affine(layout)
+        seen = np.hstack(
+            (rng.uniform(-np.pi, np.pi, (SAMPLES, n)), rng.standard_normal((SAMPLES, 2 * p + layout.pose)))
+        )
+        source = self.followed(layout)
+        x = offset + scale * np.where(source >= 0, seen[:, source], 0.0)
+        found = []
+        for i in (name[1:] for name in memory.shapes if name[0] == "W"):
+            hidden, kept = (expit(points @ memory[f"V{i}"]) for points in (x, memory["kept"][:filled, : x.shape[1]]))
+            P = np.linalg.inv(np.eye(hidden.shape[1]) + kept.T @ kept / NOISE**2)
+            found.append(np.einsum("ni,ij,nj->", hidden, P, hidden) / np.sum(hidden**2))
+        return np.array(found)
+
     def findings(self, memory: Memory) -> list[str]:
-        """What the weights show."""
-        return self.learner.findings(memory)
+        """What the weights show, and whether the run excited what they would have to know of other motions."""
+        found = self.learner.findings(memory)
+        if not self.learning or not np.isfinite(memory.values).all() or memory["counts"][1] == 0:
+            return found
+        unknown = float(self.unknown(memory).max())
+        if unknown <= UNKNOWN:
+            return found
+        return [*found, f"{self.name}: not excited: {unknown:.0%} of what it did not know is left, on random motion"]
+
+    def _layout(self, memory: Memory) -> Layout:
+        p, n = memory["filtered_torque"].size, memory["states"].shape[1] - memory["filtered_torque"].size
+        return Layout(p - n, n, p + 3, p)

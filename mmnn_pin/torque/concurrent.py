@@ -126,7 +126,7 @@ class ConcurrentLearner(CompiledController):
         p, k, E = K.size, self.dimension, np.ascontiguousarray(self.E)
         history = History(
             known=self.regressor.workspace(),
-            basis=self.basis(K),
+            basis=self.basis,
             theta0=self.start(),
             filter=new_filter(wiring.layout, h, own.pole),
             gain=K,
@@ -163,11 +163,16 @@ class ConcurrentLearner(CompiledController):
         memory["born"] = -1.0
         return memory
 
-    def basis(self, K: Array) -> Array:
+    @property
+    def basis(self) -> Array:
         """`theta = theta_0 + basis w`, (k0, k): the directions that matter, of the size of the prior."""
-        del K
         deviation, directions = self._typical
         return np.ascontiguousarray(deviation[:, None] * directions)
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviations of the prior of theta, (k0,)."""
+        return self._typical[0]
 
     def start(self) -> Array:
         """The parameters before anything is learned, (k0,)."""
@@ -175,9 +180,9 @@ class ConcurrentLearner(CompiledController):
             return np.array(self.nominal)
         return guess_of(self.regressor, Adapting())
 
-    def theta(self, memory: Memory, layout: Layout) -> Array:
+    def theta(self, memory: Memory) -> Array:
         """The estimate as parameters of the robot, (k0,)."""
-        return np.asarray(self.start() + self.basis(self.feedback.vector(layout)) @ memory["w"])
+        return np.asarray(self.start() + self.basis @ memory["w"])
 
     def feedback_gain(self, layout: Layout) -> Array:
         """K, (p,)."""
@@ -194,7 +199,7 @@ class ConcurrentLearner(CompiledController):
 
     def unknown(self, memory: Memory) -> Array:
         """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
-        Phi = self.random_motion() @ self.basis(np.zeros(0))
+        Phi = self.random_motion() @ self.basis
         left = np.einsum("nij,jk,nik->i", Phi, memory["P"], Phi)
         return np.asarray(left / np.einsum("nij,nij->i", Phi, Phi))
 

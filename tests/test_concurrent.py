@@ -1,0 +1,228 @@
+"""Concurrent learning: the stack against numpy and brute force; its law; knowledge that outlasts the excitation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import config
+
+from mmnn_pin import Regressor
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.model.parameters import parameters
+from mmnn_pin.torque.concurrent import Concurrent
+from mmnn_pin.torque.controller import Memory
+from mmnn_pin.torque.history import consider, estimate_of, scratch, shapes, views
+from mmnn_pin.torque.recall import into_ball, recall
+from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
+from tests.test_composite import EIGHT
+
+seeds = st.integers(0, 2**32 - 1)
+N, P, K = 6, 2, 5
+CIRCLE = [
+    "reference.base={type='circle', radius=1.0, speed=0.4, ramp=1.0}",
+    "reference.arm=[{type='hold', value=0.1},{type='hold', value=0.1}]",
+]
+
+
+class Book:
+    """A stack alone."""
+
+    def __init__(self, entries=N, growth=0.05, lifetime=np.inf):
+        memory = Memory.of(**shapes(entries, P, K))
+        memory["L"] = memory["P"] = np.eye(K)
+        memory["born"] = -1.0
+        self.s, self.w = getattr(views, "py_func", views)(memory.values, entries, P, K), scratch(P, K)
+        self.growth, self.lifetime, self.time = growth, lifetime, 0.0
+
+    def take(self, Phi, y):
+        self.time += 1.0
+        return consider(self.s, self.w, Phi, y, self.time, self.growth, self.lifetime)
+
+    def worth(self, Phis=None):
+        Phis = self.s.Phi if Phis is None else Phis
+        return np.linalg.slogdet(np.eye(K) + sum(A.T @ A for A in Phis))[1]
+
+
+def drawn(rng, size=1.0):
+    return size * np.exp(rng.standard_normal()) * rng.standard_normal((P, K)), rng.standard_normal(P)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds, st.sampled_from([0.1, 1.0, 100.0]))
+def test_the_stack_is_what_its_entries_say(seed, size):
+    """L, P, b and G against numpy after many exchanges, and w_L against least squares with a prior."""
+    book, rng = Book(lifetime=7.0), np.random.default_rng(seed)
+    for _ in range(40):
+        book.take(*drawn(rng, size))
+    s, target = book.s, np.zeros(K)
+    L = np.eye(K) + sum(A.T @ A for A in s.Phi)
+    np.testing.assert_allclose(s.L, L, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(s.P, np.linalg.inv(L), rtol=1e-6, atol=1e-10)
+    np.testing.assert_allclose(s.b, sum(A.T @ y for A, y in zip(s.Phi, s.y, strict=True)), rtol=1e-8, atol=1e-8 * size)
+    for G, A in zip(s.G, s.Phi, strict=True):
+        np.testing.assert_allclose(G, A @ np.linalg.inv(L) @ A.T, atol=1e-6)
+    rows = np.vstack((np.eye(K), s.Phi.reshape(-1, K)))
+    estimate_of(s, target)
+    best = np.linalg.lstsq(rows, np.concatenate((np.zeros(K), s.y.ravel())), rcond=None)[0]
+    np.testing.assert_allclose(target, best, atol=1e-6 * (1 + np.abs(best).max()))
+
+
+@settings(max_examples=25, deadline=None)
+@given(seeds)
+def test_an_exchange_is_the_one_that_determinants_choose(seed):
+    """By brute force: log det L of every exchange, one after the other."""
+    book, rng = Book(), np.random.default_rng(seed)
+    for _ in range(30):
+        Phi, y = drawn(rng)
+        before, kept = book.worth(), book.s.Phi.copy()
+        full = book.s.used[0] == N
+        options = [[*kept[:i], Phi, *kept[i + 1 :]] for i in range(N)] if full else [[*kept, Phi]]
+        best = max(book.worth(option) for option in options)
+        changed = book.take(Phi, y)
+        if abs(best - before - book.growth) > 1e-9:
+            assert changed == (best - before > book.growth)
+        if changed:
+            assert book.worth() == pytest.approx(best, abs=1e-9)
+        else:
+            np.testing.assert_array_equal(book.s.Phi, kept)
+
+
+def test_bounded_equations_are_exchanged_finitely_often():
+    """The bound: each exchange adds `growth`, and log det L <= K log(1 + N sum of squares / K)."""
+    book, rng = Book(growth=0.1), np.random.default_rng(0)
+    for _ in range(300 if config.DISABLE_JIT else 5000):
+        Phi, y = drawn(rng)
+        book.take(Phi / max(1.0, np.linalg.norm(Phi)), y)
+    assert book.s.used[1] <= K * np.log(1 + N / K) / 0.1
+
+
+def test_entries_have_a_lifetime():
+    book, rng = Book(lifetime=3.5), np.random.default_rng(0)
+    for _ in range(4):
+        book.take(*drawn(rng))
+    for _ in range(5):
+        book.take(np.zeros((P, K)), np.zeros(P))
+    np.testing.assert_allclose(book.s.L, np.eye(K), atol=1e-12)
+    assert (book.s.born == -1.0).all() and not book.s.Phi.any()
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    st.lists(st.floats(-1e150, 1e150) | st.just(np.nan) | st.just(np.inf), min_size=3, max_size=3), st.floats(0.1, 10)
+)
+def test_the_ball(numbers, radius):
+    w = np.array(numbers)
+    into_ball(w, radius)
+    assert np.linalg.norm(w) <= radius * (1 + 1e-12)
+    if np.isfinite(numbers).all() and np.linalg.norm(numbers) <= radius:
+        np.testing.assert_array_equal(w, numbers)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seeds, st.floats(0, 8))
+def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
+    loop, rng = made("concurrent"), np.random.default_rng(seed)
+    learner, wiring = loop.controller, loop.wiring()
+    limited = replace(learner, effort=np.full(learner.effort.size, 20.0))
+    a, memory, row = limited.law(wiring).history, limited.init(wiring), wiring.layout.new_row()
+    for k in range(30):
+        row[:] = 10.0**size * rng.standard_normal(row.size)
+        row[0] = k * a.h
+        recall(row, wiring.layout.offsets, a, memory.values)
+        assert np.linalg.norm(memory["w"]) <= a.radius * (1 + 1e-9)
+        motors = np.linalg.pinv(loop.robot.E) @ row[wiring.layout.where("psi_hat")]
+        assert (np.abs(motors) <= 20.0 * (1 + 1e-9)).all()
+
+
+def test_a_sample_is_the_law():
+    """By numpy: w after the tracking term, and the pull to what the stack says."""
+    loop = made("concurrent", "concurrent.every=0.002")
+    learner, wiring = loop.controller, loop.wiring()
+    a, memory, row = learner.law(wiring).history, learner.init(wiring), wiring.layout.new_row()
+    rng, k = np.random.default_rng(0), learner.dimension
+    memory["w"] = w = 0.1 * rng.standard_normal(k)
+    A = rng.standard_normal((k, k))
+    memory["P"] = P = A @ A.T / k
+    for name in ("z", "r"):
+        row[wiring.layout.where(name)] = 1e-3 * rng.standard_normal(2)
+    row[wiring.layout.where("nu_ref")] = nu_ref = rng.standard_normal(4)
+    Y = learner.regressor.matrix(learner.regressor.massless.offset, np.zeros(4), nu_ref, np.zeros(4))
+    Phi, s = Y @ learner.basis, np.concatenate([row[wiring.layout.where(n)] for n in ("z", "r")])
+    recall(row, wiring.layout.offsets, a, memory.values)
+    np.testing.assert_allclose(row[wiring.layout.where("psi_hat")], Y @ learner.start() + Phi @ w, rtol=1e-9)
+    step = a.h * a.tracking * P @ Phi.T @ s
+    late = s @ Phi @ step
+    eta = min(1.0, a.share * s @ (a.gain * s) / late)
+    np.testing.assert_allclose(memory["w"], w + eta * step, rtol=1e-9)
+
+
+def test_engines_batch_resumption_and_freezing():
+    loop = made("concurrent", "concurrent.entries=5")
+    assert_engines_agree(loop)
+    assert_it_resumes(loop, loop.timing.duration / 2)
+    assert_frozen(loop)
+
+
+def test_the_basis_leaves_nothing_out():
+    learner = made("concurrent").controller
+    rng, regressor = np.random.default_rng(5), learner.regressor
+    B = learner.basis
+    for _ in range(5):
+        Y = regressor.matrix(regressor.random_position(rng), *rng.standard_normal((3, 4)))
+        scaled = learner.deviation
+        delta = scaled * rng.standard_normal(regressor.size)
+        w = np.linalg.lstsq(Y @ B, Y @ delta, rcond=None)[0]
+        np.testing.assert_allclose(Y @ B @ w, Y @ delta, rtol=1e-8, atol=1e-8)
+    assert learner.dimension == regressor.identifiable().shape[1] == 27
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
+def test_knowledge_outlasts_the_excitation():
+    """A rich motion, then a circle with the arm still: the stack keeps what the tracking error alone loses."""
+    gram = Regressor.of(made("pd").robot).gram()
+    found = {}
+    for name in ("concurrent", "adaptive"):
+        rich, poor = made(name, *EIGHT, duration=24.0), made(name, *CIRCLE, duration=24.0)
+        truth, memory, errors = parameters(rich.robot), None, []
+        for loop in (rich, poor):
+            run = loop.run(memory=memory)
+            memory = loop.controller.init(loop.wiring())
+            memory.values[:] = run.final["memory"]
+            theta = memory["theta"] if name == "adaptive" else loop.controller.theta(memory)
+            errors.append((theta - truth) @ gram @ (theta - truth) / (truth @ gram @ truth))
+        found[name] = (*errors, run.outcome.message)
+    assert found["concurrent"][0] < 1e-3 and found["concurrent"][1] < 1e-3
+    assert found["adaptive"][1] > 10 * found["concurrent"][1] and found["adaptive"][1] > 2 * found["adaptive"][0]
+    assert "not excited" not in found["concurrent"][2]
+    alone = made("concurrent", *CIRCLE, duration=12.0).run().outcome
+    assert alone.status == "completed" and "not excited" in alone.message
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
+def test_with_a_lifetime_a_payload_is_learned():
+    load = ["disturbances=[{type='payload', mass=3.0, start=12.0}]"]
+    errors = {}
+    for lifetime in (0.0, 6.0):
+        loop = made("concurrent", *EIGHT, *load, f"concurrent.lifetime={lifetime}", duration=24.0)
+        run = loop.run()
+        late = run.time > 20.0
+        errors[lifetime] = np.mean((run["psi"] - run["psi_hat"])[late] ** 2, axis=0)
+    assert errors[6.0][2] < 0.05 * errors[0.0][2] and errors[6.0][3] < errors[0.0][3]
+
+
+def test_impossible_settings_are_refused_with_their_key():
+    for name, value in (("entries", 0), ("rate", -1.0), ("noise", 0.0), ("growth", 0.0), ("pole", np.inf)):
+        with pytest.raises(ConfigError) as error:
+            Concurrent(**{name: value})
+        assert error.value.key == f"concurrent.{name}"
+    learner = made("concurrent").controller
+    with pytest.raises(ConfigError, match="no nominal parameters"):
+        replace(learner, settings=Concurrent(initial="nominal"))
+    with pytest.raises(ConfigError, match="give 64 finite ones"):
+        replace(learner, nominal=np.ones(3))
+    nominal = made("concurrent", "concurrent.initial=nominal", "nominal.masses=0.5")
+    np.testing.assert_allclose(nominal.controller.start()[0], 0.5 * parameters(nominal.robot)[0])
