@@ -16,6 +16,7 @@ TOLD = {
     "kinematics": "told the kinematics, not masses and friction",
     "form": "told the form of the equations",
     "nothing": "told nothing but the error",
+    "nominal": "told a model with wrong masses",
 }
 Rows = Callable[[str, str], list[Row]]
 
@@ -128,8 +129,10 @@ def smallest(about: str, limit: float, values: dict[str, float]) -> Target:
 def everyone(about: str, good: list[str], rows: dict[str, list[Row]]) -> Target:
     """Target that all learners have to meet; the number is their share."""
     missing = [name for name in rows if name not in good]
+    if not rows:
+        return Target(about, 1.0, None, "", False)
     by = f"all but {', '.join(missing)}" if missing and good else "nobody" if missing else "all"
-    return Target(about, 1.0, len(good) / len(rows) if rows else None, by, bool(rows) and not missing)
+    return Target(about, 1.0, len(good) / len(rows), by, not missing)
 
 
 def survived(row: Row) -> bool:

@@ -8,7 +8,7 @@ from ..errors import ConfigError
 from ..settings import Settings, require_gains
 
 # What a learner is told before it starts; all others learn something of their own.
-KNOWS = ("kinematics", "form", "nothing")
+KNOWS = ("kinematics", "form", "nothing", "nominal")
 
 
 class Targets(Settings, frozen=True):
@@ -48,7 +48,7 @@ class Contest(Settings, frozen=True):
         seeds: How many, counted from the experiment's own.
         beside: Controllers that run whatever else is chosen, because the others are measured by them: the feedback
             alone, the thesis's law, the oracle.
-        knows: What a learner is told before it starts ("kinematics", "form", "nothing") to their names.
+        knows: What a learner is told before it starts ("kinematics", "form", "nothing", "nominal") to their names.
         window: Length of the windows of the learning curves [s].
         learned: Error over that of PD, in every later window, that counts as learned.
         start: Length of the start in which a kick is looked for [s].

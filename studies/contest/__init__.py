@@ -1,0 +1,1 @@
+"""The contest's document and the search for the learners' settings."""

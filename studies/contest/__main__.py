@@ -1,0 +1,118 @@
+"""Everything that docs/contest.md says, from nothing: `python -m studies.contest` in a checkout.
+
+Runs the contest, and once more with the thesis's networks as chapter 4 prints them; with `--tune` the search for the
+learners' settings before that. Writes tables, figures and the document itself.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mmnn_pin.contest.contest import Standing, run_contest
+from mmnn_pin.experiments.cases import chosen_cases
+from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.precompile import precompile
+from mmnn_pin.show.contest.figures import write_figures
+
+from .document import publish, render
+from .search import TRIES, spaces, tune, tuned
+from .summary import summed
+
+# The thesis's networks as chapter 4 has them, on the contest's eight.
+PRINTED = (
+    "two_layer={hidden = 22, F = [1.0, 0.2], G = [1.0, 0.2], kappa = 1.0, initial = 'random', v_range = 1.0}",
+    "one_layer={hidden = 22, beta = [0.5, 0.5], mu = 0.35, centre_range = 10.0, centres = 'diagonal', width = 4.5}",
+)
+QUICK = (
+    *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.004", "time.plant_step=0.002"),
+    *(f"held_out.{name}.duration=0.9" for name in ("similar", "tight", "circle")),
+    "contest.seeds=2",
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Parse the command line, run, write."""
+    parser = argparse.ArgumentParser(prog="python -m studies.contest", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("runs/contest"), help="folder for all that is written")
+    parser.add_argument("--quick", action="store_true", help="two tasks for a second: shows that it runs")
+    parser.add_argument("--force", action="store_true", help="run anew what is in the folder")
+    parser.add_argument("--publish", action="store_true", help="renew docs/contest.md, its figures and the summary")
+    parser.add_argument(
+        "--tune", nargs="*", metavar="LEARNER", help="search the settings of these learners, or of all, and stop"
+    )
+    parser.add_argument("--tries", type=int, default=TRIES, help=f"sets of settings per learner ({TRIES})")
+    options = parser.parse_args(arguments)
+    precompile()
+    say = partial(told, time.perf_counter())
+    if options.tune is not None:
+        tune(tuple(options.tune) or tuple(spaces()), options.tries, say)
+        return
+    overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
+    summary = study(options.out, overrides, cases, options.force, say)
+    (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    (options.out / "contest.md").write_text(render(summary), encoding="utf-8")
+    if options.publish:
+        publish(options.out)
+
+
+def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Any) -> dict[str, Any]:
+    """Run all of it; rows and figures go to `out`, the numbers of the document are returned."""
+    begin, processor, load = time.perf_counter(), time.process_time(), os.getloadavg()[0]
+    standing = made(out, overrides, cases, force, (), say)
+    printed = made(out / "printed", [*overrides, *PRINTED], ["eight"], force, ("one_layer", "two_layer"), say)
+    write_figures(standing, out / "figures")
+    search = {name: {k: v for k, v in found.items() if k != "scores"} for name, found in tuned().items()}
+    return {
+        **summed(standing),
+        "printed": summed(printed)["tasks"]["eight"],
+        "tuned": search,
+        "run": {
+            "wall_s": time.perf_counter() - begin,
+            "processor_s": time.process_time() - processor,
+            "cores": os.cpu_count(),
+            "load_before": load,
+            "load_after": os.getloadavg()[0],
+        },
+    }
+
+
+def made(
+    out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, only: tuple[str, ...], say: Any
+) -> Standing:
+    """One contest.
+
+    Raises:
+        KeyboardInterrupt: It was stopped; what is done is kept.
+    """
+    experiment = chosen_cases(load_experiment("contest", overrides), cases)
+    if only:
+        experiment = msgspec.structs.replace(experiment, controllers=only)
+    before = [""]
+
+    def show(label: str, fraction: float) -> None:
+        if label != before[0]:
+            before[0] = label
+            say(f"{100 * fraction:3.0f} %  {label}")
+
+    standing = run_contest(experiment, "contest", out=out, force=force, progress=show)
+    if standing.interrupted:
+        raise KeyboardInterrupt
+    return standing
+
+
+def told(begin: float, text: str) -> None:
+    """Say what is done and when."""
+    print(f"{time.perf_counter() - begin:6.1f} s  {text}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,177 @@
+"""A seeded search for each learner's settings, the same number of tries for all, on trajectories of its own.
+
+What counts is the geometric mean, over the tuning tasks, of three errors over those of PD: in the last window of the
+training, on the held-out trajectories while learning, and there with the final weights held fixed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from mmnn_pin.contest.heat import heat
+from mmnn_pin.contest.row import Row, nan
+from mmnn_pin.contest.task import Task, tasks_of
+from mmnn_pin.errors import InputError
+from mmnn_pin.experiments.cases import with_case
+from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.experiments.files import override
+from mmnn_pin.study.factors import Factor
+from mmnn_pin.study.objective import settings_of
+from mmnn_pin.study.tuning import imported, own_gains, suggested
+
+HERE = Path(__file__).parent
+TUNING, SPACES, TUNED = HERE / "tuning.toml", HERE / "spaces.toml", HERE / "tuned.json"
+TRIES, SEED = 40, 20100
+LOST = 1e3  # error over PD's that a lost run counts for
+KICK = 1.0  # of the motors' limits; settings above it count as lost
+Say = Callable[[str], None]
+
+
+def spaces() -> dict[str, dict[str, Factor]]:
+    """What is searched for each learner."""
+    return msgspec.convert(tomllib.loads(SPACES.read_text(encoding="utf-8")), dict[str, dict[str, Factor]])
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The tuning tasks, and what PD does there.
+
+    Attributes:
+        tasks: The tasks, their experiments without changes.
+        pd: Task to PD's rows.
+    """
+
+    tasks: tuple[Task, ...]
+    pd: dict[str, list[Row]]
+
+    @classmethod
+    def made(cls, *overrides: str) -> Bench:
+        """The tasks of the tuning experiment, with PD run on them."""
+        tasks = tuple(tasks_of(load_experiment(TUNING, overrides), ("pd",)))
+        return cls(tasks, {task.name: heat(task, "pd", None, None, quiet)[0] for task in tasks})
+
+    def score(self, learner: str, settings: Mapping[str, Any]) -> float:
+        """Geometric mean of a learner's errors over PD's, see the top of this module."""
+        logs = []
+        for task in self.tasks:
+            try:
+                changed = replace(task, experiment=changed_by(task.experiment, settings))
+            except InputError:
+                return LOST
+            rows, _ = heat(changed, learner, None, None, quiet)
+            logs += [
+                math.log(ratio) for row, pd in zip(rows, self.pd[task.name], strict=True) for ratio in ratios(row, pd)
+            ]
+        return math.exp(float(np.mean(logs)))
+
+
+def quiet(fraction: float) -> None:
+    """No progress."""
+
+
+def changed_by(experiment: Experiment, settings: Mapping[str, Any]) -> Experiment:
+    """An experiment with some settings changed.
+
+    Raises:
+        InputError: A value that cannot be.
+    """
+    table = msgspec.to_builtins(experiment)
+    for path, value in settings.items():
+        override(table, f"{path}={json.dumps(value)}")
+    return msgspec.convert(table, Experiment)
+
+
+def ratios(row: Row, pd: Row) -> list[float]:
+    """A row's three errors over PD's: training, held out, held out with fixed weights; `LOST` for what was lost."""
+    if not row.completed or nan(row.kick) > KICK:
+        return [LOST] * 3
+    found = [relative(row.rms, pd.rms)]
+    for how in ("learning", "frozen"):
+        each = [relative(row.held_out[name][how].rms, ways[how].rms) for name, ways in pd.held_out.items()]
+        found.append(math.sqrt(sum(value**2 for value in each) / len(each)))
+    return [min(value, LOST) if math.isfinite(value) else LOST for value in found]
+
+
+def relative(errors: Mapping[str, float | None], pd: Mapping[str, float | None]) -> float:
+    """Root of the mean, over the axes, of the square of an error over PD's; nan where one is missing."""
+    squares = [(nan(errors.get(axis)) / nan(value)) ** 2 for axis, value in pd.items()]
+    return math.sqrt(sum(squares) / len(squares))
+
+
+def search(bench: Bench, learner: str, factors: dict[str, Factor], tries: int, say: Say) -> dict[str, Any]:
+    """Look for a learner's settings.
+
+    Args:
+        bench: Where they are tried.
+        learner: Whose.
+        factors: What is searched.
+        tries: How many sets, the experiment's own first.
+        say: Told the best so far.
+
+    Returns:
+        The best settings with their score, the score of the experiment's own, and all scores.
+    """
+    optuna = imported()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    table = json.loads(bench.tasks[0].experiment.to_json())
+    trials = optuna.create_study(sampler=optuna.samplers.TPESampler(seed=SEED, multivariate=True))
+    own = own_gains(factors, table)
+    if own is not None:
+        trials.enqueue_trial(own)
+    best: dict[str, Any] = {"score": math.inf, "settings": {}}
+    scores = []
+    for k in range(tries):
+        trial = trials.ask()
+        drawn = {name: suggested(trial, name, factor) for name, factor in factors.items()}
+        settings = {path: rounded(value) for path, value in settings_of(drawn, factors, table).items()}
+        scores.append(bench.score(learner, settings))
+        trials.tell(trial, math.log(scores[-1]))
+        if scores[-1] < best["score"]:
+            best = {"score": scores[-1], "settings": settings}
+        say(f"{learner}: {k + 1} of {tries}, {scores[-1]:.4f}, best {best['score']:.4f}")
+    return {"own": scores[0] if own is not None else None, **best, "tries": tries, "scores": scores}
+
+
+def rounded(value: Any) -> Any:
+    """Numbers with three digits, as they are written into the experiment."""
+    if isinstance(value, float):
+        return float(f"{value:.3g}")
+    return [rounded(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+def tuned() -> dict[str, Any]:
+    """What was found and is kept; learner to its search."""
+    content: dict[str, Any] = json.loads(TUNED.read_text(encoding="utf-8")) if TUNED.exists() else {}
+    return content
+
+
+def tune(learners: tuple[str, ...], tries: int, say: Say, bench: Bench | None = None) -> dict[str, Any]:
+    """Search for some learners, and keep what was found beside what is there."""
+    bench = bench or Bench.made()
+    found = tuned()
+    for learner in learners:
+        found[learner] = search(bench, learner, spaces()[learner], tries, say)
+        TUNED.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    return found
+
+
+def taken(learner: str) -> dict[str, Any]:
+    """What the contest's eight says of what was searched for a learner: key path to value."""
+    table = msgspec.to_builtins(with_case(load_experiment("contest"), "eight"))
+    found = {}
+    for path in tuned()[learner]["settings"]:
+        here: Any = table
+        for part in path.split("."):
+            here = here[part]
+        found[path] = rounded(here)
+    return found
