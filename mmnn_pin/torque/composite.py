@@ -31,7 +31,7 @@ class Replaying(Settings, frozen=True):
     Args:
         rate: mu, share of its error that a sample corrects, from 0 to below 2.
         replays: Kept samples that every control sample learns from beside the newest.
-        entries: Samples that are kept, evenly over the run.
+        entries: Samples that are kept, evenly over the run; an even number.
         every: Time between two kept samples at first [s].
         pole: Of the low-pass on states and torque ahead of the network [1/s].
         tracking: Factor on the thesis's rates F and G; its e-modification is left out.
@@ -154,7 +154,8 @@ class CompositeNetwork(CompiledController):
         """Initial weights, and nothing seen yet."""
         network, layout = self.learner.init(wiring), wiring.layout
         nx = network["x"].size
-        more = {"counts": (3,), **parts(layout, 0, 0), "kept": (self.replaying.entries, nx + layout.dof)}
+        entries = 2 * -(-self.replaying.entries // 2)
+        more = {"counts": (3,), **parts(layout, 0, 0), "kept": (entries, nx + layout.dof)}
         memory = Memory.of(**network.shapes, **more)
         memory.values[: network.values.size] = network.values
         memory["counts"][2] = 1.0

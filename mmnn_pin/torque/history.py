@@ -3,8 +3,8 @@
 Concurrent learning keeps chosen data and learns from them at every sample beside the new ones (Chowdhary and Johnson
 2010, IEEE CDC; Chowdhary, Muehlegg, Johnson 2014, Int. J. Control 87(8)); filtered torque in the place of measured
 accelerations makes it the integral kind (Parikh, Kamalapurkar, Dixon 2019, Int. J. Adaptive Control and Signal
-Processing 33(12)). An entry is one filtered equation per velocity, `y = Phi w + noise`, divided by its noise, and the stack has the
-information matrix and the estimate
+Processing 33(12)). An entry is one filtered equation per velocity, `y = Phi w + noise`, divided by its noise, and the
+stack has the information matrix and the estimate
 
     L = 1 + sum Phi_i' Phi_i,      w_L = L^-1 sum Phi_i' y_i,
 

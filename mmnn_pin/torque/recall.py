@@ -3,7 +3,7 @@
     w' = rate (w_L - w) + tracking P Phi' s,      P = L^-1 of the stack (`torque.history`)
 
 The gain of least squares makes all excited directions converge at the same rate [1/s], however ill conditioned the
-stack is. Between two changes of the stack, with a true w and exact equations, `V = s' M s / 2 + w~' L w~ / 2 / tracking`
+stack is. Between two changes of the stack, with a true w and exact equations, V = s' M s / 2 + w~' L w~ / 2 / tracking
 has
 
     V' = -s' K s - rate / tracking w~' (L - 1) w~ - rate / tracking w~' (w - w_0),

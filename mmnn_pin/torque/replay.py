@@ -116,10 +116,10 @@ def recollect(a: Replay) -> None:
 
 @compiled
 def keep_sample(a: Replay, counts: Array, kept: Array) -> None:
-    """Keep the period just seen; when there is no room every second sample goes."""
+    """Keep the period just seen; when there is no room (for an even number of them) every second one goes."""
     nx = a.x.size
     if int(counts[1]) == len(kept):
-        half = (len(kept) + 1) // 2
+        half = len(kept) // 2
         for i in range(half):
             copy_to(kept[2 * i], kept[i])
         counts[1], counts[2] = half, 2.0 * counts[2]
