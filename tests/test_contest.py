@@ -32,7 +32,7 @@ from mmnn_pin.reference import Eight
 from mmnn_pin.show.contest.text import cell, render
 
 QUICK = [
-    *("time.duration=1.6", "time.control_period=0.004", "time.plant_step=0.002", "windows=[[0, 0.5], [0.8, 1.6]]"),
+    *("time.duration=1.6", "time.control_period=0.0025", "time.plant_step=0.00125", "windows=[[0, 0.5], [0.8, 1.6]]"),
     *("contest.seeds=2", "weights_interval=0.5"),
     *(f"held_out.{name}.duration=0.9" for name in ("similar", "tight", "circle")),
 ]
@@ -65,7 +65,7 @@ def plain(rows):
 @pytest.mark.parametrize("name", ["two_layer", "adaptive"])
 def test_a_row_says_what_its_recording_shows(standing, folder, name):
     recording, row = Recording.open(folder / "eight" / f"{name}.h5"), standing.of("eight", name)[0]
-    late, h = recording.time > 0.799, 0.004
+    late, h = recording.time > 0.799, 0.0025
     x, y, phi = recording["true_pose_error"][late].T
     arm = recording["true_e"][late]
     assert row.rms["x"] == pytest.approx(np.sqrt(np.mean(x**2))) and row.peak["y"] == pytest.approx(abs(y).max())
@@ -76,13 +76,13 @@ def test_a_row_says_what_its_recording_shows(standing, folder, name):
     motors, limits = recording["motor_torque"], np.array([60.0, 60.0, 200.0, 200.0])
     assert row.effort == pytest.approx(np.sum(motors**2) * h)
     assert row.torque == pytest.approx((abs(motors) / limits).max())
-    assert row.kick == pytest.approx((abs(motors[:25]) / limits).max())  # 0.1 s at 4 ms
+    assert row.kick == pytest.approx((abs(motors[:40]) / limits).max())  # 0.1 s at 2.5 ms
     psi, error = recording["psi"][late], (recording["psi"] - recording["psi_hat"])[late]
     fvu = np.mean(error**2, axis=0) / np.var(psi, axis=0)
     assert row.online_fvu == pytest.approx(fvu.mean()) and row.online_worst == pytest.approx(fvu.max())
     errors = np.hstack([recording["true_pose_error"], recording["true_e"]])
     assert len(row.curve) == 3  # of 0.5 s in 1.6 s
-    np.testing.assert_allclose(row.curve[1], np.mean(errors[125:250] ** 2, axis=0))
+    np.testing.assert_allclose(row.curve[1], np.mean(errors[200:400] ** 2, axis=0))
 
 
 def test_the_recording_can_be_proved_and_names_its_experiment(folder):
@@ -121,7 +121,7 @@ def test_what_learns_nothing_is_frozen_as_it_is(standing):
     assert frozen(task.controller("two_layer")).learning is False
     for row in standing.of("eight", "computed_torque"):
         assert row.frozen_fvu < 1e-20  # Psi itself
-    psi = task.rows["tight"][125:, task.robot.layout.where("psi")]  # from 0.5 s on
+    psi = task.rows["tight"][200:, task.robot.layout.where("psi")]  # from 0.5 s on
     nothing = ((psi**2).mean(axis=0) / psi.var(axis=0)).mean()
     assert standing.of("eight", "pd")[0].frozen_on["tight"] == pytest.approx(nothing)
 

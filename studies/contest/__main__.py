@@ -33,7 +33,7 @@ PRINTED = (
     "one_layer={hidden = 22, beta = [0.5, 0.5], mu = 0.35, centre_range = 10.0, centres = 'diagonal', width = 4.5}",
 )
 QUICK = (
-    *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.004", "time.plant_step=0.002"),
+    *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
     *(f"held_out.{name}.duration=0.9" for name in ("similar", "tight", "circle")),
     "contest.seeds=2",
 )
