@@ -77,7 +77,8 @@ class Stepper:
         self.psi_hat[:] = 0.0  # one that says nothing leaves it as it was
         self.row[self._torque] = self._sent  # a controller finds what was sent last
         self.torque.step(float(row[self._time]))
-        self._sent[:] = row[self._torque]
+        self._sent[:] = self.row[self._torque] = row[self._torque]
+        self.torque.keep()
         return self.psi_hat
 
 

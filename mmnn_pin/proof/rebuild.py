@@ -13,7 +13,8 @@ import numpy as np
 from ..control import wiring_of
 from ..errors import RecordingError
 from ..experiments.config import recorded_experiment
-from ..experiments.controllers import CONTROLLERS, EFFECTIVE
+from ..experiments.controllers import CONTROLLERS, EFFECTIVE, KALMAN
+from ..experiments.kalman import kalman_from_facts
 from ..experiments.laws import GIVEN, known_law, with_settings
 from ..model.regressor import Regressor
 from ..model.robot import Robot
@@ -81,6 +82,8 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
         return networks_of(NETWORKS[name], settings)
     if name == "adaptive" and settings:
         return adaptive_of(settings, robot)
+    if name in KALMAN and settings:
+        return kalman_from_facts(name, settings, robot)
     if name not in CONTROLLERS or name in EFFECTIVE:
         return None
     return of_experiment(recording, robot, name, settings)

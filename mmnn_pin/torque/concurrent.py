@@ -197,6 +197,10 @@ class ConcurrentLearner(CompiledController):
         own = {"feedback": plain(self.feedback), "settings": plain(self.settings), "learning": self.learning}
         return own | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
 
+    def features(self, law: Law, memory: Memory) -> Array | None:
+        """Phi, (p, k); while it learns, that of the last control period."""
+        return None if law.history is None else law.history.Phi
+
     def unknown(self, memory: Memory) -> Array:
         """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
         Phi = self.random_motion() @ self.basis

@@ -229,6 +229,10 @@ class KalmanLearner(CompiledController):
         labels = {} if self.drawn or self.regressor is None else {"labels": list(self.regressor.labels)}
         return own | labels | ({} if self.theta0 is None else {"theta0": self.theta0.tolist()})
 
+    def features(self, law: Law, memory: Memory) -> Array | None:
+        """Phi, (rows, k); while it learns, that of the last control period."""
+        return None if law.linear is None else law.linear.Phi
+
     def unknown(self, memory: Memory) -> Array:
         """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
         Phi, (rows, k, _) = self.typical(memory), self.shape
