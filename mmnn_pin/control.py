@@ -14,7 +14,7 @@ from .sample import before_torque
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
-from .torque.learners import Learners, estimate, settle
+from .torque.learners import Learners, estimate, learners_of, settle
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -86,7 +86,7 @@ class Torque:
         self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
-            self.learners = self.law.learners
+            self.learners = learners_of(self.law)
             if controller.uses_model:
                 nominal = controller.model or nominal
                 self.model, self.arm_index = Dynamics(nominal), nominal.arm_index
