@@ -1,0 +1,197 @@
+"""Filtered torque: what a control period says of the dynamics, without a measured acceleration. Compiled.
+
+Over the period that ends at a sample the torque was constant. With the mean of a signal over that period written as
+<.>, the mean acceleration is a difference of velocities, `<nudot> = (nu_k+1 - nu_k) / h`, and
+
+    Phi(<q>, <nu>, <nu>, <nudot>) W = <tau>,
+
+up to terms of second order in h, is one equation per velocity for the weights W of `Psi_hat = Phi W`, as Psi is tau
+where nu_ref is nu. Both sides pass the same low-pass `1 / (1 + s / pole)`, which takes the noise that differencing
+brings. For features linear in nudot this is the filtered regressor (Hsu, Bodson, Sastry, Paden 1987, IEEE ICRA;
+Slotine and Li 1989, Automatica 25(4), composite adaptive control).
+
+Features that are not linear in nudot do not commute with a filter and see the noise before it. For them there is a
+second low-pass ahead of the features, on states and torque: `x' = state_pole (u - x)`, exact for a torque that is held
+and for states that go straight between samples, whose means over a period are again exact,
+`<x> = <u> - (x_k+1 - x_k) / (state_pole h)`.
+
+A period counts only where the sample before it is one control period ago: after a start, a resumption elsewhere, a stop
+by the supervisor or a sample that is no number the filter takes the next state as its first.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..compiled import compiled
+from ..errors import ConfigError
+from ..signals import INDEX, Array, IntArray, Layout
+
+TIME, Q, QDOT, TORQUE = INDEX["time"], INDEX["q"], INDEX["qdot"], INDEX["torque"]
+VELOCITY, POSE = INDEX["velocity"], INDEX["pose"]
+LARGEST = 1e9  # a state or torque beyond this is none [SI units]
+SETTLED = 5.0  # time constants of the states' filter after which its start is forgotten
+
+
+class Filter(NamedTuple):
+    """The numbers of a filter, and memory to work in.
+
+    Attributes:
+        h: Control period [s].
+        keep: exp(-state_pole h), 0 without that filter.
+        fresh: What a state's change over a period adds to its filtered value; 1 without the filter.
+        lag: 1 / (state_pole h), 0 without the filter.
+        hold: exp(-pole h), 0 without the low-pass.
+        wait: Periods after a start that do not count.
+        pose: (3,) or (0,) pose at the end of the last period, as it was measured.
+        q: (n,) its mean angles.
+        nu: (p,) its mean velocities.
+        nudot: (p,) its mean accelerations.
+        torque: (p,) its mean torque; subtract from it what is known already.
+    """
+
+    h: float
+    keep: float
+    fresh: float
+    lag: float
+    hold: float
+    wait: int
+    pose: Array
+    q: Array
+    nu: Array
+    nudot: Array
+    torque: Array
+
+
+def new_filter(layout: Layout, h: float, pole: float, state_pole: float = 0.0) -> Filter:
+    """The numbers of a filter.
+
+    Args:
+        layout: Sizes.
+        h: Control period [s].
+        pole: Of the low-pass behind the features [1/s]; 0 for none.
+        state_pole: Of the one ahead of them [1/s]; 0 for none.
+
+    Raises:
+        ConfigError: A pole is negative or not finite.
+    """
+    for value in (pole, state_pole):
+        if not (np.isfinite(value) and value >= 0):
+            raise ConfigError(f"a filter's pole of {value} 1/s", fix="use a finite number >= 0; 0 is no filter")
+    keep, lag = (math.exp(-state_pole * h), 1.0 / (state_pole * h)) if state_pole else (0.0, 0.0)
+    return Filter(
+        h=float(h),
+        keep=keep,
+        fresh=1.0 - (1.0 - keep) * lag,
+        lag=lag,
+        hold=math.exp(-pole * h) if pole else 0.0,
+        wait=math.ceil(SETTLED * lag),
+        pose=np.zeros(layout.pose),
+        q=np.zeros(layout.arm),
+        nu=np.zeros(layout.dof),
+        nudot=np.zeros(layout.dof),
+        torque=np.zeros(layout.dof),
+    )
+
+
+def parts(layout: Layout, rows: int, k: int) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of what a filter remembers, to be parts of a `Memory` that follow one another.
+
+    Args:
+        layout: Sizes.
+        rows: Rows of the features Phi.
+        k: Columns of Phi.
+    """
+    n, p = layout.arm, layout.dof
+    shapes: dict[str, tuple[int, ...]] = {"clock": (2,), "held": (p,), "filtered_torque": (p,), "states": (2, n + p)}
+    return shapes | {"Phi_f": (rows, k), "Y_f": (p,)}
+
+
+@compiled
+def remember(row: Array, at: IntArray, memory: Array) -> None:
+    """Keep the torque that is held from this sample on; call it when nothing changes it any more.
+
+    Args:
+        row: (width,) row of signals.
+        at: Offsets of the signals.
+        memory: What the filter remembers, from its first part on.
+    """
+    for i in range(at[TORQUE + 1] - at[TORQUE]):
+        memory[2 + i] = row[at[TORQUE] + i]
+
+
+@compiled
+def is_usable(values: Array) -> bool:
+    """Whether all are numbers of a size that can be."""
+    usable = True
+    for i in range(values.size):
+        usable = usable and abs(values[i]) < LARGEST
+    return usable
+
+
+@compiled
+def period(row: Array, at: IntArray, f: Filter, memory: Array) -> bool:
+    """Take a sample in; the means over the period that ends with it into f.q, f.nu, f.nudot and f.torque.
+
+    Args:
+        row: (width,) row of signals with the measurement of this sample.
+        at: Offsets of the signals.
+        f: The filter.
+        memory: What it remembers, from its first part on.
+
+    Returns:
+        Whether there is such a period, and the filter has settled.
+    """
+    n, p, nb = f.q.size, f.nu.size, f.nu.size - f.q.size
+    held, drive = memory[2 : 2 + p], memory[2 + p : 2 + 2 * p]
+    last = memory[2 + 2 * p : 2 + 2 * p + n + p]
+    smooth = memory[2 + 2 * p + n + p : 2 + 2 * p + 2 * (n + p)]
+    time = row[at[TIME]]
+    follows = memory[1] > 0.0 and abs(time - memory[0] - f.h) < 0.5 * f.h
+    usable = is_usable(row[at[VELOCITY] : at[QDOT + 1]])
+    follows = follows and usable and is_usable(held)
+    memory[0] = time
+    memory[1] = memory[1] + 1.0 if follows else 1.0 if usable else 0.0
+    for i in range(f.pose.size):
+        f.pose[i] = row[at[POSE] + i]
+    for i in range(n + p):
+        u = row[at[Q] + i] if i < n else row[at[VELOCITY] + i - n] if i < n + nb else row[at[QDOT] + i - n - nb]
+        if follows:
+            before = smooth[i]
+            smooth[i] = f.keep * before + (1.0 - f.keep) * last[i] + f.fresh * (u - last[i])
+            mean = 0.5 * (last[i] + u) - f.lag * (smooth[i] - before)
+            if i < n:
+                f.q[i] = mean
+            else:
+                f.nu[i - n], f.nudot[i - n] = mean, (smooth[i] - before) / f.h
+        elif usable:
+            smooth[i] = u
+        if usable:
+            last[i] = u
+    for i in range(p):
+        before = drive[i] if follows else 0.0
+        drive[i] = f.keep * before + (1.0 - f.keep) * held[i] if follows else 0.0
+        f.torque[i] = held[i] - f.lag * (drive[i] - before)
+    return follows and memory[1] > f.wait + 1.0
+
+
+@compiled
+def low_pass(f: Filter, Phi: Array, memory: Array) -> None:
+    """Features and torque of the last period through the low-pass, into the parts `Phi_f` and `Y_f`.
+
+    Args:
+        f: The filter, with f.torque.
+        Phi: (rows, k) features at the means of the period.
+        memory: What the filter remembers, from its first part on.
+    """
+    rows, k = Phi.shape
+    start = 2 + 4 * f.nu.size + 2 * f.q.size
+    Phi_f, Y_f = memory[start : start + rows * k].reshape((rows, k)), memory[start + rows * k :]
+    for i in range(rows):
+        for j in range(k):
+            Phi_f[i, j] = f.hold * Phi_f[i, j] + (1.0 - f.hold) * Phi[i, j]
+    for i in range(f.torque.size):
+        Y_f[i] = f.hold * Y_f[i] + (1.0 - f.hold) * f.torque[i]

@@ -1,0 +1,172 @@
+"""Filtered torque: the means against quadrature, the filters against scipy, the equation against Pinocchio's Psi."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import lsim
+
+from mmnn_pin import load
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.torque.controller import Memory
+from mmnn_pin.torque.filtered import low_pass, new_filter, parts, period, remember
+
+ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
+LAYOUT = ROBOT.layout
+REGRESSOR, TRUE = Regressor.of(ROBOT), parameters(ROBOT)
+MEASURED = ("velocity", "q", "qdot")
+seeds = st.integers(0, 2**32 - 1)
+
+
+class Bench:
+    """A filter alone: states and torques go in."""
+
+    def __init__(self, h=2e-3, pole=0.0, state_pole=0.0, rows=4, k=4):
+        self.f, self.h = new_filter(LAYOUT, h, pole, state_pole), h
+        self.memory, self.row, self.k = Memory.of(**parts(LAYOUT, rows, k)), LAYOUT.new_row(), 0
+
+    def take(self, q, nu, torque, time=None):
+        """One sample, and the torque held after it; whether a period has ended."""
+        self.row[0] = self.k * self.h if time is None else time
+        self.row[LAYOUT.where("velocity")], self.row[LAYOUT.where("q")] = nu[:2], q
+        self.row[LAYOUT.where("qdot")] = nu[2:]
+        ended = period(self.row, LAYOUT.offsets, self.f, self.memory.values)
+        self.row[LAYOUT.where("torque")] = torque
+        remember(self.row, LAYOUT.offsets, self.memory.values)
+        self.k += 1
+        return ended
+
+
+def motion(t):
+    """A smooth motion: q, nu, nudot of the thesis robot."""
+    rate, phase = np.array([1.3, 2.1, 2.9, 3.7]), np.arange(4.0)
+    nu, nudot = np.sin(rate * t + phase), rate * np.cos(rate * t + phase)
+    return 0.3 - (np.cos(rate * t + phase) / rate)[2:], nu, nudot
+
+
+def true_torque(t):
+    """What drives the thesis robot along that motion, by Pinocchio."""
+    q, nu, nudot = motion(t)
+    position = ROBOT.neutral_position()
+    position[ROBOT.arm_index] = q
+    return Dynamics(ROBOT).psi(ROBOT.follow(position), nu, nu, nudot)
+
+
+def mean_torque(t, h):
+    """Its mean over [t, t + h], by Gauss-Legendre quadrature."""
+    x, w = np.polynomial.legendre.leggauss(5)
+    return sum(wi / 2 * true_torque(t + h * (1 + xi) / 2) for xi, wi in zip(x, w, strict=True))
+
+
+def misfit(h, pole, state_pole, duration=2.0):
+    """Largest `Phi_f theta - Y_f` along that motion, once the states' filter has settled, relative to Y_f."""
+    bench, worst, largest = Bench(h, pole, state_pole, 4, REGRESSOR.size), 0.0, 0.0
+    for k in range(int(duration / h)):
+        q, nu, _ = motion(k * h)
+        if bench.take(q, nu, mean_torque(k * h, h)):
+            position = ROBOT.neutral_position()
+            position[ROBOT.arm_index] = bench.f.q
+            Phi = REGRESSOR.matrix(ROBOT.follow(position), bench.f.nu, bench.f.nu, bench.f.nudot)
+            low_pass(bench.f, Phi, bench.memory.values)
+            worst = max(worst, float(np.abs(bench.memory["Phi_f"] @ TRUE - bench.memory["Y_f"]).max()))
+            largest = max(largest, float(np.abs(bench.memory["Y_f"]).max()))
+    return worst / largest
+
+
+def test_the_equation_holds_up_to_second_order_in_the_period():
+    errors = [misfit(h, 5.0, 0.0) for h in (8e-3, 4e-3)]
+    assert errors[0] < 1e-3
+    assert errors[1] < 0.3 * errors[0]
+
+
+def test_a_filter_ahead_of_the_features_bends_what_is_not_linear_and_a_fast_one_less():
+    slow, fast = misfit(4e-3, 5.0, 20.0), misfit(4e-3, 5.0, 80.0)
+    assert 1e-4 < fast < 0.35 * slow < 0.05
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(0.5, 200.0), st.floats(5e-4, 2e-2))
+def test_the_filter_of_states_and_torque_is_scipys(seed, pole, h):
+    """`lsim` of `x' = pole (u - x)`: first-order hold for states, zero-order hold for torque; means by integrals."""
+    rng, N = np.random.default_rng(seed), 30
+    q, nu, torque = rng.standard_normal((N, 2)), rng.standard_normal((N, 4)), rng.standard_normal((N, 4))
+    bench, times = Bench(h, 0.0, pole), np.arange(N) * h
+    bench.f = bench.f._replace(wait=0)
+    # states x and integral of x
+    system = (np.array([[-pole, 0.0], [1.0, 0.0]]), np.array([[pole], [0.0]]), np.eye(2), np.zeros((2, 1)))
+
+    def second(u, start, interp):
+        return lsim(system, u, times, [start, 0.0], interp=interp)[1]
+
+    states = np.array([second(u, u[0], True) for u in np.hstack((q, nu)).T])
+    drives = np.array([second(u, 0.0, False) for u in torque.T])
+    for k in range(N):
+        if bench.take(q[k], nu[k], torque[k]):
+            means = (states[:, k, 1] - states[:, k - 1, 1]) / h
+            np.testing.assert_allclose(np.concatenate((bench.f.q, bench.f.nu)), means, atol=1e-9)
+            rates = (states[:, k, 0] - states[:, k - 1, 0]) / h
+            np.testing.assert_allclose(bench.f.nudot, rates[2:], atol=1e-9 / h)
+            np.testing.assert_allclose(bench.f.torque, (drives[:, k, 1] - drives[:, k - 1, 1]) / h, atol=1e-9)
+    assert k == N - 1
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(1.0, 100.0), st.floats(1.0, 100.0))
+def test_features_linear_in_acceleration_commute_with_both_filters(seed, pole, state_pole):
+    """`M nudot = tau` holds for the filtered signals of any motion, however rough, to rounding."""
+    rng, h = np.random.default_rng(seed), 2e-3
+    M = rng.standard_normal((4, 4))
+    bench = Bench(h, pole, state_pole, 4, 1)
+    bench.f = bench.f._replace(wait=0)
+    nu = np.zeros(4)
+    for _ in range(200):
+        after = nu + 0.1 * rng.standard_normal(4)
+        torque = M @ (after - nu) / h
+        if bench.take(np.zeros(2), nu, torque):
+            low_pass(bench.f, (M @ bench.f.nudot)[:, None], bench.memory.values)
+        nu = after
+    Phi, Y = bench.memory["Phi_f"][:, 0], bench.memory["Y_f"]
+    np.testing.assert_allclose(Phi, Y, atol=1e-9 * max(1.0, np.abs(Y).max()))
+
+
+def test_the_low_pass_is_the_held_one_of_scipy():
+    rng, h, pole, N = np.random.default_rng(0), 1e-2, 7.0, 50
+    bench, Phi, torque = Bench(h, pole, 0.0, 2, 3), rng.standard_normal((N, 2, 3)), rng.standard_normal((N, 4))
+    for k in range(N):
+        bench.f.torque[:] = torque[k]
+        low_pass(bench.f, Phi[k], bench.memory.values)
+    times = np.arange(N + 1) * h
+    for part, values in (("Phi_f", Phi), ("Y_f", torque)):
+        flat = np.vstack((values.reshape(N, -1), np.zeros((1, values[0].size))))
+        expected = [lsim(([pole], [1.0, pole]), u, times, interp=False)[1][-1] for u in flat.T]
+        np.testing.assert_allclose(bench.memory[part].ravel(), expected, atol=1e-12)
+
+
+def test_only_periods_between_neighbouring_samples_count():
+    bench, zero = Bench(), np.zeros(4)
+    ended = [bench.take(zero[:2], zero, zero, time) for time in (0.0, 2e-3, 4e-3, 8e-3, 1e-2, 0.0, 2e-3)]
+    assert ended == [False, True, True, False, True, False, True]
+    waiting = Bench(state_pole=100.0)
+    assert [waiting.take(zero[:2], zero, zero) for _ in range(40)] == [k > 25 for k in range(40)]
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e12])
+def test_what_is_no_number_is_left_out(bad):
+    bench, zero = Bench(), np.zeros(4)
+    assert not bench.take(zero[:2], zero, zero) and bench.take(zero[:2], zero, zero)
+    assert not bench.take(zero[:2], np.array([0.0, bad, 0.0, 0.0]), zero)
+    assert not bench.take(zero[:2], zero, np.full(4, bad))
+    assert not bench.take(zero[:2], zero, zero)  # after a torque that is none
+    assert bench.take(zero[:2], zero, zero)
+    assert np.isfinite(bench.memory.values[6:]).all()
+
+
+def test_impossible_poles_are_refused():
+    for poles in ((-1.0, 0.0), (1.0, np.inf)):
+        with pytest.raises(ConfigError, match="pole"):
+            new_filter(LAYOUT, 1e-3, *poles)
