@@ -28,6 +28,7 @@ from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.adaptation import Adaptation
 from .torque.controller import CompiledController
+from .torque.linear import Linear, keep_torque, learn
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -185,11 +186,12 @@ def advance(
     y: Array,
     rig: Rig | None,
     adaptation: Adaptation | None,
+    linear: Linear | None,
 ) -> int:
     """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
     One function on purpose: compiled code is optimised anew at every level of calls, seconds of a first run. What
-    stands behind `rig is not None` or `adaptation is not None` is compiled only for runs that have one.
+    stands behind `rig is not None` (likewise adaptation, linear) is compiled only for runs that have one.
     """
     nv, p = body.T.shape
     at, position, nu = blocks.at, y[:nv], y[nv : nv + p]
@@ -216,10 +218,14 @@ def advance(
                 psi_hat[i] += nominal_work.F[i]
         if adaptation is not None and asked:
             estimate(row, at, adaptation, memory)
+        if linear is not None and asked:
+            learn(row, at, linear, linear.known, linear.random, memory)
         if asked:
             law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
         if rig is not None:
             send(k, k * plan.h, row, at, memory, rig)
+        if linear is not None and asked:
+            keep_torque(row, at, linear, memory)
         evaluate(body, work, position, nu)
         psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
         for i in range(p):
@@ -290,7 +296,7 @@ class CompiledLoop:
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         numbers = loop.controller.law(loop.wiring())
-        self.adaptation = numbers.adaptation
+        self.adaptation, self.linear = numbers.adaptation, numbers.linear
         self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
@@ -324,7 +330,7 @@ class CompiledLoop:
         return advance(
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
             self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
-            self.adaptation,
+            self.adaptation, self.linear,
         )  # fmt: skip
 
     def _energy(self, position: Array, nu: Array) -> float:

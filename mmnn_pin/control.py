@@ -14,6 +14,7 @@ from .sample import before_torque, estimate
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
+from .torque.linear import keep_torque, learn
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -47,10 +48,13 @@ class Control:
             measure_exactly: Measure that state, else the row already has the measurement.
         """
         before_torque(self.row, self.at, time, y, reference, measure_exactly, self.arm, self.gains, self.K)
-        if self.rig is None or not is_stopped(self.rig):
+        asked = self.rig is None or not is_stopped(self.rig)
+        if asked:
             self.torque.step(time)
         if self.rig is not None:
             send(k, time, self.row, self.at, self.weights, self.rig)
+            if asked:
+                self.torque.keep()
 
 
 class Torque:
@@ -100,7 +104,15 @@ class Torque:
             self._model_psi(self.model)
         if self.law.adaptation is not None:
             estimate(self.row, self.at, self.law.adaptation, self.memory.values)
+        if (a := self.law.linear) is not None:
+            learn(self.row, self.at, a, a.known, a.random, self.memory.values)
         law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
+        self.keep()
+
+    def keep(self) -> None:
+        """Let a linear learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
+        if self.python is None and self.law.linear is not None:
+            keep_torque(self.row, self.at, self.law.linear, self.memory.values)
 
     def _model_psi(self, model: Dynamics) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from ..model.overrides import Overrides
@@ -34,9 +37,29 @@ def adaptive_controller(
     regressor = Regressor.of(robot)
     if adapting.initial != "nominal":
         return Adaptive(regressor, feedback, adapting, learning=learning)
+    theta = nominal_parameters(robot, adapting.nominal, adapting.masses, loaded, "adaptive.nominal")
+    return Adaptive(regressor, feedback, adapting, theta, learning)
+
+
+def nominal_parameters(
+    robot: Robot, nominal: str, masses: float, loaded: tuple[str, Overrides], key: str
+) -> NDArray[np.float64]:
+    """Parameters of the robot that a learner believes in, in the order of the true robot's regressor.
+
+    Args:
+        robot: The true robot.
+        nominal: Name or path of the other one; empty for the robot itself.
+        masses: Factor on its masses.
+        loaded: As in `adaptive_controller`.
+        key: Of the setting that names it, for errors.
+
+    Raises:
+        ConfigError: It moves otherwise.
+        InputError: It cannot be loaded.
+    """
     name, said = loaded
-    nominal = load_with(adapting.nominal or name, said)
-    if nominal.layout != robot.layout or not np.array_equal(nominal.T, robot.T):
+    other = load_with(nominal or name, said)
+    if other.layout != replace(robot.layout, wheels=0, rig=0) or not np.array_equal(other.T, robot.T):
         fix = "name one with the same base and the same joints"
-        raise ConfigError(f"{nominal.name} does not move as {robot.name}", fix=fix, key="adaptive.nominal")
-    return Adaptive(regressor, feedback, adapting, parameters(nominal.with_masses(adapting.masses)), learning)
+        raise ConfigError(f"{other.name} does not move as {robot.name}", fix=fix, key=key)
+    return parameters(other.with_masses(masses))

@@ -19,6 +19,10 @@ CONTROLLERS = {
     "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
     "pd_effective_one_layer": "PD at the effective gain of one_layer",
     "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
+    "kalman_regressor": "knows the kinematics; least squares with a covariance on filtered torque",
+    "kalman_bilinear": "knows the form of the equations: random functions of the arm's joints, the same least squares",
+    "kalman_features": "knows nothing: random functions of states and references, the same least squares",
+    "kalman_residual": "a nominal model with wrong masses, and kalman_bilinear for what it does not say",
     "computed_torque": "feedback and the true model: the oracle",
 }
 ORACLES = ("computed_torque",)
@@ -29,8 +33,9 @@ TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
     "two_layer_random": "random",
 }
 LEARNERS = (*TWO_LAYERS, "one_layer")
+KALMAN = {f"kalman_{table}": table for table in ("regressor", "bilinear", "features", "residual")}
 # What an experiment runs unless it says.
-DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None and name != "adaptive")
+DEFAULT = tuple(name for name in CONTROLLERS if TWO_LAYERS.get(name) is None and name not in ("adaptive", *KALMAN))
 
 
 def effective(controllers: Iterable[str]) -> dict[str, str]:

@@ -22,11 +22,13 @@ from ..start import Bounds, Start
 from ..timing import Timing
 from ..torque.adaptive import Adapting
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
+from ..torque.kalman_settings import KalmanTables
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from .adaptive import adaptive_controller
-from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, KALMAN, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
+from .kalman import kalman_controller
 from .references import HeldOut, ReferenceTables
 from .tolerance import Case, Tolerance
 
@@ -88,6 +90,7 @@ class Experiment(Settings, frozen=True):
         two_layer: The two-layer network.
         one_layer: The one-layer network.
         adaptive: The adaptive controller.
+        kalman: The linear learners.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
@@ -129,6 +132,7 @@ class Experiment(Settings, frozen=True):
     two_layer: TwoLayer = TwoLayer()
     one_layer: OneLayer = OneLayer()
     adaptive: Adapting = Adapting()
+    kalman: KalmanTables = KalmanTables()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
@@ -244,6 +248,9 @@ class Experiment(Settings, frozen=True):
             return adaptive_controller(
                 self.adaptive, feedback, robot, (self.robot, self.overrides), self.learning.learning
             )
+        if name in KALMAN:
+            own, said = getattr(self.kalman, KALMAN[name]), (self.robot, self.overrides)
+            return kalman_controller(own, feedback, robot, said, self.learning.learning)
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)

@@ -22,6 +22,7 @@ from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
 
 if TYPE_CHECKING:
     from .adaptation import Adaptation
+    from .linear import Linear
 
 
 @dataclass(frozen=True)
@@ -87,12 +88,14 @@ class Law:
         settings: float64 numbers.
         adaptation: The numbers of an adaptive law, which writes psi_hat before the step; None for the others, whose
             runs do not compile it.
+        linear: The numbers of a linear learner, likewise.
     """
 
     kind: int
     sizes: NDArray[np.int64]
     settings: Array
     adaptation: Adaptation | None = None
+    linear: Linear | None = None
 
 
 class TorqueController(ABC):

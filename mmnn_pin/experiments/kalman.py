@@ -1,0 +1,49 @@
+"""The linear learners of an experiment: what each of them is told of the robot."""
+
+from __future__ import annotations
+
+from ..errors import ConfigError
+from ..model.overrides import Overrides
+from ..model.regressor import Regressor
+from ..model.robot import Robot
+from ..torque.controller import Feedback
+from ..torque.kalman import KalmanLearner, Machine
+from ..torque.kalman_settings import Kalman, KalmanResidual
+from .adaptive import nominal_parameters
+
+
+def machine_of(robot: Robot) -> Machine:
+    """What a learner may know of a robot without knowing how it moves: names, motors, ends of its joints."""
+    return Machine(
+        velocities=tuple(robot.velocity_names),
+        E=robot.E.copy(),
+        effort=robot.effort_limits.copy(),
+        lower=robot.lower[robot.arm_index],
+        upper=robot.upper[robot.arm_index],
+    )
+
+
+def kalman_controller(
+    settings: Kalman, feedback: Feedback, robot: Robot | None, loaded: tuple[str, Overrides], learning: bool
+) -> KalmanLearner:
+    """A linear learner for a robot.
+
+    Args:
+        settings: Its settings.
+        feedback: K.
+        robot: The true robot, of which only what `machine_of` tells and, for a regressor, the kinematics are read.
+        loaded: What the experiment calls it, and what it says about it: where nominal masses come from.
+        learning: Whether it learns.
+
+    Raises:
+        ConfigError: No robot, or a nominal one that moves otherwise.
+        InputError: The nominal robot cannot be loaded.
+    """
+    if robot is None:
+        raise ConfigError(f"{settings.section} of no robot", fix="give the robot", key="controllers")
+    regressor = Regressor.of(robot) if settings.needs_regressor else None
+    theta0 = None
+    if isinstance(settings, KalmanResidual):
+        key = f"{settings.section}.nominal"
+        theta0 = nominal_parameters(robot, settings.nominal, settings.masses, loaded, key)
+    return KalmanLearner(settings, machine_of(robot), feedback, regressor, theta0, learning)

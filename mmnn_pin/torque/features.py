@@ -1,0 +1,123 @@
+"""Random features of the dynamics of a robot that is not known, compiled.
+
+Bilinear: what every mechanism's equations look like and no more. Psi is linear in nudot_ref, bilinear and symmetric in
+nu and nu_ref (Christoffel's C), and its coefficients are unknown functions of the arm's joints (a free base sees no
+pose); these are `tanh(a' q + b)` with random a and b, their weights are learned, one set per velocity,
+
+    Psi_i ~ sum over units u and terms t of W_iut g_u(q) t(nu, nu_ref, nudot_ref),    t = nudot_ref, sym(nu nu_ref'), 1.
+
+Generic: `tanh` of random combinations of q, nu, nu_ref and nudot_ref, which knows nothing (random features: Rahimi and
+Recht 2008, NIPS; with a linear last layer as in Igelnik and Pao 1995, IEEE Trans. Neural Networks 6(6)). Both have the
+terms without a random function, and friction: nu and `tanh(nu / eps)`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from ..compiled import compiled
+from ..signals import Array
+
+BILINEAR, GENERIC = 0, 1
+
+
+class Random(NamedTuple):
+    """The numbers of random features; a and b stand in the controller's memory, so that they are recorded.
+
+    Attributes:
+        kind: `BILINEAR` or `GENERIC`.
+        number: Features with a random function.
+        units: Random functions.
+        inputs: What each of them sees: n joints, or n + 3 p numbers.
+        eps: Speed over which dry friction turns [rad/s or m/s].
+        centre: (n,) where the joints are counted from [rad or m].
+        scale: (inputs,) what inputs are multiplied with.
+        x: (inputs,) memory to work in.
+        g: (units,) memory to work in.
+        t: (terms,) memory to work in.
+    """
+
+    kind: int
+    number: int
+    units: int
+    inputs: int
+    eps: float
+    centre: Array
+    scale: Array
+    x: Array
+    g: Array
+    t: Array
+
+
+def terms(kind: int, p: int) -> int:
+    """Number of terms without a random function."""
+    return p + p * (p + 1) // 2 + 1 if kind == BILINEAR else 2 * p + 1
+
+
+def size(kind: int, p: int, number: int) -> int:
+    """Number of features: terms, random ones, friction."""
+    return terms(kind, p) + number + 2 * p
+
+
+def coprime(units: int, terms: int) -> int:
+    """The smallest number from `units` on that shares no divisor with the number of terms.
+
+    Feature c takes unit `c % units` and term `c % terms`: then all pairs come once before one comes again.
+    """
+    while math.gcd(units, terms) > 1:
+        units += 1
+    return units
+
+
+@compiled
+def fill(
+    r: Random, drawn: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array, phi: Array
+) -> None:
+    """The features at a state, (k,), into phi.
+
+    Args:
+        r: The numbers.
+        drawn: a (units, inputs), then b (units,).
+        q: (n,) joints.
+        velocity: (nb,) velocity of the base.
+        qdot: (n,) rates of the joints.
+        nu_ref: (p,) reference velocities.
+        nudot_ref: (p,) their time derivatives.
+        phi: (k,) written.
+    """
+    n, nb, p = q.size, velocity.size, nu_ref.size
+    first = phi.size - 2 * p
+    for i in range(p):
+        speed = velocity[i] if i < nb else qdot[i - nb]
+        phi[first + i], phi[first + p + i] = speed, math.tanh(speed / r.eps)
+    nu, x = phi[first : first + p], r.x
+    for i in range(n):
+        x[i] = r.scale[i] * (q[i] - r.centre[i])
+    if r.kind == GENERIC:
+        for i in range(p):
+            x[n + i] = r.scale[n + i] * nu[i]
+            x[n + p + i] = r.scale[n + p + i] * nu_ref[i]
+            x[n + 2 * p + i] = r.scale[n + 2 * p + i] * nudot_ref[i]
+    for u in range(r.units):
+        total = drawn[r.units * r.inputs + u]
+        for i in range(r.inputs):
+            total += drawn[u * r.inputs + i] * x[i]
+        r.g[u] = math.tanh(total)
+    t, last = r.t, r.t.size - 1
+    for i in range(p):
+        t[i] = nudot_ref[i]
+    if r.kind == GENERIC:
+        for i in range(p):
+            t[p + i] = nu_ref[i]
+    else:
+        place = p
+        for i in range(p):
+            for j in range(i, p):
+                t[place] = 0.5 * (nu[i] * nu_ref[j] + nu[j] * nu_ref[i])
+                place += 1
+    t[last] = 1.0
+    for c in range(last + 1):
+        phi[c] = t[c]
+    for c in range(r.number):
+        phi[last + 1 + c] = r.g[c % r.units] * (t[c % (last + 1)] if r.kind == BILINEAR else 1.0)

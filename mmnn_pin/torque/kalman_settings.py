@@ -1,0 +1,139 @@
+"""Settings of the linear learners, `[kalman.regressor]` of an experiment for `kalman_regressor`, and so on."""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import numpy as np
+
+from ..errors import ConfigError
+from ..settings import Settings, require_gains
+
+
+class Kalman(Settings, frozen=True):
+    """How a linear learner learns; all numbers are measured by the feedback, so one set suits robots of any size.
+
+    Args:
+        noise: Standard deviation of what filtered torque says, divided by K [m/s, rad/s]: the velocity error that the
+            feedback would need to hide it. Noise of the sensors and what the features cannot say.
+        prior: Standard deviation of Psi before anything is learned, on random motion at 1 m/s and 1 rad/s, over K.
+        drift: Part of the prior variance that comes back in a second [1/s], so that changes are learned. 0 never
+            forgets; where nothing excites, the variance returns to the prior at most.
+        tracking: How fast the weights answer the tracking error where nothing is known yet [1/s].
+        bound: Largest weights, as root mean square in standard deviations of the prior.
+        pole: Low-pass on features and filtered torque [1/s].
+        state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
+        interval: Time from one update to the next [s], at least a control period.
+
+    Raises:
+        ConfigError: A number that is negative, not finite or 0 where it must not be.
+    """
+
+    noise: float = 0.03
+    prior: float = 1.0
+    drift: float = 1e-6
+    tracking: float = 1.0
+    bound: float = 10.0
+    pole: float = 5.0
+    state_pole: float = 60.0
+    interval: float = 0.01
+
+    section: ClassVar[str] = ""
+    needs_regressor: ClassVar[bool] = False
+    needs_nominal: ClassVar[bool] = False
+    positive: ClassVar[tuple[str, ...]] = ("noise", "prior", "bound", "interval")
+
+    def __post_init__(self) -> None:
+        numbers = [name for name in self.__struct_fields__ if isinstance(getattr(self, name), (int, float))]
+        require_gains(self, self.section, *numbers)
+        for name in self.positive:
+            if not np.all(np.asarray(getattr(self, name)) > 0):
+                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=f"{self.section}.{name}")
+
+
+class KalmanRegressor(Kalman, frozen=True):
+    """`kalman_regressor`: Phi is the regressor of a robot whose masses are not known; arguments as in `Kalman`."""
+
+    section: ClassVar[str] = "kalman.regressor"
+    needs_regressor: ClassVar[bool] = True
+
+
+class RandomFeatures(Kalman, frozen=True):
+    """Random features, see `torque.features`.
+
+    Args:
+        hidden: Random functions, at least.
+        weights: Standard deviation of their weights on every input.
+        linear: Ratio of the prior variances of features without and with a random function.
+        eps: Speed over which dry friction turns [rad/s or m/s].
+    """
+
+    hidden: int = 25
+    weights: float = 0.3
+    linear: float = 10.0
+    eps: float = 0.03
+
+    positive: ClassVar[tuple[str, ...]] = (*Kalman.positive, "hidden", "linear", "eps")
+
+
+class KalmanBilinear(RandomFeatures, frozen=True):
+    """`kalman_bilinear`: random functions of the arm's joints times what is linear or bilinear.
+
+    Args:
+        largest: Most features with a random function; a robot with many joints has fewer than `hidden` times its terms.
+    """
+
+    largest: int = 400
+
+    section: ClassVar[str] = "kalman.bilinear"
+    positive: ClassVar[tuple[str, ...]] = (*RandomFeatures.positive, "largest")
+
+
+class KalmanFeatures(RandomFeatures, frozen=True):
+    """`kalman_features`: random functions of everything.
+
+    Args:
+        speed: What velocities are divided by ahead of them [m/s, rad/s].
+        acceleration: What accelerations are divided by [m/s^2, rad/s^2].
+    """
+
+    hidden: int = 300
+    weights: float = 0.5
+    speed: float = 3.0
+    acceleration: float = 20.0
+
+    section: ClassVar[str] = "kalman.features"
+    positive: ClassVar[tuple[str, ...]] = (*RandomFeatures.positive, "speed", "acceleration")
+
+
+class KalmanResidual(KalmanBilinear, frozen=True):
+    """`kalman_residual`: a nominal model, and bilinear features for what it does not say.
+
+    Args:
+        nominal: The nominal robot, a name or a path; empty for the robot itself, with wrong masses.
+        masses: Factor on its masses.
+    """
+
+    nominal: str = ""
+    masses: float = 0.7
+
+    section: ClassVar[str] = "kalman.residual"
+    needs_regressor: ClassVar[bool] = True
+    needs_nominal: ClassVar[bool] = True
+    positive: ClassVar[tuple[str, ...]] = (*KalmanBilinear.positive, "masses")
+
+
+class KalmanTables(Settings, frozen=True):
+    """The linear learners of an experiment, one table each.
+
+    Args:
+        regressor: `kalman_regressor`.
+        bilinear: `kalman_bilinear`.
+        features: `kalman_features`.
+        residual: `kalman_residual`.
+    """
+
+    regressor: KalmanRegressor = KalmanRegressor()
+    bilinear: KalmanBilinear = KalmanBilinear()
+    features: KalmanFeatures = KalmanFeatures()
+    residual: KalmanResidual = KalmanResidual()
