@@ -18,6 +18,7 @@ import pytest
 from mmnn_pin import Dynamics, Recording, load
 from mmnn_pin.cli import main
 from mmnn_pin.experiments.config import bundled, load_experiment
+from mmnn_pin.experiments.controllers import CONTROLLERS
 from mmnn_pin.show import table, verdicts
 
 SHORT = ("--set", "time.duration=0.02")
@@ -633,7 +634,7 @@ def test_list_names_all_there_is(call: Call) -> None:
     _, text, _ = call("list")
     code, out, _ = call("list", "--json")
     got = json.loads(out)
-    assert code == 0 and set(got["controllers"]) == {*ALL, "adaptive", "two_layer_zero", "two_layer_random"}
+    assert code == 0 and set(got["controllers"]) == set(CONTROLLERS)
     assert set(got["experiments"]) == set(bundled()) and {"platform_arm", "two_axis_arm"} <= set(got["robots"])
     assert set(got["references"]["base"]) == {"line", "circle", "eight", "waypoints"}
     for names in (*got.values(), *got["references"].values()):

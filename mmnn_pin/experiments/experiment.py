@@ -25,11 +25,10 @@ from ..torque.controller import CompiledController, Feedback, TorqueController, 
 from ..torque.kalman_settings import KalmanTables
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
-from .adaptive import adaptive_controller
-from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, KALMAN, TWO_LAYERS, Learning, RobustOf
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
-from .kalman import kalman_controller
 from .references import HeldOut, ReferenceTables
+from .told import TOLD, told_controller
 from .tolerance import Case, Tolerance
 
 # Pictures that a run can write; `show.plots` draws them.
@@ -244,13 +243,8 @@ class Experiment(Settings, frozen=True):
             return PD(feedback)
         if name == "computed_torque":
             return ComputedTorque(feedback)
-        if name == "adaptive":
-            return adaptive_controller(
-                self.adaptive, feedback, robot, (self.robot, self.overrides), self.learning.learning
-            )
-        if name in KALMAN:
-            own, said = getattr(self.kalman, KALMAN[name]), (self.robot, self.overrides)
-            return kalman_controller(own, feedback, robot, said, self.learning.learning)
+        if name in TOLD:
+            return told_controller(self, name, feedback, robot)
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)
