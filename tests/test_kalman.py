@@ -378,8 +378,12 @@ def test_everything_stays_bounded_whatever_comes(seed, kind, size, data):
         memory[:] = bench.row[LAYOUT.where("torque")]
         psi_hat = bench.step()
         assert np.isfinite(psi_hat).all()
-        motors = bench.a.E_inv @ psi_hat
-        assert (np.abs(motors) <= bench.a.effort * (1 + 1e-9)).all()
+        feedback = GAINS * np.concatenate((bench.row[LAYOUT.where("z")], bench.row[LAYOUT.where("r")]))
+        motors, fed = np.abs(bench.a.E_inv @ psi_hat), bench.a.E_inv @ feedback
+        assert (motors <= bench.a.effort * (1 + 1e-9)).all()
+        if np.abs(fed).max() < 1e9:
+            both = np.abs(bench.a.E_inv @ (psi_hat + feedback))
+            assert (both <= np.maximum(bench.a.effort, np.abs(fed)) * (1 + 1e-6)).all()
         W, used = bench.memory["W"], bench.memory["prior"] > 0
         norms = np.linalg.norm(W[:, used] / np.sqrt(bench.memory["prior"][used]), axis=1)
         assert (norms <= bench.a.radius * (1 + 1e-9)).all()

@@ -17,7 +17,7 @@ Continuous, without disturbance, Psi = Psi_0 + Phi W exactly and the true torque
 P is bounded: Q adds to one place of the diagonal after the other, and never beyond the prior's number there, so the
 trace of P is at most that of P_0. W is bounded: `W_i' P_0^-1 W_i <= radius_i^2` by the projection onto a half-space
 that contains that ball, in the metric P^-1, where it lowers the distance to every point of the ball; what is then still
-outside is scaled back, which need not. Psi_hat is bounded by what the motors can give.
+outside is scaled back, which need not. Psi_hat is bounded by what the feedback leaves of the motors' torque limits.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from ..model.tree_regressor import Massless
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
+Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 
@@ -62,6 +63,7 @@ class Linear(NamedTuple):
         effort: (motors,) largest torque of a motor, inf for no limit.
         Phi: (rows, k) memory to work in.
         psi0: (p,) memory to work in.
+        feedback: (p,) memory to work in.
         motors: (motors,) memory to work in.
         work: (4, k) memory to work in.
     """
@@ -84,6 +86,7 @@ class Linear(NamedTuple):
     effort: Array
     Phi: Array
     psi0: Array
+    feedback: Array
     motors: Array
     work: Array
 
@@ -197,16 +200,22 @@ def features(
 
 @compiled
 def say(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
-    """Psi_hat within what the motors can give, the gain, and the norms of the weights of base and arm."""
+    """Psi_hat, the gain, and the norms of the weights of base and arm.
+
+    Of every motor Psi_hat takes what the feedback leaves of its torque limit: it never asks for more than the motor can
+    give, alone or with the feedback, unless the feedback alone does.
+    """
     p, m, nb = a.gain.size, o.W.shape[0], at[VELOCITY + 1] - at[VELOCITY]
-    psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]]
+    psi_hat, z, r = row[at[PSI_HAT] : at[PSI_HAT + 1]], row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(p):
+        a.feedback[i] = a.gain[i] * (z[i] if i < z.size else r[i - z.size])
         psi_hat[i] = a.psi0[i] + dot(o.W[min(i, m - 1)], a.Phi[min(i, a.Phi.shape[0] - 1)], o.D.size)
         row[at[EFFECTIVE_GAIN] + i] = a.gain[i]
     clipped = False
     for j in range(a.effort.size):
-        u = dot(a.E_inv[j], psi_hat, p)
-        a.motors[j] = min(max(u, -a.effort[j]), a.effort[j]) if not math.isnan(u) else 0.0
+        u, fed, top = dot(a.E_inv[j], psi_hat, p), dot(a.E_inv[j], a.feedback, p), a.effort[j]
+        low, high = -min(top, max(0.0, top + fed)), min(top, max(0.0, top - fed))
+        a.motors[j] = min(max(u, low), high) if not math.isnan(u) else 0.0
         clipped = clipped or a.motors[j] != u
     if clipped:
         for i in range(p):
