@@ -521,8 +521,8 @@ def test_a_poor_motion_is_told_and_harmless(kind):
 
 
 @LONG
-def test_the_example_reaches_the_goals_and_tells_of_a_poor_motion(capsys):
-    runpy.run_path(str(Path(__file__).parents[1] / "examples" / "least_squares.py"), run_name="__main__")
+def test_the_benchmark_reaches_the_goals_and_tells_of_a_poor_motion(capsys):
+    runpy.run_path(str(Path(__file__).parents[1] / "benchmarks" / "knowledge.py"), run_name="__main__")
     lines = capsys.readouterr().out.splitlines()
     goals = {"kalman_regressor": 1e-3, "kalman_bilinear": 1e-2, "kalman_features": 0.1, "kalman_residual": 1e-2}
     for line in lines[:12]:
