@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robots import fixed_arm, mobile_arm
 from scipy.signal import lfilter
 
 from mmnn_pin import (
@@ -35,10 +37,11 @@ from mmnn_pin import (
 )
 from mmnn_pin.control import Torque
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.experiments.kalman import machine_of
+from mmnn_pin.experiments.kalman import kalman_from_facts, machine_of
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.robots import extra
 from mmnn_pin.signals import INDEX, Measurement
 from mmnn_pin.torque.controller import Wiring
 from mmnn_pin.torque.features import coprime
@@ -381,7 +384,7 @@ def test_everything_stays_bounded_whatever_comes(seed, kind, size, data):
         feedback = GAINS * np.concatenate((bench.row[LAYOUT.where("z")], bench.row[LAYOUT.where("r")]))
         motors, fed = np.abs(bench.a.E_inv @ psi_hat), bench.a.E_inv @ feedback
         assert (motors <= bench.a.effort * (1 + 1e-9)).all()
-        if np.abs(fed).max() < 1e9:
+        if np.nan_to_num(np.abs(fed), nan=np.inf).max() < 1e9:
             both = np.abs(bench.a.E_inv @ (psi_hat + feedback))
             assert (both <= np.maximum(bench.a.effort, np.abs(fed)) * (1 + 1e-6)).all()
         W, used = bench.memory["W"], bench.memory["prior"] > 0
@@ -392,6 +395,20 @@ def test_everything_stays_bounded_whatever_comes(seed, kind, size, data):
         assert np.trace(P) <= trace * (1 + 1e-9) and (np.diag(P) <= bench.memory["prior"] * (1 + 1e-9)).all()
         assert np.isfinite(P).all()
     assert np.isfinite(bench.memory.values[: -bench.o.filter.size]).all()
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("signal", ["z", "r", "nu_ref", "nudot_ref"])
+def test_a_sample_that_is_no_number_teaches_nothing(kind, signal):
+    bench, rng = Bench(kind), np.random.default_rng(5)
+    bench.fill(rng)
+    bench.step()
+    before = bench.memory["W"].copy()
+    assert np.abs(before).max() > 0
+    bench.row[LAYOUT.where(signal)] = np.nan
+    bench.row[0] = 7.0  # no period either
+    bench.step()
+    np.testing.assert_array_equal(bench.memory["W"], before)
 
 
 # --- in closed loops
@@ -557,6 +574,36 @@ def test_a_cycle_learns_too():
             cycle.record()
         recording = cycle.finish()
     np.testing.assert_allclose(recording.final["memory"], twin.final["memory"], rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+@pytest.mark.parametrize("name", ["fixed", "mobile", "tiago"])
+def test_other_robots(name, kind):
+    """A fixed arm under gravity, a mobile one, TIAGo: better than PD within seconds."""
+    if name == "tiago" and name not in extra():
+        pytest.skip("example-robot-data is not installed")
+    if name != "tiago" and kind == "residual":
+        pytest.skip("a nominal robot is loaded by name")
+    made = {"fixed": fixed_arm, "mobile": mobile_arm}
+    experiment = load_experiment("track", ["robot=tiago", f"time.duration={0.02 if PLAIN else 4.0}"])
+    robot = load(name) if name == "tiago" else made[name](3)
+    errors = []
+    for controller in ("pd", f"kalman_{kind}"):
+        run = experiment.loop(robot, experiment.controller(controller, robot=robot)).run()
+        assert run.outcome.status == "completed"
+        errors.append(np.sqrt(np.mean(np.asarray(run["true_e"])[len(run) // 2 :] ** 2, axis=0)))
+    if not PLAIN:
+        assert np.median(errors[1] / errors[0]) < 0.9
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_it_is_built_again_from_what_it_told(kind):
+    controller = small(kind, noise=0.05)
+    facts = json.loads(json.dumps(controller.facts()))
+    again = kalman_from_facts(controller.name, facts, ROBOT)
+    runs = [loop_of(which, 0.02).run() for which in (controller, again)]
+    np.testing.assert_array_equal(runs[0].final["memory"], runs[1].final["memory"])
+    assert again.settings == controller.settings
 
 
 # --- settings
