@@ -32,7 +32,7 @@ from .model.dynamics import Dynamics
 from .model.limits import Numbers, each, limits, speed_limits
 from .model.robot import Robot
 from .model.sampling import random_state
-from .settings import Settings, require_gain
+from .settings import Settings, require_numbers
 from .signals import Array
 
 # Columns of the motors' table; a limit that is not there is inf.
@@ -88,14 +88,8 @@ class Actuator(Settings, frozen=True):
     brake: Numbers = 0.0
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            value = getattr(self, name)
-            if value is not None and value != "urdf":
-                require_gain(value, f"actuator.{name}")
-        for name in ("torque_limit", "speed_limit", "torque_constant", "resistance", "stiffness", "voltage"):
-            value = getattr(self, name)
-            if value is not None and value != "urdf" and not np.all(np.asarray(value) > 0):
-                raise ConfigError(f"{value}", fix="use a number > 0", key=f"actuator.{name}")
+        positive = ("torque_limit", "speed_limit", "torque_constant", "resistance", "stiffness", "voltage")
+        require_numbers(self, "actuator", positive)
         for name, unset in (("torque_constant", 1), ("resistance", 1), ("battery_resistance", 0), ("pwm_levels", 0)):
             if self.voltage is None and getattr(self, name) != unset:
                 raise ConfigError(

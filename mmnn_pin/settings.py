@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import msgspec
@@ -42,3 +43,25 @@ def require_gain(value: Any, key: str) -> None:
     """
     if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < 0):
         raise ConfigError(f"{value} is negative or not finite", fix="use a finite number >= 0", key=key)
+
+
+def require_numbers(settings: Settings, section: str, positive: Collection[str]) -> None:
+    """Refuse fields with numbers that are negative or not finite, or 0 where they must not be.
+
+    Fields that are None or a text are let pass.
+
+    Args:
+        settings: Where the numbers are.
+        section: First part of the key path in an error.
+        positive: Fields whose numbers must be > 0.
+
+    Raises:
+        ConfigError: With the key path.
+    """
+    for name in settings.__struct_fields__:
+        value, key = getattr(settings, name), f"{section}.{name}"
+        if value is None or isinstance(value, str):
+            continue
+        require_gain(value, key)
+        if name in positive and not np.all(np.asarray(value) > 0):
+            raise ConfigError(f"{value}", fix="use a number > 0", key=key)

@@ -307,6 +307,42 @@ def test_the_command_tells_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @compiled_only
+def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A box just inside the one found is certified, not with a force beyond what it stands, nor a tiny box."""
+    file = tmp_path / "run.h5"
+    loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.3).run(file)
+
+    def told(*options: str) -> dict:
+        assert main(["prove", str(file), "--json", *options]) == 0
+        found: dict = json.loads(capsys.readouterr().out)["certificate"]
+        return found
+
+    box = certify(certified_loop(Subject.of(Recording.open(file)))).region.box
+    sizes = {name: 0.99 * getattr(box, name) for name in ("pose", "arm", "energy")}
+    region = [f"--region={name}={value!r}" for name, value in sizes.items()]
+    found = told(*region)
+    assert found["holds"] and found["region_asked_for"]
+    assert found["region"]["pose_size"] == sizes["pose"] and found["region"]["energy"] == sizes["energy"]
+    pushed = told(*region, "--disturbance", "v=1000")
+    assert not pushed["holds"] and not next(c["holds"] for c in pushed["conditions"] if c["name"] == "face, energy")
+    assert {c["name"]: c["value"] for c in pushed["constants"]}["d[v]"] == 1000
+    small = [f"--region={name}={0.01 * value!r}" for name, value in sizes.items()]
+    assert not told(*small)["holds"]
+    for bad, line in (
+        (["--region", "pose=0.1"], "no arm and no energy"),
+        (["--region", "size=0.1"], "unknown size"),
+        ([*region, "--region", "pose=1"], "twice"),
+        (["--region", "pose=x"], "no number"),
+        (["--region", "pose=0", "--region", "arm=1", "--region", "energy=1"], "> 0"),
+        (["--disturbance", "x=1"], "unknown velocity"),
+        (["--disturbance", "v=-1"], ">= 0"),
+    ):
+        assert main(["prove", str(file), *bad]) == 2
+        error = capsys.readouterr().err.strip()
+        assert line in error and "\n" not in error
+
+
+@compiled_only
 def test_chapter_4_fails_by_its_gains_and_its_period() -> None:
     """k1 = 500, kx = 10, 115 kg: the command changes faster than the feedback, at any period; and 2 ms is too long."""
     robot = load("platform_arm")

@@ -345,6 +345,8 @@ BAD = {
     "set without value": (["run", "chapter4", "--set", "seed"], ["'seed' sets nothing", "key.path=value"]),
     "negative gain": (["run", "chapter4", "--set", "feedback.arm=-1"], ["feedback.arm", "negative"]),
     "negative learning rate": (["run", "chapter4", "--set", "two_layer.F=[1, -1]"], ["two_layer.F", "negative"]),
+    "range too wide": (["run", "chapter4", "--set", "two_layer.v_range=1.7e308"], ["two_layer.v_range", "smaller"]),
+    "too many units": (["run", "chapter4", "--set", "two_layer.hidden=2000000000"], ["memory", "hidden units"]),
     "infinite gain": (["run", "chapter4", "--set", "kinematic.kx=inf"], ["kinematic.kx", "finite"]),
     "negative seed": (["run", "chapter4", "--seed", "-1"], ["seed", "-1"]),
     "unstable gain": (

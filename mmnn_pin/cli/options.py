@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+
+from ..errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -73,3 +75,22 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
 def examples(*lines: str) -> str:
     """Examples for the end of a help text, one per line."""
     return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+def numbers(given: Sequence[str], option: str) -> dict[str, float]:
+    """What a repeatable option NAME=NUMBER was given.
+
+    Raises:
+        ConfigError: Something else was given, or a name twice.
+    """
+    found: dict[str, float] = {}
+    for text in given:
+        name, _, value = text.rpartition("=")
+        if not name or name in found:
+            why = f"'{name}' is given twice" if name else ""
+            raise ConfigError(text, why=why, fix="write NAME=NUMBER, each name once", key=option)
+        try:
+            found[name] = float(value)
+        except ValueError as error:
+            raise ConfigError(text, why=f"'{value}' is no number", fix="write NAME=NUMBER", key=option) from error
+    return found

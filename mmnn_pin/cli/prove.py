@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from ..errors import InputError, RecordingError
-from .options import examples, shared
+from .options import examples, numbers, shared
 from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
 
 
@@ -17,6 +17,7 @@ from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
     epilog=examples(
         "mmnn prove runs/chapter4/two_layer.h5",
         "mmnn prove runs/track/two_layer.h5 --payload 3 --plots proof",
+        "mmnn prove runs/certified/two_layer.h5 --disturbance v=5",
         "mmnn prove runs/chapter4/pd.h5 --every-period --json",
     ),
 )
@@ -33,6 +34,18 @@ from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
 @click.option(
     "--every-period", is_flag=True, help="Check the equality over every control period, however long it takes."
 )
+@click.option(
+    "--region",
+    metavar="SIZE=VALUE",
+    multiple=True,
+    help="Certify this region, not the largest that is found: pose=M, arm=SIZE, energy=J; repeatable.",
+)
+@click.option(
+    "--disturbance",
+    metavar="VELOCITY=FORCE",
+    multiple=True,
+    help="Certify against an external force up to this, as v=5; repeatable.",
+)
 @click.option("--plots", type=click.Path(path_type=Path), metavar="DIR", help="Write the figures to this folder.")
 @click.option("--force", is_flag=True, help="Replace existing figures.")
 @shared
@@ -41,6 +54,8 @@ def prove(
     payload: float | None,
     windows: int,
     every_period: bool,
+    region: tuple[str, ...],
+    disturbance: tuple[str, ...],
     plots: Path | None,
     force: bool,
     as_json: bool,
@@ -64,6 +79,7 @@ def prove(
     from ..show.proof.numbers import to_dict
     from ..show.proof.text import render
 
+    wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
     if run.is_dir():
         raise RecordingError("a folder", why="one run is judged at a time", fix="name a recording in it", file=run)
     recording = Recording.open(run)
@@ -76,7 +92,7 @@ def prove(
         missing = proof.missing
     if len(missing) == 4:
         raise InputError("nothing to tell", why="; ".join(map(sentence, missing.values())), file=run)
-    certified = certified_run(proof)
+    certified = certified_run(proof, wanted, forces)
     files = {} if plots is None else write_proof(proof, plots, force)
     if as_json:
         told = to_dict(proof) | {"certificate": certificate_dict(certified)}

@@ -21,19 +21,18 @@ from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
 from ..torque.adaptive import Adapting, Predicting
-from ..torque.composite import CompositeNetwork, Replaying
+from ..torque.composite import Replaying
 from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.kalman_settings import KalmanTables
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
 from ..torque.residual import Residual
-from .adaptive import adaptive_controller, concurrent_learner
-from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, KALMAN, TWO_LAYERS, Learning, RobustOf
+from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia
-from .kalman import kalman_controller
 from .nominal import Nominal, nominal_robot
 from .references import HeldOut, ReferenceTables
+from .told import TOLD, told_controller
 from .tolerance import Case, Tolerance
 
 # Pictures that a run can write; `show.plots` draws them.
@@ -252,24 +251,12 @@ class Experiment(Settings, frozen=True):
         inertia = None if robot is None else self.inertia(robot)
         if robot is not None and inertia is not None:
             feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
-        told = (self.nominal, self.overrides, self.learning.learning)
         if name == "pd":
             return PD(feedback)
         if name == "computed_torque":
             return ComputedTorque(feedback)
-        if name in ("adaptive", "adaptive_composite"):
-            predicting = self.prediction if name == "adaptive_composite" else None
-            return adaptive_controller(self.adaptive, predicting, feedback, robot, *told)
-        if name == "concurrent":
-            return concurrent_learner(self.concurrent, feedback, robot, *told)
-        if name == "two_layer_composite":
-            return CompositeNetwork(
-                feedback, self.replay, self.two_layer, rates=self.learning.rates, learning=self.learning.learning
-            )
-        if name == "nominal":
-            return ComputedTorque(feedback, nominal_robot(self.nominal, robot, self.overrides), name)
-        if name in KALMAN:
-            return kalman_controller(getattr(self.kalman, KALMAN[name]), feedback, robot, *told)
+        if name in TOLD:
+            return told_controller(self, name, feedback, robot)
         if name in EFFECTIVE:
             assert gains is not None
             return ScheduledPD(gains, name)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import msgspec
+import numpy as np
+
 from ..errors import ConfigError
 from ..model.overrides import Overrides
 from ..model.regressor import Regressor
 from ..model.robot import Robot
 from ..torque.controller import Feedback
 from ..torque.kalman import KalmanLearner, Machine
-from ..torque.kalman_settings import Kalman, KalmanResidual
+from ..torque.kalman_settings import Kalman, KalmanResidual, KalmanTables
+from .controllers import KALMAN
 from .nominal import Nominal, nominal_parameters
 
 
@@ -47,3 +53,21 @@ def kalman_controller(
     if isinstance(settings, KalmanResidual):
         theta0 = nominal_parameters(nominal, robot, said)
     return KalmanLearner(settings, machine_of(robot), feedback, regressor, theta0, learning)
+
+
+def kalman_from_facts(name: str, facts: dict[str, Any], robot: Robot) -> KalmanLearner:
+    """A linear learner from what its `facts` told a recording.
+
+    Args:
+        name: One of `KALMAN`.
+        facts: `controller_settings` of the recording.
+        robot: The recorded robot.
+
+    Raises:
+        InputError: Settings of another version.
+    """
+    kind = type(getattr(KalmanTables(), KALMAN[name]))
+    settings, feedback = msgspec.convert(facts["settings"], kind), msgspec.convert(facts["feedback"], Feedback)
+    regressor = Regressor.of(robot) if settings.needs_regressor else None
+    theta0 = np.array(facts["theta0"]) if "theta0" in facts else None
+    return KalmanLearner(settings, machine_of(robot), feedback, regressor, theta0, facts["learning"])

@@ -143,7 +143,7 @@ def in_order(wanted: Sequence[str]) -> list[str]:
 
 
 def require_free(files: Sequence[Path], force: bool) -> None:
-    """Refuse to write where recordings are, before anything is written.
+    """Refuse to write where recordings are, before anything is written; folders are made with their first recording.
 
     Raises:
         RecordingError: A file exists and `force` is off, or the folder cannot be made or written to.
@@ -154,12 +154,11 @@ def require_free(files: Sequence[Path], force: bool) -> None:
                 "the recording exists", fix="choose another folder with --out, or replace it with --force", file=file
             )
     for folder in {file.parent for file in files}:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RecordingError("the folder cannot be made", why=error.strerror or "", file=folder) from error
-        if not os.access(folder, os.W_OK):
-            raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=folder)
+        existing = next(place for place in (folder, *folder.parents) if place.exists())
+        if not existing.is_dir():
+            raise RecordingError("the folder cannot be made", why="there is a file of that name", file=existing)
+        if not os.access(existing, os.W_OK):
+            raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=existing)
 
 
 def has_rig(experiment: Experiment) -> bool:

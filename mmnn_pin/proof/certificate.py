@@ -72,10 +72,12 @@ class Certificate:
     Attributes:
         boxes: The boxes of the loop.
         faces: From the region to the one that every motion from there ends up in; one if the region is not held.
+        asked: Whether the region is one that was asked for; else it was looked for.
     """
 
     boxes: Boxes
     faces: list[Faces] = field(default_factory=list)
+    asked: bool = False
 
     @property
     def holds(self) -> bool:
@@ -112,7 +114,7 @@ def certify(loop: CertifiedLoop, region: Box | None = None, start: Box | None = 
         start: Errors that the region had better contain.
     """
     boxes = Boxes(loop, region) if region is not None else search(loop, start)
-    return Certificate(boxes, boxes.descend())
+    return Certificate(boxes, boxes.descend(), region is not None)
 
 
 def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:

@@ -7,11 +7,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..errors import ConfigError
 from ..model.dynamics import Dynamics
 from ..model.limits import Numbers, each, limits, speed_limits
 from ..model.robot import Robot
-from ..settings import Settings, require_gain
+from ..settings import Settings, require_numbers
 from ..signals import Array, Layout
 from .supervisor import BLIND, COMMANDED, HEARD, MEMORY
 
@@ -62,13 +61,7 @@ class Safety(Settings, frozen=True):
     hold_rate: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            value = getattr(self, name)
-            if value is None or isinstance(value, str):
-                continue
-            require_gain(value, f"safety.{name}")
-            if name not in MAY_BE_ZERO and not np.all(np.asarray(value) > 0):
-                raise ConfigError(f"{value}", fix="use a number > 0", key=f"safety.{name}")
+        require_numbers(self, "safety", set(self.__struct_fields__) - set(MAY_BE_ZERO))
 
     def numbers(
         self, robot: Robot, period: float, gains: Array, K: Array, short: bool = False, arrivals: float = 0.0

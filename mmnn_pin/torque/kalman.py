@@ -25,7 +25,6 @@ from .linear import Linear
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
-UNKNOWN = 0.5  # share of the prior variance of Psi above which a learner says that it was not excited
 NEGLIGIBLE = 1e-24  # mean square of a feature, relative to the largest, below which it has no weight
 
 
@@ -189,11 +188,12 @@ class KalmanLearner(CompiledController):
         scaled = Phi / K[:, None] if m == 1 else Phi
         square = (scaled**2).mean(axis=(0, 1))
         matters = square > NEGLIGIBLE * square.max()
-        share = np.ones(k)
+        share = matters.astype(float)
         if random is not None and self.drawn is not None:
-            share[: random.t.size] = share[random.t.size + random.number :] = self.drawn.linear
+            share[: random.t.size] *= self.drawn.linear
+            share[random.t.size + random.number :] *= self.drawn.linear
         share /= share.sum()
-        memory["prior"] = np.where(matters, self.settings.prior**2 * share / np.where(matters, square, 1.0), 0.0)
+        memory["prior"] = self.settings.prior**2 * share / np.where(matters, square, 1.0)
         memory["D"] = memory["prior"]
         return memory
 
@@ -244,7 +244,7 @@ class KalmanLearner(CompiledController):
             return []
         unknown = self.unknown(memory)
         worst = int(np.argmax(unknown))
-        if unknown[worst] <= UNKNOWN:
+        if unknown[worst] <= self.settings.excited:
             return []
         of = f" of {self.machine.velocities[worst]}" if self.shape[2] == 1 else ""
         return [

@@ -31,14 +31,15 @@ class Kalman(Settings, frozen=True):
 
     noise: float = 0.03
     prior: float = 1.0
-    drift: float = 1e-6
+    drift: float = 1e-4
     tracking: float = 1.0
-    bound: float = 10.0
+    bound: float = 3.0
     pole: float = 5.0
     state_pole: float = 60.0
     interval: float = 0.01
 
     section: ClassVar[str] = ""
+    excited: ClassVar[float] = 0.5  # share of the prior variance of Psi above which it says that it was not excited
     needs_regressor: ClassVar[bool] = False
     needs_nominal: ClassVar[bool] = False
     positive: ClassVar[tuple[str, ...]] = ("noise", "prior", "bound", "interval")
@@ -68,6 +69,7 @@ class RandomFeatures(Kalman, frozen=True):
         eps: Speed over which dry friction turns [rad/s or m/s].
     """
 
+    drift: float = 3e-5
     hidden: int = 25
     weights: float = 0.3
     linear: float = 10.0

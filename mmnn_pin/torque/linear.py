@@ -17,7 +17,7 @@ Continuous, without disturbance, Psi = Psi_0 + Phi W exactly and the true torque
 P is bounded: Q adds to one place of the diagonal after the other, and never beyond the prior's number there, so the
 trace of P is at most that of P_0. W is bounded: `W_i' P_0^-1 W_i <= radius_i^2` by the projection onto a half-space
 that contains that ball, in the metric P^-1, where it lowers the distance to every point of the ball; what is then still
-outside is scaled back, which need not. Psi_hat is bounded by what the motors can give.
+outside is scaled back, which need not. Psi_hat is bounded by what the feedback leaves of the motors' torque limits.
 """
 
 from __future__ import annotations
@@ -32,11 +32,13 @@ from .covariance import dot
 from .features import Random, fill
 from .filtered import Filter, low_pass, period, remember
 from .least_squares import predict, project, track
+from .motor_limits import limit
 
 if TYPE_CHECKING:
     from ..model.tree_regressor import Massless
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
+Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 
@@ -197,20 +199,17 @@ def features(
 
 @compiled
 def say(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
-    """Psi_hat within what the motors can give, the gain, and the norms of the weights of base and arm."""
+    """Psi_hat, the gain, and the norms of the weights of base and arm.
+
+    Of every motor Psi_hat takes what the feedback leaves of its torque limit: it never asks for more than the motor can
+    give, alone or with the feedback, unless the feedback alone does.
+    """
     p, m, nb = a.gain.size, o.W.shape[0], at[VELOCITY + 1] - at[VELOCITY]
     psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]]
     for i in range(p):
         psi_hat[i] = a.psi0[i] + dot(o.W[min(i, m - 1)], a.Phi[min(i, a.Phi.shape[0] - 1)], o.D.size)
         row[at[EFFECTIVE_GAIN] + i] = a.gain[i]
-    clipped = False
-    for j in range(a.effort.size):
-        u = dot(a.E_inv[j], psi_hat, p)
-        a.motors[j] = min(max(u, -a.effort[j]), a.effort[j]) if not math.isnan(u) else 0.0
-        clipped = clipped or a.motors[j] != u
-    if clipped:
-        for i in range(p):
-            psi_hat[i] = dot(a.E[i], a.motors, a.effort.size)
+    limit(row, at, a.gain, a.E, a.E_inv, a.effort, a.motors)
     square, arm = 0.0, 0.0
     for i in range(m):
         one = dot(o.W[i], o.W[i], o.D.size)

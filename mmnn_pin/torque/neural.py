@@ -56,6 +56,7 @@ class TwoLayer(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_hidden(self.hidden, "two_layer.hidden")
         require_gains(self, "two_layer", "F", "G", "kappa", "v_range")
+        require_width(self.v_range, "two_layer.v_range")
 
     def rates(self, which: int, leakage: bool) -> tuple[float, float, float]:
         """Rate of W, rate of V, leakage of the base's (0) or the arm's (1) network."""
@@ -97,6 +98,7 @@ class OneLayer(Settings, frozen=True):
         require_gains(self, "one_layer", "beta", "mu", "width", "centre_range")
         if self.width == 0:
             raise ConfigError("width 0", why="Gaussians need one", fix="use a number > 0", key="one_layer.width")
+        require_width(self.centre_range, "one_layer.centre_range")
 
     def rates(self, which: int, leakage: bool) -> tuple[float, float, float]:
         """Rate of W, width, leakage of the base's (0) or the arm's (1) network."""
@@ -321,3 +323,13 @@ def require_hidden(hidden: int, key: str) -> None:
     """
     if hidden < 1:
         raise ConfigError(f"{hidden} hidden units", fix="use at least one", key=key)
+
+
+def require_width(half: float, key: str) -> None:
+    """Refuse a range from -half to half whose width is not finite.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    if not np.isfinite(2 * half):
+        raise ConfigError(f"{half}", why="the range's width is no finite number", fix="use a smaller one", key=key)

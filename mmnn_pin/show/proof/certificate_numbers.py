@@ -21,6 +21,7 @@ def certificate_dict(told: CertifiedRun) -> dict[str, Any]:
         conditions = (asdict(c) | {"limit": number(c.limit), "value": number(c.value)} for c in certificate.conditions)
         found |= {
             "holds": certificate.holds,
+            "region_asked_for": certificate.asked,
             "conditions": [c | {"holds": one.holds} for c, one in zip(conditions, certificate.conditions, strict=True)],
             "constants": [asdict(c) | {"value": number(c.value)} for c in certificate.constants],
             "region": faces_dict(certificate.region, certificate) if certificate.holds else None,

@@ -58,7 +58,8 @@ def verdict(certificate: Certificate) -> str:
         )
     failed = [c for c in certificate.conditions if not c.holds]
     told = "; ".join(f"{c.name}: {side(c.value)} is not {c.need} {side(c.limit)}" for c in failed)
-    return f"FAILS: no region was found. At the one nearest to it: {told}. That proves nothing against the loop."
+    where = "The region asked for is not held" if certificate.asked else "No region was found. At the one nearest to it"
+    return f"FAILS. {where}: {told}. That proves nothing against the loop."
 
 
 def side(value: float) -> str:
