@@ -27,7 +27,7 @@ from .sensing import exact
 from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.controller import CompiledController
-from .torque.learners import Learners, estimate, settle
+from .torque.learners import Learners, estimate, learners_of, settle
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -286,7 +286,7 @@ class CompiledLoop:
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         numbers = loop.controller.law(loop.wiring())
-        self.learners = numbers.learners
+        self.learners = learners_of(numbers)
         self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(

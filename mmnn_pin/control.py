@@ -18,7 +18,7 @@ from .sample import before_torque
 from .signals import Array, Measurement, Reference, VelocityCommand
 from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
-from .torque.learners import Learners, estimate, settle
+from .torque.learners import Learners, estimate, learners_of, settle
 from .torque.learning_law import LearningLaw, norms
 from .torque.now import Now
 from .torque.origin import blamed
@@ -117,7 +117,7 @@ class Torque:
             self.layout, self.now, self.K = layout, Now.of(row, wiring), controller.feedback_gain(layout)
         if isinstance(controller, CompiledController):
             self.law = controller.law(wiring)
-            self.learners = self.law.learners
+            self.learners = learners_of(self.law)
             if controller.uses_model:
                 believed: Robot = controller.model or nominal
                 self.model, self.arm_map = Dynamics(believed), believed.arm_map()

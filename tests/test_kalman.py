@@ -335,6 +335,20 @@ def test_an_update_answers_at_most_its_share_of_the_feedback(kind):
     assert s @ (bench.step() - before) == pytest.approx(0.2 * s @ (GAINS * s), rel=1e-6)
 
 
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_s_is_answered_at_the_rate_that_is_set(kind):
+    """Psi_hat moves by `tracking interval K s` times what the prior says of this motion, over prior^2."""
+    rng, bench = np.random.default_rng(4), Bench(kind, tracking=0.3, prior=2.0, bound=1e9)
+    bench.a = bench.a._replace(effort=np.full(4, np.inf), learning=False, share=1e9)
+    bench.fill(rng)
+    before = bench.step()
+    track(bench.row, LAYOUT.offsets, bench.a, bench.o)
+    s = np.concatenate((bench.row[LAYOUT.where("z")], bench.row[LAYOUT.where("r")]))
+    answer = bench.a.Phi @ bench.P0 @ bench.a.Phi.T / 2.0**2
+    expected = answer @ s / GAINS.max() if bench.m == 1 else answer[0, 0] * GAINS * s
+    np.testing.assert_allclose(bench.step() - before, 0.3 * bench.h * expected, rtol=1e-6)
+
+
 @settings(max_examples=40, deadline=None)
 @given(seeds, kinds, st.floats(1.01, 1e3))
 def test_the_projection_comes_closer_to_every_point_of_the_ball(seed, kind, beyond):
@@ -616,7 +630,6 @@ def test_it_is_built_again_from_what_it_told(kind):
         (KalmanBilinear, {"drift": -1.0}, "kalman.bilinear.drift"),
         (KalmanBilinear, {"hidden": 0}, "kalman.bilinear.hidden"),
         (KalmanFeatures, {"speed": np.nan}, "kalman.features.speed"),
-        (KalmanResidual, {"largest": 0}, "kalman.residual.largest"),
     ],
 )
 def test_impossible_settings_are_refused_with_their_key(kind, own, key):
@@ -647,7 +660,7 @@ def test_an_experiment_makes_it(kind):
 
 
 def test_a_nominal_robot_that_moves_otherwise_is_refused():
-    experiment = load_experiment("track", ["kalman.residual.nominal=two_axis_arm"])
+    experiment = load_experiment("track", ["nominal.robot=two_axis_arm"])
     with pytest.raises(ConfigError, match="does not move as platform_arm") as error:
         experiment.controller("kalman_residual", robot=experiment.load_robot())
-    assert error.value.key == "kalman.residual.nominal"
+    assert error.value.key == "nominal.robot"

@@ -22,7 +22,6 @@ from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
 
 if TYPE_CHECKING:
     from .adaptation import Adaptation
-    from .learners import Learners
     from .linear import Linear
     from .recall import History
     from .replay import Replay
@@ -105,14 +104,6 @@ class Law:
     history: History | None = None
     replay: Replay | None = None
     linear: Linear | None = None
-
-    @property
-    def learners(self) -> Learners | None:
-        """All of what learns in one; None where nothing does."""
-        from .learners import Learners
-
-        own = (self.adaptation, self.linear, self.history, self.replay)
-        return None if all(one is None for one in own) else Learners(*own)
 
 
 class TorqueController(ABC):

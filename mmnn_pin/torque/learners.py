@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..compiled import compiled
 from ..model.tree_regressor import Massless, measured, regress
@@ -13,6 +13,9 @@ from .linear import Linear, keep_torque, learn
 from .prediction import Prediction, gather
 from .recall import History, keep, recall
 from .replay import Replay, keep_held, replay
+
+if TYPE_CHECKING:
+    from .controller import Law
 
 POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
@@ -32,6 +35,12 @@ class Learners(NamedTuple):
     linear: Linear | None
     history: History | None
     replay: Replay | None
+
+
+def learners_of(law: Law) -> Learners | None:
+    """All of a law that learns in one; None where nothing does."""
+    own = (law.adaptation, law.linear, law.history, law.replay)
+    return None if all(one is None for one in own) else Learners(*own)
 
 
 @compiled

@@ -32,6 +32,7 @@ from .covariance import dot
 from .features import Random, fill
 from .filtered import Filter, low_pass, period, remember
 from .least_squares import predict, project, track
+from .motor_limits import limit
 
 if TYPE_CHECKING:
     from ..model.tree_regressor import Massless
@@ -63,7 +64,6 @@ class Linear(NamedTuple):
         effort: (motors,) largest torque of a motor, inf for no limit.
         Phi: (rows, k) memory to work in.
         psi0: (p,) memory to work in.
-        feedback: (p,) memory to work in.
         motors: (motors,) memory to work in.
         work: (4, k) memory to work in.
     """
@@ -86,7 +86,6 @@ class Linear(NamedTuple):
     effort: Array
     Phi: Array
     psi0: Array
-    feedback: Array
     motors: Array
     work: Array
 
@@ -206,20 +205,11 @@ def say(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
     give, alone or with the feedback, unless the feedback alone does.
     """
     p, m, nb = a.gain.size, o.W.shape[0], at[VELOCITY + 1] - at[VELOCITY]
-    psi_hat, z, r = row[at[PSI_HAT] : at[PSI_HAT + 1]], row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]]
     for i in range(p):
-        a.feedback[i] = a.gain[i] * (z[i] if i < z.size else r[i - z.size])
         psi_hat[i] = a.psi0[i] + dot(o.W[min(i, m - 1)], a.Phi[min(i, a.Phi.shape[0] - 1)], o.D.size)
         row[at[EFFECTIVE_GAIN] + i] = a.gain[i]
-    clipped = False
-    for j in range(a.effort.size):
-        u, fed, top = dot(a.E_inv[j], psi_hat, p), dot(a.E_inv[j], a.feedback, p), a.effort[j]
-        low, high = -min(top, max(0.0, top + fed)), min(top, max(0.0, top - fed))
-        a.motors[j] = min(max(u, low), high) if not math.isnan(u) else 0.0
-        clipped = clipped or a.motors[j] != u
-    if clipped:
-        for i in range(p):
-            psi_hat[i] = dot(a.E[i], a.motors, a.effort.size)
+    limit(row, at, a.gain, a.E, a.E_inv, a.effort, a.motors)
     square, arm = 0.0, 0.0
     for i in range(m):
         one = dot(o.W[i], o.W[i], o.D.size)

@@ -12,7 +12,7 @@ the last term being the pull of the prior, which vanishes beside what was seen. 
 there are finitely many of them. A sample's answer to s is kept below a share of the feedback, as in `adaptation`.
 
 Bounds, whatever the sensors say: |w| <= radius, as w_L is put into that ball, which is convex, and so is w after the
-tracking term; Psi_hat is what the motors can give.
+tracking term; Psi_hat is what the feedback leaves of the motors' limits.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from ..model.tree_regressor import measured, regress
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, low_pass, period, remember
 from .history import Scratch, consider, estimate_of, views
+from .motor_limits import limit
 
 if TYPE_CHECKING:
     from ..model.tree_regressor import Massless
@@ -163,18 +164,7 @@ def say(row: Array, at: IntArray, a: History, w: Array) -> None:
         row[at[EFFECTIVE_GAIN] + i], psi_hat[i] = a.gain[i], a.psi0[i]
         for j in range(w.size):
             psi_hat[i] += a.Phi[i, j] * w[j]
-    clipped = False
-    for m in range(a.effort.size):
-        a.motors[m] = 0.0
-        for i in range(psi_hat.size):
-            a.motors[m] += a.E_inv[m, i] * psi_hat[i]
-        if abs(a.motors[m]) > a.effort[m]:
-            a.motors[m] = math.copysign(a.effort[m], a.motors[m])
-            clipped = True
-    for i in range(psi_hat.size if clipped else 0):
-        psi_hat[i] = 0.0
-        for m in range(a.effort.size):
-            psi_hat[i] += a.E[i, m] * a.motors[m]
+    limit(row, at, a.gain, a.E, a.E_inv, a.effort, a.motors)
 
 
 @compiled

@@ -71,8 +71,10 @@ class Residual(CompiledController):
 
     def facts(self) -> dict[str, Any]:
         """The network's settings and what is told of the model."""
-        believed = {} if self.model is None else {"model": self.model.facts()}
-        return self._own.facts() | believed
+        if self.model is None:
+            return self._own.facts()
+        told = self.model.facts()
+        return self._own.facts() | {"model": {k: v for k, v in told.items() if k not in ("urdf", "urdf_sha256")}}
 
     def findings(self, memory: Memory) -> list[str]:
         """What the network's weights show."""
