@@ -76,7 +76,70 @@ def test_tables_merge_and_lists_are_replaced():
     assert table == {"a": {"b": 1, "c": [1, 2]}, "d": 3}
 
 
+def test_a_table_of_another_type_replaces_the_old_one():
+    table = {"base": {"type": "eight", "length": 3.0, "period": 6.0}}
+    assert merged(table, {"base": {"type": "circle", "radius": 1.0}}) == {"base": {"type": "circle", "radius": 1.0}}
+    for change in ({"period": 7.0}, {"type": "eight", "period": 7.0}):
+        assert merged(table, {"base": change})["base"] == {"type": "eight", "length": 3.0, "period": 7.0}
+
+
 FAULTS = load_experiment("faults")
+LEAN = """
+title = "lean"
+experiment = "chapter4"
+seed = 5
+feedback.arm = 20.0
+
+[cases.own]
+title = "as it is"
+
+[cases.eight]
+title = "from another one"
+experiment = "eight"
+set.kinematic.K = 5.0
+
+[cases.beside]
+title = "from a file beside it"
+experiment = "other.toml"
+"""
+
+
+def written(folder, text, other="experiment = 'track'\nwindows = [[0.0, 1.0]]\n"):
+    (folder / "other.toml").write_text(other)
+    (folder / "lean.toml").write_text(text)
+    return folder / "lean.toml"
+
+
+def test_an_experiment_and_its_cases_may_start_from_others(tmp_path):
+    """The file's own keys hold everywhere, overrides above them, and a case has the last word."""
+    path = written(tmp_path, LEAN)
+    lean, chapter4 = load_experiment(path), load_experiment("chapter4")
+    assert lean.reference == chapter4.reference and lean.two_layer == chapter4.two_layer and lean.seed == 5
+    assert (lean.title, lean.variant, lean.feedback.arm, lean.feedback.base) == ("lean", "", 20.0, 500.0)
+    eight, beside = with_case(lean, "eight"), with_case(lean, "beside")
+    assert eight.reference == load_experiment("eight").reference and with_case(lean, "own").kinematic.K == 7.0
+    assert (eight.seed, eight.feedback.arm, eight.kinematic.K, eight.kinematic.kx) == (5, 20.0, 5.0, 10.0)
+    assert beside.windows == ((0.0, 1.0),) and beside.feedback.scaling == "inertia" and beside.feedback.arm == 20.0
+    changed = load_experiment(path, ["feedback.arm=3.0", "kinematic.K=1.0", "cases.own.set.seed=9"])
+    for name, K in (("own", 1.0), ("eight", 5.0), ("beside", 1.0)):
+        one = with_case(changed, name)
+        assert (one.feedback.arm, one.kinematic.K, one.seed) == (3.0, K, 9 if name == "own" else 5)
+        assert not one.cases
+
+
+@pytest.mark.parametrize(
+    ("text", "other", "says"),
+    [
+        ("experiment = 'lean.toml'", "", "starts from itself"),
+        ("experiment = 'other.toml'", "experiment = 'lean.toml'", "starts from itself"),
+        ("experiment = 'chapter9'", "", "unknown experiment 'chapter9'"),
+        ("experiment = 'chapter4'\n[cases.a]\ntitle='a'\nexperiment='none.toml'", "", "no such file"),
+        ("experiment = 'chapter4'\n[cases.a]\ntitle='a'\nexperiment='other.toml'", "experiment = [", "not valid TOML"),
+    ],
+)
+def test_a_start_that_cannot_be_is_named(tmp_path, text, other, says):
+    with pytest.raises(InputError, match=says):
+        load_experiment(written(tmp_path, text, other))
 
 
 def changed(**cases):

@@ -307,7 +307,7 @@ def rows_of(table):
 
 ASKED = Contest(
     knows={"kinematics": ("knows",), "form": ("form",), "nothing": ("two_layer",)},
-    targets=Targets("eight", "rich", "poor", {"kinematics": 0.001, "form": 0.01, "nothing": 0.1}),
+    targets=Targets("eight", "printed", "rich", "poor", {"kinematics": 0.001, "form": 0.01, "nothing": 0.1}),
 )
 
 
@@ -327,6 +327,7 @@ def test_targets_are_met_or_not():
         ("eight", "form"): (0.02, 0.05, math.inf, (), 0.4),
         ("eight", "two_layer"): (1.2, 0.04, 0.07, (), 0.3),
         ("eight", "computed_torque"): (0.0, 0.008, 0.01, (), 0.9),
+        ("printed", "two_layer"): (1.5, 0.3, 0.4, (), 0.3),
         ("rich", "two_layer"): (0.05, 0.04, 0.07, (), 0.3),
         ("poor", "knows"): (2.0, 0.01, 0.02, ("c: not excited: 30 % of what random motion excites",), 0.5),
         ("poor", "two_layer"): (2.0, 0.01, math.inf, (), 1.2),
@@ -337,7 +338,9 @@ def test_targets_are_met_or_not():
     assert not form.met and form.reached == 0.02 and form.by == "form"
     assert not about(found, "frozen FVU after 'eight'", "nothing").met  # its value after an ordinary motion
     assert about(found, "frozen FVU after 'rich'", "nothing").met
-    learning, fixed = about(found, "two_layer's", "learning"), about(found, "two_layer's", "frozen")
+    learning, fixed = (about(found, "two_layer's", "tuned", how) for how in ("learning", "frozen"))
+    printed = about(found, "two_layer's", "as printed", "learning")
+    assert printed.met and printed.reached == pytest.approx(30.0)
     assert learning.met and learning.reached == pytest.approx(4.0) and learning.by == "knows"
     assert fixed.met and fixed.reached == pytest.approx(3.5) and fixed.by == "knows"  # a lost run does not win
     near, far = about(found, "computed_torque", "learning"), about(found, "computed_torque", "frozen")
@@ -443,7 +446,13 @@ def test_all_tasks_of_the_bundled_contest_can_be_made():
     """Without TIAGo, which is not bundled."""
     experiment = load_experiment("contest")
     names = [name for name in experiment.cases if name != "tiago"]
-    found = tasks_of(chosen_cases(experiment, names), ("pd", "two_layer"))
+    found = tasks_of(chosen_cases(experiment, names), ("pd", "adaptive"))
+    for task in found:
+        own = ("pd", "one_layer", "two_layer") if task.name == "printed" else ("pd", "adaptive")
+        assert task.experiment.controllers == own
+    by_name = {task.name: task.experiment for task in found}
+    printed, chapter4 = by_name["printed"], by_name["chapter4"]
+    assert (printed.two_layer, printed.one_layer) == (chapter4.two_layer, chapter4.one_layer)
     assert [task.name for task in found] == names
     assert all(task.contest.seeds == 5 and len(task.seeds) == 5 for task in found)
     gains = {task.name: task.controller("pd").feedback for task in found}

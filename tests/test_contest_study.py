@@ -70,7 +70,7 @@ def test_ratios_are_root_mean_squares_over_the_axes(bench):
     assert search.relative({"x": 2.0, "a": 1.0}, {"x": 1.0, "a": 1.0}) == pytest.approx(math.sqrt(2.5))
     pd = bench.pd["swing"][0]
     assert search.ratios(pd, pd) == [1.0, 1.0, 1.0]
-    assert search.ratios(msgspec.structs.replace(pd, kick=1.1), pd) == [search.LOST] * 3
+    assert search.ratios(msgspec.structs.replace(pd, torque=1.1), pd) == [search.LOST] * 3
 
 
 def test_a_search_is_the_same_again_and_starts_from_its_own(bench):

@@ -21,6 +21,7 @@ from mmnn_pin.reference import (
     Line,
     MinimumJerk,
     Sine,
+    Sines,
     Table,
     Trajectory,
     Waypoints,
@@ -51,6 +52,9 @@ paths: SearchStrategy[BasePath] = st.one_of(
 )
 profiles: SearchStrategy[JointProfile] = st.one_of(
     st.builds(Sine, between(-2, 2), between(0.5, 10), between(-1, 1), between(-4, 4)),
+    st.builds(
+        Sines, st.tuples(between(-1, 1), between(-1, 1)), st.tuples(between(0.5, 9), between(0.5, 9)), between(-1, 1)
+    ),
     st.builds(Hold, between(-3, 3)),
     st.builds(MinimumJerk, between(-2, 2), between(-2, 2), between(0.5, 5), between(0, 3)),
 )
@@ -89,6 +93,15 @@ def test_joint_derivatives_agree_with_differences(profile: JointProfile) -> None
         inside = np.min([abs(TIMES - end) for end in ends], axis=0) > 2 * h
     scale = max(1, abs(m.qddot).max())
     np.testing.assert_allclose(((b.qdot - a.qdot) / (2 * h))[inside], m.qddot[inside], atol=2e-6 * scale)
+
+
+def test_a_sum_of_sines_is_the_sum_of_its_sines() -> None:
+    samples = Sines((0.7, 0.1), (3.0, 0.6), 0.4, (1.0, 2.0)).sample(TIMES)
+    each = 0.7 * np.sin(2 * np.pi * TIMES / 3.0 + 1.0), 0.1 * np.sin(2 * np.pi * TIMES / 0.6 + 2.0)
+    np.testing.assert_allclose(samples.q, 0.4 + sum(each), atol=1e-12)
+    rate = -each[0] * (2 * np.pi / 3.0) ** 2 - each[1] * (2 * np.pi / 0.6) ** 2
+    np.testing.assert_allclose(samples.qddot, rate, atol=1e-10)
+    np.testing.assert_array_equal(Sines((0.7,), (3.0,), 0.4).sample(TIMES).qdot, Sine(0.7, 3.0, 0.4).sample(TIMES).qdot)
 
 
 @settings(max_examples=40, deadline=None)
@@ -213,6 +226,10 @@ def test_minimum_jerk_rests_at_both_ends() -> None:
         (lambda: Sine(1, 0), "period = 0 is not positive"),
         (lambda: Hold(float("inf")), "value = inf"),
         (lambda: MinimumJerk(0, 1, -1), "duration = -1"),
+        (lambda: Sines((), ()), "0 amplitudes"),
+        (lambda: Sines((1.0, 2.0), (1.0,)), "2 amplitudes, 1 periods"),
+        (lambda: Sines((1.0,), (1.0,), phase=(1.0, 2.0)), "2 phases"),
+        (lambda: Sines((1.0,), (0.0,)), "period = 0"),
         (lambda: Line(1).sample([-1.0]), "sample times"),
     ],
 )

@@ -186,6 +186,18 @@ def test_noise_has_the_deviation_asked_for_and_follows_the_seed():
         np.testing.assert_allclose(centred.std(axis=0), np.broadcast_to(deviation, centred.shape[1]), rtol=0.15)
 
 
+def test_every_velocity_may_have_noise_of_its_own():
+    n = 300 if config.DISABLE_JIT else 3000
+    position, nu = np.tile(ROBOT.neutral_position(), (n, 1)), np.zeros((n, 4))
+    noisy = measured(Sensor(velocity_noise=(0.1, 0.2, 0.0, 0.4)), position, nu, seed=1)
+    found = np.hstack([noisy["velocity"], noisy["qdot"]]).std(axis=0)
+    np.testing.assert_allclose(found, [0.1, 0.2, 0.0, 0.4], rtol=0.15, atol=1e-12)
+    alike = measured(Sensor(velocity_noise=0.2), position, nu, seed=1)
+    np.testing.assert_array_equal(alike["velocity"][:, 1], noisy["velocity"][:, 1])
+    with pytest.raises(ConfigError, match="2 numbers for 4 velocities"):
+        measured(Sensor(velocity_noise=(0.1, 0.2)), position, nu)
+
+
 def test_a_delay_shifts_everything():
     position, nu = motion(samples=40)
     late, now = (measured(Sensor(delay=delay, velocity="difference"), position, nu) for delay in (3, 0))

@@ -37,7 +37,7 @@ def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
             say("stopped: the same command goes on where it was")
         for note in notes(standing):
             say(f"note: {note}")
-        for file in (folder / "rows.json", folder / "rows.csv", *drawn.values()):
+        for file in (folder / "rows.json", folder / "rows.csv", *drawn.values()) if standing.heats else ():
             say(f"wrote {file}")
         say(f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay")
     return STOPPED if standing.interrupted else DONE if standing.completed else FAILED

@@ -168,7 +168,11 @@ def run_contest(
     controllers = (*experiment.controllers, *wanted)
     tasks = tasks_of(experiment, controllers)
     store = Store(out) if force else Store.opened(out)
-    plan = [(task, controller, fingerprint(task, controller)) for task in tasks for controller in controllers]
+    plan = [
+        (task, controller, fingerprint(task, controller))
+        for task in tasks
+        for controller in task.experiment.controllers
+    ]
     todo = [entry for entry in plan if not is_done(store, *entry)]
     require_free([out / task.name / f"{controller}.h5" for task, controller, _ in todo] if out else [], True)
     interrupted, count = False, len(todo)

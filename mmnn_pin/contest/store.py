@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 
 from ..errors import RecordingError
+from ..settings import plain
 from ..study.worker import code_digest
 from .row import Row, arm_of, base_of, known
 from .task import Task
@@ -98,10 +99,8 @@ def fingerprint(task: Task, controller: str) -> str:
     asked = {"seeds": contest.seeds, "window": contest.window, "start": contest.start}
     cosmetic: dict[str, Any] = {"cases": {}, "title": "", "variant": "", "plots": (), "contest": None}
     experiment = msgspec.structs.replace(task.experiment, controllers=(controller,), **cosmetic)
-    urdf = str(task.robot.facts().get("urdf", ""))
-    own = controller.rpartition(":")[0]
-    source = Path(own).read_text(encoding="utf-8") if own and Path(own).is_file() else ""
-    text = json.dumps([experiment.to_json(), asked, urdf, source, code_digest()], sort_keys=True)
+    facts = plain(task.training(task.controller(controller), task.experiment.seed).facts())  # with URDF and origin
+    text = json.dumps([experiment.to_json(), asked, facts, code_digest()], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

@@ -140,7 +140,8 @@ def tasks_of(
     for name in tuple(experiment.cases) or ("",):
         progress(name)
         one = with_case(experiment, name) if name else experiment
-        one = msgspec.structs.replace(one, controllers=controllers)
+        if not names_its_own(experiment, name):
+            one = msgspec.structs.replace(one, controllers=controllers)
         try:
             task = Task(name or "task", experiment.cases[name].title if name else one.title, one, one.load_robot())
             require_runnable(one, task.robot)
@@ -150,3 +151,9 @@ def tasks_of(
             raise
         found.append(task)
     return found
+
+
+def names_its_own(experiment: Experiment, name: str) -> bool:
+    """Whether a case says which controllers run in it; what one that starts elsewhere has, the contest says."""
+    case = experiment.cases.get(name)
+    return case is not None and not case.experiment and "controllers" in case.set

@@ -16,6 +16,7 @@ class Targets(Settings, frozen=True):
 
     Args:
         task: Task of an ordinary training motion; most targets are judged there.
+        printed: The same task for the thesis's networks with their printed settings.
         rich: Task of a rich one, for learners that know nothing.
         poor: Task of a poor one.
         frozen_fvu: What a learner is told to the largest frozen FVU of the best that is told so.
@@ -25,6 +26,7 @@ class Targets(Settings, frozen=True):
     """
 
     task: str = ""
+    printed: str = ""
     rich: str = ""
     poor: str = ""
     frozen_fvu: dict[str, float] = msgspec.field(default_factory=dict)
@@ -46,7 +48,7 @@ class Contest(Settings, frozen=True):
 
     Args:
         seeds: How many, counted from the experiment's own.
-        beside: Controllers that run whatever else is chosen, because the others are measured by them: the feedback
+        beside: Controllers that run whatever else is chosen (but where a case names its own), because the others are measured by them: the feedback
             alone, the thesis's law, the oracle.
         knows: What a learner is told before it starts ("kinematics", "form", "nothing", "nominal") to their names.
         window: Length of the windows of the learning curves [s].

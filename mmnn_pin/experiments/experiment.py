@@ -113,8 +113,7 @@ class Experiment(Settings, frozen=True):
         cases: Changes of this experiment, name to case; with them it runs once in each, and every run gets a verdict.
         tolerance: What a case asks of its runs.
         contest: With it the cases are the tasks of a contest: runs are not judged one by one but compared.
-        held_out: Held-out trajectories, by name; without any there is one that follows from the reference (see
-            `proof.held_out`). `mmnn prove` judges by the first.
+        held_out: Held-out trajectories by name; without any one follows from the reference (see `proof.held_out`).
 
     Raises:
         UnknownName: A controller, a plot or a plant that does not exist.

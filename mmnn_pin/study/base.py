@@ -16,7 +16,10 @@ from .keys import changed, deep, flat, require_path
 from .reading import StudyFile
 
 # Keys that change no number of a run; a study does not vary them. Its rows are judged by its own `success`.
-COSMETIC = ("title", "variant", "controllers", "plots", "torque_limits", "weights_interval", "cases", "tolerance")
+COSMETIC = (
+    *("title", "variant", "controllers", "plots", "torque_limits", "weights_interval"),
+    *("cases", "tolerance", "contest"),
+)
 
 
 def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:

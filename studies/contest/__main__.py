@@ -1,7 +1,6 @@
 """Everything that docs/contest.md says, from nothing: `python -m studies.contest` in a checkout.
 
-Runs the contest, and once more with the thesis's networks as chapter 4 prints them; with `--tune` the search for the
-learners' settings before that. Writes tables, figures and the document itself.
+Runs the contest; with `--tune` only the search for the learners' settings. Writes tables, figures and the document.
 """
 
 from __future__ import annotations
@@ -15,8 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
 from mmnn_pin.contest.contest import Standing, run_contest
 from mmnn_pin.experiments.cases import chosen_cases
 from mmnn_pin.experiments.config import load_experiment
@@ -27,11 +24,6 @@ from .document import publish, render
 from .search import TRIES, spaces, tune, tuned
 from .summary import summed
 
-# The thesis's networks as chapter 4 has them, on the contest's eight.
-PRINTED = (
-    "two_layer={hidden = 22, F = [1.0, 0.2], G = [1.0, 0.2], kappa = 1.0, initial = 'random', v_range = 1.0}",
-    "one_layer={hidden = 22, beta = [0.5, 0.5], mu = 0.35, centre_range = 10.0, centres = 'diagonal', width = 4.5}",
-)
 QUICK = (
     *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
     *(f"held_out.{name}.duration=0.9" for name in ("similar", "tight", "circle")),
@@ -67,13 +59,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Any) -> dict[str, Any]:
     """Run all of it; rows and figures go to `out`, the numbers of the document are returned."""
     begin, processor, load = time.perf_counter(), time.process_time(), os.getloadavg()[0]
-    standing = made(out, overrides, cases, force, (), say)
-    printed = made(out / "printed", [*overrides, *PRINTED], ["eight"], force, ("one_layer", "two_layer"), say)
+    standing = made(out, overrides, cases, force, say)
     write_figures(standing, out / "figures")
     search = {name: {k: v for k, v in found.items() if k != "scores"} for name, found in tuned().items()}
     return {
         **summed(standing),
-        "printed": summed(printed)["tasks"]["eight"],
         "tuned": search,
         "run": {
             "wall_s": time.perf_counter() - begin,
@@ -85,17 +75,13 @@ def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool
     }
 
 
-def made(
-    out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, only: tuple[str, ...], say: Any
-) -> Standing:
+def made(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Any) -> Standing:
     """One contest.
 
     Raises:
         KeyboardInterrupt: It was stopped; what is done is kept.
     """
     experiment = chosen_cases(load_experiment("contest", overrides), cases)
-    if only:
-        experiment = msgspec.structs.replace(experiment, controllers=only)
     before = [""]
 
     def show(label: str, fraction: float) -> None:

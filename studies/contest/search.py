@@ -33,7 +33,7 @@ HERE = Path(__file__).parent
 TUNING, SPACES, TUNED = HERE / "tuning.toml", HERE / "spaces.toml", HERE / "tuned.json"
 TRIES, SEED = 40, 20100
 LOST = 1e3  # error over PD's that a lost run counts for
-KICK = 1.0  # of the motors' limits; settings above it count as lost
+TORQUE = 1.0  # of the motors' limits; a run that asks for more at any time counts as lost
 Say = Callable[[str], None]
 
 
@@ -93,7 +93,7 @@ def changed_by(experiment: Experiment, settings: Mapping[str, Any]) -> Experimen
 
 def ratios(row: Row, pd: Row) -> list[float]:
     """A row's three errors over PD's: training, held out, held out with fixed weights; `LOST` for what was lost."""
-    if not row.completed or nan(row.kick) > KICK:
+    if not row.completed or nan(row.torque) > TORQUE:
         return [LOST] * 3
     found = [relative(row.rms, pd.rms)]
     for how in ("learning", "frozen"):
