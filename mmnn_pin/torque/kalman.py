@@ -166,7 +166,6 @@ class KalmanLearner(CompiledController):
             effort=self.machine.effort.copy(),
             Phi=np.zeros((rows, k)),
             psi0=np.zeros(K.size),
-            feedback=np.zeros(K.size),
             motors=np.zeros(self.machine.effort.size),
             work=np.zeros((4, k)),
         )
