@@ -61,8 +61,9 @@ def targets(contest: Contest, learners: tuple[str, ...], tasks: Iterable[str], o
         after = (asked.task, asked.rich) if told == "nothing" else (asked.task,)  # only asked for after the rich one
         found += [lowest_fvu(names, task, TOLD[told], limit, of) for task in after if task]
     for law, about in ((asked.printed, "as printed"), (asked.task, "tuned as the others")):
-        names = (learners, asked.task, law)
-        found += [better(names, about, how, asked.better, of) for how in ("learning", "frozen") if law]
+        for how in ("learning", "frozen") if law else ():
+            thesis = held_out(of(law, THESIS), how)
+            found.append(better(learners, asked.task, thesis, f"{about}, {how}", asked.better, of, how))
     knowing = [name for name in learners if contest.told(name) == "kinematics"]
     found += [near(knowing, asked.task, how, asked.near, of) for how in ("learning", "frozen")]
     if asked.poor:
@@ -81,14 +82,14 @@ def lowest_fvu(names: Iterable[str], task: str, words: str, limit: float, of: Ro
     return smallest(f"frozen FVU after '{task}', {words}", limit, values)
 
 
-def better(names_and_tasks: tuple[tuple[str, ...], str, str], law: str, how: str, limit: float, of: Rows) -> Target:
-    """Best learner on a task against the thesis's law on another, on every axis of every held-out trajectory."""
-    names, task, thesis_task = names_and_tasks
-    thesis = held_out(of(thesis_task, THESIS), how)
+def better(
+    names: Iterable[str], task: str, thesis: dict[str, float], words: str, limit: float, of: Rows, how: str
+) -> Target:
+    """Best learner against the thesis's errors, on every axis of every held-out trajectory."""
     values = {name: least_ratio(thesis, held_out(of(task, name), how)) for name in names if name != THESIS}
     judged = {name: value for name, value in values.items() if math.isfinite(value)}
     best = max(judged, key=judged.__getitem__, default="")
-    about = f"{THESIS}'s error, {law}, over that of the best learner, {how}, held out, worst axis: at least {limit:g}"
+    about = f"{THESIS}'s error over that of the best learner, {words}, held out, worst axis: at least {limit:g}"
     return Target(about, limit, judged.get(best), best, bool(best) and judged[best] >= limit)
 
 

@@ -48,8 +48,8 @@ class Contest(Settings, frozen=True):
 
     Args:
         seeds: How many, counted from the experiment's own.
-        beside: Controllers that run whatever else is chosen (but where a case names its own), because the others are measured by them: the feedback
-            alone, the thesis's law, the oracle.
+        beside: Controllers that run whatever else is chosen, because the others are measured by them: the feedback
+            alone, the thesis's law, the oracle. A case that names its own controllers runs those.
         knows: What a learner is told before it starts ("kinematics", "form", "nothing", "nominal") to their names.
         window: Length of the windows of the learning curves [s].
         learned: Error over that of PD, in every later window, that counts as learned.
