@@ -53,9 +53,16 @@ class Kalman(Settings, frozen=True):
 
 
 class KalmanRegressor(Kalman, frozen=True):
-    """`kalman_regressor`: Phi is the regressor of a robot whose masses are not known; arguments as in `Kalman`."""
+    """`kalman_regressor`: Phi is the regressor of a robot whose masses are not known; arguments as in `Kalman`.
+
+    What it can say is true, so a wide prior costs nothing, and friction of small joints needs one.
+    """
+
+    noise: float = 0.1
+    prior: float = 10.0
 
     section: ClassVar[str] = "kalman.regressor"
+    excited: ClassVar[float] = 0.1  # the velocities share what is learned: a little excitation tells them much
     needs_regressor: ClassVar[bool] = True
 
 
