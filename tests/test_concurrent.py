@@ -138,9 +138,10 @@ def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
         assert (np.abs(motors) <= 20.0 * (1 + 1e-9)).all()
 
 
-def test_a_sample_is_the_law():
-    """By numpy: w after the tracking term, and the pull to what the stack says."""
-    loop = made("concurrent", "concurrent.every=0.002")
+@pytest.mark.parametrize("tracking", [1e-3, 1e3])
+def test_a_sample_is_the_law(tracking):
+    """By numpy: Psi_hat, and w after the tracking term, below its share of the feedback and cut to it."""
+    loop = made("concurrent", f"concurrent.tracking={tracking}")
     learner, wiring = loop.controller, loop.wiring()
     a, memory, row = learner.law(wiring).history, learner.init(wiring), wiring.layout.new_row()
     rng, k = np.random.default_rng(0), learner.dimension
@@ -157,6 +158,7 @@ def test_a_sample_is_the_law():
     step = a.h * a.tracking * P @ Phi.T @ s
     late = s @ Phi @ step
     eta = min(1.0, a.share * s @ (a.gain * s) / late)
+    assert (eta < 1.0) == (tracking > 1.0)
     np.testing.assert_allclose(memory["w"], w + eta * step, rtol=1e-9)
 
 
@@ -195,7 +197,7 @@ def test_knowledge_outlasts_the_excitation():
             theta = memory["theta"] if name == "adaptive" else loop.controller.theta(memory)
             errors.append((theta - truth) @ gram @ (theta - truth) / (truth @ gram @ truth))
         found[name] = (*errors, run.outcome.message)
-    assert found["concurrent"][0] < 1e-3 and found["concurrent"][1] < 1e-3
+    assert found["concurrent"][0] < 3e-3 and found["concurrent"][1] < 1.5 * found["concurrent"][0]
     assert found["adaptive"][1] > 10 * found["concurrent"][1] and found["adaptive"][1] > 2 * found["adaptive"][0]
     assert "not excited" not in found["concurrent"][2]
     alone = made("concurrent", *CIRCLE, duration=12.0).run().outcome

@@ -26,6 +26,7 @@ SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
 RADIUS = 10.0  # bound on w, as root mean square in standard deviations of the prior
 UNKNOWN = 0.1  # share of the prior variance of Psi left on random motion, above which a run did not excite
 RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
+FRICTION = 0.3  # size of friction, in c_j (see `Adapting`): small joints have little gain and much friction
 SAMPLES = 300  # of random motion
 
 
@@ -42,7 +43,7 @@ class Concurrent(Settings, frozen=True):
             changed is learned anew.
         pole: Of the low-pass of regressor and torque [1/s].
         every: Time between two candidates [s].
-        spread: Standard deviation of the prior, in sizes of the guess; of friction in tenths of c_j (see `Adapting`).
+        spread: Standard deviation of the prior, in sizes of the guess; of friction in `FRICTION` c_j.
         initial: "guess" starts from balls without friction, "nominal" from a nominal robot (in an experiment the one
             of `[nominal]`).
 
@@ -234,14 +235,14 @@ class ConcurrentLearner(CompiledController):
         return deviation, np.ascontiguousarray(directions[singular > RANK * singular[0]].T)
 
     def _sizes(self) -> Array:
-        """Sizes of the parameters, (k0,): of the guess, and of friction a tenth of the gain that the joint feels."""
+        """Sizes of the parameters, (k0,): of the guess, and of friction some of the gain that the joint feels."""
         adapting, k = Adapting(), self.regressor.inertial
         found = np.zeros(self.regressor.size)
         for i, body in enumerate(self.regressor.bodies):
             m, size = adapting.mass[body != "root"], adapting.size[body != "root"]
             found[10 * i : 10 * i + 10] = m * size ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
         layout_gains = self._gains()
-        found[k:] = 0.1 * scales(self.regressor, layout_gains)
+        found[k:] = FRICTION * scales(self.regressor, layout_gains)
         return found
 
     def _gains(self) -> Array:
