@@ -58,8 +58,7 @@ def targets(contest: Contest, learners: tuple[str, ...], tasks: Iterable[str], o
         return found
     for told, limit in asked.frozen_fvu.items():
         names = [name for name in learners if contest.told(name) == told]
-        after = (asked.task, asked.rich) if told == "nothing" else (asked.task,)  # only asked for after the rich one
-        found += [lowest_fvu(names, task, TOLD[told], limit, of) for task in after if task]
+        found += [lowest_fvu(names, task, TOLD[told], limit, of) for task in (asked.task, asked.rich) if task]
     for law, about in ((asked.printed, "as printed"), (asked.task, "tuned as the others")):
         for how in ("learning", "frozen") if law else ():
             thesis = held_out(of(law, THESIS), how)

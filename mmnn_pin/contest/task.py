@@ -141,7 +141,7 @@ def tasks_of(
         progress(name)
         one = with_case(experiment, name) if name else experiment
         if not names_its_own(experiment, name):
-            one = msgspec.structs.replace(one, controllers=controllers)
+            one = msgspec.structs.replace(one, controllers=controllers, laws=experiment.laws)
         try:
             task = Task(name or "task", experiment.cases[name].title if name else one.title, one, one.load_robot())
             require_runnable(one, task.robot)

@@ -242,7 +242,8 @@ class Adaptive(CompiledController):
         excited, known = int(np.sum(values > EXCITED * values[-1])), unit.shape[1]
         if excited == known:
             return []
-        return [f"{self.name}: the motion excited {excited} of {known} combinations of parameters that matter"]
+        verdict = "not excited: " if 2 * excited < known else ""
+        return [f"{self.name}: {verdict}the motion excited {excited} of {known} combinations of parameters that matter"]
 
     def start(self) -> Array:
         """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""

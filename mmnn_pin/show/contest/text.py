@@ -97,5 +97,6 @@ def targets_table(found: Sequence[Target]) -> Table:
     for target in found:
         reached = "-" if target.reached is None else number(target.reached)
         mark = Text("met", style="green") if target.met else Text("not met", style="bold red")
+        mark = Text("-") if target.reached is None else mark
         grid.add_row(target.about, reached, target.by or "nobody judged", mark)
     return grid
