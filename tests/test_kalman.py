@@ -190,6 +190,7 @@ def test_the_prior_is_what_its_docstring_says(kind):
     Phi = bench.controller.typical(bench.memory)
     scaled = Phi / GAINS[:, None] if bench.m == 1 else Phi
     assert np.einsum("nik,k,nik->", scaled, bench.memory["prior"], scaled) / (len(Phi) * bench.rows) == pytest.approx(4)
+    np.testing.assert_allclose(bench.a.radius, 3 * np.sqrt(bench.k) * (1 if bench.m == 1 else GAINS))
     np.testing.assert_allclose(bench.controller.unknown(bench.memory), 1.0)
     bench.memory["D"] *= 0.25
     np.testing.assert_allclose(bench.controller.unknown(bench.memory), 0.25)
