@@ -15,9 +15,9 @@ STUDY = Path(__file__).parents[1] / "studies" / "learners" / "knowledge.py"
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
 def test_the_study_of_knowledge_runs(capsys):
     study = runpy.run_path(str(STUDY))
-    for name, (base, periods, amplitude, duration) in list(study["MOTIONS"].items()):
-        study["MOTIONS"][name] = (base, periods, amplitude, min(duration, 6.0))
-    study["main"](["computed_torque", "concurrent", "pd", "after=circle", "concurrent.rate=3"])
+    for name, (base, arm, duration) in list(study["MOTIONS"].items()):
+        study["MOTIONS"][name] = (base, arm, min(duration, 6.0))
+    study["main"](["computed_torque", "concurrent", "pd", "after=poor", "concurrent.rate=3"])
     lines = [line for line in capsys.readouterr().out.splitlines() if "frozen" in line]
     assert [line.split(":")[0] for line in lines] == [
         f"{name}, {motion}" for name in ("computed_torque", "concurrent", "pd") for motion in ("training", "poor")
@@ -25,3 +25,5 @@ def test_the_study_of_knowledge_runs(capsys):
     frozen = {line.split(":")[0]: float(re.search(r"eight3 ([0-9.]+)", line)[1]) for line in lines}
     assert frozen["computed_torque, training"] < 1e-9 < frozen["concurrent, training"] < 0.05
     assert frozen["pd, training"] > 0.9
+    study["main"](["--time", "pd"])
+    assert float(re.fullmatch(r"pd: ([0-9.]+) us a sample\n", capsys.readouterr().out)[1]) > 0

@@ -1,8 +1,9 @@
 """What learners know after a motion: tracking errors, FVU online, and frozen on faster motions never trained on.
 
 The thesis robot with friction and noise, started from nothing. Arguments are controllers and `key=value`s for the
-training run; `after=circle` goes on after the training with half a minute of a circle on which the arm hardly moves,
-`only=circle` trains on that alone. docs/learners.md has the table.
+training run; `after=poor` goes on after the training with half a minute of a circle on which the arm hardly moves,
+`only=poor` trains on that alone, `only=rich` on the same eight with the arm shaken. `--time` tells what a sample takes
+instead. docs/learners.md has the tables.
 
     python studies/learners/knowledge.py adaptive adaptive_composite concurrent
 """
@@ -11,24 +12,36 @@ from __future__ import annotations
 
 import sys
 from dataclasses import replace
-from typing import Any
+from time import process_time
 
 import numpy as np
 
 from mmnn_pin import Loop, Memory, Recording, load_experiment
-from mmnn_pin.control import Torque
+from mmnn_pin.contest.frozen import frozen, said
 from mmnn_pin.proof.fvu import fvu
 from mmnn_pin.signals import Array, Layout
 
+
+def sine(*parts: tuple[float, float]) -> str:
+    """A joint's motion as a table: sines with these amplitudes [rad] and periods [s], all at their top at the start."""
+    amplitudes, periods = zip(*parts, strict=True)
+    return f"{{type='sines', amplitude={list(amplitudes)}, period={list(periods)}, phase={[1.5708] * len(parts)}}}"
+
+
 EIGHT = "{{type='eight', length={}, width={}, period={}, ramp=1.0}}"
 CIRCLE = "{{type='circle', radius={}, speed={}, ramp=1.0}}"
-Motion = tuple[str, tuple[float, float], float, float]
-MOTIONS: dict[str, Motion] = {  # base, periods of the arm's joints [s], their amplitude [rad], duration [s]
-    "training": (EIGHT.format(1.5, 0.75, 12.0), (4.0, 3.0), 0.785, 48.0),
-    "poor": (CIRCLE.format(1.0, 0.4), (40.0, 40.0), 0.1, 30.0),
-    "eight3": (EIGHT.format(1.5, 0.75, 9.23), (3.08, 2.31), 0.785, 18.5),
-    "eight2": (EIGHT.format(0.9, 0.45, 9.23), (3.08, 2.31), 0.785, 18.5),
-    "circle": (CIRCLE.format(0.7, 0.5), (1.8, 1.3), 0.785, 12.0),
+Motion = tuple[str, tuple[str, str], float]
+MOTIONS: dict[str, Motion] = {  # base, the arm's joints, duration [s]
+    "training": (EIGHT.format(1.5, 0.75, 12.0), (sine((0.785, 4.0)), sine((0.785, 3.0))), 48.0),
+    "rich": (
+        EIGHT.format(1.5, 0.75, 12.0),
+        (sine((0.785, 4.0), (0.1, 1.3)), sine((0.785, 3.0), (0.1, 0.8))),
+        48.0,
+    ),
+    "poor": (CIRCLE.format(1.0, 0.4), (sine((0.1, 40.0)), sine((0.1, 40.0))), 30.0),
+    "eight3": (EIGHT.format(1.5, 0.75, 9.23), (sine((0.785, 3.08)), sine((0.785, 2.31))), 18.5),
+    "eight2": (EIGHT.format(0.9, 0.45, 9.23), (sine((0.785, 3.08)), sine((0.785, 2.31))), 18.5),
+    "circle": (CIRCLE.format(0.7, 0.5), (sine((0.785, 1.8)), sine((0.785, 1.3))), 12.0),
 }
 HELD_OUT = ("eight3", "eight2", "circle")
 NOISE = ["sensor.noise=1e-4", "sensor.pose_noise=[1e-4,1e-4,1e-4]", "sensor.velocity_noise=2e-3"]
@@ -38,12 +51,11 @@ COMMON = [
 ]  # fmt: skip
 
 
-def loop(name: str, motion: str, said: list[str]) -> Loop:
+def loop(name: str, motion: str, settings: list[str]) -> Loop:
     """The closed loop of a controller on a motion."""
-    base, periods, amplitude, duration = MOTIONS[motion]
-    arm = [f"{{type='sine', amplitude={amplitude}, period={period}, phase=1.5708}}" for period in periods]
+    base, arm, duration = MOTIONS[motion]
     moves = [f"reference.base={base}", f"reference.arm=[{','.join(arm)}]", f"time.duration={duration}"]
-    experiment = load_experiment("chapter4", [*COMMON, *moves, *said])
+    experiment = load_experiment("chapter4", [*COMMON, *moves, *settings])
     robot = experiment.load_robot()
     return experiment.loop(robot, experiment.controller(name, robot=robot))
 
@@ -58,15 +70,8 @@ def rows_of(run: Recording, layout: Layout) -> Array:
 
 def frozen_fvu(learned: Loop, memory: Memory, rows: Array) -> float:
     """FVU of a learner that no longer learns, mean of the components."""
-    layout, controller = learned.robot.layout, learned.controller
-    still: Any = replace(controller, learning=False) if hasattr(controller, "learning") else controller
-    row, told = layout.new_row(), np.zeros((len(rows), layout.dof))
-    torque = Torque(still, learned.wiring(), row, learned.robot, memory.snapshot())
-    for k in range(len(rows)):
-        row[:] = rows[k]
-        row[layout.where("psi_hat")] = 0.0
-        torque.step(k * learned.timing.control_period)
-        told[k] = row[layout.where("psi_hat")]
+    layout = learned.robot.layout
+    told = said(replace(learned, controller=frozen(learned.controller)), layout, memory.snapshot(), rows)
     return float(fvu(rows[250:, layout.where("psi")], told[250:]).mean())
 
 
@@ -83,11 +88,11 @@ def memory_after(learned: Loop, run: Recording) -> Memory:
     return memory
 
 
-def tell(name: str, said: list[str], truth: dict[str, Array], motions: tuple[str, ...]) -> None:
+def tell(name: str, settings: list[str], truth: dict[str, Array], motions: tuple[str, ...]) -> None:
     """Train a controller on motions, one after the other, and print what it reached."""
     memory = None
     for motion in motions:
-        learned = loop(name, motion, NOISE + said)
+        learned = loop(name, motion, NOISE + settings)
         run = learned.run(memory=memory)
         memory, late = memory_after(learned, run), run.time > 0.5
         online = fvu(run["psi"][late], run["psi_hat"][late]).mean()
@@ -98,20 +103,35 @@ def tell(name: str, said: list[str], truth: dict[str, Array], motions: tuple[str
             print(f"    {run.outcome.message}")
 
 
+def tell_time(name: str, settings: list[str]) -> None:
+    """Print the processor time of a control sample of the whole compiled loop, best of five blocks of 1,000."""
+    engine = loop(name, "training", NOISE + settings).engine_at()
+    best = np.inf
+    for k in range(6):
+        began = process_time()
+        for first in range(1000 * k, 1000 * (k + 1), 50):
+            engine.advance(first, first + 50)
+        best = min(best, process_time() - began if k else np.inf)  # the first one compiles
+    print(f"{name}: {1e3 * best:.1f} us a sample")
+
+
 def main(arguments: list[str]) -> None:
     """Tell of all controllers that are named."""
-    said = [text for text in arguments if "=" in text]
+    names = [text for text in arguments if "=" not in text and text != "--time"]
+    settings = [text for text in arguments if "=" in text]
+    if "--time" in arguments:
+        for name in names:
+            tell_time(name, settings)
+        return
     motions = ("training",)
-    if "after=circle" in said:
-        said.remove("after=circle")
-        motions = ("training", "poor")
-    if "only=circle" in said:
-        said.remove("only=circle")
-        motions = ("poor",)
+    for word, meant in (("after=poor", ("training", "poor")), ("only=poor", ("poor",)), ("only=rich", ("rich",))):
+        if word in settings:
+            settings.remove(word)
+            motions = meant
     told = {motion: loop("computed_torque", motion, []) for motion in HELD_OUT}
     truth = {motion: rows_of(one.run(), one.robot.layout) for motion, one in told.items()}
-    for name in [text for text in arguments if "=" not in text]:
-        tell(name, said, truth, motions)
+    for name in names:
+        tell(name, settings, truth, motions)
 
 
 if __name__ == "__main__":
