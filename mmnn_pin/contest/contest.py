@@ -22,6 +22,7 @@ from .targets import Target, targets
 from .task import Task, tasks_of
 
 BASELINE = "pd"
+FIXED = (BASELINE, "nominal")  # they learn nothing
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Standing:
 
     def targets(self) -> list[Target]:
         """What the contest asks of the learners, and what was reached."""
-        learners = tuple(name for name in self.controllers if name not in (BASELINE, *ORACLES))
+        learners = tuple(name for name in self.controllers if name not in (*FIXED, *ORACLES))
         return targets(self.contest, learners, self.tasks, self.of)
 
     def to_dict(self) -> dict[str, Any]:

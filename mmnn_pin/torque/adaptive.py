@@ -16,7 +16,7 @@ from scipy.linalg import eigh, solve_triangular
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..model.tree_regressor import BODY
-from ..settings import Settings, plain, require_gains
+from ..settings import Settings, plain, require_gains, require_numbers
 from ..signals import Array, Layout
 from . import law
 from .adaptation import Adaptation
@@ -51,10 +51,7 @@ class Predicting(Settings, frozen=True):
     every: float = 0.01
 
     def __post_init__(self) -> None:
-        require_gains(self, "prediction")
-        for name in ("memory", "every"):
-            if getattr(self, name) == 0:
-                raise ConfigError("0 s", fix="use a time > 0", key=f"prediction.{name}")
+        require_numbers(self, "prediction", ("memory", "every"))
 
 
 class Adapting(Settings, frozen=True):

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import expit
 
 from ..errors import ConfigError
-from ..settings import Settings, plain, require_gains
+from ..settings import Settings, plain, require_numbers
 from ..signals import Array, IntArray, Layout
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
@@ -56,10 +56,7 @@ class Replaying(Settings, frozen=True):
     v_range: float = 0.5
 
     def __post_init__(self) -> None:
-        require_gains(self, "replay")
-        for name in ("entries", "every", "unit", "bound", "hidden"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=f"replay.{name}")
+        require_numbers(self, "replay", ("entries", "every", "unit", "bound", "hidden"))
         if self.rate >= 2:
             raise ConfigError(f"{self.rate}", why="the error grows", fix="use a rate below 2", key="replay.rate")
 

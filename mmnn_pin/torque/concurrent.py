@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..model.regressor import Regressor
-from ..settings import Settings, plain, require_gains
+from ..settings import Settings, plain, require_numbers
 from ..signals import Array, Layout
 from . import law
 from .adaptive import Adapting, guess_of, scales
@@ -63,11 +63,7 @@ class Concurrent(Settings, frozen=True):
     initial: Literal["guess", "nominal"] = "guess"
 
     def __post_init__(self) -> None:
-        numbers = [name for name in self.__struct_fields__ if name != "initial"]
-        require_gains(self, "concurrent", *numbers)
-        for name in ("entries", "noise", "growth", "every", "spread"):
-            if not getattr(self, name) > 0:
-                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=f"concurrent.{name}")
+        require_numbers(self, "concurrent", ("entries", "noise", "growth", "every", "spread"))
 
 
 @dataclass(frozen=True, eq=False)

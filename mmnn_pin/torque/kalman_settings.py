@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import numpy as np
-
-from ..errors import ConfigError
-from ..settings import Settings, require_gains
+from ..settings import Settings, require_numbers
 
 
 class Kalman(Settings, frozen=True):
@@ -45,11 +42,7 @@ class Kalman(Settings, frozen=True):
     positive: ClassVar[tuple[str, ...]] = ("noise", "prior", "bound", "interval")
 
     def __post_init__(self) -> None:
-        numbers = [name for name in self.__struct_fields__ if isinstance(getattr(self, name), (int, float))]
-        require_gains(self, self.section, *numbers)
-        for name in self.positive:
-            if not np.all(np.asarray(getattr(self, name)) > 0):
-                raise ConfigError(f"{getattr(self, name)}", fix="use a number > 0", key=f"{self.section}.{name}")
+        require_numbers(self, self.section, self.positive)
 
 
 class KalmanRegressor(Kalman, frozen=True):
