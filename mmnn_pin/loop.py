@@ -17,7 +17,7 @@ import numpy as np
 
 from .actuator import Actuator
 from .compiled_loop import CompiledLoop
-from .control import wiring_of
+from .control import findings_of, wiring_of
 from .disturbance import Disturbance, payload
 from .errors import ConfigError, InputError, RobotError, UnknownName
 from .kinematic import Kinematic
@@ -186,9 +186,9 @@ class Loop:
 
     def judged(self, outcome: Outcome, memory: Any) -> Outcome:
         """An outcome whose message also tells what the controller's memory shows after the run."""
-        if outcome.status == "interrupted" or not isinstance(self.controller, CompiledController):
+        if outcome.status == "interrupted":
             return outcome
-        findings = self.controller.findings(memory)
+        findings = findings_of(self.controller, memory)
         return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))
 
     def final(self, engine: Engine) -> dict[str, Array]:

@@ -293,3 +293,66 @@ def test_a_proof_of_a_law_defined_in_this_process_needs_no_file() -> None:
     assert learner is not None and type(learner.controller) is Here
     np.testing.assert_array_equal(learner.end["W"], run.weights["W"][-1])
     assert isinstance(run, Recording)
+
+
+@pytest.mark.parametrize("signal", ["s", "nu", "sent", "q", "nu_ref", "command.z", "measurement.pose", "reference.pose"])
+def test_a_law_cannot_change_what_it_is_told(
+    law: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], signal: str
+) -> None:
+    law.write_text(
+        f"{law.read_text()}\n"
+        "class Greedy(Own):\n"
+        "    def estimate(self, now, memory):\n"
+        f"        now.{signal}[:] *= 2.0\n"
+        "        return memory['W'][0]\n"
+    )
+    words = ["run", "track", "--controller", f"{law}:Greedy", "--out", tmp_path / "runs", *SHORT]
+    code, found, _ = told(capsys, *words)
+    assert code == 2 and "read-only" in str(found["error"])
+
+
+# -- the contest --
+
+PLAIN = """
+from mmnn_pin import TorqueController
+
+class Tells(Own):
+    def findings(self, memory):
+        return [f"W is {memory['W'].shape}"]
+
+class Fails(Own):
+    def findings(self, memory):
+        return [memory["U"]]
+
+class Stiff(TorqueController):
+    name = "Stiff"
+
+    def __init__(self, feedback, learning):
+        self.feedback = feedback
+
+    def init(self, wiring):
+        self.gain = self.feedback.vector(wiring.layout)
+
+    def step(self, time, reference, measurement, command, memory):
+        return self.gain * np.concatenate((command.z, command.r))
+"""
+
+
+def test_laws_and_controllers_of_a_file_take_part_in_the_contest(
+    law: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    law.write_text(law.read_text() + PLAIN)
+    short = ["contest.seeds=2", "time.duration=0.6", "time.control_period=0.002", "time.plant_step=0.002"]
+    short += ["windows=[[0.0, 0.3], [0.3, 0.6]]"]
+    short += [f"held_out.{name}.duration=0.9" for name in ("similar", "tight", "circle")]
+    chosen = [word for name in ("Tells", "Fails", "Stiff") for word in ("--controller", f"{law}:{name}")]
+    words = ["run", "contest", "--case", "eight", "--out", tmp_path / "contest", *chosen]
+    code, found, _ = told(capsys, *words, *(word for text in short for word in ("--set", text)))
+    assert code == 0
+    rows = {(row["controller"], row["seed"]): row for row in found["comparison"]["rows"]}
+    for seed in (1, 2):
+        tells, fails, stiff = (rows[name, seed] for name in ("Tells", "Fails", "Stiff"))
+        assert tells["findings"] == ["W is (1, 4)"] and stiff["findings"] == []
+        assert "its findings are lost" in fails["findings"][0] and "KeyError" in fails["findings"][0]
+        assert tells["frozen_fvu"] == fails["frozen_fvu"] > 0 and stiff["frozen_fvu"] is None
+    assert "W is (1, 4)" in Recording.open(tmp_path / "contest/eight/Tells.h5").outcome.message

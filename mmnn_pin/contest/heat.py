@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from ..batch import Run, simulate_many
+from ..control import findings_of
 from ..loop import Loop
 from ..proof.fvu import START, fvu
 from ..proof.subject import finite_rows
@@ -136,7 +137,7 @@ def row_of(
     numbers = training_numbers(run.recording, limits, window, contest.window, contest.start)
     known_of = {held: frozen_fvu(task, controller, seed, memory, held) for held in task.held_out}
     mean, worst = (largest([values[k] for values in known_of.values()]) for k in (0, 1))
-    findings = controller.findings(memory) if memory is not None else []
+    findings = findings_of(controller, memory) if memory is not None else []
     return Row(
         task=task.name,
         controller=name,

@@ -145,6 +145,10 @@ class TorqueController(ABC):
         """Settings that a recording should hold."""
         return {}
 
+    def findings(self, memory: Any) -> list[str]:
+        """What the memory shows after a run that the user should be told, such as "not excited"."""
+        return []
+
 
 class CompiledController(ABC):
     """A controller of this package: a `Law` and a `Memory` for the compiled step.
