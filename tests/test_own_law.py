@@ -295,7 +295,10 @@ def test_a_proof_of_a_law_defined_in_this_process_needs_no_file() -> None:
     assert isinstance(run, Recording)
 
 
-@pytest.mark.parametrize("signal", ["s", "nu", "sent", "q", "nu_ref", "command.z", "measurement.pose", "reference.pose"])
+SIGNALS = ("s", "nu", "sent", "q", "nu_ref", "command.z", "measurement.pose", "reference.pose")
+
+
+@pytest.mark.parametrize("signal", SIGNALS)
 def test_a_law_cannot_change_what_it_is_told(
     law: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], signal: str
 ) -> None:

@@ -18,7 +18,7 @@ def render(summary: dict[str, Any]) -> str:
     """The document."""
     templates = environment(HERE)
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
-    templates.filters |= {"setting": setting}
+    templates.filters |= {"setting": setting, "middle": middle}
     return filled(templates, "contest.md.j2", summary)
 
 
@@ -33,6 +33,11 @@ def cell(values: list[Any] | None, infinite: str = "never") -> str:
         return f"{number(mid)}, to {infinite}"
     spread = 50 * (high - low) / mid if mid > 0 else 0.0
     return number(mid) + (f" ±{spread:.0f} %" if spread >= 1 else "")
+
+
+def middle(values: list[Any]) -> str:
+    """The median alone."""
+    return "never" if values[1] == "inf" else number(values[1])
 
 
 def setting(value: Any) -> str:
