@@ -295,6 +295,22 @@ def test_a_proof_of_a_law_defined_in_this_process_needs_no_file() -> None:
     assert isinstance(run, Recording)
 
 
+@pytest.mark.parametrize("signal", ["s", "nu", "sent", "q", "nu_ref", "command.z", "measurement.pose"])
+def test_a_law_cannot_change_what_it_is_told(
+    law: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], signal: str
+) -> None:
+    law.write_text(
+        f"{law.read_text()}\n"
+        "class Greedy(Own):\n"
+        "    def estimate(self, now, memory):\n"
+        f"        now.{signal}[:] *= 2.0\n"
+        "        return memory['W'][0]\n"
+    )
+    words = ["run", "track", "--controller", f"{law}:Greedy", "--out", tmp_path / "runs", *SHORT]
+    code, found, _ = told(capsys, *words)
+    assert code == 2 and "read-only" in str(found["error"])
+
+
 # -- the contest --
 
 PLAIN = """

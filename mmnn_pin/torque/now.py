@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class Now:
-    """One control sample. The arrays are overwritten at the next one: copy what you keep.
+    """One control sample. The arrays are read-only and overwritten at the next one: copy what you keep or change.
 
     Attributes:
         time: [s].
@@ -44,16 +44,19 @@ class Now:
     command: VelocityCommand
     _torque: Array
     _known: Massless | None
+    _written: Array
     _new: bool = True
 
     @classmethod
     def of(cls, row: Array, wiring: Wiring) -> Now:
         """The samples of a row (width,)."""
         layout, h = wiring.layout, wiring.control_period
-        views = (Reference.of(row, layout), Measurement.of(row, layout), VelocityCommand.of(row, layout))
+        told = read_only(row)
+        views = (Reference.of(told, layout), Measurement.of(told, layout), VelocityCommand.of(told, layout))
         known = None if wiring.regressor is None else wiring.regressor.workspace()
-        s, nu, sent = np.zeros((3, layout.dof))
-        return cls(0.0, h, True, s, nu, sent, *views, row[layout.where("torque")], known)
+        written = np.zeros((3, layout.dof))
+        s, nu, sent = read_only(written)
+        return cls(0.0, h, True, s, nu, sent, *views, told[layout.where("torque")], known, written)
 
     @property
     def q(self) -> Array:
@@ -88,7 +91,7 @@ class Now:
         if self._known is None:
             raise ConfigError("the law is not told how the robot moves", fix="write knows_motion = True in its class")
         nb, q, nu = self._known.base, np.asarray(q, float), np.asarray(nu, float)
-        measured(self._known, self.measurement.pose, nu[:nb].copy(), q.copy(), nu[nb:].copy())
+        measured(self._known, self.measurement.pose.copy(), nu[:nb].copy(), q.copy(), nu[nb:].copy())
         regress(self._known, np.array(nu_ref, float), np.array(nudot_ref, float))
         return self._known.Y
 
@@ -97,6 +100,14 @@ class Now:
         nb, command, measurement = len(self.command.z), self.command, self.measurement
         self.first, self.time = self._new, time
         self._new = False
-        self.s[:nb], self.s[nb:] = command.z, command.r
-        self.nu[:nb], self.nu[nb:] = measurement.velocity, measurement.qdot
-        self.sent[:] = self._torque
+        s, nu, sent = self._written
+        s[:nb], s[nb:] = command.z, command.r
+        nu[:nb], nu[nb:] = measurement.velocity, measurement.qdot
+        sent[:] = self._torque
+
+
+def read_only(array: Array) -> Array:
+    """A view that cannot be written to: a law that changed a signal would change the feedback or the recording."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
