@@ -35,6 +35,8 @@ def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
         say(render(standing, colour=sys.stdout.isatty()) + "\n")
         if standing.interrupted:
             say("stopped: the same command goes on where it was")
+        for (task, controller), error in standing.failed.items():
+            say(f"failed: {controller} on {task}: {error}")
         for note in notes(standing):
             say(f"note: {note}")
         for file in (folder / "rows.json", folder / "rows.csv", *drawn.values()) if standing.heats else ():

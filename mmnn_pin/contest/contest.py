@@ -9,7 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from ..errors import RecordingError
+from ..errors import InputError, RecordingError
 from ..experiments.contest import Contest
 from ..experiments.controllers import ORACLES
 from ..experiments.experiment import Experiment
@@ -36,6 +36,7 @@ class Standing:
         tasks: Task to its title.
         demands: Task to what its reference asks of the motors.
         heats: Task and controller to what came of them.
+        failed: Task and controller of a user to what it raised: its rows are missing.
         interrupted: Whether the user stopped it.
         folder: Where the files are.
     """
@@ -46,6 +47,7 @@ class Standing:
     tasks: dict[str, str]
     demands: dict[str, Demand]
     heats: dict[tuple[str, str], Heat]
+    failed: dict[tuple[str, str], InputError]
     interrupted: bool
     folder: Path | None
 
@@ -57,7 +59,7 @@ class Standing:
     @property
     def completed(self) -> bool:
         """Whether every run is there and reached its end."""
-        return not self.interrupted and all(row.completed for row in self.rows)
+        return not self.interrupted and not self.failed and all(row.completed for row in self.rows)
 
     @cached_property
     def rows(self) -> list[Row]:
@@ -107,6 +109,7 @@ class Standing:
             "rows": rows,
             "step_times": steps,
             "targets": [target.to_dict() for target in self.targets()],
+            "failed": {f"{task}/{controller}": str(error) for (task, controller), error in self.failed.items()},
             "interrupted": self.interrupted,
         }
         runs = {
@@ -176,7 +179,7 @@ def run_contest(
     ]
     todo = [entry for entry in plan if not is_done(store, *entry)]
     require_free([out / task.name / f"{controller}.h5" for task, controller, _ in todo] if out else [], True)
-    interrupted, count = False, len(todo)
+    interrupted, count, failed = False, len(todo), dict[tuple[str, str], InputError]()
     try:
         for k, (task, controller, mark) in enumerate(todo):
             label = f"{task.name}/{controller}"
@@ -187,7 +190,13 @@ def run_contest(
 
             _ = task.rows  # no run where there is no held-out trajectory
             file = out / task.name / f"{controller}.h5" if out else None
-            rows, step = heat(task, controller, file, workers, show)
+            try:
+                rows, step = heat(task, controller, file, workers, show)
+            except InputError as error:
+                if controller not in experiment.laws:
+                    raise
+                failed[task.name, controller] = error
+                continue
             store.put(label, Heat(mark, known(step), rows))
     except (Stopped, KeyboardInterrupt):
         interrupted = True
@@ -197,7 +206,7 @@ def run_contest(
         if f"{task.name}/{controller}" in store.heats
     }
     titles, demands = {task.name: task.title for task in tasks}, {task.name: demand(task) for task in tasks}
-    return Standing(name, experiment, controllers, titles, demands, heats, interrupted, out)
+    return Standing(name, experiment, controllers, titles, demands, heats, failed, interrupted, out)
 
 
 def is_done(store: Store, task: Task, controller: str, mark: str) -> bool:

@@ -200,7 +200,8 @@ class CompositeNetwork(CompiledController):
         unknown = float(self.unknown(memory).max())
         if unknown <= UNKNOWN:
             return found
-        return [*found, f"{self.name}: not excited: {unknown:.0%} of what it did not know is left, on random motion"]
+        why = "the samples that it kept do not determine its output on random motion"
+        return [*found, f"{self.name}: not excited: {why}"]
 
     def _layout(self, memory: Memory) -> Layout:
         p, n = memory["filtered_torque"].size, memory["states"].shape[1] - memory["filtered_torque"].size

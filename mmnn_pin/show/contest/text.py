@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -17,8 +18,8 @@ from .columns import KNOWLEDGE, TRAINING, Column
 
 WIDTH = 120
 CAPTION = (
-    "Medians over {seeds} seeds, below them half of the spread from the smallest to the largest, from 1 % on. Errors "
-    "are the true ones: RMS and peak in the last window of the training; arm: root of the mean square over its joints. "
+    "Medians over the seeds ({seeds}), below them half of the spread from the smallest to the largest, from 1 % on. "
+    "Errors are the true ones: RMS and peak in the last window of the training; arm: root of the mean square over its joints. "
     "torque, kick: largest torque asked of a motor over its limit, in the training and in its first {start:g} s. "
     "learned in: until the error stays below {learned:g} of PD's. FVU: of Psi, mean over its components; frozen: with "
     "the final weights held fixed, on the worst of the held-out trajectories. held out: RMS error over all of those, "
@@ -57,12 +58,14 @@ def table(standing: Standing, task: str, columns: Sequence[Column]) -> Table:
     grid = Table(box=SIMPLE_HEAD, padding=(0, 2, 0, 0))
     grid.add_column("", no_wrap=True)
     for column in columns:
-        grid.add_column(column.heading, justify="right", no_wrap=True)
+        grid.add_column(escape(column.heading), justify="right", no_wrap=True)
     for controller in standing.controllers:
         rows = standing.of(task, controller)
         lost = sum(not row.completed for row in rows)
         if lost:
-            grid.add_row(controller, Text(f"{lost} of {len(rows)} lost", style="bold red"))
+            first = next(row for row in rows if not row.completed)
+            told = f"{lost} of {len(rows)} lost\n{first.outcome} at {first.ended:.3g} s"
+            grid.add_row(controller, Text(told, style="bold red"))
         elif rows:
             values = [column.values(standing, task, controller) for column in columns]
             cells = [cell(found, c.infinite, c.limit) for found, c in zip(values, columns, strict=True)]
@@ -90,13 +93,12 @@ def word(value: float, infinite: str) -> str:
 
 
 def targets_table(found: Sequence[Target]) -> Table:
-    """Every target: what is asked, what was reached and by whom, met or not."""
+    """Every target that could be judged: what is asked, what was reached and by whom, met or not."""
     grid = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for name in ("target", "reached", "by", ""):
         grid.add_column(name, overflow="fold", justify="right" if name == "reached" else "left")
     for target in found:
-        reached = "-" if target.reached is None else number(target.reached)
-        mark = Text("met", style="green") if target.met else Text("not met", style="bold red")
-        mark = Text("-") if target.reached is None else mark
-        grid.add_row(target.about, reached, target.by or "nobody judged", mark)
+        if target.reached is not None:
+            mark = Text("met", style="green") if target.met else Text("not met", style="bold red")
+            grid.add_row(target.about, number(target.reached), target.by, mark)
     return grid

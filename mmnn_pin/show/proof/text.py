@@ -82,8 +82,13 @@ def judgement(online: float, same: float, other: float) -> str:
         return f"{told}: {follows} stores no model, a constant would say as much."
     if math.isfinite(other) and other >= 1:
         return f"{told}: it holds what it was trained on, and nothing beyond."
-    known = f"knows {100 * (1 - (other if math.isfinite(other) else same)):.0f} % of the variance"
+    known = f"knows {share(1 - (other if math.isfinite(other) else same))} of the variance"
     return f"{told}: it {known}{' where it was not trained' if math.isfinite(other) else ''}."
+
+
+def share(part: float) -> str:
+    """A share in percent; never rounded to all of it."""
+    return "more than 99.9 %" if 0.999 < part < 1 else f"{100 * part:.3g} %"
 
 
 def psi_tables(psi: Psi) -> Iterator[str | Table]:
