@@ -334,7 +334,7 @@ def test_targets_are_met_or_not():
     }
     found = judged(table)
     assert about(found, "frozen FVU after 'eight'", "kinematics").met
-    form = about(found, "form")
+    form = about(found, "frozen FVU after 'eight'", "form")
     assert not form.met and form.reached == 0.02 and form.by == "form"
     assert not about(found, "frozen FVU after 'eight'", "nothing").met  # its value after an ordinary motion
     assert about(found, "frozen FVU after 'rich'", "nothing").met

@@ -592,7 +592,7 @@ LOOPS = {
     "precompile",
     "recorded_robot",
 }
-USES = {"experiments", "proof", "study", "show"}
+USES = {"experiments", "proof", "contest", "study", "show"}
 
 
 def imported(module: Path) -> Iterator[str]:

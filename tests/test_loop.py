@@ -32,7 +32,7 @@ from mmnn_pin import (
     TwoLayer,
     load,
 )
-from mmnn_pin.errors import ConfigError, RecordingError
+from mmnn_pin.errors import ConfigError, InputError, RecordingError
 from mmnn_pin.model.robot import build
 from mmnn_pin.model.urdf import parse
 from mmnn_pin.plant.ideal import IdealPlant
@@ -472,8 +472,9 @@ def test_ctrl_c_in_the_middle_of_a_sample_keeps_those_before():
 
 
 def test_error_in_a_users_controller_is_raised_and_the_file_reads_as_incomplete(tmp_path):
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(InputError, match=r"test_loop.py:\d+: error: controller 'mine' failed") as error:
         loop(Stops(ZeroDivisionError)).run(tmp_path / "run.h5")
+    assert isinstance(error.value.__cause__, ZeroDivisionError)
     run = Recording.open(tmp_path / "run.h5")
     assert not run.complete and run.outcome.status == "interrupted" and len(run) == 7
 

@@ -19,11 +19,12 @@ from .columns import KNOWLEDGE, TRAINING, Column
 WIDTH = 120
 CAPTION = (
     "Medians over the seeds ({seeds}), below them half of the spread from the smallest to the largest, from 1 % on. "
-    "Errors are the true ones: RMS and peak in the last window of the training; arm: root of the mean square over its "
-    "joints. torque, kick: largest torque asked of a motor over its limit, in the training and in its first {start:g} "
-    "s. learned in: until the error stays below {learned:g} of PD's. FVU: of Psi, mean over its components; frozen: with "
-    "the final weights held fixed, on the worst of the held-out trajectories. held out: RMS error over all of those, "
-    "learning on, or with frozen weights. step: processor time of the controller's step over PD's, called from Python."
+    "Errors are the true ones: RMS and peak in the last window of the training; arm: root of the mean square over its"
+    " joints. torque, kick: largest torque asked of a motor over its limit, in the training and in its first "
+    "{start:g} s. learned in: until the error stays below {learned:g} of PD's. FVU: of Psi, mean over its components;"
+    " frozen: with the final weights held fixed, on the worst of the held-out trajectories. held out: RMS error over "
+    "all of those, learning on, or with frozen weights. step: processor time of the controller's step over PD's, "
+    "called from Python."
 )
 
 
