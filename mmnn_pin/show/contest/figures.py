@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +29,7 @@ HELD_OUT: Mapping[str, Callable[[Row, str], float]] = {
     "base, held out [mm]": lambda row, how: 1e3 * over_all(row, how, base_of),
     "arm, held out [mrad]": lambda row, how: 1e3 * over_all(row, how, arm_of),
 }
+MARKERS = "os^DvPX<>*hd"
 
 
 def write_figures(standing: Standing, folder: Path) -> dict[str, Path]:
@@ -122,11 +124,12 @@ def known(standing: Standing) -> Figure:
     for axes in grid.flat[len(tasks) :]:
         axes.set_axis_off()
     for axes, task in zip(grid.flat, tasks, strict=False):
-        for name in learners:
+        for name, marker in zip(learners, cycle(MARKERS), strict=False):
             pairs = [(nan(row.online_fvu), nan(row.frozen_fvu)) for row in standing.of(task, name)]
             pairs = [pair for pair in pairs if all(value > 0 for value in pair)]
             if pairs:
-                axes.plot(*zip(*pairs, strict=True), "o", ms=5, color=style[name].color, alpha=0.7, label=plain(name))
+                look = {"marker": marker, "color": style[name].color, "label": plain(name)}
+                axes.plot(*zip(*pairs, strict=True), ls="", ms=5.5, alpha=0.75, mew=0, **look)
         axes.set(xscale="log", yscale="log", xlabel="FVU online", ylabel="FVU frozen, worst held out", title=task)
         low, high = min(axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])
         axes.plot([low, high], [low, high], color="0.7", lw=0.8, zorder=1)
