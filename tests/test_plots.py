@@ -10,6 +10,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 from mmnn_pin.errors import RecordingError
+from mmnn_pin.experiments import controllers
 from mmnn_pin.recorder import Recorder
 from mmnn_pin.recording import Outcome, Recording
 from mmnn_pin.show.figure import OTHERS, STYLES, styles_of
@@ -86,7 +87,7 @@ def test_a_controller_looks_the_same_everywhere():
 
 
 def test_styles_differ_in_colour_and_in_dash():
-    assert set(STYLES) == {*CONTROLLERS, "two_layer_zero", "two_layer_random", "adaptive"}
+    assert set(STYLES) == set(controllers.CONTROLLERS)
     assert STYLES["two_layer_zero"] == STYLES["two_layer"], "the thesis's network, wherever it appears"
     named = [style for name, style in STYLES.items() if name != "two_layer_zero"]
     for a, b in combinations(named, 2):
