@@ -112,18 +112,24 @@ def log_ticks(axes: Axes) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
+def panels_for(tasks: Sequence[str], most: int, width: float, height: float) -> tuple[Figure, Any]:
+    """A figure and its axes, one per task, at most so many beside each other, of this size [inch]."""
+    columns = min(most, len(tasks))
+    rows = -(-len(tasks) // columns)
+    figure = new_figure(width * columns, height * rows + 0.9)
+    grid: Any = figure.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[len(tasks) :]:
+        axes.set_axis_off()
+    return figure, grid.flat[: len(tasks)]
+
+
 @styled
 def known(standing: Standing) -> Figure:
     """Frozen against online FVU: what a learner knows against what it follows; on the diagonal both are one."""
     tasks, style = run_tasks(standing), looks(standing)
     learners = [name for name in standing.controllers if name not in (BASELINE, *ORACLES)]
-    columns = min(4, len(tasks))
-    rows = -(-len(tasks) // columns)
-    figure = new_figure(3.2 * columns, 3.1 * rows + 0.9)
-    grid: Any = figure.subplots(rows, columns, squeeze=False)
-    for axes in grid.flat[len(tasks) :]:
-        axes.set_axis_off()
-    for axes, task in zip(grid.flat, tasks, strict=False):
+    figure, panels = panels_for(tasks, 4, 3.2, 3.1)
+    for axes, task in zip(panels, tasks, strict=True):
         for name, marker in zip(learners, cycle(MARKERS), strict=False):
             pairs = [(nan(row.online_fvu), nan(row.frozen_fvu)) for row in standing.of(task, name)]
             pairs = [pair for pair in pairs if all(value > 0 for value in pair)]
@@ -134,7 +140,7 @@ def known(standing: Standing) -> Figure:
         low, high = min(axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])
         axes.plot([low, high], [low, high], color="0.7", lw=0.8, zorder=1)
         axes.axhline(1.0, color="0.7", lw=0.8, ls=":", zorder=1)
-    legend(figure, "Contest: what is followed and what is known", grid.flat[: len(tasks)])
+    legend(figure, "Contest: what is followed and what is known", panels)
     return figure
 
 
@@ -142,13 +148,8 @@ def known(standing: Standing) -> Figure:
 def learning(standing: Standing) -> Figure:
     """Error over that of PD in windows along the training, median over the seeds; dotted where it counts as learned."""
     tasks, style, contest = run_tasks(standing), looks(standing), standing.contest
-    columns = min(3, len(tasks))
-    rows = -(-len(tasks) // columns)
-    figure = new_figure(4.2 * columns, 2.6 * rows + 0.9)
-    grid: Any = figure.subplots(rows, columns, squeeze=False)
-    for axes in grid.flat[len(tasks) :]:
-        axes.set_axis_off()
-    for axes, task in zip(grid.flat, tasks, strict=False):
+    figure, panels = panels_for(tasks, 3, 4.2, 2.6)
+    for axes, task in zip(panels, tasks, strict=True):
         for name in standing.controllers:
             curves = relative_curves(standing, task, name)
             if curves:
@@ -157,7 +158,7 @@ def learning(standing: Standing) -> Figure:
                 axes.plot(time, middle, label=plain(name), **style[name].line)
         axes.set(yscale="log", xlabel="time [s]", ylabel="error / PD's", title=task)
         axes.axhline(contest.learned, color="0.5", lw=0.8, ls=":")
-    legend(figure, "Contest: learning curves", grid.flat[: len(tasks)])
+    legend(figure, "Contest: learning curves", panels)
     return figure
 
 
