@@ -595,6 +595,8 @@ def test_other_robots(name, kind):
     """A fixed arm under gravity, a mobile one, TIAGo: better than PD within seconds."""
     if name == "tiago" and name not in extra():
         pytest.skip("example-robot-data is not installed")
+    if PLAIN and (name, kind) not in {("mobile", "features"), ("tiago", "residual")}:
+        pytest.skip("slow in plain Python")
     if name != "tiago" and kind == "residual":
         pytest.skip("a nominal robot is loaded by name")
     made = {"fixed": fixed_arm, "mobile": mobile_arm}

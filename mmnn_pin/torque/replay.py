@@ -24,6 +24,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ..compiled import compiled, copy_to
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, period, remember
@@ -161,7 +163,7 @@ def descend(a: Replay, W: Array, V: Array, x: Array, torque: Array, unit: Array)
     for i in range(nx):
         inputs += x[i] * x[i]
     for j in range(h):
-        sigma[j] = 1.0 / (1.0 + math.exp(-net[j]))
+        sigma[j] = 1.0 / (1.0 + np.exp(-net[j]))
         slope = sigma[j] * (1.0 - sigma[j])
         square += sigma[j] * sigma[j]
         for i in range(m):
