@@ -13,8 +13,9 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.experiments import controllers
 from mmnn_pin.recorder import Recorder
 from mmnn_pin.recording import Outcome, Recording
-from mmnn_pin.show.figure import OTHERS, STYLES, styles_of
-from mmnn_pin.show.plots import FIGURES, errors_figure, path_figure, psi_figure, save, torque_figure
+from mmnn_pin.show.figure import OTHERS, STYLES, save, styles_of
+from mmnn_pin.show.path_plot import path_figure
+from mmnn_pin.show.plots import FIGURES, errors_figure, psi_figure, torque_figure
 from mmnn_pin.signals import Layout
 
 MOBILE, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
@@ -235,9 +236,9 @@ def test_what_cannot_be_saved_is_told(tmp_path):
 
 def test_plots_need_no_display_and_load_matplotlib_late():
     code = (
-        "import sys, mmnn_pin.show.plots as p; assert 'matplotlib' not in sys.modules; "
+        "import sys, mmnn_pin.show.plots as p, mmnn_pin.errors as e; assert 'matplotlib' not in sys.modules; "
         "import os; os.environ['MPLBACKEND'] = 'TkAgg'\n"
-        "try: p.errors_figure({})\nexcept p.RecordingError: pass\n"
+        "try: p.errors_figure({})\nexcept e.RecordingError: pass\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

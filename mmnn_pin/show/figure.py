@@ -6,7 +6,7 @@ matplotlib is imported when the first figure is made, and never its state machin
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
@@ -116,6 +116,24 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def require_found(recordings: Mapping[str, Recording], found: Collection[object], what: str) -> None:
+    """Refuse to draw a figure in which nothing is.
+
+    Args:
+        recordings: What was to be plotted.
+        found: What of it the figure shows.
+        what: The figure's name.
+
+    Raises:
+        RecordingError: Nothing was found.
+    """
+    if not recordings:
+        raise RecordingError("nothing to plot", why="no recording was given")
+    if not found:
+        why = f"its signals are not in {', '.join(recordings)}"
+        raise RecordingError(f"nothing to plot for {what}", why=why, fix="choose another figure or recording")
 
 
 def add_legend(figure: Figure, title: str, looks: Sequence[tuple[str, Look]]) -> None:

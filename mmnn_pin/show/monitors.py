@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import RecordingError
 from ..recording import Recording
 from ..signals import Array
-from .figure import add_legend, legend_label, limits, mark_end, new_figure, scale_rows, styled, styles_of
+from .figure import add_legend, legend_label, limits, mark_end, new_figure, require_found, scale_rows, styled, styles_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -91,9 +91,7 @@ def stacked(title: str, recordings: Recordings, panels: Mapping[str, Curves]) ->
         RecordingError: All are.
     """
     panels = {label: curves for label, curves in panels.items() if curves}
-    if not panels:
-        why = f"its signals are not in {', '.join(recordings)}" if recordings else "no recording was given"
-        raise RecordingError(f"nothing to plot for {title.lower()}", why=why, fix="choose another figure or recording")
+    require_found(recordings, panels, title.lower())
     figure = new_figure(7.5, 2.3 * len(panels) + 1.2)
     stack = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     stack[-1].set_xlabel("time [s]")

@@ -15,7 +15,9 @@ from ...recording import Recording
 from ...signals import Array, IntArray
 from ..figure import scale_rows, styles_of
 from ..monitors import NETWORKS, RESIDUALS
-from ..plots import Panel, base_labels, distance, distinct, error_panels, learners, panels_of
+from ..panels import Panel, base_labels, error_panels, panels_of
+from ..path_plot import distance, distinct
+from ..plots import learners
 from ..proof.cache import proofs_with
 from ..proof.psi_figures import sliced
 from ..replay.blob import Blob
