@@ -20,7 +20,8 @@ from typing import Any
 __version__ = "0.1.0"
 
 _HOME = {
-    "model.robot": ("Robot", "load"),
+    "model.loading": ("load",),
+    "model.robot": ("Robot",),
     "model.dynamics": ("Dynamics",),
     "reference": ("Circle", "Eight", "Line", "Table", "Trajectory", "Waypoints"),
     "reference.arm": ("Hold", "MinimumJerk", "Sine", "Sines"),

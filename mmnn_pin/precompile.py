@@ -16,8 +16,8 @@ import numpy as np
 from .compiled import cache_folder, is_warm
 from .compiled_loop import body_of, evaluate, new_work
 from .metrics import accumulate
+from .model.loading import load
 from .model.reduction import as_measured, quadratic
-from .model.robot import load
 from .model.tree_dynamics import potential_energy, psi_again
 from .plant.integrators import derivative, euler, rk4_stage
 from .sample import after_torque, before_torque

@@ -12,8 +12,9 @@ import numpy as np
 
 from .errors import RecordingError
 from .metrics import as_columns
+from .model.loading import build
 from .model.overrides import Overrides
-from .model.robot import Robot, build
+from .model.robot import Robot
 from .model.urdf import parse
 from .recording import Recording
 from .signals import Array

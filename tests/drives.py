@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from mmnn_pin.model import Robot
+from mmnn_pin.model.loading import build
 from mmnn_pin.model.overrides import Overrides
-from mmnn_pin.model.robot import build
 from mmnn_pin.model.urdf import parse
 
 UP = np.array([0.0, 0.0, 1.0])

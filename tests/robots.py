@@ -8,7 +8,8 @@ import numpy as np
 from closed_form import inertial, joint
 
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.robot import Robot, build
+from mmnn_pin.model.loading import build
+from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.urdf import parse
 from mmnn_pin.torque.controller import Feedback
 

@@ -14,7 +14,7 @@ from replays import recorded
 from robots import mobile_arm
 
 from mmnn_pin import load
-from mmnn_pin.model.robot import build
+from mmnn_pin.model.loading import build
 from mmnn_pin.model.robots import extra
 from mmnn_pin.model.urdf import parse
 from mmnn_pin.recording import Outcome

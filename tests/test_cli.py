@@ -462,7 +462,7 @@ def test_unexpected_errors_are_one_line_unless_debug(call: Call, monkeypatch: py
     def broken(*_: object, **__: object) -> None:
         raise ZeroDivisionError("oh")
 
-    monkeypatch.setattr("mmnn_pin.model.robot.load", broken)
+    monkeypatch.setattr("mmnn_pin.model.loading.load", broken)
     code, _, err = call("model", "platform_arm")
     assert code == 1 and "ZeroDivisionError: oh" in only_line(err)
     code, _, err = call("model", "platform_arm", "--debug")
@@ -475,7 +475,7 @@ def test_other_errors_of_the_package_are_failures(call: Call, monkeypatch: pytes
     def failing(*_: object, **__: object) -> None:
         raise MmnnError("the simulation failed")
 
-    monkeypatch.setattr("mmnn_pin.model.robot.load", failing)
+    monkeypatch.setattr("mmnn_pin.model.loading.load", failing)
     code, _, err = call("model", "platform_arm")
     assert code == 1 and only_line(err) == "error: the simulation failed"
 
@@ -484,7 +484,7 @@ def test_ctrl_c_outside_of_a_run(call: Call, monkeypatch: pytest.MonkeyPatch) ->
     def stopped(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mmnn_pin.model.robot.load", stopped)
+    monkeypatch.setattr("mmnn_pin.model.loading.load", stopped)
     code, _, err = call("model", "platform_arm")
     assert code == 130 and "Ctrl-C" in err and "Traceback" not in err
 

@@ -18,8 +18,9 @@ from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.experiments.runner import run_experiment
 from mmnn_pin.loop import Loop
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.loading import load
 from mmnn_pin.model.overrides import Overrides
-from mmnn_pin.model.robot import Robot, load
+from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.world_frame import WorldFrame
 from mmnn_pin.recorded_robot import recorded_robot
 from mmnn_pin.recording import Recording

@@ -22,7 +22,8 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.experiments.config import load_experiment
 from mmnn_pin.experiments.runner import run_experiment
 from mmnn_pin.metrics import metrics
-from mmnn_pin.model.robot import Robot, build
+from mmnn_pin.model.loading import build
+from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.urdf import parse
 from mmnn_pin.recording import Outcome, Recording
 from mmnn_pin.show.figure import STYLES

@@ -30,8 +30,8 @@ def inspect(robot: str, said: dict[str, Any], as_json: bool) -> int:
     stand in NAME.mmnn.toml beside NAME.urdf too. Exit code 2 when the robot cannot be used or its base is undecided.
     """
     from ..model.inspection import inspection_of, refusal_of
+    from ..model.loading import load
     from ..model.overrides import Overrides
-    from ..model.robot import load
     from ..model.robots import find
     from ..show.inspection import inspection_text, refusal_text
 

@@ -30,7 +30,7 @@ def model(robot: str, state: Path | None, said: dict[str, Any], as_json: bool) -
     pose [x, y, phi], base_velocity [v, w], joints {name: rad or m}, joint_velocities {name: rad/s or m/s}; what is left
     out is at rest and zero.
     """
-    from ..model.robot import load
+    from ..model.loading import load
     from ..model.state import NamedState, model_at, read_state
 
     loaded = load(robot, **said)

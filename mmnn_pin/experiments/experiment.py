@@ -12,8 +12,9 @@ from ..disturbance import Disturbance, require_in_time
 from ..errors import ConfigError, InputError, UnknownName
 from ..kinematic import Kinematic
 from ..loop import PLANTS, Loop
+from ..model.loading import load_with
 from ..model.overrides import Overrides
-from ..model.robot import Robot, load_with
+from ..model.robot import Robot
 from ..plant.contact.floor import Contact
 from ..reference import Trajectory
 from ..safety import Safety

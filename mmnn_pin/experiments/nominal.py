@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import ConfigError, InputError
+from ..model.loading import load_with
 from ..model.overrides import Overrides
 from ..model.parameters import parameters
-from ..model.robot import Robot, load_with
+from ..model.robot import Robot
 from ..settings import Settings
 from ..signals import Array
 

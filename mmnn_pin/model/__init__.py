@@ -1,6 +1,8 @@
 """What the robot is: the file audited, its mobile base found, and its Pinocchio model with the motions left to it."""
 
 from mmnn_pin.model.base import Base, Undecided, Wheel
-from mmnn_pin.model.robot import Robot, bundled, load
+from mmnn_pin.model.loading import load
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.robots import bundled
 
 __all__ = ["Base", "Robot", "Undecided", "Wheel", "bundled", "load"]

@@ -9,7 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ConfigError, UnknownName
-from .robot import Robot, bodies_of
+from .bodies import bodies_of
+from .robot import Robot
 
 
 def carrying(robot: Robot, mass: float, joint: str = "", at: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:

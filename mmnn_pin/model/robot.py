@@ -1,4 +1,4 @@
-"""`load(name or path) -> Robot`: a Pinocchio model and the motions that its wheels permit.
+"""A robot: its Pinocchio model and the motions that its wheels permit.
 
 All velocities of the full model follow from the independent ones, `nu = [base velocity; arm joint velocities]`:
 
@@ -20,24 +20,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.model.arm import Arm, choose_arm
-from mmnn_pin.model.base import Base
-from mmnn_pin.model.build import pinocchio_model, welded
-from mmnn_pin.model.maps import constraint_rows, is_pushed, motion_map, motor_map, root_size
-from mmnn_pin.model.overrides import Overrides, folders_of, said_of
-from mmnn_pin.model.remarks import arm_notes, printed_notes, settled, weld_notes
-from mmnn_pin.model.robots import bundled, find
-from mmnn_pin.model.sanity import require_finite, require_sane
-from mmnn_pin.model.shapes import AtRest
-from mmnn_pin.model.understanding import find_base
-from mmnn_pin.model.urdf import Document, Finding, read
-from mmnn_pin.signals import Array, Layout
-
-__all__ = ["Robot", "build", "bundled", "load", "load_with"]
-
-ROOT_NAMES = ("root_vx", "root_vy", "root_w")
-PUSHES = ("base_x", "base_y", "base_turn")  # motors of a base without wheels
+from ..errors import ConfigError, UnknownName
+from ..signals import Array, Layout
+from .arm import Arm
+from .base import Base
+from .bodies import bodies_of, scale_body
+from .coefficients import one_or_each
+from .overrides import Overrides
+from .urdf import Finding
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,13 +196,10 @@ class Robot:
         Raises:
             ConfigError: A number that is negative or not finite, or not one number per joint.
         """
-        n, given = self.layout.arm, np.asarray(inertia, float)
-        if given.shape not in ((), (n,)) or not np.all(np.isfinite(given) & (given >= 0)):
-            fix = f"give one finite number >= 0, or {n} of them"
-            raise ConfigError(f"armature {given.tolist()} cannot be used", fix=fix, key="armature")
+        rotors = one_or_each("armature", inertia, self.layout.arm, key="armature")
         model = self.model.copy()
         armature = np.array(model.armature)
-        armature[self.arm_index] = given
+        armature[self.arm_index] = rotors
         model.armature = armature
         return replace(self, model=model)
 
@@ -226,12 +213,8 @@ class Robot:
             ConfigError: Wrong number of coefficients, or a negative or non-finite one.
         """
         p = self.layout.dof
-        given = np.asarray(viscous, dtype=float)
-        if given.shape not in ((), (p,)) or not np.all(np.isfinite(given) & (given >= 0)):
-            raise ConfigError(
-                f"viscous friction {given.tolist()} cannot be used",
-                fix=f"give {p} finite coefficients >= 0, for {', '.join(self.velocity_names)}",
-            )
+        fix = f"give {p} finite coefficients >= 0, for {', '.join(self.velocity_names)}"
+        given = one_or_each("viscous friction", viscous, p, fix=fix)
         return replace(self, viscous=read_only(np.broadcast_to(given, p).copy()))
 
     def with_joint_friction(
@@ -254,16 +237,11 @@ class Robot:
         """
         n, at = self.layout.arm, self.arm_index
         damping, level, ratio = self.damping.copy(), self.coulomb.copy(), np.ones(self.layout.full)
-        for name, given, least in (("viscous", viscous, 0), ("coulomb", coulomb, 0), ("breakaway", breakaway, 1)):
-            values = np.asarray(given, float)
-            if values.shape not in ((), (n,)) or not (np.isfinite(values) & (values >= least)).all():
-                fix = f"give one finite number >= {least}, or {n} of them"
-                raise ConfigError(f"{name} friction {values.tolist()} cannot be used", fix=fix, key=f"friction.{name}")
+        damping[at] += one_or_each("viscous friction", viscous, n, key="friction.viscous")
+        level[at] += one_or_each("coulomb friction", coulomb, n, key="friction.coulomb")
+        ratio[at] = one_or_each("breakaway friction", breakaway, n, least=1, key="friction.breakaway")
         if not (np.isfinite(stribeck) and stribeck > 0):
             raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
-        damping[at] += np.asarray(viscous, float)
-        level[at] += np.asarray(coulomb, float)
-        ratio[at] = np.asarray(breakaway, float)
         rough = replace(self, damping=read_only(damping), coulomb=read_only(level), breakaway=read_only(ratio))
         return replace(rough, stribeck=float(stribeck))
 
@@ -306,159 +284,6 @@ class Robot:
             "actuator_names": self.actuator_names,
             "effort_limits": self.effort_limits.tolist(),
         }
-
-
-def bodies_of(model: pin.Model) -> list[str]:
-    """Joint that carries each moving body, `root` for a planar base."""
-    names = list(model.names)[1:]
-    return ["root", *names[1:]] if names and model.joints[1].shortname() == "JointModelPlanar" else names
-
-
-def scale_body(model: pin.Model, joint: int, factor: float) -> None:
-    """Scale the mass and the rotational inertia of the body that a joint carries."""
-    body = model.inertias[joint]
-    model.inertias[joint] = pin.Inertia(body.mass * factor, body.lever, body.inertia * factor)
-
-
-def load(
-    robot: str | Path,
-    *,
-    base: str | None = None,
-    wheels: Sequence[str] | None = None,
-    radius: float | None = None,
-    track: float | None = None,
-    roller: float | None = None,
-    lock: Sequence[str] = (),
-    free: Sequence[str] = (),
-    arm_tip: str | None = None,
-    package_dirs: Sequence[str | Path] = (),
-    strict: bool = False,
-) -> Robot:
-    """Load a robot. What is not said is found in the file, after `NAME.mmnn.toml` beside it (see docs/robots.md).
-
-    Args:
-        robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF file.
-        base: `differential_drive`, `holonomic` or `fixed`.
-        wheels: Joints of the drive wheels; left, right for a differential drive.
-        radius: Radius of the drive wheels [m].
-        track: Lateral distance of the drive wheels [m].
-        roller: Angle of the rollers of a holonomic base [rad], see `Overrides`.
-        lock: Joints that stand still: `joint` where it rests, or `joint=position` [rad or m].
-        free: Joints that are not locked though heads and fingers are by default; `all` for all.
-        arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
-        package_dirs: Folders that hold the packages of `package://` meshes.
-        strict: Whether impossible inertias and implausible sizes are errors.
-
-    Raises:
-        UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
-        ConfigError: Something said that does not suit the robot, or a file of overrides that cannot be read.
-        RobotError: The file cannot be used, the base is undecided or of a kind not supported; with the line.
-    """
-    said = Overrides(
-        base=base,
-        wheels=None if wheels is None else tuple(wheels),
-        radius=radius,
-        track=track,
-        roller=roller,
-        lock=tuple(lock),
-        free=tuple(free),
-        arm_tip=arm_tip,
-        package_dirs=tuple(map(str, package_dirs)),
-        strict=strict,
-    )
-    return load_with(robot, said)
-
-
-def load_with(robot: str | Path, said: Overrides) -> Robot:
-    """`load` with all that is said in one; arguments and errors as there."""
-    path = find(robot)
-    said, notes = said_of(path, said)
-    built = build(read(path, said.strict, folders_of(path, said)), said)
-    return replace(built, findings=(*built.findings, *notes))
-
-
-def build(document: Document, said: Overrides | None = None) -> Robot:
-    """Robot of an audited URDF.
-
-    Args:
-        document: The URDF.
-        said: What the user says about it.
-
-    Raises:
-        UnknownName: A joint or link that does not exist.
-        ConfigError: Something said that does not suit the robot.
-        RobotError: The base is undecided or of a kind not supported, or the dynamics are singular.
-    """
-    said = said or Overrides()
-    document, welds = welded(document)
-    rest = AtRest(document, folders_of(document.path, said))
-    found = find_base(rest, said)
-    arm = choose_arm(rest, found.base, said)
-    model, printed = pinocchio_model(document, mobile=found.base.kind != "fixed")
-    require_sane(document, model)
-    notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
-    findings = (*settled(document.findings, found.findings, said.strict), *notes)
-    robot = replace(assemble(document, found.base, arm, model), findings=findings, said=said)
-    require_finite(document, robot)
-    return robot
-
-
-def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robot:
-    """Robot of its parts: names, indices, limits and the maps T, A and E."""
-    root = root_size(base)
-    joints = [document.joints[name] for name in model.names[2 if root else 1 :]]
-    names = [joint.name for joint in joints]
-    arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
-    motors = (*(wheel.joint for wheel in base.wheels), *arm.joints)
-    pushes = PUSHES if is_pushed(base) else ()
-    rows = {name: root + i for i, name in enumerate(names)}
-    T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
-    q_index, is_continuous = configuration_indices(model, root)
-
-    def per_velocity(attribute: str, of_root: float) -> Array:
-        return read_only(np.array([of_root] * root + [getattr(joint, attribute) for joint in joints]))
-
-    effort = [np.inf] * len(pushes) + [document.joints[name].effort for name in motors]
-    robot = Robot(
-        name=document.path.stem,
-        path=document.path,
-        urdf=document.text,
-        sha256=document.sha256,
-        model=model,
-        base=base,
-        arm=arm,
-        layout=Layout(base=len(base.velocity_names), arm=len(arm.joints), full=model.nv, motors=E_full.shape[1]),
-        joint_names=arm.joints,
-        velocity_names=base.velocity_names + arm.joints,
-        full_velocity_names=ROOT_NAMES[:root] + tuple(names),
-        actuator_names=pushes + motors,
-        T=read_only(T),
-        A=read_only(constraint_rows(base, rows, arm)),
-        E_full=read_only(E_full),
-        E=read_only(T.T @ E_full),
-        q_index=q_index,
-        is_continuous=is_continuous,
-        frame=read_only(base.frame.copy()),
-        lower=per_velocity("lower", -np.inf),
-        upper=per_velocity("upper", np.inf),
-        effort_limits=read_only(np.array(effort, dtype=float)),
-        damping=per_velocity("damping", 0.0),
-        coulomb=per_velocity("friction", 0.0),
-        viscous=read_only(np.zeros(T.shape[1])),
-        rest=np.zeros(model.nv),
-    )
-    at_rest = [0.0] * root + [arm.locked.get(joint.name, joint.rest) for joint in joints]
-    return replace(robot, rest=read_only(robot.follow(np.array(at_rest, dtype=float))))
-
-
-def configuration_indices(model: pin.Model, root: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Where each velocity's joint starts in q, and whether q holds its cosine and sine; the root fills the first 3."""
-    first = 2 if root else 1
-    q_index = np.array([*range(root), *list(model.idx_qs)[first:]], dtype=np.int64)
-    doubled = [0, 0, 1][:root] + [int(size == 2) for size in list(model.nqs)[first:]]
-    is_continuous = np.array(doubled, dtype=np.uint8)
-    q_index.flags.writeable = is_continuous.flags.writeable = False
-    return q_index, is_continuous
 
 
 def read_only(array: Array) -> Array:

@@ -18,7 +18,8 @@ import pinocchio as pin
 
 from ..errors import RobotError
 from ..signals import Array
-from .robot import Robot, scale_body
+from .bodies import scale_body
+from .robot import Robot
 
 
 class WorldFrame:

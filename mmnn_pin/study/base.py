@@ -9,7 +9,7 @@ import msgspec
 from ..errors import ConfigError, InputError
 from ..experiments.config import config_error
 from ..experiments.experiment import Experiment
-from ..model.robot import bodies_of
+from ..model.bodies import bodies_of
 from .bundle import load_once
 from .factors import Factor
 from .keys import changed, deep, flat, require_path

@@ -20,8 +20,9 @@ import msgspec
 from lxml import etree
 
 from ..model.audit.meshes import locate
+from ..model.loading import load_with
 from ..model.overrides import Overrides, folders_of, said_of
-from ..model.robot import Robot, load_with
+from ..model.robot import Robot
 from ..model.robots import find
 from ..model.urdf import read
 
