@@ -14,6 +14,7 @@ import numpy as np
 
 from .errors import ConfigError, InputError
 from .loop import Loop
+from .memory import told_with
 from .metrics import Reducer, Windows
 from .one_thread import one_thread
 from .recorder import Recorder, known
@@ -123,10 +124,11 @@ def simulate(
     facts = loop.facts() | {"loop": engine.name}
     reducer = Reducer.of(layout, facts, windows)
     if keep is False:
-        outcome = loop.judged(loop.stream(engine, reducer, cancelled=cancelled), engine.memory)
+        outcome = told_with(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.memory)
         return Run(outcome, reducer.result(), loop.final(engine))
     with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
-        outcome = loop.judged(loop.stream(engine, Both(reducer, recorder), cancelled=cancelled), engine.memory)
+        outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
+        outcome = told_with(outcome, loop.controller, engine.memory)
         recording = recorder.finish(outcome, loop.final(engine))
     return Run(outcome, reducer.result(), loop.final(engine), recording)
 

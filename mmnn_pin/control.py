@@ -48,16 +48,6 @@ def regressor_of(robot: Robot) -> Regressor:
     return REGRESSORS[robot]
 
 
-def findings_of(controller: CompiledController | TorqueController, memory: Any) -> list[str]:
-    """What a controller's memory shows after a run; of one in plain Python that fails, where: the run is kept."""
-    if isinstance(controller, CompiledController):
-        return controller.findings(memory)
-    try:
-        return [str(text) for text in controller.findings(memory)]
-    except Exception as error:
-        return [f"its findings are lost: {blamed(error, controller)}"]
-
-
 class Control:
     """Kinematic layer, controller and supervisor wired to one row.
 

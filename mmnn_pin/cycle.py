@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from .actuator import Actuator
+from .before_run import require_nominal, require_stable_gains
 from .control import Control
 from .errors import ConfigError
 from .loop import Loop
+from .memory import told_with
 from .recorder import Recorder
 from .recording import Outcome, Recording, Status
 from .rig import new_rig
@@ -87,8 +89,8 @@ class Cycle:
             why, fix = "the motors are real: something must stand before them", "give the loop safety=Safety()"
             raise ConfigError("a cycle without a supervisor", why=why, fix=fix, key="safety")
         self.loop = replace(loop, plant="ideal", sensor=Sensor(), actuator=Actuator(), disturbances=())
-        self.loop.require_stable_gains()
-        self.loop.require_nominal()
+        require_stable_gains(self.loop)
+        require_nominal(self.loop)
         layout, timing = self.loop.robot.layout, self.loop.timing
         self.table, self.memory = self.loop.table(), self.loop.memory_from(memory)
         self.samples, self.period = timing.samples, timing.control_period
@@ -176,7 +178,7 @@ class Cycle:
             self._weigh(self.k + 1)
         final = {"rig_memory": self.rig.memory, **(extra or {})}
         final |= {"memory": self.memory.values} if isinstance(self.memory, Memory) else {}
-        return self.recorder.finish(self.loop.judged(outcome, self.memory), final)
+        return self.recorder.finish(told_with(outcome, self.loop.controller, self.memory), final)
 
     def __enter__(self) -> Cycle:
         return self

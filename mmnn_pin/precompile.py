@@ -14,8 +14,8 @@ import sys
 import numpy as np
 
 from .compiled import cache_folder, is_warm
-from .compiled_loop import body_of, evaluate, new_work
 from .metrics import accumulate
+from .model.body import body_of, evaluate, new_work
 from .model.loading import load
 from .model.reduction import as_measured, quadratic
 from .model.tree_dynamics import potential_energy, psi_again

@@ -36,10 +36,10 @@ from mmnn_pin import (
     TorqueController,
     Trajectory,
     TwoLayer,
-    compiled_loop,
     load,
 )
 from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.model import body
 
 SAME = 1e-9
 LONG = 0.04 if config.DISABLE_JIT else 5.0  # [s]
@@ -182,7 +182,7 @@ def test_the_seven_joint_arms_are_what_they_are_for():
     """Seven joints, one of them sliding, gravity and an axle away from the root link."""
     for robot, base in ((mobile_arm(), 2), (fixed_arm(), 0)):
         assert (robot.layout.arm, robot.layout.base) == (7, base)
-        assert compiled_loop.body_of(robot).feels_gravity and np.all(robot.damping[robot.arm_index] > 0)
+        assert body.body_of(robot).feels_gravity and np.all(robot.damping[robot.arm_index] > 0)
         assert robot.model.joints[robot.model.getJointId("joint_2")].shortname() == "JointModelPrismaticUnaligned"
     assert mobile_arm().frame[0] > 0.1
 
@@ -307,7 +307,7 @@ def test_a_robot_that_cannot_be_flattened_runs_in_the_ordinary_loop_and_says_so(
     def refuse(*arguments, **more):
         raise RobotError("joint 'odd' cannot be compiled")
 
-    monkeypatch.setattr(compiled_loop, "flatten", refuse)
+    monkeypatch.setattr(body, "flatten", refuse)
     odd = loop(robot=replace(ROBOT), duration=SHORT)
     assert odd.run().meta["loop"] == "ordinary"
     with pytest.raises(RobotError, match="'odd'"):
@@ -316,13 +316,13 @@ def test_a_robot_that_cannot_be_flattened_runs_in_the_ordinary_loop_and_says_so(
 
 
 def test_a_nominal_robot_that_cannot_be_flattened_counts_too(monkeypatch):
-    odd, flatten = HEAVY.with_masses(1.1), compiled_loop.flatten
+    odd, flatten = HEAVY.with_masses(1.1), body.flatten
 
     def refuse(model, *arguments, **more):
         if model is odd.model:
             raise RobotError("joint 'odd' cannot be compiled")
         return flatten(model, *arguments, **more)
 
-    monkeypatch.setattr(compiled_loop, "flatten", refuse)
+    monkeypatch.setattr(body, "flatten", refuse)
     assert loop(ComputedTorque(GAINS), duration=SHORT, nominal=odd).run().meta["loop"] == "ordinary"
     assert loop(PD(GAINS), duration=SHORT, nominal=odd).run().meta["loop"] == "compiled"  # it is not asked

@@ -581,12 +581,18 @@ BLOCKS = {"reference", "kinematic", "torque", "safety", "actuator", "disturbance
 RECORDS = {"recorder", "recording", "run_file", "metrics"}
 LOOPS = {
     "start",
+    "given_arrays",
+    "memory",
+    "before_run",
     "rig",
     "control",
     "cycle",
     "loop",
+    "engines",
     "ordinary_loop",
     "compiled_loop",
+    "compiled_steps",
+    "streaming",
     "sample",
     "batch",
     "precompile",

@@ -13,6 +13,7 @@ from closed_form import inertial, joint
 from numba import config
 from robots import dynamics, mobile_arm, place, robot_of
 
+from mmnn_pin.before_run import require_stable_gains
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.experiments.config import load_experiment
@@ -115,10 +116,10 @@ def test_scaled_gains_are_stable_where_plain_ones_are_not():
     robot = tiny_arm()
     scaled = experiment().controller("pd", robot=robot)
     loop = experiment().loop(robot, scaled)
-    loop.require_stable_gains()
+    require_stable_gains(loop)
     plain = replace(loop, controller=replace(scaled, feedback=Feedback(500.0, 30.0)))  # type: ignore[type-var]
     with pytest.raises(ConfigError, match=r"joint_6: 30 \(limit alone"):
-        plain.require_stable_gains()
+        require_stable_gains(plain)
 
 
 @pytest.mark.parametrize("friction", [(0.0, 0.0), (0.5, 0.5)])

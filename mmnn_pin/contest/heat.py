@@ -13,8 +13,8 @@ import msgspec
 import numpy as np
 
 from ..batch import Run, simulate_many
-from ..control import findings_of
 from ..loop import Loop
+from ..memory import findings_of
 from ..proof.fvu import START, fvu
 from ..proof.subject import finite_rows
 from ..recording import Recording

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from ..before_run import require_stable_gains
 from ..errors import RecordingError
 from ..metrics import as_columns, metrics
 from ..model.robot import Robot
@@ -177,7 +178,7 @@ def require_runnable(experiment: Experiment, robot: Robot) -> None:
     for controller in in_order(experiment.controllers):
         if controller not in EFFECTIVE:
             loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
-            loop.require_stable_gains()
+            require_stable_gains(loop)
             loop.start.state(robot, loop.table()[0])
             if isinstance(loop.controller, TorqueController):
                 loop.rehearse()

@@ -9,6 +9,7 @@ import numpy as np
 from .. import actuator as motor
 from .. import disturbance, safety
 from ..errors import ConfigError
+from ..given_arrays import given_array
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
 from ..sensing.encoders import DEPTH
@@ -47,7 +48,8 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
     dead = disturbance.windows(disturbance.DeadMotor, events, robot.actuator_names)
     recorded = bool(layout.rig)
     if is_exact and not recorded:
-        require_memory(given, 0)
+        if given is not None:
+            given_array("rig_memory", given, (0,))
         return None
     sensing = loop.sensor.on(robot, timing.measurement_period)
     sensing.numbers[DEPTH] += max(late.max(initial=0.0), 0.0)
@@ -76,7 +78,7 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
     values, views = flat(parts)
     views[1][:, motor.ROTOR_SPEED] = robot.E.T @ nu
     if given is not None:  # messages of no numbers may be under way
-        values[:] = require_memory(given, values.size, finite=not np.isnan(added).any())
+        values[:] = given_array("rig_memory", given, values.shape, finite=not np.isnan(added).any())
     return Rig(
         exact=is_exact,
         driven=not loop.actuator.perfect or len(dead) > 0,
@@ -123,19 +125,6 @@ def flat(parts: tuple[Array, ...]) -> tuple[Array, list[Array]]:
     values = np.concatenate([part.ravel() for part in parts])
     ends = np.cumsum([part.size for part in parts])
     return values, [values[e - part.size : e].reshape(part.shape) for e, part in zip(ends, parts, strict=True)]
-
-
-def require_memory(given: Array | None, size: int, finite: bool = True) -> Array:
-    """A rig's memory that fits.
-
-    Raises:
-        ConfigError: It has another size, or is not finite.
-    """
-    array = np.zeros(size) if given is None else np.array(given, float)
-    if array.shape != (size,) or (finite and not np.isfinite(array).all()):
-        what = f"of shape {array.shape}" if array.shape != (size,) else "not finite"
-        raise ConfigError(f"an array that is {what}", fix=f"give finite numbers of shape ({size},)", key="rig_memory")
-    return array
 
 
 def measured_joints(robot: Robot) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from ..actuator import Actuator
+from ..before_run import require_stable_gains
 from ..errors import ConfigError
 from ..loop import Loop
 from ..proof.rate import rate_of
@@ -26,7 +27,7 @@ LOOK = 1.0  # of a run, to see where the weights go before the learning rates ar
 
 def stable_when_sampled(loop: Loop) -> None:
     """The PD loop alone is stable at the control period, on the true robot; see `sampled.py`."""
-    replace(loop, check_gains=True).require_stable_gains()
+    require_stable_gains(replace(loop, check_gains=True))
 
 
 def learns_slowly_enough(loop: Loop) -> None:
