@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from ..compiled import compiled, copy_to
 from ..signals import INDEX, Array, IntArray
-from .motor_limits import MotorLimits, limit
+from .motor_limits import MotorLimits, limit, share_left
 from .network import (
     hidden_input,
     one_layer_output,
@@ -45,7 +45,7 @@ def step(
         sizes: int64 numbers of the law.
         settings: float64 numbers of the law.
         memory: The controller's memory, updated in place.
-        limits: What Psi_hat is kept within; None for nothing, and then nothing is compiled for it.
+        limits: What robust term and Psi_hat are kept within; None for nothing, and then nothing is compiled for it.
     """
     gain, psi_hat, robust, torque = (
         row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]],
@@ -73,9 +73,24 @@ def step(
         if kind >= TWO_LAYER:
             robust[i] = (gain[i] - settings[GAINS + i]) * s
     if limits is not None:
+        if kind >= TWO_LAYER:
+            soften(gain, settings[GAINS:], robust, torque, limits)
         limit(psi_hat, torque, limits)
     for i in range(torque.size):
         torque[i] += psi_hat[i]
+
+
+@compiled
+def soften(gain: Array, k: Array, robust: Array, feedback: Array, limits: MotorLimits) -> None:
+    """Lower the robust term (p,) to the share that k s leaves of the motors' limits; gain and feedback are the sums."""
+    fixed = limits.asked
+    for i in range(robust.size):
+        fixed[i] = feedback[i] - robust[i]
+    share = share_left(fixed, robust, limits)
+    for i in range(robust.size if share < 1.0 else 0):
+        gain[i] = k[i] + share * (gain[i] - k[i])
+        robust[i] *= share
+        feedback[i] = fixed[i] + robust[i]
 
 
 @compiled

@@ -1,7 +1,8 @@
-"""Psi_hat within what the motors can give: the last stage of every law before its torque. Compiled.
+"""What is learned within what the motors can give: the last stage of every law before its torque. Compiled.
 
-Of every motor Psi_hat takes what the feedback leaves of its torque limit. So it never asks for more than a motor can
-give, alone or with the feedback, unless the feedback alone does; and it is bounded, whatever the weights are.
+The feedback `k s` comes first. Robust term and Psi_hat, which go with the weights, take of every motor's torque limit
+what it leaves, in this order. So no motor is asked for more than its limit unless the feedback alone asks for it, and
+what is added to the feedback is bounded, whatever the weights are.
 """
 
 from __future__ import annotations
@@ -40,6 +41,21 @@ def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
     E = np.ascontiguousarray(E, dtype=float)
     E_inv = np.ascontiguousarray(np.linalg.pinv(E))
     return MotorLimits(E, E_inv, np.array(effort, float), np.zeros(effort.size), np.zeros(len(E)))
+
+
+@compiled
+def share_left(feedback: Array, more: Array, limits: MotorLimits) -> float:
+    """Largest share, from 0 to 1, of `more` (p,) that a feedback (p,) leaves room for on every motor [N, N m]."""
+    share = 1.0
+    for j in range(limits.motors.size):
+        u, fed, top = 0.0, 0.0, limits.effort[j]
+        for i in range(more.size):
+            u += limits.E_inv[j, i] * more[i]
+            fed += limits.E_inv[j, i] * feedback[i]
+        left = max(0.0, top - fed if u > 0.0 else top + fed)
+        if abs(u) > left:
+            share = min(share, left / abs(u))
+    return share if not math.isnan(share) else 0.0
 
 
 @compiled
