@@ -48,8 +48,9 @@ class CompiledLoop:
         self.nominal = body_of(nominal) if uses_model else self.body
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
-        numbers = loop.controller.law(loop.wiring())
-        self.learners = learners_of(numbers)
+        wiring = loop.wiring()
+        numbers = loop.controller.law(wiring)
+        self.learners, self.limits = learners_of(numbers), wiring.limits
         self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
@@ -83,7 +84,7 @@ class CompiledLoop:
         return advance(
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
             self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
-            self.learners,
+            self.learners, self.limits,
         )  # fmt: skip
 
     def _energy(self, position: Array, nu: Array) -> float:

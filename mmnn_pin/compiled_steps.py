@@ -17,6 +17,7 @@ from .sensing import exact
 from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.learners import Learners, estimate, settle
+from .torque.motor_limits import MotorLimits
 
 NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi", "psi_hat", "torque"))
 POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
@@ -67,6 +68,7 @@ def advance(
     y: Array,
     rig: Rig | None,
     learners: Learners | None,
+    limits: MotorLimits | None,
 ) -> int:
     """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
@@ -102,7 +104,7 @@ def advance(
         if learners is not None and asked:
             estimate(row, at, learners, memory)
         if asked:
-            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
+            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory, limits)
         if rig is not None:
             send(k, k * plan.h, row, at, memory, rig)
         if learners is not None and asked:

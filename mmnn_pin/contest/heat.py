@@ -16,7 +16,9 @@ from ..batch import Run, simulate_many
 from ..loop import Loop
 from ..memory import findings_of
 from ..proof.fvu import START, fvu
+from ..proof.learner import Learner
 from ..proof.subject import finite_rows
+from ..proof.unknown import not_excited, signals_for, unknown
 from ..recording import Recording
 from ..signals import Array
 from ..torque.controller import Memory
@@ -74,7 +76,8 @@ def trained(
     runs = [Run(recording.outcome, {}, dict(recording.final), recording)]
     if others:
         show = lambda done, count: progress(share + (1 - share) * done / count)  # noqa: E731
-        runs += simulate_many(others, keep=KEPT, workers=workers, progress=show)
+        keep = {*KEPT, *signals_for(controller)}
+        runs += simulate_many(others, keep=keep, workers=workers, progress=show)
     for run in runs:
         require_going(run.outcome.status)
     return recording, runs
@@ -137,7 +140,7 @@ def row_of(
     numbers = training_numbers(run.recording, limits, window, contest.window, contest.start)
     known_of = {held: frozen_fvu(task, controller, seed, memory, held) for held in task.held_out}
     mean, worst = (largest([values[k] for values in known_of.values()]) for k in (0, 1))
-    findings = findings_of(controller, memory) if memory is not None else []
+    findings = found_in(task, name, controller, seed, run, memory) if memory is not None else []
     return Row(
         task=task.name,
         controller=name,
@@ -152,6 +155,15 @@ def row_of(
         since=task.since,
         **numbers,
     )
+
+
+def found_in(task: Task, name: str, controller: Any, seed: int, run: Run, memory: Any) -> list[str]:
+    """What the memory shows at the end of a run, and whether the run excited the learner."""
+    loop = task.training(controller, seed)
+    learner = Learner(controller, loop.wiring(), memory, memory, run.outcome.time, loop.believed)
+    assert run.recording is not None
+    rows = finite_rows(run.recording, loop.robot.layout)
+    return [*findings_of(controller, memory), *not_excited(name, unknown(learner, rows))]
 
 
 def largest(values: list[float]) -> float:
