@@ -40,8 +40,6 @@ def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
         say_json(standing.to_dict() | {"plots": {plot: str(file) for plot, file in drawn.items()}})
     else:
         say(render(standing, colour=sys.stdout.isatty()) + "\n")
-        if standing.interrupted:
-            say("stopped: the same command goes on where it was")
         for (task, controller), error in standing.failed.items():
             say(f"failed: {controller} on {task}: {error}")
         for note in findings(standing):
@@ -52,4 +50,7 @@ def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
             f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay;"
             f" mmnn report {folder} --html contest.html makes one page of all"
         )
+        if standing.interrupted:
+            done, rest = len(standing.heats), len(standing.missing)
+            say(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
     return STOPPED if standing.interrupted else DONE if standing.completed else FAILED

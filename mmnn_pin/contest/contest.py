@@ -41,6 +41,7 @@ class Standing:
         interrupted: Whether rows are missing because the user stopped it.
         folder: Where the files are.
         notes: What to know beside the numbers.
+        missing: `task/controller` that are still to be run.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Standing:
     interrupted: bool
     folder: Path | None
     notes: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
     @property
     def contest(self) -> Contest:
@@ -218,7 +220,8 @@ def run_contest(
         if f"{task.name}/{controller}" in store.heats
     }
     titles = {task.name: task.title for task in tasks}
-    return Standing(name, experiment, controllers, titles, demands, heats, failed, interrupted, out, notes)
+    missing = tuple("/".join(key) for task, c, _ in plan if (key := (task.name, c)) not in heats and key not in failed)
+    return Standing(name, experiment, controllers, titles, demands, heats, failed, interrupted, out, notes, missing)
 
 
 def opened(folder: Path) -> Standing:
@@ -229,29 +232,19 @@ def opened(folder: Path) -> Standing:
     """
     about, store = read_about(folder), Store.opened(folder)
     if about is None:
-        fix = "run the contest again: what is done is kept, and the file is written"
+        fix = "run the contest again, with --force or in another folder"
         raise RecordingError(f"no {NAME} beside the rows", why="an older version wrote them", fix=fix, file=folder)
     tasks = {name: task for name, task in about.tasks.items() if any(k.startswith(f"{name}/") for k in store.heats)}
     keys = [(name, controller) for name, task in tasks.items() for controller in task.controllers]
     heats = {key: store.heats["/".join(key)] for key in keys if "/".join(key) in store.heats}
     if not heats:
         raise RecordingError("a contest without rows", why="it was stopped before the first", file=folder)
-    missing = [f"{k}/{c}" for k, task in about.tasks.items() for c in task.controllers if f"{k}/{c}" not in store.heats]
-    note = [f"rows are missing: {', '.join(missing)}; the same command goes on where it was"] if missing else []
+    planned = [f"{task}/{name}" for task, one in about.tasks.items() for name in one.controllers]
+    missing = tuple(key for key in planned if key not in store.heats)
     titles, demands = {k: task.title for k, task in tasks.items()}, {k: task.demand for k, task in tasks.items()}
     experiment = about.contest(folder)
-    return Standing(
-        about.name,
-        experiment,
-        about.controllers,
-        titles,
-        demands,
-        heats,
-        {},
-        bool(missing),
-        folder,
-        (*note, *about.notes),
-    )
+    name, who, rest = about.name, about.controllers, bool(missing)
+    return Standing(name, experiment, who, titles, demands, heats, {}, rest, folder, about.notes, missing)
 
 
 def is_done(store: Store, task: Task, controller: str, mark: str) -> bool:

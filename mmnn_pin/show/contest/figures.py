@@ -154,13 +154,14 @@ def learning(standing: Standing) -> Figure:
     tasks, style, contest = run_tasks(standing), looks(standing), standing.contest
     figure, panels = panels_for(tasks, 3, 4.2, 2.6)
     for axes, task in zip(panels, tasks, strict=True):
+        step = contest.window
         for name in standing.controllers:
             curves = relative_curves(standing, task, name)
             if curves and len(curves[0]):
-                middle, joined = np.median([thinned(curve) for curve in curves], axis=0), together(curves[0])
-                time = contest.window * joined * (np.arange(len(middle)) + 0.5)
-                axes.plot(time, middle, label=plain(name), **style[name].line)
-        axes.set(yscale="log", xlabel="time [s]", ylabel="error / PD's", title=task)
+                middle = np.median([thinned(curve) for curve in curves], axis=0)
+                step = contest.window * together(curves[0])
+                axes.plot(step * (np.arange(len(middle)) + 0.5), middle, label=plain(name), **style[name].line)
+        axes.set(yscale="log", xlabel=f"time [s], in steps of {step:g} s", ylabel="error / PD's", title=task)
         axes.axhline(contest.learned, color="0.5", lw=0.8, ls=":")
     legend(figure, "Contest: learning curves", panels)
     return figure

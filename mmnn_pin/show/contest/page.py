@@ -43,7 +43,8 @@ def page(standing: Standing, command: str = "") -> HtmlPage:
             subject=subject(standing),
             met=sum(target.met for target in found),
             targets=rows_of(targets_table(found)),
-            notes=[*standing.notes, *findings(standing)],
+            notes=[*unfinished(standing), *standing.notes],
+            findings=findings(standing),
             tasks=list(tasks_of(standing)),
             caption=caption(standing),
             pictures=pictures(standing),
@@ -62,6 +63,13 @@ def subject(standing: Standing) -> str:
     tasks, seeds, seed = run_tasks(standing), standing.contest.seeds, standing.experiment.seed
     counts = f"{len(standing.controllers)} controllers \u00b7 {len(tasks)} task{'s' if len(tasks) > 1 else ''}"
     return f"{standing.name} \u00b7 {counts} \u00b7 {seeds} seeds from {seed}"
+
+
+def unfinished(standing: Standing) -> list[str]:
+    """What is still to be run."""
+    if not standing.missing:
+        return []
+    return [f"rows are missing: {', '.join(standing.missing)}; the command that runs the contest goes on with them"]
 
 
 def tasks_of(standing: Standing) -> Iterator[dict[str, Any]]:

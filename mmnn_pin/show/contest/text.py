@@ -40,7 +40,7 @@ def render(standing: Standing, colour: bool = False, width: int = WIDTH) -> str:
                 console.print(table(standing, task, TRAINING))
                 console.print(table(standing, task, KNOWLEDGE))
         console.print(caption(standing), style="italic", highlight=False)
-        if found := standing.targets():
+        if found := [target for target in standing.targets() if target.reached is not None]:
             console.print(targets_table(found))
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
