@@ -2,13 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import re
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from .errors import ConfigError
+
+LARGEST = 1e12  # of a number that is squared somewhere
+KINDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "a text",
+    "bool": "true or false",
+    "array": "a list",
+    "object": "a table",
+    "null": "nothing",
+}
 
 
 class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -18,6 +30,52 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def plain(settings: Any) -> Any:
     """Settings as JSON has them; numbers of numpy become numbers."""
     return msgspec.to_builtins(settings, enc_hook=lambda value: np.asarray(value).tolist())
+
+
+def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple[str, str]:
+    """What is wrong and what to give instead, out of a message such as "Expected `int`, got `str` - at `$.seed`".
+
+    Args:
+        error: From a conversion.
+        value: What stands there; None where that is not known.
+
+    Returns:
+        What and fix; the message itself and no fix where it is about something else than a type or a length.
+    """
+    message = str(error).partition(" - at ")[0]
+    if missing := re.search(r"missing required field `(\w+)`", message):
+        return f"the key '{missing[1]}' is missing", ""
+    found = re.fullmatch(r"Expected `([a-z |]+)`(?: of length (\d+))?, got `?(\w+)`?", message)
+    if found is None:
+        return message, ""
+    shown = "this" if value is None else shortly(value)
+    if found[2]:
+        return f"{shown} has {found[3]} entries" if found[3] != "1" else f"{shown} has one entry", f"give {found[2]}"
+    wanted = " or ".join(KINDS.get(name, name) for name in found[1].split(" | ") if name != "null")
+    return f"{shown} is {KINDS.get(found[3], found[3])}", f"give {wanted}"
+
+
+def shortly(value: Any) -> str:
+    """A value as a message names it."""
+    text = str(value).lower() if isinstance(value, bool) else repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def require_at_most(settings: Settings, section: str, most: Mapping[str, int]) -> None:
+    """Refuse sizes with which memory and time would explode.
+
+    Args:
+        settings: Where the sizes are.
+        section: First part of the key path in an error.
+        most: Field to its largest value.
+
+    Raises:
+        ConfigError: With the key path.
+    """
+    for name, largest in most.items():
+        if getattr(settings, name) > largest:
+            why, fix = "memory and time grow with it", f"use at most {largest}"
+            raise ConfigError(f"{getattr(settings, name)}", why=why, fix=fix, key=f"{section}.{name}")
 
 
 def require_gains(settings: Settings, section: str, *names: str) -> None:
@@ -46,7 +104,7 @@ def require_gain(value: Any, key: str) -> None:
 
 
 def require_numbers(settings: Settings, section: str, positive: Collection[str]) -> None:
-    """Refuse fields with numbers that are negative or not finite, or 0 where they must not be.
+    """Refuse fields with numbers that are negative, not finite or huge, or 0 where they must not be.
 
     Fields that are None or a text are let pass.
 
@@ -63,5 +121,7 @@ def require_numbers(settings: Settings, section: str, positive: Collection[str])
         if value is None or isinstance(value, str):
             continue
         require_gain(value, key)
+        if np.any(np.asarray(value) > LARGEST):
+            raise ConfigError(f"{value}", fix=f"use a number up to {LARGEST:g}", key=key)
         if name in positive and not np.all(np.asarray(value) > 0):
             raise ConfigError(f"{value}", fix="use a number > 0", key=key)

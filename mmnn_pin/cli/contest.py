@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
+
 from .output import DONE, FAILED, STOPPED, say, say_json
 
 if TYPE_CHECKING:
@@ -20,36 +22,35 @@ def contest(
     """Run it; arguments as in `run_contest`."""
     from ..contest.contest import run_contest
 
-    return run_contest(experiment, name, out=folder, force=force, progress=progress)
+    return run_contest(experiment, name, out=folder, force=force, progress=progress, warn=warn)
+
+
+def warn(note: str) -> None:
+    """Say what to know before a long run."""
+    click.echo(f"warning: {note}", err=True)
 
 
 def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
     """Draw and print what came of it; the exit code."""
     from ..show.contest.figures import write_figures
-    from ..show.contest.text import render
+    from ..show.contest.text import findings, render
 
     drawn = write_figures(standing, folder)
     if as_json:
         say_json(standing.to_dict() | {"plots": {plot: str(file) for plot, file in drawn.items()}})
     else:
         say(render(standing, colour=sys.stdout.isatty()) + "\n")
-        if standing.interrupted:
-            say("stopped: the same command goes on where it was")
         for (task, controller), error in standing.failed.items():
             say(f"failed: {controller} on {task}: {error}")
-        for note in notes(standing):
+        for note in findings(standing):
             say(f"note: {note}")
         for file in (folder / "rows.json", folder / "rows.csv", *drawn.values()) if standing.heats else ():
             say(f"wrote {file}")
-        say(f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay")
+        say(
+            f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay;"
+            f" mmnn report {folder} --html contest.html makes one page of all"
+        )
+        if standing.interrupted:
+            done, rest = len(standing.heats), len(standing.missing)
+            say(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
     return STOPPED if standing.interrupted else DONE if standing.completed else FAILED
-
-
-def notes(standing: Standing) -> list[str]:
-    """Findings of the learners, each told once with its tasks."""
-    found: dict[str, list[str]] = {}
-    for row in standing.rows:
-        for text in row.findings:
-            tasks = found.setdefault(text if text.startswith(row.controller) else f"{row.controller}: {text}", [])
-            tasks += [row.task] if row.task not in tasks else []
-    return [f"{text} ({', '.join(tasks)})" for text, tasks in found.items()]

@@ -7,9 +7,9 @@ from pathlib import Path
 import click
 
 from ..errors import ConfigError
+from .folders import open_runs, study_of
 from .options import examples, shared
 from .output import DONE, say, say_json
-from .plot import open_runs, study_of
 
 TO = ("csv", "npz", "parquet", "mcap")
 

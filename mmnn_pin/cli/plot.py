@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 import click
 
 from ..errors import ConfigError, RecordingError
+from .folders import contest_of, folders_of, open_runs
 from .options import examples, law, shared
 from .output import DONE, say, say_json
 
 if TYPE_CHECKING:
     from ..recording import Recording
 
-STUDY = "study.sqlite"  # name of a study's database
 WHATS = (
     "errors",
     "torque",
@@ -38,6 +38,7 @@ WHATS = (
     "figure-5.4",
     "figure-5.5",
 )
+OF_CONTEST = ("contest-errors", "contest-fvu", "contest-learning", "contest-held-out")
 
 
 @click.command(
@@ -47,25 +48,38 @@ WHATS = (
         "mmnn plot runs/chapter4 --what psi --what torque --out plots",
         "mmnn plot runs/chapter4 --what figure-4.2 --what gains --out plots",
         "mmnn plot runs/chapter4/two_layer.h5 --what path --out path.svg",
+        "mmnn plot runs/contest --out plots                 the figures of a contest",
+        "mmnn plot runs/contest/eight --what fvu            the runs of one of its tasks, first seed",
     ),
 )
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
-@click.option("--what", "whats", type=click.Choice(WHATS), multiple=True, default=("errors",), show_default=True)
+@click.option(
+    "--what",
+    "whats",
+    type=click.Choice((*WHATS, *OF_CONTEST)),
+    multiple=True,
+    help="What to draw; repeatable; contest-... of a contest's folder.  [default: errors; of a contest all four]",
+)
 @click.option("--out", type=click.Path(path_type=Path), help="A .png, .svg or .pdf file, or a folder.  [default: .]")
 @click.option("--force", is_flag=True, help="Replace existing pictures.")
 @law
 @shared
 def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force: bool, as_json: bool) -> int:
-    """Plot recordings side by side. RUN is a recording, or a folder with recordings."""
+    """Plot recordings side by side. RUN is a recording, a folder with recordings, or the folder of one contest."""
     from ..show.figure import FORMATS, save
     from ..show.gallery import PICTURES
 
-    recordings = named([recording for path in runs for recording in open_runs(path)])
-    files = pictures(out or Path("."), tuple(dict.fromkeys(whats)), FORMATS)
+    folder = contest_of(runs)
+    require_whats(whats, folder)
+    wanted = tuple(dict.fromkeys(whats)) or (("errors",) if folder is None else OF_CONTEST)
+    files = pictures(out or Path("."), wanted, FORMATS)
     for file in files.values():
         if file.exists() and not force:
             fix = "choose another with --out, or replace it with --force"
             raise RecordingError("the picture exists", fix=fix, file=file)
+    if folder is not None:
+        return plot_contest(folder, files, as_json)
+    recordings = named([recording for path in runs for recording in open_runs(path)])
     figures = {what: PICTURES[what](recordings) for what in files}
     for what, file in files.items():
         save(figures[what], file)
@@ -77,31 +91,38 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     return DONE
 
 
-def study_of(paths: tuple[Path, ...]) -> Path | None:
-    """The database of a study among some paths: the path itself, or a file in the folder; None without one.
+def require_whats(whats: tuple[str, ...], contest: Path | None) -> None:
+    """Refuse plots of runs for a contest, and the other way round.
 
     Raises:
-        ConfigError: It is not the only path.
+        ConfigError: With the name of the first.
     """
-    inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
-    found = [*(path for path in paths if path.suffix == ".sqlite"), *inside]
-    if found and len(paths) > 1:
-        raise ConfigError("a study among other runs", fix="name it alone", file=found[0])
-    return found[0] if found else None
+    for what in whats:
+        if contest is None and what in OF_CONTEST:
+            raise ConfigError(f"'{what}' is a figure of a contest", fix="name a contest's folder", key="--what")
+        if contest is not None and what not in OF_CONTEST:
+            folders = ", ".join(map(str, folders_of(contest)))
+            fix = f"name the folder of a task: {folders}" if folders else f"there is: {', '.join(OF_CONTEST)}"
+            raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=contest, key="--what")
 
 
-def open_runs(path: Path) -> list[Recording]:
-    """The recording of a path, or all recordings of a folder.
+def plot_contest(folder: Path, files: dict[str, Path], as_json: bool) -> int:
+    """Draw the figures of a contest again."""
+    from ..contest.contest import opened
+    from ..show.contest.figures import FIGURES
+    from ..show.figure import save
 
-    Raises:
-        RecordingError: None there, or one that cannot be read.
-    """
-    from ..recording import Recording
-
-    files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
-    if not files:
-        raise RecordingError("no recordings (*.h5) in this folder", fix="name one that `mmnn run` wrote", file=path)
-    return [Recording.open(file) for file in files]
+    standing = opened(folder)
+    if not any(row.completed for row in standing.rows):
+        raise RecordingError("nothing to draw", why="no run reached its end", file=folder)
+    figures = {what: FIGURES[what](standing) for what in files}
+    for what, file in files.items():
+        save(figures[what], file)
+    if as_json:
+        say_json({"contest": str(folder), "files": {what: str(file) for what, file in files.items()}})
+    else:
+        say("\n".join(f"wrote {file}" for file in files.values()))
+    return DONE
 
 
 def named(recordings: list[Recording]) -> dict[str, Recording]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from ..errors import InputError, RecordingError
+from .folders import recordings_in
 from .options import examples, law, numbers, shared
 from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
 
@@ -83,7 +84,7 @@ def prove(
 
     wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
     if run.is_dir():
-        raise RecordingError("a folder", why="one run is judged at a time", fix="name a recording in it", file=run)
+        raise RecordingError("a folder", why="one run is judged at a time", fix=recordings_in(run), file=run)
     recording = Recording.open(run)
     if not len(recording):
         raise RecordingError("holds no rows", why="the run ended before its first sample", file=run)

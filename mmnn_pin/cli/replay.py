@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import RecordingError
+from .folders import open_runs
 from .options import examples, shared
 from .output import DONE, say, say_json
-from .plot import open_runs
 
 if TYPE_CHECKING:
     from ..recording import Recording

@@ -56,6 +56,7 @@ def study(
     A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
     same command goes on with what is missing. The file is explained in docs/studies.md.
     """
+    from ..experiments.windows import window_notes
     from ..study.plan import plan_of
     from ..study.reading import load_study
     from ..study.session import probe
@@ -67,6 +68,8 @@ def study(
     if row is not None:
         return replay(plan, row, folder, force, as_json)
     require_at_hand(plan, cluster)
+    for note in window_notes(plan.base):
+        click.echo(f"warning: {note}", err=True)
     pool = choose(found, workers, processes, cluster)
     stopped = make(plan, found, folder, pool, force)
     return tell(folder, stopped, as_json)

@@ -14,12 +14,13 @@ from ..experiments.contest import Contest
 from ..experiments.controllers import ORACLES
 from ..experiments.experiment import Experiment
 from ..experiments.runner import require_free
+from .about import NAME, About, AboutTask, read_about, write_about
 from .demand import Demand, demand
 from .heat import Stopped, heat
 from .row import Row, known, nan
 from .store import Heat, Store, as_json, fingerprint
 from .targets import Target, targets
-from .task import Task, tasks_of
+from .task import Task, late_windows, tasks_of
 
 BASELINE = "pd"
 FIXED = (BASELINE, "nominal")  # they learn nothing
@@ -37,8 +38,10 @@ class Standing:
         demands: Task to what its reference asks of the motors.
         heats: Task and controller to what came of them.
         failed: Task and controller of a user to what it raised: its rows are missing.
-        interrupted: Whether the user stopped it.
+        interrupted: Whether rows are missing because the user stopped it.
         folder: Where the files are.
+        notes: What to know beside the numbers.
+        missing: `task/controller` that are still to be run.
     """
 
     name: str
@@ -47,9 +50,11 @@ class Standing:
     tasks: dict[str, str]
     demands: dict[str, Demand]
     heats: dict[tuple[str, str], Heat]
-    failed: dict[tuple[str, str], InputError]
+    failed: dict[tuple[str, str], str]
     interrupted: bool
     folder: Path | None
+    notes: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
 
     @property
     def contest(self) -> Contest:
@@ -109,8 +114,9 @@ class Standing:
             "rows": rows,
             "step_times": steps,
             "targets": [target.to_dict() for target in self.targets()],
-            "failed": {f"{task}/{controller}": str(error) for (task, controller), error in self.failed.items()},
+            "failed": {f"{task}/{controller}": error for (task, controller), error in self.failed.items()},
             "interrupted": self.interrupted,
+            "notes": list(self.notes),
         }
         runs = {
             f"{task}/{controller}": {
@@ -152,6 +158,7 @@ def run_contest(
     force: bool = False,
     workers: int | None = None,
     progress: Callable[[str, float], None] | None = None,
+    warn: Callable[[str], None] = lambda note: None,
 ) -> Standing:
     """Run a contest. What a folder holds of the same contest is kept and the rest is run; Ctrl-C keeps what is done.
 
@@ -162,6 +169,7 @@ def run_contest(
         force: Run anew what is there.
         workers: Threads; by default one per core.
         progress: Called now and then with the task and controller, and the fraction of all that is done.
+        warn: Called with every note before anything is run.
 
     Raises:
         InputError: A task that cannot be, before anything is run; rows of other settings and no `force`.
@@ -179,7 +187,13 @@ def run_contest(
     ]
     todo = [entry for entry in plan if not is_done(store, *entry)]
     require_free([out / task.name / f"{controller}.h5" for task, controller, _ in todo] if out else [], True)
-    interrupted, count, failed = False, len(todo), dict[tuple[str, str], InputError]()
+    interrupted, count, failed = False, len(todo), dict[tuple[str, str], str]()
+    demands, notes = {task.name: demand(task) for task in tasks}, tuple(late_windows(tasks))
+    for note in notes:
+        warn(note)
+    about = About.of(experiment, name, controllers, {t.name: AboutTask.of(t, demands[t.name]) for t in tasks}, notes)
+    if out is not None:
+        write_about(out, about if force else about.after(read_about(out)))
     try:
         for k, (task, controller, mark) in enumerate(todo):
             label = f"{task.name}/{controller}"
@@ -195,7 +209,7 @@ def run_contest(
             except InputError as error:
                 if controller not in experiment.laws:
                     raise
-                failed[task.name, controller] = error
+                failed[task.name, controller] = str(error)
                 continue
             store.put(label, Heat(mark, known(step), rows))
     except (Stopped, KeyboardInterrupt):
@@ -205,8 +219,32 @@ def run_contest(
         for task, controller, _ in plan
         if f"{task.name}/{controller}" in store.heats
     }
-    titles, demands = {task.name: task.title for task in tasks}, {task.name: demand(task) for task in tasks}
-    return Standing(name, experiment, controllers, titles, demands, heats, failed, interrupted, out)
+    titles = {task.name: task.title for task in tasks}
+    missing = tuple("/".join(key) for task, c, _ in plan if (key := (task.name, c)) not in heats and key not in failed)
+    return Standing(name, experiment, controllers, titles, demands, heats, failed, interrupted, out, notes, missing)
+
+
+def opened(folder: Path) -> Standing:
+    """The contest of a folder, with all tasks that it holds rows of.
+
+    Raises:
+        RecordingError: It holds none, or one whose files cannot be read.
+    """
+    about, store = read_about(folder), Store.opened(folder)
+    if about is None:
+        fix = "run the contest again, with --force or in another folder"
+        raise RecordingError(f"no {NAME} beside the rows", why="an older version wrote them", fix=fix, file=folder)
+    tasks = {name: task for name, task in about.tasks.items() if any(k.startswith(f"{name}/") for k in store.heats)}
+    keys = [(name, controller) for name, task in tasks.items() for controller in task.controllers]
+    heats = {key: store.heats["/".join(key)] for key in keys if "/".join(key) in store.heats}
+    if not heats:
+        raise RecordingError("a contest without rows", why="it was stopped before the first", file=folder)
+    planned = [f"{task}/{name}" for task, one in about.tasks.items() for name in one.controllers]
+    missing = tuple(key for key in planned if key not in store.heats)
+    titles, demands = {k: task.title for k, task in tasks.items()}, {k: task.demand for k, task in tasks.items()}
+    experiment = about.contest(folder)
+    name, who, rest = about.name, about.controllers, bool(missing)
+    return Standing(name, experiment, who, titles, demands, heats, {}, rest, folder, about.notes, missing)
 
 
 def is_done(store: Store, task: Task, controller: str, mark: str) -> bool:

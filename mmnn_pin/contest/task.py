@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,7 +12,7 @@ import msgspec
 from ..disturbance import Payload, payload
 from ..errors import ConfigError, InputError, RecordingError
 from ..experiments.cases import with_case
-from ..experiments.contest import Contest
+from ..experiments.contest import ONLY, Contest
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment
 from ..experiments.runner import require_runnable
@@ -143,7 +143,8 @@ def tasks_of(
         if not names_its_own(experiment, name):
             one = msgspec.structs.replace(one, controllers=controllers, laws=experiment.laws)
         try:
-            task = Task(name or "task", experiment.cases[name].title if name else one.title, one, one.load_robot())
+            task = Task(name or ONLY, experiment.cases[name].title if name else one.title, one, one.load_robot())
+            require_windows(one)
             require_runnable(one, task.robot)
             _ = task.held_out
         except InputError as error:
@@ -151,6 +152,34 @@ def tasks_of(
             raise
         found.append(task)
     return found
+
+
+def late_windows(tasks: Sequence[Task]) -> list[str]:
+    """A note on tasks whose last window, in which the errors count, begins when the training is over; or none."""
+    found = []
+    for task in tasks:
+        (start, stop), end = task.experiment.windows[-1], task.experiment.time.duration
+        if start >= end:
+            found.append(f"{task.name} ({start:g}-{stop:g} s of {end:g} s)")
+    what = "no errors where the last window begins after the end of the training: "
+    return [what + ", ".join(found) + "; set windows, too"] if found else []
+
+
+def require_windows(experiment: Experiment) -> None:
+    """Refuse no window for the errors, windows of the curves longer than a run, and a start without a sample.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    contest, time = experiment.contest or Contest(), experiment.time
+    if not experiment.windows:
+        fix = "give at least one, [start, end] in seconds"
+        raise ConfigError("no windows", why="the errors count in the last", fix=fix, key="windows")
+    for name in ("window", "start"):
+        value = getattr(contest, name)
+        if not time.control_period <= value <= time.duration:
+            fix = f"use a time from the control period, {time.control_period:g} s, to the duration, {time.duration:g} s"
+            raise ConfigError(f"{value:g} s", fix=fix, key=f"contest.{name}")
 
 
 def names_its_own(experiment: Experiment, name: str) -> bool:

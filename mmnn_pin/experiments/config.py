@@ -12,9 +12,12 @@ from typing import Any, Literal, Union, get_args, get_origin
 import msgspec
 
 from ..disturbance import Disturbance
-from ..errors import ConfigError, InputError, RecordingError
+from ..errors import ConfigError, InputError, RecordingError, UnknownName
 from ..model.overrides import Overrides
 from ..recording import Recording
+from ..settings import wrong_type
+from .contest import ONLY
+from .controllers import CONTROLLERS
 from .experiment import Experiment
 from .files import find, find_variant, override, read_toml, whole, with_starts
 
@@ -43,7 +46,9 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     try:
         require_overrides(table.get("overrides", {}))
         require_disturbances(table.get("disturbances"))
-        return msgspec.convert(table, Experiment)
+        experiment = msgspec.convert(table, Experiment)
+        require_names(experiment)
+        return experiment
     except msgspec.ValidationError as error:
         raise config_error(error, path, table) from error
     except InputError as error:
@@ -71,6 +76,29 @@ def without_null(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: without_null(item) for key, item in value.items() if item is not None}
     return [without_null(item) for item in value] if isinstance(value, list) else value
+
+
+def require_names(experiment: Experiment) -> None:
+    """Refuse controllers and tasks that a contest names and that do not exist.
+
+    Raises:
+        UnknownName: With the key path.
+    """
+    contest = experiment.contest
+    if contest is None:
+        return
+    there, tasks = {**CONTROLLERS, **experiment.laws}, tuple(experiment.cases) or (ONLY,)
+    named = {f"contest.knows.{what}": names for what, names in contest.knows.items()} | {
+        "contest.beside": contest.beside
+    }
+    for key, names in named.items():
+        for name in names:
+            if name not in there:
+                raise UnknownName("controller", name, there, key=key)
+    for key in ("task", "printed", "rich", "poor"):
+        name = getattr(contest.targets, key)
+        if name and name not in tasks:
+            raise UnknownName("task", name, tasks, key=f"contest.targets.{key}")
 
 
 def require_overrides(table: Any) -> None:
@@ -111,7 +139,8 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
         table: What was converted; tells which of several types a table is.
     """
     message, _, where = str(error).partition(" - at ")
-    key = re.sub(r"\[(\d+)\]", r".\1", where.strip("`").removeprefix("$")).removeprefix(".") or None
+    path_there = re.sub(r"\[(\d+|\.\.\.)\]", r".\1", where.strip("`").removeprefix("$")).removeprefix(".")
+    key = with_names(path_there.replace("....", ".*."), table) or None
     kind, known = kind_at(key, table), tuple[str, ...]()
     if unknown := re.search(r"unknown field `(\w+)`", message):
         message, known = f"unknown key '{unknown[1]}'", keys_of(kind)
@@ -122,7 +151,33 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
     elif wrong := re.fullmatch(r"Invalid enum value '?(.*?)'?", message):
         message, known = f"unknown value '{wrong[1]}'", words_of(kind)
         known += ("or a number",) if float in get_args(kind) else ()
-    return ConfigError(message, fix=f"there is: {', '.join(known)}" if known else "", file=path, key=key)
+    if known:
+        return ConfigError(message, fix=f"there is: {', '.join(known)}", file=path, key=key)
+    what, fix = wrong_type(message, value_at(key, table))
+    return ConfigError(what, fix=fix, file=path, key=key)
+
+
+def with_names(key: str, table: Any) -> str:
+    """A key path with `*`, which stands for a name, as that of the first entry there that is of the wrong type."""
+    head, star, rest = key.partition(".*")
+    if not star:
+        return key
+    entries, kind = value_at(head, table), kind_at(f"{head}.*", table)
+    for name, entry in entries.items() if isinstance(entries, dict) else ():
+        try:
+            msgspec.convert(entry, kind)
+        except msgspec.ValidationError:
+            return with_names(f"{head}.{name}{rest}", table)
+        except InputError:
+            continue
+    return head
+
+
+def value_at(key: str | None, table: Any) -> Any:
+    """What a table holds at a key path; None where it holds nothing there."""
+    for part in key.split(".") if key else ():
+        table = inside(table, part)
+    return table if key else None
 
 
 def kind_at(key: str | None, table: Any = None) -> Any:
@@ -133,6 +188,8 @@ def kind_at(key: str | None, table: Any = None) -> Any:
             kind, table = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part), inside(table, part)
         elif get_origin(kind) in (tuple, list) and part:
             kind, table = get_args(kind)[0], inside(table, part)
+        elif get_origin(kind) is dict and part:
+            kind, table = get_args(kind)[1], inside(table, part)
         elif part:
             return None
         kinds = tuple(k for k in get_args(kind) if k is not type(None)) if get_origin(kind) in UNIONS else (kind,)

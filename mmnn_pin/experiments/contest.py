@@ -7,6 +7,7 @@ import msgspec
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
 
+ONLY = "task"  # name of the task of a contest without cases
 # What a learner is told before it starts; all others learn something of their own.
 KNOWS = ("kinematics", "form", "nothing", "nominal")
 
@@ -37,9 +38,9 @@ class Targets(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_gains(self, "contest.targets", "better", "near", "kick")
         for name, value in self.frozen_fvu.items():
-            if name not in KNOWS or not value > 0:
+            if name not in KNOWS or not 0 < value < float("inf"):
                 what = f"a target for '{name}'" if name not in KNOWS else f"{value}"
-                fix = f"give numbers > 0 for: {', '.join(KNOWS)}"
+                fix = f"give finite numbers > 0 for: {', '.join(KNOWS)}"
                 raise ConfigError(what, fix=fix, key=f"contest.targets.frozen_fvu.{name}")
 
 
@@ -57,7 +58,7 @@ class Contest(Settings, frozen=True):
         targets: What is asked.
 
     Raises:
-        ConfigError: No seeds, a window or share out of range.
+        ConfigError: No seeds, a window or share out of range, a learner that is told two things.
     """
 
     seeds: int = 5
@@ -74,10 +75,15 @@ class Contest(Settings, frozen=True):
         for name in ("window", "learned", "start"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(f"{getattr(self, name)}", fix="use a finite number > 0", key=f"contest.{name}")
-        for name in self.knows:
+        told: dict[str, str] = {}
+        for name, controllers in self.knows.items():
             if name not in KNOWS:
                 fix = f"there is: {', '.join(KNOWS)}"
                 raise ConfigError(f"unknown key '{name}'", fix=fix, key=f"contest.knows.{name}")
+            for one in controllers:
+                if told.setdefault(one, name) != name:
+                    fix = "name it once"
+                    raise ConfigError(f"'{one}' is in {told[one]}, too", fix=fix, key=f"contest.knows.{name}")
 
     def told(self, controller: str) -> str:
         """What a learner is told; empty for one that is not in the list."""

@@ -185,6 +185,10 @@ class Experiment(Settings, frozen=True):
             raise ConfigError(f"{self.seed}", fix="use an integer from 0 to 2^63 - 1", key="seed")
         if not (np.isfinite(self.weights_interval) and self.weights_interval > 0):
             raise ConfigError(f"{self.weights_interval} s", fix="use a number > 0", key="weights_interval")
+        for name, held in self.held_out.items():
+            if not 0 < held.duration < np.inf:
+                fix = "use a finite number of seconds > 0"
+                raise ConfigError(f"{held.duration} s", fix=fix, key=f"held_out.{name}.duration")
         require_in_time(self.disturbances, self.time.duration)
 
     def load_robot(self) -> Robot:
@@ -238,6 +242,7 @@ class Experiment(Settings, frozen=True):
             return msgspec.structs.replace(self, reference=tables).trajectory_of(robot)
         except InputError as error:
             error.key = (error.key or "reference").replace("reference", f"held_out.{name}", 1)
+            error.fix = error.fix.replace("[reference.", f"[held_out.{name}.")
             raise
 
     def inertia(self, robot: Robot) -> Array | None:

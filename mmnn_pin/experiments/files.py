@@ -115,10 +115,14 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
         ConfigError: A file cannot be read, or an override sets nothing.
     """
     cases = table.get("cases")
-    for case in cases.values() if isinstance(cases, dict) else ():
+    for name, case in cases.items() if isinstance(cases, dict) else ():
         if not (isinstance(case, dict) and case.get("experiment")):
             continue
-        start = merged(inherited(whole(beside(path, case["experiment"]))), inherited(own))
+        try:
+            start = merged(inherited(whole(beside(path, case["experiment"]))), inherited(own))
+        except UnknownName as error:
+            error.file, error.key = path, f"cases.{name}.experiment"
+            raise
         for text in overrides:
             if not text.startswith("cases."):
                 override(start, text)

@@ -19,6 +19,7 @@ from typing import Any, cast, get_type_hints
 import msgspec
 
 from ..errors import ConfigError, InputError, UnknownName
+from ..settings import wrong_type
 from ..torque.controller import Feedback, TorqueController
 from ..torque.learning_law import LearningLaw
 from ..torque.origin import DIGEST, sha256, told
@@ -134,7 +135,8 @@ def with_settings(
         try:
             values[setting] = msgspec.convert(value, hints[setting])
         except msgspec.ValidationError as error:
-            raise ConfigError(str(error).partition(" - at ")[0], key=f"{key}.{setting}") from error
+            what, fix = wrong_type(error, value)
+            raise ConfigError(what, fix=fix, key=f"{key}.{setting}") from error
     return cast(LearningLaw, construct(kind, values | dict(given), key))
 
 

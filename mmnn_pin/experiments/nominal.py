@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..errors import ConfigError, InputError
+from ..errors import ConfigError, InputError, UnknownName
 from ..model.loading import load_with
 from ..model.overrides import Overrides
 from ..model.parameters import parameters
@@ -31,7 +31,7 @@ class Nominal(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         factors = np.array([*self.masses.values()] if isinstance(self.masses, dict) else [self.masses], float)
-        if not (np.isfinite(factors) & (factors > 0)).all():
+        if not (factors.size and (np.isfinite(factors) & (factors > 0)).all()):
             raise ConfigError(f"{self.masses}", fix="use finite factors > 0", key="nominal.masses")
 
 
@@ -45,11 +45,16 @@ def nominal_robot(nominal: Nominal, robot: Robot | None, said: Overrides) -> Rob
 
     Raises:
         ConfigError: No robot, or a nominal one that moves otherwise.
+        UnknownName: No robot of that name, or no such body.
         InputError: It cannot be loaded, or has no such body.
     """
     if robot is None:
         raise ConfigError("a nominal model of no robot", fix="give the robot", key="controllers")
-    believed = load_with(nominal.robot, said) if nominal.robot else robot
+    try:
+        believed = load_with(nominal.robot, said) if nominal.robot else robot
+    except UnknownName as error:
+        error.key = "nominal.robot"
+        raise
     alike = (believed.layout.dof, believed.layout.base) == (robot.layout.dof, robot.layout.base)
     if not alike or not np.array_equal(believed.T, robot.T):
         fix = "name one with the same base and the same joints"

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import ConfigError, UnknownName
 from ..reference import BasePath, Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Sines, Trajectory, Waypoints
 from ..reference.arm import JointProfile
-from ..settings import Settings
+from ..settings import Settings, wrong_type
 from ..signals import Array, Layout
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
@@ -124,5 +124,6 @@ def make(kinds: dict[str, Any], table: dict[str, Any], key: str) -> Any:
     try:
         return msgspec.convert(arguments, kind)
     except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at ")
-        raise ConfigError(message, key=key + where.strip("`").removeprefix("$")) from error
+        where = str(error).partition(" - at ")[2].strip("`").removeprefix("$")
+        what, fix = wrong_type(error, arguments.get(where.removeprefix(".")))
+        raise ConfigError(what, fix=fix, key=key + where) from error

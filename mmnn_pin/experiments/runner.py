@@ -24,6 +24,7 @@ from .fairness import unfair
 from .figure_ranges import figure_ranges
 from .improvement import Improvement, improvements
 from .largest_errors import beside_the_thesis
+from .windows import window_notes
 
 
 @dataclass(frozen=True)
@@ -213,7 +214,7 @@ def run_experiment(
     require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}
-    notes = reference_notes(experiment, robot)
+    notes = [*window_notes(experiment), *reference_notes(experiment, robot)]
     duration, learners = experiment.time.duration, effective(wanted)
     for controller in in_order(wanted):
         learner = runs.get(learners.get(controller, ""))

@@ -24,7 +24,7 @@ from typing import Any
 import msgspec
 
 from ..errors import ConfigError, UnknownName
-from ..settings import Settings
+from ..settings import Settings, wrong_type
 from .audit.finding import Finding
 from .base import KINDS
 from .robots import package_dirs_of
@@ -169,7 +169,8 @@ def read_overrides(path: Path) -> Overrides:
         message, _, where = str(error).partition(" - at ")
         if unknown := re.search(r"unknown field `(.*)`", message):
             raise UnknownName("key", unknown[1], Overrides.__struct_fields__, file=path) from None
-        raise ConfigError(message, file=path, key=where.strip("`").removeprefix("$.") or None) from None
+        what, fix = wrong_type(message)
+        raise ConfigError(what, fix=fix, file=path, key=where.strip("`").removeprefix("$.") or None) from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ConfigError("not valid TOML", why=str(error), file=path) from None
     except (ConfigError, UnknownName) as error:

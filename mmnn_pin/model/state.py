@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from ..errors import ConfigError, InputError, UnknownName
-from ..settings import Settings
+from ..settings import Settings, wrong_type
 from ..signals import Array
 from .dynamics import Dynamics
 from .robot import Robot
@@ -86,7 +86,8 @@ def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
         key = where.strip("`").removeprefix("$").removeprefix(".") or None
         if unknown := re.search(r"unknown field `(.*)`", message):
             raise UnknownName("key", unknown[1], NamedState.__struct_fields__, file=path) from error
-        raise ConfigError(message, file=path, key=key) from error
+        what, fix = wrong_type(message)
+        raise ConfigError(what, fix=fix, file=path, key=key) from error
     except msgspec.DecodeError as error:
         raise ConfigError("not valid JSON", why=str(error), file=path) from error
     except InputError as error:

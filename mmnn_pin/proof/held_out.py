@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from ..errors import RecordingError
+from ..errors import ConfigError, RecordingError
 from ..experiments.config import recorded_experiment
 from ..experiments.experiment import Experiment
 from ..kinematic import Kinematic
@@ -24,6 +24,7 @@ from ..start import Start
 from ..timing import Timing
 from ..torque.controller import Feedback
 from ..torque.model_based import ComputedTorque
+from .fvu import START
 from .subject import Subject, finite_rows
 
 FASTER = 1.3
@@ -66,8 +67,12 @@ def all_held_out(experiment: Experiment, robot: Robot) -> dict[str, HeldOut]:
     """All that an experiment names, or the one that follows from its reference, by name.
 
     Raises:
-        InputError: One does not suit the robot.
+        InputError: One does not suit the robot, or is over before errors count.
     """
+    for name, given in experiment.held_out.items():
+        if given.duration <= START:
+            why, fix = f"the first {START:g} s do not count", "make it longer"
+            raise ConfigError(f"{given.duration:g} s", why=why, fix=fix, key=f"held_out.{name}.duration")
     if not experiment.held_out:
         rows = whole_reference(experiment, robot)
         return {"usual": usual(robot, experiment.time.control_period, rows)}

@@ -16,7 +16,7 @@ from ..experiments.config import load_experiment, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
 from ..experiments.files import bundled, override, read_toml
-from ..settings import Settings
+from ..settings import Settings, wrong_type
 from .factors import Factor
 from .lines import line_of
 from .settings import Sampling, StudySettings, Success, Tune
@@ -110,8 +110,9 @@ def part(table: dict[str, Any], kind: type[S], prefix: str) -> S:
         if not inner and (unknown := re.search(r"unknown field `([^`]*)`", message)):
             raise UnknownName("key", unknown[1], kind.__struct_fields__, key=prefix or None) from None
         known = words_of({field.name: field.type for field in msgspec.structs.fields(kind)}.get(inner))
-        fix = f"there is: {', '.join(known)}" if known else ""
-        raise ConfigError(message, fix=fix, key=joined(prefix, inner)) from None
+        what, fix = wrong_type(message, table.get(inner))
+        fix = f"there is: {', '.join(known)}" if known else fix
+        raise ConfigError(what, fix=fix, key=joined(prefix, inner)) from None
     except InputError as error:
         error.key = joined(prefix, error.key or "")
         raise

@@ -10,11 +10,11 @@ import numpy as np
 from scipy.special import expit
 
 from ..errors import ConfigError
-from ..settings import Settings, plain, require_numbers
+from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, IntArray, Layout
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
-from .neural import Inputs, Neural, TwoLayer
+from .neural import MOST_HIDDEN, Inputs, Neural, TwoLayer
 from .replay import Replay
 
 # What every input is on a reference that is followed exactly; the others of `neural.MEASURED` are zero there.
@@ -57,10 +57,12 @@ class Replaying(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_numbers(self, "replay", ("entries", "every", "unit", "bound", "hidden"))
+        require_at_most(self, "replay", MOST)
         if self.rate >= 2:
             raise ConfigError(f"{self.rate}", why="the error grows", fix="use a rate below 2", key="replay.rate")
 
 
+MOST = {"entries": 100_000, "replays": 1000, "hidden": MOST_HIDDEN}
 NOISE = 0.1  # of a kept sample, in units
 UNKNOWN = 0.005  # share of the output's variance left on random motion, above which a run did not excite
 SAMPLES = 300  # of random motion

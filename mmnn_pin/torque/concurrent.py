@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..model.regressor import Regressor
-from ..settings import Settings, plain, require_numbers
+from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, Layout
 from . import law
 from .adaptive import Adapting, guess_of, scales
@@ -24,6 +24,7 @@ from .recall import History
 
 SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
 RADIUS = 10.0  # bound on w, as root mean square in standard deviations of the prior
+MOST = 5000  # places of the stack
 UNKNOWN = 0.1  # share of the prior variance of Psi left on random motion, above which a run did not excite
 RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
 FRICTION = 0.3  # size of friction, in c_j (see `Adapting`): small joints have little gain and much friction
@@ -34,7 +35,7 @@ class Concurrent(Settings, frozen=True):
     """How a concurrent learner learns.
 
     Args:
-        entries: Places of the history stack; each holds one equation per velocity.
+        entries: Places of the history stack, 5000 at most; each holds one equation per velocity.
         rate: How fast the estimate goes to what the stack says [1/s].
         tracking: How fast it follows the tracking error where nothing is known yet [1/J].
         noise: Standard deviation of an equation, divided by K: the velocity error that would hide it [m/s, rad/s].
@@ -64,6 +65,7 @@ class Concurrent(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_numbers(self, "concurrent", ("entries", "noise", "growth", "every", "spread"))
+        require_at_most(self, "concurrent", {"entries": MOST})
 
 
 @dataclass(frozen=True, eq=False)

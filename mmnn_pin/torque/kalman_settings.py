@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-from ..settings import Settings, require_numbers
+from ..settings import Settings, require_at_most, require_numbers
+
+MOST = 2000  # random features: the covariance holds their square
 
 
 class Kalman(Settings, frozen=True):
@@ -23,7 +25,7 @@ class Kalman(Settings, frozen=True):
         interval: Time from one update to the next [s], at least a control period.
 
     Raises:
-        ConfigError: A number that is negative, not finite or 0 where it must not be.
+        ConfigError: A number that is negative, not finite, huge or 0 where it must not be.
     """
 
     noise: float = 0.03
@@ -63,7 +65,7 @@ class RandomFeatures(Kalman, frozen=True):
     """Random features, see `torque.features`.
 
     Args:
-        hidden: Random functions, at least.
+        hidden: Random functions, at least; 2000 at most.
         weights: Standard deviation of their weights on every input.
         linear: Ratio of the prior variances of features without and with a random function.
         eps: Speed over which dry friction turns [rad/s or m/s].
@@ -76,19 +78,26 @@ class RandomFeatures(Kalman, frozen=True):
     eps: float = 0.03
 
     positive: ClassVar[tuple[str, ...]] = (*Kalman.positive, "hidden", "linear", "eps")
+    most: ClassVar[dict[str, int]] = {"hidden": MOST}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_at_most(self, self.section, self.most)
 
 
 class KalmanBilinear(RandomFeatures, frozen=True):
     """`kalman_bilinear`: random functions of the arm's joints times what is linear or bilinear.
 
     Args:
-        largest: Most features with a random function; a robot with many joints has fewer than `hidden` times its terms.
+        largest: Most features with a random function, 2000 at most; a robot with many joints has fewer than `hidden`
+            times its terms.
     """
 
     largest: int = 400
 
     section: ClassVar[str] = "kalman.bilinear"
     positive: ClassVar[tuple[str, ...]] = (*RandomFeatures.positive, "largest")
+    most: ClassVar[dict[str, int]] = {"hidden": MOST, "largest": MOST}
 
 
 class KalmanFeatures(RandomFeatures, frozen=True):

@@ -26,6 +26,8 @@ MEASURED = (
     *("alpha", "alphadot", "pose_error", "z", "e", "edot", "r", "nu_ref", "nudot_ref"),
 )
 
+MOST_HIDDEN = 10_000  # hidden units of a network
+
 
 class TwoLayer(Settings, frozen=True):
     """Two-layer network with sigmoid units; both layers learn (3.23)-(3.28), (3.48), (3.49).
@@ -316,13 +318,16 @@ def channels(layout: Layout) -> list[tuple[int, int]]:
 
 
 def require_hidden(hidden: int, key: str) -> None:
-    """Refuse a network without hidden units.
+    """Refuse a network without hidden units, and one that no memory holds.
 
     Raises:
         ConfigError: With the key.
     """
     if hidden < 1:
         raise ConfigError(f"{hidden} hidden units", fix="use at least one", key=key)
+    if hidden > MOST_HIDDEN:
+        why, fix = "all their weights are kept and recorded", f"use at most {MOST_HIDDEN}"
+        raise ConfigError(f"{hidden} hidden units", why=why, fix=fix, key=key)
 
 
 def require_width(half: float, key: str) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from ...contest.contest import BASELINE, Standing
 from ...contest.row import Row, arm_of, base_of, nan
 from ...experiments.controllers import ORACLES
+from ...signals import Array
 from ..figure import OTHERS, STYLES, Style, new_figure, plain, save, styled
 from .columns import over_all
 
@@ -30,6 +31,7 @@ HELD_OUT: Mapping[str, Callable[[Row, str], float]] = {
     "arm, held out [mrad]": lambda row, how: 1e3 * over_all(row, how, arm_of),
 }
 MARKERS = "os^DvPX<>*hd"
+POINTS = 25  # of a learning curve, at most: more of them are a thicket of lines
 
 
 def write_figures(standing: Standing, folder: Path) -> dict[str, Path]:
@@ -40,8 +42,7 @@ def write_figures(standing: Standing, folder: Path) -> dict[str, Path]:
     """
     if not any(row.completed for row in standing.rows):
         return {}
-    made = {"contest-errors": errors, "contest-fvu": known, "contest-learning": learning, "contest-held-out": held_out}
-    return {name: save(make(standing), folder / f"{name}.png") for name, make in made.items()}
+    return {name: save(make(standing), folder / f"{name}.png") for name, make in FIGURES.items()}
 
 
 def looks(standing: Standing) -> dict[str, Style]:
@@ -146,20 +147,36 @@ def known(standing: Standing) -> Figure:
 
 @styled
 def learning(standing: Standing) -> Figure:
-    """Error over that of PD in windows along the training, median over the seeds; dotted where it counts as learned."""
+    """Error over that of PD along the training, median over the seeds; dotted where it counts as learned.
+
+    Windows are joined until a curve has at most `POINTS`.
+    """
     tasks, style, contest = run_tasks(standing), looks(standing), standing.contest
     figure, panels = panels_for(tasks, 3, 4.2, 2.6)
     for axes, task in zip(panels, tasks, strict=True):
+        step = contest.window
         for name in standing.controllers:
             curves = relative_curves(standing, task, name)
-            if curves:
-                middle = np.median(curves, axis=0)
-                time = contest.window * (np.arange(len(middle)) + 0.5)
-                axes.plot(time, middle, label=plain(name), **style[name].line)
-        axes.set(yscale="log", xlabel="time [s]", ylabel="error / PD's", title=task)
+            if curves and len(curves[0]):
+                middle = np.median([thinned(curve) for curve in curves], axis=0)
+                step = contest.window * together(curves[0])
+                axes.plot(step * (np.arange(len(middle)) + 0.5), middle, label=plain(name), **style[name].line)
+        axes.set(yscale="log", xlabel=f"time [s], in steps of {step:g} s", ylabel="error / PD's", title=task)
         axes.axhline(contest.learned, color="0.5", lw=0.8, ls=":")
     legend(figure, "Contest: learning curves", panels)
     return figure
+
+
+def together(curve: Sequence[float]) -> int:
+    """How many windows of a curve are joined."""
+    return -(-len(curve) // POINTS)
+
+
+def thinned(curve: Sequence[float]) -> Array:
+    """A curve with its windows joined, as root of the mean square; without those of an unfinished end."""
+    k = together(curve)
+    whole = np.asarray(curve)[: len(curve) // k * k].reshape(-1, k)
+    return np.sqrt((whole**2).mean(axis=1))
 
 
 def relative_curves(standing: Standing, task: str, controller: str) -> list[list[float]]:
@@ -190,3 +207,11 @@ def legend(figure: Figure, title: str, all_axes: Sequence[Axes]) -> None:
         alignment="left",
     )
     found.get_title().set(fontsize=12, fontweight="bold")
+
+
+FIGURES: Mapping[str, Callable[[Standing], Figure]] = {
+    "contest-errors": errors,
+    "contest-fvu": known,
+    "contest-learning": learning,
+    "contest-held-out": held_out,
+}

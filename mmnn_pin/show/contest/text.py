@@ -31,7 +31,6 @@ CAPTION = (
 def render(standing: Standing, colour: bool = False, width: int = WIDTH) -> str:
     """All tables and the targets as text of at most `width` columns."""
     console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
-    contest = standing.contest
     with console.capture() as capture:
         console.print(standing.experiment.title or standing.name, style="bold", highlight=False)
         for task in standing.tasks:
@@ -40,11 +39,26 @@ def render(standing: Standing, colour: bool = False, width: int = WIDTH) -> str:
                 console.print(demands(standing, task), highlight=False)
                 console.print(table(standing, task, TRAINING))
                 console.print(table(standing, task, KNOWLEDGE))
-        caption = CAPTION.format(seeds=contest.seeds, start=contest.start, learned=contest.learned)
-        console.print(caption, style="italic", highlight=False)
-        if found := standing.targets():
+        console.print(caption(standing), style="italic", highlight=False)
+        if found := [target for target in standing.targets() if target.reached is not None]:
             console.print(targets_table(found))
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+
+def caption(standing: Standing) -> str:
+    """What the columns mean."""
+    contest = standing.contest
+    return CAPTION.format(seeds=contest.seeds, start=contest.start, learned=contest.learned)
+
+
+def findings(standing: Standing) -> list[str]:
+    """Findings of the learners, each told once with its tasks."""
+    found: dict[str, list[str]] = {}
+    for row in standing.rows:
+        for text in row.findings:
+            tasks = found.setdefault(text if text.startswith(row.controller) else f"{row.controller}: {text}", [])
+            tasks += [row.task] if row.task not in tasks else []
+    return [f"{text} ({', '.join(tasks)})" for text, tasks in found.items()]
 
 
 def demands(standing: Standing, task: str) -> str:
