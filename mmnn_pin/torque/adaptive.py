@@ -22,6 +22,7 @@ from . import law
 from .adaptation import Adaptation
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
+from .guess import guess_of
 from .prediction import Prediction
 from .pseudo_inertia import to_matrix, to_vector
 
@@ -75,6 +76,8 @@ class Adapting(Settings, frozen=True):
             experiment the one of `[nominal]`).
         mass: Masses of the guess, (base, every other body) [kg].
         size: Radii of gyration of the guess about each axis, likewise [m].
+        slowest: The guess is made lighter where a velocity would feel more inertia of it than its gain in this time
+            can handle [s]; see `torque.guess`.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -92,6 +95,7 @@ class Adapting(Settings, frozen=True):
     initial: Literal["guess", "nominal"] = "guess"
     mass: tuple[float, float] = (30.0, 2.0)
     size: tuple[float, float] = (0.3, 0.2)
+    slowest: float = 0.1
 
     def __post_init__(self) -> None:
         require_gains(self, "adaptive", "rate", "viscous", "coulomb", "rotor", "leakage", "share", "friction_bound")
@@ -246,7 +250,8 @@ class Adaptive(CompiledController):
 
     def start(self) -> Array:
         """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""
-        guess, first = guess_of(self.regressor, self.adapting), self.regressor.inertial
+        first, own = self.regressor.inertial, self.adapting
+        guess = guess_of(self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, own.slowest)
         if self.adapting.initial == "guess" or self.nominal is None:
             return guess
         theta = np.maximum(self.nominal, 0.0)
@@ -265,14 +270,10 @@ class Adaptive(CompiledController):
         return self.regressor.unit()
 
 
-def guess_of(regressor: Regressor, adapting: Adapting) -> Array:
-    """Balls at every joint and no friction, (k,)."""
-    theta = np.zeros(regressor.size)
-    for i, body in enumerate(regressor.bodies):
-        m, size = (adapting.mass[body != "root"], adapting.size[body != "root"])
-        theta[BODY * i] = m
-        theta[BODY * i + np.array([4, 7, 9])] = m * size**2
-    return theta
+def gains_of(regressor: Regressor, feedback: Feedback) -> Array:
+    """K of the robot that a regressor belongs to, (p,)."""
+    m = regressor.massless
+    return feedback.vector(Layout(m.base, m.nu.size - m.base, m.offset.size, 0))
 
 
 def scales(regressor: Regressor, K: Array) -> Array:

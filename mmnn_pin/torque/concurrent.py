@@ -16,9 +16,10 @@ from ..model.regressor import Regressor
 from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, Layout
 from . import law
-from .adaptive import Adapting, guess_of, scales
+from .adaptive import Adapting, gains_of, scales
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
+from .guess import guess_of, sizes_of
 from .history import scratch, shapes
 from .recall import History
 
@@ -171,7 +172,8 @@ class ConcurrentLearner(CompiledController):
         """The parameters before anything is learned, (k0,)."""
         if self.settings.initial == "nominal" and self.nominal is not None:
             return np.array(self.nominal)
-        return guess_of(self.regressor, Adapting())
+        own = Adapting()
+        return guess_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
 
     def theta(self, memory: Memory) -> Array:
         """The estimate as parameters of the robot, (k0,)."""
@@ -228,16 +230,10 @@ class ConcurrentLearner(CompiledController):
 
     def _sizes(self) -> Array:
         """Sizes of the parameters, (k0,): of the guess, and of friction some of the gain that the joint feels."""
-        adapting, k = Adapting(), self.regressor.inertial
-        found = np.zeros(self.regressor.size)
-        for i, body in enumerate(self.regressor.bodies):
-            m, size = adapting.mass[body != "root"], adapting.size[body != "root"]
-            found[10 * i : 10 * i + 10] = m * size ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
-        layout_gains = self._gains()
-        found[k:] = FRICTION * scales(self.regressor, layout_gains)
-        return found
+        own = Adapting()
+        inertial = sizes_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
+        return np.concatenate((inertial, FRICTION * scales(self.regressor, self._gains)))
 
+    @property
     def _gains(self) -> Array:
-        massless = self.regressor.massless
-        layout = Layout(massless.base, massless.nu.size - massless.base, massless.offset.size, 0)
-        return self.feedback.vector(layout)
+        return gains_of(self.regressor, self.feedback)

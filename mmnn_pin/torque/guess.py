@@ -1,0 +1,81 @@
+"""What a learner that knows the kinematics takes a robot for before it has moved: balls at the joints.
+
+Which balls? A guess multiplies `nudot_ref`, which holds `K edot`, so a guess much heavier than the robot is a feedback
+that the control period does not stand: 2 kg in every joint of a servo arm of 50 g. Masses are unknown, but the feedback
+K was chosen for this robot, and says how heavy it can be: K over the inertia is the bandwidth of a velocity. So the
+guess is made lighter, body by body, until no velocity feels more inertia of it than `slowest` times its gain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.regressor import Regressor
+from ..model.tree_regressor import BODY
+from ..signals import Array
+
+SAMPLES = 100  # of random positions
+POWERS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)  # of the size in the ten numbers of a body
+
+
+def guess_of(
+    regressor: Regressor, K: Array, mass: tuple[float, float], size: tuple[float, float], slowest: float
+) -> Array:
+    """Balls at every joint and no friction, (k,).
+
+    Args:
+        regressor: How the robot moves.
+        K: (p,) feedback gains.
+        mass: Masses at most (base, every other body) [kg].
+        size: Radii of gyration about each axis, likewise [m].
+        slowest: Inertia that a velocity feels of the guess, over its gain, at most [s].
+    """
+    theta = balls(regressor, mass, size)
+    return theta * np.concatenate(
+        (np.repeat(lightness(regressor, theta, K, slowest), BODY), np.ones(theta.size - regressor.inertial))
+    )
+
+
+def sizes_of(
+    regressor: Regressor, K: Array, mass: tuple[float, float], size: tuple[float, float], slowest: float
+) -> Array:
+    """How large the inertial parameters of such bodies may be, (10 bodies,): mass times powers of the size.
+
+    Arguments as in `guess_of`.
+    """
+    found = np.array([mass[b != "root"] * size[b != "root"] ** np.array(POWERS) for b in regressor.bodies])
+    return np.asarray(found * lightness(regressor, balls(regressor, mass, size), K, slowest)[:, None]).ravel()
+
+
+def balls(regressor: Regressor, mass: tuple[float, float], size: tuple[float, float]) -> Array:
+    """Parameters of balls of a mass and a radius of gyration, (base, every other body), without friction, (k,)."""
+    theta = np.zeros(regressor.size)
+    for i, body in enumerate(regressor.bodies):
+        theta[BODY * i] = mass[body != "root"]
+        theta[BODY * i + np.array([4, 7, 9])] = mass[body != "root"] * size[body != "root"] ** 2
+    return theta
+
+
+def lightness(regressor: Regressor, theta: Array, K: Array, slowest: float) -> Array:
+    """Factor in (0, 1] on every body after which no velocity feels more inertia than `slowest` K, (bodies,).
+
+    Every body is lightened by what the velocity that is worst off, of those that move it, asks for; so the sum over
+    bodies holds for each of them at the positions that were looked at.
+    """
+    felt = inertia_of_bodies(regressor, theta)
+    total = felt.sum(axis=0)
+    room = np.minimum(1.0, slowest * K / np.where(total > 0, total, 1.0))
+    return np.asarray(np.where(felt > 0, room, 1.0).min(axis=1))
+
+
+def inertia_of_bodies(regressor: Regressor, theta: Array, seed: int = 0) -> Array:
+    """What of the diagonal of M every body is at most, over random positions, (bodies, p) [kg, kg m^2]."""
+    rng, count, p = np.random.default_rng(seed), len(regressor.bodies), regressor.massless.nu.size
+    felt, still, first = np.zeros((count, p)), np.zeros(p), regressor.inertial
+    for _ in range(SAMPLES):
+        position = regressor.random_position(rng)
+        gravity = regressor.matrix(position, still, still, still)[:, :first]
+        for i, one in enumerate(np.eye(p)):
+            Y = regressor.matrix(position, still, still, one)[i, :first] - gravity[i]
+            felt[:, i] = np.maximum(felt[:, i], (Y * theta[:first]).reshape(count, BODY).sum(axis=1))
+    return felt
