@@ -28,6 +28,7 @@ from .signals import INDEX, Array, IntArray
 from .torque import law
 from .torque.controller import CompiledController
 from .torque.learners import Learners, estimate, learners_of, settle
+from .torque.motor_limits import MotorLimits
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -176,6 +177,7 @@ def advance(
     y: Array,
     rig: Rig | None,
     learners: Learners | None,
+    limits: MotorLimits | None,
 ) -> int:
     """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
@@ -211,7 +213,7 @@ def advance(
         if learners is not None and asked:
             estimate(row, at, learners, memory)
         if asked:
-            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory)
+            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory, limits)
         if rig is not None:
             send(k, k * plan.h, row, at, memory, rig)
         if learners is not None and asked:
@@ -285,8 +287,9 @@ class CompiledLoop:
         self.nominal = body_of(nominal) if uses_model else self.body
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
-        numbers = loop.controller.law(loop.wiring())
-        self.learners = learners_of(numbers)
+        wiring = loop.wiring()
+        numbers = loop.controller.law(wiring)
+        self.learners, self.limits = learners_of(numbers), wiring.limits
         self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
@@ -320,7 +323,7 @@ class CompiledLoop:
         return advance(
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
             self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
-            self.learners,
+            self.learners, self.limits,
         )  # fmt: skip
 
     def _energy(self, position: Array, nu: Array) -> float:

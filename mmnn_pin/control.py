@@ -20,6 +20,7 @@ from .torque import law
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
 from .torque.learners import Learners, estimate, learners_of, settle
 from .torque.learning_law import LearningLaw, norms
+from .torque.motor_limits import limit, motor_limits
 from .torque.now import Now
 from .torque.origin import blamed
 
@@ -30,11 +31,27 @@ REGRESSORS: WeakKeyDictionary[Robot, Regressor] = WeakKeyDictionary()
 
 
 def wiring_of(
-    controller: CompiledController | TorqueController, robot: Robot, period: float, samples: int, rng: Generator
+    controller: CompiledController | TorqueController,
+    robot: Robot,
+    period: float,
+    samples: int,
+    rng: Generator,
+    within_limits: bool | None = None,
 ) -> Wiring:
-    """What a controller is told before a run of a robot; how it moves only where a learning law asks for it."""
+    """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
+
+    Args:
+        controller: The controller.
+        robot: Its robot.
+        period: Control period [s].
+        samples: Of the run.
+        rng: The controller's own random generator.
+        within_limits: Whether Psi_hat is kept within the motors' limits; None for what the controller says.
+    """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
-    return Wiring(robot.layout, period, samples, rng, regressor_of(robot) if told else None)
+    kept = controller.within_limits if within_limits is None else within_limits
+    limits = motor_limits(robot.E, robot.effort_limits) if kept else None
+    return Wiring(robot.layout, period, samples, rng, regressor_of(robot) if told else None, limits)
 
 
 def regressor_of(robot: Robot) -> Regressor:
@@ -116,6 +133,7 @@ class Torque:
     ) -> None:
         layout = wiring.layout
         self.controller, self.memory, self.row, self.at = controller, memory, row, layout.offsets
+        self.limits = wiring.limits
         self.reference, self.measurement = Reference.of(row, layout), Measurement.of(row, layout)
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
@@ -150,7 +168,7 @@ class Torque:
             self._model_psi(self.model)
         if self.learners is not None:
             estimate(self.row, self.at, self.learners, self.memory.values)
-        law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values)
+        law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values, self.limits)
         self.keep()
 
     def keep(self) -> None:
@@ -173,6 +191,8 @@ class Torque:
         self.torque[:] = self._of_shape("torque", torque)
         if psi_hat is not None:
             self.psi_hat[:] = self._of_shape("Psi_hat", psi_hat)
+            if self.limits is not None:
+                self._answer(self.torque - self.psi_hat)
 
     def _learning_law(self, time: float, controller: LearningLaw) -> None:
         """`tau = K s + Psi_hat` of a law in plain Python, and what it learns."""
@@ -180,9 +200,15 @@ class Torque:
         self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.now, self.memory))
         self.gain[:] = self.K
         self.weight_norm[:] = norms(controller.weights(self.memory), self.layout)
-        self.torque[:] = self.K * self.now.s + self.psi_hat
+        self._answer(self.K * self.now.s)
         if controller.learning:
             controller.learn(self.now, self.memory)
+
+    def _answer(self, feedback: Array) -> None:
+        """The torque: a feedback (p,) and Psi_hat, this within the motors' limits where it is to be."""
+        if self.limits is not None:
+            limit(self.psi_hat, feedback, self.limits)
+        self.torque[:] = feedback + self.psi_hat
 
     def _of_shape(self, what: str, values: Any) -> Any:
         """The same, if there is one number per velocity.

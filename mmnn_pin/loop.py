@@ -78,6 +78,8 @@ class Loop:
         actuator: What the motors make of their commands; perfect by default.
         safety: A supervisor between controller and motors; None for none.
         disturbances: What happens to the robot during the run.
+        within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves (see
+            `torque.motor_limits`); None for what the controller says: learners beyond the thesis do.
     """
 
     robot: Robot
@@ -98,6 +100,7 @@ class Loop:
     actuator: Actuator = field(default_factory=Actuator)
     safety: Safety | None = None
     disturbances: tuple[Disturbance, ...] = ()
+    within_limits: bool | None = None
 
     def __post_init__(self) -> None:
         """The rows of both robots have the signals that plant, motors, supervisor and disturbances add."""
@@ -200,7 +203,8 @@ class Loop:
     def wiring(self) -> Wiring:
         """What the controller is told before the run."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
-        return wiring_of(self.controller, self.robot, self.timing.control_period, self.timing.samples, rng)
+        period, samples = self.timing.control_period, self.timing.samples
+        return wiring_of(self.controller, self.robot, period, samples, rng, self.within_limits)
 
     def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
         """Random generators of the sensors and of the disturbances, split from the run's seed."""
@@ -238,7 +242,7 @@ class Loop:
         """What a recording should know of this run."""
         own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
         own |= {"kinematic": plain(self.kinematic), "time": plain(self.timing)}
-        own |= {"controller_settings": self.controller.facts()}
+        own |= {"controller_settings": self.controller.facts(), "within_limits": self.wiring().limits is not None}
         own |= {"law": origin_of(type(self.controller))} if isinstance(self.controller, TorqueController) else {}
         believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
         rig = {} if self.sensor.exact else {"sensor": plain(self.sensor)}

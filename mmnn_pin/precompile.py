@@ -52,7 +52,7 @@ def call_control_blocks() -> None:
     reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
     before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
-    law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values)
+    law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
     derivative(y, v, M, nu, nu, nu, 2, L, nu.copy(), ydot)

@@ -49,5 +49,4 @@ def concurrent_learner(
     if robot is None:
         raise ConfigError("concurrent learning of no robot", fix="give the robot", key="controllers")
     start = nominal_parameters(nominal, robot, said) if settings.initial == "nominal" else None
-    told = (Regressor.of(robot), robot.E.copy(), robot.effort_limits.copy())
-    return ConcurrentLearner(*told, feedback, settings, start, learning)
+    return ConcurrentLearner(Regressor.of(robot), feedback, settings, start, learning)

@@ -293,6 +293,7 @@ class Experiment(Settings, frozen=True):
             check_gains=controller.name not in EFFECTIVE,
             plant=self.plant,
             contact=self.contact,
+            within_limits=self.learning.within_limits,
         )
 
     def to_json(self) -> str:

@@ -19,11 +19,9 @@ from .nominal import Nominal, nominal_parameters
 
 
 def machine_of(robot: Robot) -> Machine:
-    """What a learner may know of a robot without knowing how it moves: names, motors, ends of its joints."""
+    """What a learner may know of a robot without knowing how it moves: names, ends of its joints."""
     return Machine(
         velocities=tuple(robot.velocity_names),
-        E=robot.E.copy(),
-        effort=robot.effort_limits.copy(),
         lower=robot.lower[robot.arm_index],
         upper=robot.upper[robot.arm_index],
     )

@@ -56,7 +56,8 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
         return None
     seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
     period = float(recording.meta["control_period"])
-    wiring = wiring_of(controller, robot, period, len(recording), np.random.default_rng(seed))
+    kept, rng = recording.meta.get("within_limits"), np.random.default_rng(seed)
+    wiring = wiring_of(controller, robot, period, len(recording), rng, kept)
     start = controller.init(wiring)
     snapshots = recording.weights
     if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from scipy.linalg import eigh, solve_triangular
@@ -123,6 +123,8 @@ class Adaptive(CompiledController):
     nominal: Array | None = None
     learning: bool = True
     predicting: Predicting | None = None
+
+    within_limits: ClassVar[bool] = True
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -88,6 +88,8 @@ class CompositeNetwork(CompiledController):
     rates: Any = "per_sample"
     learning: bool = True
     name: str = "two_layer_composite"
+
+    within_limits: ClassVar[bool] = True
 
     @property
     def learner(self) -> Neural:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 
@@ -72,8 +72,6 @@ class ConcurrentLearner(CompiledController):
 
     Args:
         regressor: How the robot moves.
-        E: (p, motors) torque on nu from motor torques.
-        effort: (motors,) largest torques of the motors [N m or N], inf for no limit.
         feedback: K.
         settings: Stack, rates and start.
         nominal: (k0,) parameters to start from, needed for `initial = "nominal"`.
@@ -84,13 +82,13 @@ class ConcurrentLearner(CompiledController):
     """
 
     regressor: Regressor
-    E: Array
-    effort: Array
     feedback: Feedback = field(default_factory=Feedback)
     settings: Concurrent = field(default_factory=Concurrent)
     nominal: Array | None = None
     learning: bool = True
     name: str = "concurrent"
+
+    within_limits: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         k, given = self.regressor.size, self.nominal
@@ -120,7 +118,7 @@ class ConcurrentLearner(CompiledController):
         K, own, h = self.feedback.vector(wiring.layout), self.settings, float(wiring.control_period)
         if not (K > 0).all():
             raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
-        p, k, E = K.size, self.dimension, np.ascontiguousarray(self.E)
+        p, k = K.size, self.dimension
         history = History(
             known=self.regressor.workspace(),
             basis=self.basis,
@@ -138,10 +136,6 @@ class ConcurrentLearner(CompiledController):
             growth=float(own.growth),
             lifetime=float(own.lifetime) if own.lifetime else np.inf,
             entries=own.entries,
-            E=E,
-            E_inv=np.ascontiguousarray(np.linalg.pinv(E)),
-            effort=self.effort.copy(),
-            motors=np.zeros(self.effort.size),
             Phi=np.zeros((p, k)),
             psi0=np.zeros(p),
             y=np.zeros(p),

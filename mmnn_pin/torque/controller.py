@@ -11,7 +11,7 @@ import copy
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
 if TYPE_CHECKING:
     from .adaptation import Adaptation
     from .linear import Linear
+    from .motor_limits import MotorLimits
     from .recall import History
     from .replay import Replay
 
@@ -37,6 +38,7 @@ class Wiring:
         samples: Number of control samples of the run.
         rng: The controller's own random generator, split from the run's seed.
         regressor: How the robot moves (`model.regressor.Regressor`), for a `LearningLaw` that asks for it; else None.
+        limits: What Psi_hat is kept within; None where it is not kept within anything.
     """
 
     layout: Layout
@@ -44,6 +46,7 @@ class Wiring:
     samples: int
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     regressor: Any = None
+    limits: MotorLimits | None = None
 
 
 @dataclass
@@ -114,9 +117,12 @@ class TorqueController(ABC):
     Attributes:
         name: Name in tables, plots and recordings.
         notes: Things the user should be told before a run.
+        within_limits: Whether the loop keeps the Psi_hat that it tells within what the rest of the torque leaves of the
+            motors' limits, unless the loop says (see `motor_limits`).
     """
 
     name: str = "custom"
+    within_limits: ClassVar[bool] = False
 
     @property
     def notes(self) -> list[str]:
@@ -155,9 +161,12 @@ class CompiledController(ABC):
 
     Attributes:
         name: Name in tables, plots and recordings.
+        within_limits: Whether Psi_hat is kept within what the feedback leaves of the motors' limits, unless the loop
+            says (see `motor_limits`); off for the thesis's laws.
     """
 
     name: str
+    within_limits: ClassVar[bool] = False
 
     @property
     def uses_model(self) -> bool:

@@ -1,13 +1,13 @@
 """Linear learners with a covariance: a regressor, or random features, with or without a nominal model in front.
 
-`torque.linear` has the law, `torque.features` the features. A learner is told K, what its motors can give and where
-its joints end; the one with a regressor how the robot moves; the one with a nominal model also the numbers of that.
+`torque.linear` has the law, `torque.features` the features. A learner is told K and where its joints
+end; the one with a regressor how the robot moves; the one with a nominal model also the numbers of that.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -34,14 +34,10 @@ class Machine:
 
     Attributes:
         velocities: (p,) names of the velocities.
-        E: (p, motors) torque on nu from motor torques.
-        effort: (motors,) largest torque of a motor [N m or N], inf for no limit.
         lower, upper: (n,) limits of the arm's joints [rad or m], infinite for none.
     """
 
     velocities: tuple[str, ...]
-    E: Array
-    effort: Array
     lower: Array
     upper: Array
 
@@ -74,6 +70,8 @@ class KalmanLearner(CompiledController):
     regressor: Regressor | None = None
     theta0: Array | None = None
     learning: bool = True
+
+    within_limits: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         key = self.settings.section
@@ -146,7 +144,6 @@ class KalmanLearner(CompiledController):
             raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
         rows, k, m = self.shape
         every = max(1, round(own.interval / h))
-        E = np.ascontiguousarray(self.machine.E)
         linear = Linear(
             known=None if self.regressor is None else self.regressor.workspace(),
             random=self.random(),
@@ -161,12 +158,8 @@ class KalmanLearner(CompiledController):
             drift=float(own.drift) * every * h,
             radius=own.bound * np.sqrt(k) * (K if m > 1 else np.ones(1)),
             theta0=np.zeros(0) if self.theta0 is None else self.theta0.copy(),
-            E=E,
-            E_inv=np.ascontiguousarray(np.linalg.pinv(E)),
-            effort=self.machine.effort.copy(),
             Phi=np.zeros((rows, k)),
             psi0=np.zeros(K.size),
-            motors=np.zeros(self.machine.effort.size),
             work=np.zeros((4, k)),
         )
         return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, linear=linear)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from ..compiled import compiled, copy_to
 from ..signals import INDEX, Array, IntArray
+from .motor_limits import MotorLimits, limit
 from .network import (
     hidden_input,
     one_layer_output,
@@ -32,7 +33,9 @@ DT, RATES, PER_NETWORK, GAINS = 0, 1, 4, 9
 
 
 @compiled
-def step(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, memory: Array) -> None:
+def step(
+    kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, memory: Array, limits: MotorLimits | None
+) -> None:
     """Torque of one sample, `tau = (k + Kz (|Z| + ZB)) s + Psi_hat` (3.39), (3.50), and the update of the weights.
 
     Args:
@@ -42,6 +45,7 @@ def step(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, 
         sizes: int64 numbers of the law.
         settings: float64 numbers of the law.
         memory: The controller's memory, updated in place.
+        limits: What Psi_hat is kept within; None for nothing, and then nothing is compiled for it.
     """
     gain, psi_hat, robust, torque = (
         row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]],
@@ -65,9 +69,13 @@ def step(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, 
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(torque.size):
         s = z[i] if i < z.size else r[i - z.size]
-        torque[i] = gain[i] * s + psi_hat[i]
+        torque[i] = gain[i] * s
         if kind >= TWO_LAYER:
             robust[i] = (gain[i] - settings[GAINS + i]) * s
+    if limits is not None:
+        limit(psi_hat, torque, limits)
+    for i in range(torque.size):
+        torque[i] += psi_hat[i]
 
 
 @compiled

@@ -17,7 +17,7 @@ Continuous, without disturbance, Psi = Psi_0 + Phi W exactly and the true torque
 P is bounded: Q adds to one place of the diagonal after the other, and never beyond the prior's number there, so the
 trace of P is at most that of P_0. W is bounded: `W_i' P_0^-1 W_i <= radius_i^2` by the projection onto a half-space
 that contains that ball, in the metric P^-1, where it lowers the distance to every point of the ball; what is then still
-outside is scaled back, which need not. Psi_hat is bounded by what the feedback leaves of the motors' torque limits.
+outside is scaled back, which need not. Psi_hat is bounded by the motors' limits (`torque.motor_limits`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from .covariance import dot
 from .features import Random, fill
 from .filtered import Filter, low_pass, period, remember
 from .least_squares import predict, project, track
-from .motor_limits import limit
 
 if TYPE_CHECKING:
     from ..model.tree_regressor import Massless
@@ -60,11 +59,8 @@ class Linear(NamedTuple):
         drift: Part of the prior variance that one update adds at its place.
         radius: (m,) bound on every column of W, in the metric of P_0.
         theta0: (k0,) parameters of a nominal robot, Psi_0 = Y theta0; of size 0 for none.
-        E, E_inv: Torque on nu from motor torques, and back.
-        effort: (motors,) largest torque of a motor, inf for no limit.
         Phi: (rows, k) memory to work in.
         psi0: (p,) memory to work in.
-        motors: (motors,) memory to work in.
         work: (4, k) memory to work in.
     """
 
@@ -81,12 +77,8 @@ class Linear(NamedTuple):
     drift: float
     radius: Array
     theta0: Array
-    E: Array
-    E_inv: Array
-    effort: Array
     Phi: Array
     psi0: Array
-    motors: Array
     work: Array
 
 
@@ -199,17 +191,12 @@ def features(
 
 @compiled
 def say(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
-    """Psi_hat, the gain, and the norms of the weights of base and arm.
-
-    Of every motor Psi_hat takes what the feedback leaves of its torque limit: it never asks for more than the motor can
-    give, alone or with the feedback, unless the feedback alone does.
-    """
+    """Psi_hat, the gain, and the norms of the weights of base and arm."""
     p, m, nb = a.gain.size, o.W.shape[0], at[VELOCITY + 1] - at[VELOCITY]
     psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]]
     for i in range(p):
         psi_hat[i] = a.psi0[i] + dot(o.W[min(i, m - 1)], a.Phi[min(i, a.Phi.shape[0] - 1)], o.D.size)
         row[at[EFFECTIVE_GAIN] + i] = a.gain[i]
-    limit(row, at, a.gain, a.E, a.E_inv, a.effort, a.motors)
     square, arm = 0.0, 0.0
     for i in range(m):
         one = dot(o.W[i], o.W[i], o.D.size)

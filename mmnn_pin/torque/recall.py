@@ -12,7 +12,7 @@ the last term being the pull of the prior, which vanishes beside what was seen. 
 there are finitely many of them. A sample's answer to s is kept below a share of the feedback, as in `adaptation`.
 
 Bounds, whatever the sensors say: |w| <= radius, as w_L is put into that ball, which is convex, and so is w after the
-tracking term; Psi_hat is what the feedback leaves of the motors' limits.
+tracking term; Psi_hat is bounded by the motors' limits (`torque.motor_limits`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ from ..model.tree_regressor import measured, regress
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, low_pass, period, remember
 from .history import Scratch, consider, estimate_of, views
-from .motor_limits import limit
 
 if TYPE_CHECKING:
     from ..model.tree_regressor import Massless
@@ -55,9 +54,6 @@ class History(NamedTuple):
         growth: Least gain of log det L of a replacement.
         lifetime: Of an entry [s].
         entries: Places of the stack.
-        E, E_inv: Torque on nu from motor torques, and back.
-        effort: (motors,) largest torques of the motors; inf for no limit.
-        motors: (motors,) memory to work in.
         Phi: (p, k) memory to work in.
         psi0: (p,) memory to work in.
         y: (p,) memory to work in.
@@ -81,10 +77,6 @@ class History(NamedTuple):
     growth: float
     lifetime: float
     entries: int
-    E: Array
-    E_inv: Array
-    effort: Array
-    motors: Array
     Phi: Array
     psi0: Array
     y: Array
@@ -155,7 +147,7 @@ def features(a: History, pose: Array, q: Array, velocity: Array, qdot: Array, nu
 
 @compiled
 def say(row: Array, at: IntArray, a: History, w: Array) -> None:
-    """Psi_hat within what the motors can give, the gain, and the norm of w."""
+    """Psi_hat, the gain, and the norm of w."""
     psi_hat, square = row[at[PSI_HAT] : at[PSI_HAT + 1]], 0.0
     for j in range(w.size):
         square += w[j] * w[j]
@@ -164,7 +156,6 @@ def say(row: Array, at: IntArray, a: History, w: Array) -> None:
         row[at[EFFECTIVE_GAIN] + i], psi_hat[i] = a.gain[i], a.psi0[i]
         for j in range(w.size):
             psi_hat[i] += a.Phi[i, j] * w[j]
-    limit(row, at, a.gain, a.E, a.E_inv, a.effort, a.motors)
 
 
 @compiled

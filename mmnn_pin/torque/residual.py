@@ -9,7 +9,7 @@ learning inverse dynamics, IEEE ICRA.)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..signals import Array, Layout
 from . import law
@@ -35,6 +35,8 @@ class Residual(CompiledController):
     model: Robot | None = None
     learning: bool = True
     name: str = "two_layer_residual"
+
+    within_limits: ClassVar[bool] = True
 
     @property
     def feedback(self) -> Feedback:
