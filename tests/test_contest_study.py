@@ -17,7 +17,7 @@ from mmnn_pin.experiments.cases import with_case
 from mmnn_pin.experiments.config import load_experiment
 from studies.contest import document, search, tunings
 from studies.contest.__main__ import main
-from studies.contest.tunings import TUNINGS, spaces, taken, tuned, tuning_file
+from studies.contest.tunings import TRIES, TUNINGS, spaces, taken, tuned, tuning_file
 from studies.document import DOCS, kept
 
 SHORT = (
@@ -60,8 +60,8 @@ def test_the_contest_has_what_the_search_found(tuning):
 
 def test_all_learners_have_as_many_tries():
     for tuning in TUNINGS:
-        assert {found["tries"] for found in tuned()[tuning].values()} == {tunings.TRIES}
-        assert {len(found["scores"]) for found in tuned()[tuning].values()} == {tunings.TRIES}
+        assert {found["tries"] for found in tuned()[tuning].values()} == {TRIES[tuning]}
+        assert {len(found["scores"]) for found in tuned()[tuning].values()} == {TRIES[tuning]}
         assert set(tuned()[tuning]) == set(spaces(tuning)) == set(spaces("eight"))
 
 

@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--tune", action="store_true", help="search the learners' settings, and stop")
     parser.add_argument("--only", choices=TUNINGS, help="one of the two searches")
     parser.add_argument("--learner", action="append", metavar="NAME", help="of this learner; may be repeated")
-    parser.add_argument("--tries", type=int, default=TRIES, help=f"sets of settings per learner ({TRIES})")
+    parser.add_argument("--tries", type=int, metavar="N", help=f"sets of settings per learner ({each(TRIES)})")
     options = parser.parse_args(arguments)
     known = {name for tuning in TUNINGS for name in spaces(tuning)}
     if unknown := sorted(set(options.learner or ()) - known):
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     say = partial(told, time.perf_counter())
     if options.tune:
         for tuning in (options.only,) if options.only else TUNINGS:
-            tune(tuning, options.learner or tuple(spaces(tuning)), options.tries, say)
+            tune(tuning, options.learner or tuple(spaces(tuning)), options.tries or TRIES[tuning], say)
         return
     overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
     summary = study(options.out, overrides, cases, options.force, say)
@@ -61,6 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     (options.out / "contest.md").write_text(render(summary), encoding="utf-8")
     if options.publish:
         publish(options.out)
+
+
+def each(numbers: dict[str, int]) -> str:
+    """Names and numbers as a text."""
+    return ", ".join(f"{name} {number}" for name, number in numbers.items())
 
 
 def tune(tuning: str, learners: Sequence[str], tries: int, say: Say) -> None:

@@ -32,7 +32,7 @@ from .tunings import tuning_file
 SEED = 20100
 SOON = 2.0  # after a pick-up [s]
 LOST = 1e3  # error over PD's that a lost run counts for
-TORQUE = 1.0  # of the motors' limits; a run that asks for more at any time counts as lost
+TORQUE = 1.0 - 1e-6  # of the motors' limits; a run that comes to them at any time counts as lost
 Say = Callable[[str], None]
 
 
@@ -96,7 +96,7 @@ def ratios(row: Row, pd: Row, window: float) -> list[float]:
         In training, held out, held out with fixed weights; where something is picked up also soon after that.
     """
     count = 3 + (row.since > 0)
-    if not row.completed or nan(row.torque) > TORQUE:
+    if not row.completed or not nan(row.torque) < TORQUE:
         return [LOST] * count
     found = [relative(row.rms, pd.rms)]
     for how in ("learning", "frozen"):

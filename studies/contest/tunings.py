@@ -20,8 +20,8 @@ from mmnn_pin.study.keys import at
 
 HERE = Path(__file__).parent
 SPACES, TUNED = HERE / "spaces.toml", HERE / "tuned.json"
-TUNINGS = ("eight", "payload")  # each also the case of the contest that takes what was found
-TRIES = 40  # sets of settings per learner
+TRIES = {"eight": 40, "payload": 30}  # sets of settings per learner
+TUNINGS = tuple(TRIES)  # each also the case of the contest that takes what was found
 
 
 def tuning_file(tuning: str) -> Path:
