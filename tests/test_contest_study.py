@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
+from dataclasses import replace
 
 import msgspec
+import numpy as np
 import pytest
 
+from mmnn_pin.contest.demand import demand, held_out_torque
+from mmnn_pin.contest.task import tasks_of
+from mmnn_pin.disturbance import payload
+from mmnn_pin.experiments.cases import with_case
 from mmnn_pin.experiments.config import load_experiment
-from studies.contest import document, search
+from studies.contest import document, search, tunings
 from studies.contest.__main__ import main
+from studies.contest.tunings import TRIES, TUNINGS, spaces, taken, tuned, tuning_file
 from studies.document import DOCS, kept
 
 SHORT = (
@@ -18,44 +26,95 @@ SHORT = (
 )
 
 
+LOADED = (
+    *(*SHORT[1:], "time.duration=3.2", "contest.window=0.4"),
+    *(f"cases.{case}.set.disturbances.0.start=0.8" for case in ("light", "heavy")),
+)
+
+
 @pytest.fixture(scope="module")
 def bench():
-    return search.Bench.made(*SHORT)
+    return search.Bench.made("eight", *SHORT)
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    return search.Bench.made("payload", *LOADED)
 
 
 def test_the_document_is_made_from_the_summary_that_is_kept():
     assert (DOCS / "contest.md").read_text(encoding="utf-8") == document.render(kept(document.SUMMARY))
 
 
-def test_the_contest_has_what_the_search_found():
-    """On the eight; the document says the same."""
-    for learner, found in search.tuned().items():
-        assert search.taken(learner) == found["settings"]
-        assert kept(document.SUMMARY)["tuned"][learner]["settings"] == found["settings"]
+@pytest.mark.parametrize("tuning", TUNINGS)
+def test_the_contest_has_what_the_search_found(tuning):
+    """In the case of the search's name; the document says the same."""
+    told = kept(document.SUMMARY)["tuned"][tuning]
+    for learner, found in tuned()[tuning].items():
+        assert taken(tuning, learner) == found["settings"] == told[learner]["settings"]
+        assert set(found["settings"]) == {
+            path for name, f in spaces(tuning)[learner].items() for path in f.keys or [name]
+        }
         assert found["score"] == min(found["scores"]) and found["own"] == found["scores"][0]
 
 
 def test_all_learners_have_as_many_tries():
-    assert {found["tries"] for found in search.tuned().values()} == {search.TRIES}
-    assert {len(found["scores"]) for found in search.tuned().values()} == {search.TRIES}
-    assert set(search.tuned()) == set(search.spaces())
+    for tuning in TUNINGS:
+        assert {found["tries"] for found in tuned()[tuning].values()} == {TRIES[tuning]}
+        assert {len(found["scores"]) for found in tuned()[tuning].values()} == {TRIES[tuning]}
+        assert set(tuned()[tuning]) == set(spaces(tuning)) == set(spaces("eight"))
 
 
-def test_nothing_is_tuned_on_what_is_reported():
-    """Other seeds, other paths and other sines, in training and held out; the same robot, gains and noise."""
-    reported, tuning = load_experiment("contest"), load_experiment(search.TUNING)
-    seeds = {reported.seed + i for i in range(reported.contest.seeds)}
-    assert not seeds & {tuning.seed + i for i in range(tuning.contest.seeds)}
-    mine = [tuning.held_out[name] for name in tuning.held_out]
+@pytest.mark.parametrize("learner", spaces("payload"))
+def test_the_second_search_starts_from_what_the_first_found(learner):
+    """A setting of the second is the first's or the experiment's own; but for how long a stack keeps its entries."""
+    start = json.loads(load_experiment(tuning_file("payload")).to_json())
+    for path, value in tuned()["eight"][learner]["settings"].items():
+        assert tunings.at(start, path) == value
+
+
+@pytest.mark.parametrize("tuning", TUNINGS)
+def test_nothing_is_tuned_on_what_is_reported(tuning):
+    """Other seeds, other paths, other sines, other loads, in training and held out; the same robot, gains and noise."""
+    reported, tried = load_experiment("contest"), load_experiment(tuning_file(tuning))
+    assert not seeds(reported) & seeds(tried)
     theirs = [reported.held_out[name] for name in reported.held_out]
-    mine += [case.set["reference"] for case in tuning.cases.values()]
     theirs += [case.set["reference"] for case in reported.cases.values() if "arm" in case.set.get("reference", {})]
-    theirs.append(msgspec.to_builtins(reported.reference))
-    for a in map(msgspec.to_builtins, mine):
+    theirs.append(reported.reference)
+    for a in map(msgspec.to_builtins, motions(tried)):
         for b in map(msgspec.to_builtins, theirs):
             assert a["base"] != b.get("base") and list(a["arm"]) != list(b["arm"])
     for name in ("feedback", "kinematic", "sensor", "friction", "robust"):
-        assert getattr(tuning, name) == getattr(reported, name)
+        assert getattr(tried, name) == getattr(reported, name)
+    load = payload(with_case(reported, "payload").disturbances)[1]
+    for case in tried.cases:
+        other = payload(with_case(tried, case).disturbances)[1]
+        assert (other is None) == (tuning == "eight")
+        assert other is None or (other.mass != load.mass and other.at != load.at and other.start != load.start)
+
+
+def test_the_two_searches_have_nothing_in_common():
+    first, second = (load_experiment(tuning_file(tuning)) for tuning in TUNINGS)
+    assert not seeds(first) & seeds(second)
+    bases = [[msgspec.to_builtins(motion)["base"] for motion in motions(tried)] for tried in (first, second)]
+    assert all(base not in bases[0] for base in bases[1]) and len(bases[1]) == 5
+
+
+def test_the_robot_can_drive_what_it_is_tuned_on_with_its_load():
+    """Wheels and torques within their limits, in training and held out: no learner is asked for what motors cannot."""
+    for task in tasks_of(load_experiment(tuning_file("payload")), ("pd",)):
+        asked = demand(replace(task, robot=task.at_the_end))
+        assert max(asked.speed) < 1.0 and 0.4 < max(asked.torque) < 0.9
+        assert max(held_out_torque(task).values()) < 0.9
+
+
+def seeds(experiment):
+    return {experiment.seed + i for i in range(experiment.contest.seeds)}
+
+
+def motions(experiment):
+    """All that is driven: held out, and in the cases."""
+    return [*experiment.held_out.values(), *(case.set["reference"] for case in experiment.cases.values())]
 
 
 def test_the_score_of_pd_is_one_and_less_is_better(bench):
@@ -69,12 +128,28 @@ def test_ratios_are_root_mean_squares_over_the_axes(bench):
     """By hand for one row: errors twice as large on one of two axes."""
     assert search.relative({"x": 2.0, "a": 1.0}, {"x": 1.0, "a": 1.0}) == pytest.approx(math.sqrt(2.5))
     pd = bench.pd["swing"][0]
-    assert search.ratios(pd, pd) == [1.0, 1.0, 1.0]
-    assert search.ratios(msgspec.structs.replace(pd, torque=1.1), pd) == [search.LOST] * 3
+    assert search.ratios(pd, pd, 0.5) == [1.0, 1.0, 1.0]
+    assert search.ratios(msgspec.structs.replace(pd, torque=1.1), pd, 0.5) == [search.LOST] * 3
+
+
+def test_with_a_load_the_first_seconds_count_too(loaded, monkeypatch):
+    """Their error is that of the recording's samples from the pick-up on."""
+    task = loaded.tasks[0]
+    assert task.since == 0.8 and loaded.score("pd", {}) == pytest.approx(1.0)
+    pd = loaded.pd[task.name][0]
+    recording = task.training(task.controller("pd"), task.seeds[0]).run()
+    after = (recording.time >= 0.8 - 1e-9) & (recording.time < 0.8 + search.SOON - 1e-9)
+    assert after.sum() == 800
+    found = search.soon(pd, task.contest.window)
+    assert list(found) == list(pd.rms)
+    assert found["x"] == pytest.approx(np.sqrt((recording["true_pose_error"][after, 0] ** 2).mean()))
+    late = msgspec.structs.replace(pd, curve=[[4 * value for value in mean] for mean in pd.curve])
+    assert search.ratios(late, pd, task.contest.window) == pytest.approx([1.0, 1.0, 1.0, 2.0])
+    assert search.ratios(msgspec.structs.replace(pd, outcome="diverged"), pd, 0.4) == [search.LOST] * 4
 
 
 def test_a_search_is_the_same_again_and_starts_from_its_own(bench):
-    space = search.spaces()["adaptive"]
+    space = spaces("eight")["adaptive"]
     first, second = (search.search(bench, "adaptive", space, 3, lambda text: None) for _ in range(2))
     assert first == second and len(first["scores"]) == 3
     assert first["own"] == first["scores"][0] == pytest.approx(bench.score("adaptive", {}))

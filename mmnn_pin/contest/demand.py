@@ -53,3 +53,17 @@ def demand(task: Task) -> Demand:
         torque = np.maximum(torque, np.abs(inverse @ psi))
     limits = np.array(robot.facts()["effort_limits"], float)
     return Demand(tuple(robot.actuator_names), tuple(speed.tolist()), tuple((torque / limits).tolist()))
+
+
+def held_out_torque(task: Task) -> dict[str, float]:
+    """Largest share of a motor's torque limit on each held-out trajectory, of the robot as it is there, with its load.
+
+    Raises:
+        RecordingError: The robot is lost on one of them.
+    """
+    layout, inverse = task.robot.layout, np.linalg.pinv(task.robot.E)
+    limits = np.array(task.robot.facts()["effort_limits"], float)
+    return {
+        name: float((np.abs(rows[:, layout.where("psi")] @ inverse.T) / limits).max())
+        for name, rows in task.rows.items()
+    }

@@ -1,6 +1,6 @@
 """Everything that docs/contest.md says, from nothing: `python -m studies.contest` in a checkout.
 
-Runs the contest; with `--tune` only the search for the learners' settings. Writes tables, figures and the document.
+Runs the contest, writes tables, figures and the document; with `--tune` it searches the learners' settings and stops.
 """
 
 from __future__ import annotations
@@ -21,8 +21,9 @@ from mmnn_pin.precompile import precompile
 from mmnn_pin.show.contest.figures import write_figures
 
 from .document import publish, render
-from .search import TRIES, spaces, tune, tuned
+from .search import SOON, Bench, Say, search
 from .summary import summed
+from .tunings import TRIES, TUNINGS, keep, spaces, tuned
 
 QUICK = (
     *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
@@ -38,15 +39,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="two tasks for a second: shows that it runs")
     parser.add_argument("--force", action="store_true", help="run anew what is in the folder")
     parser.add_argument("--publish", action="store_true", help="renew docs/contest.md, its figures and the summary")
-    parser.add_argument(
-        "--tune", nargs="*", metavar="LEARNER", help="search the settings of these learners, or of all, and stop"
-    )
-    parser.add_argument("--tries", type=int, default=TRIES, help=f"sets of settings per learner ({TRIES})")
+    parser.add_argument("--tune", action="store_true", help="search the learners' settings, and stop")
+    parser.add_argument("--only", choices=TUNINGS, help="one of the two searches")
+    parser.add_argument("--learner", action="append", metavar="NAME", help="of this learner; may be repeated")
+    parser.add_argument("--tries", type=int, metavar="N", help=f"sets of settings per learner ({each(TRIES)})")
     options = parser.parse_args(arguments)
+    known = {name for tuning in TUNINGS for name in spaces(tuning)}
+    if unknown := sorted(set(options.learner or ()) - known):
+        parser.error(f"nothing is searched for {', '.join(unknown)}; there is: {', '.join(sorted(known))}")
+    if not options.tune and (options.only or options.learner):
+        parser.error("--only and --learner go with --tune")
     precompile()
     say = partial(told, time.perf_counter())
-    if options.tune is not None:
-        tune(tuple(options.tune) or tuple(spaces()), options.tries, say)
+    if options.tune:
+        for tuning in (options.only,) if options.only else TUNINGS:
+            tune(tuning, options.learner or tuple(spaces(tuning)), options.tries or TRIES[tuning], say)
         return
     overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
     summary = study(options.out, overrides, cases, options.force, say)
@@ -56,15 +63,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
         publish(options.out)
 
 
-def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Any) -> dict[str, Any]:
+def each(numbers: dict[str, int]) -> str:
+    """Names and numbers as a text."""
+    return ", ".join(f"{name} {number}" for name, number in numbers.items())
+
+
+def tune(tuning: str, learners: Sequence[str], tries: int, say: Say) -> None:
+    """Search for some learners; each is kept as it is done."""
+    bench = Bench.made(tuning)
+    for learner in learners:
+        keep(tuning, learner, search(bench, learner, spaces(tuning)[learner], tries, say))
+
+
+def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Say) -> dict[str, Any]:
     """Run all of it; rows and figures go to `out`, the numbers of the document are returned."""
     begin, processor, load = time.perf_counter(), time.process_time(), os.getloadavg()[0]
     standing = made(out, overrides, cases, force, say)
     write_figures(standing, out / "figures")
-    search = {name: {k: v for k, v in found.items() if k != "scores"} for name, found in tuned().items()}
     return {
         **summed(standing),
-        "tuned": search,
+        "tuned": {tuning: {name: short(found) for name, found in each.items()} for tuning, each in tuned().items()},
+        "soon": SOON,
         "run": {
             "wall_s": time.perf_counter() - begin,
             "processor_s": time.process_time() - processor,
@@ -75,7 +94,12 @@ def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool
     }
 
 
-def made(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Any) -> Standing:
+def short(found: dict[str, Any]) -> dict[str, Any]:
+    """A search without the scores of all its tries."""
+    return {key: value for key, value in found.items() if key != "scores"}
+
+
+def made(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Say) -> Standing:
     """One contest.
 
     Raises:

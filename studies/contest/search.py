@@ -1,17 +1,16 @@
 """A seeded search for each learner's settings, the same number of tries for all, on trajectories of its own.
 
 What counts is the geometric mean, over the tuning tasks, of three errors over those of PD: in the last window of the
-training, on the held-out trajectories while learning, and there with the final weights held fixed.
+training, on the held-out trajectories while learning, and there with the final weights held fixed; where the robot
+picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are driven with it, too.
 """
 
 from __future__ import annotations
 
 import json
 import math
-import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -21,7 +20,6 @@ from mmnn_pin.contest.heat import heat
 from mmnn_pin.contest.row import Row, nan
 from mmnn_pin.contest.task import Task, tasks_of
 from mmnn_pin.errors import InputError
-from mmnn_pin.experiments.cases import with_case
 from mmnn_pin.experiments.config import load_experiment
 from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.experiments.files import override
@@ -29,17 +27,13 @@ from mmnn_pin.study.factors import Factor
 from mmnn_pin.study.objective import settings_of
 from mmnn_pin.study.tuning import imported, own_gains, suggested
 
-HERE = Path(__file__).parent
-TUNING, SPACES, TUNED = HERE / "tuning.toml", HERE / "spaces.toml", HERE / "tuned.json"
-TRIES, SEED = 40, 20100
+from .tunings import tuning_file
+
+SEED = 20100
+SOON = 2.0  # after a pick-up [s]
 LOST = 1e3  # error over PD's that a lost run counts for
-TORQUE = 1.0  # of the motors' limits; a run that asks for more at any time counts as lost
+TORQUE = 1.0 - 1e-6  # of the motors' limits; a run that comes to them at any time counts as lost
 Say = Callable[[str], None]
-
-
-def spaces() -> dict[str, dict[str, Factor]]:
-    """What is searched for each learner."""
-    return msgspec.convert(tomllib.loads(SPACES.read_text(encoding="utf-8")), dict[str, dict[str, Factor]])
 
 
 @dataclass(frozen=True)
@@ -55,9 +49,9 @@ class Bench:
     pd: dict[str, list[Row]]
 
     @classmethod
-    def made(cls, *overrides: str) -> Bench:
-        """The tasks of the tuning experiment, with PD run on them."""
-        tasks = tuple(tasks_of(load_experiment(TUNING, overrides), ("pd",)))
+    def made(cls, tuning: str, *overrides: str) -> Bench:
+        """The tasks of a tuning experiment, with PD run on them."""
+        tasks = tuple(tasks_of(load_experiment(tuning_file(tuning), overrides), ("pd",)))
         return cls(tasks, {task.name: heat(task, "pd", None, None, quiet)[0] for task in tasks})
 
     def score(self, learner: str, settings: Mapping[str, Any]) -> float:
@@ -69,9 +63,8 @@ class Bench:
             except InputError:
                 return LOST
             rows, _ = heat(changed, learner, None, None, quiet)
-            logs += [
-                math.log(ratio) for row, pd in zip(rows, self.pd[task.name], strict=True) for ratio in ratios(row, pd)
-            ]
+            for row, pd in zip(rows, self.pd[task.name], strict=True):
+                logs += [math.log(ratio) for ratio in ratios(row, pd, task.contest.window)]
         return math.exp(float(np.mean(logs)))
 
 
@@ -91,15 +84,39 @@ def changed_by(experiment: Experiment, settings: Mapping[str, Any]) -> Experimen
     return msgspec.convert(table, Experiment)
 
 
-def ratios(row: Row, pd: Row) -> list[float]:
-    """A row's three errors over PD's: training, held out, held out with fixed weights; `LOST` for what was lost."""
-    if not row.completed or nan(row.torque) > TORQUE:
-        return [LOST] * 3
+def ratios(row: Row, pd: Row, window: float) -> list[float]:
+    """A row's errors over PD's, `LOST` for what was lost.
+
+    Args:
+        row: The run.
+        pd: PD's on the same task with the same seed.
+        window: Length of the windows of their curves [s].
+
+    Returns:
+        In training, held out, held out with fixed weights; where something is picked up also soon after that.
+    """
+    count = 3 + (row.since > 0)
+    if not row.completed or not nan(row.torque) < TORQUE:
+        return [LOST] * count
     found = [relative(row.rms, pd.rms)]
     for how in ("learning", "frozen"):
         each = [relative(row.held_out[name][how].rms, ways[how].rms) for name, ways in pd.held_out.items()]
         found.append(math.sqrt(sum(value**2 for value in each) / len(each)))
+    if row.since > 0:
+        found.append(relative(soon(row, window), soon(pd, window)))
     return [min(value, LOST) if math.isfinite(value) else LOST for value in found]
+
+
+def soon(row: Row, window: float) -> dict[str, float]:
+    """RMS errors per axis in the first `SOON` seconds after the last change of a task.
+
+    Args:
+        row: The run, which reached its end.
+        window: Length of the windows of its curve [s].
+    """
+    first = round(row.since / window)
+    squares = np.mean(row.curve[first : first + round(SOON / window)], axis=0)
+    return dict(zip(row.rms, np.sqrt(squares).tolist(), strict=True))
 
 
 def relative(errors: Mapping[str, float | None], pd: Mapping[str, float | None]) -> float:
@@ -147,31 +164,3 @@ def rounded(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.3g}")
     return [rounded(each) for each in value] if isinstance(value, list | tuple) else value
-
-
-def tuned() -> dict[str, Any]:
-    """What was found and is kept; learner to its search."""
-    content: dict[str, Any] = json.loads(TUNED.read_text(encoding="utf-8")) if TUNED.exists() else {}
-    return content
-
-
-def tune(learners: tuple[str, ...], tries: int, say: Say, bench: Bench | None = None) -> dict[str, Any]:
-    """Search for some learners, and keep what was found beside what is there."""
-    bench = bench or Bench.made()
-    found = tuned()
-    for learner in learners:
-        found[learner] = search(bench, learner, spaces()[learner], tries, say)
-        TUNED.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    return found
-
-
-def taken(learner: str) -> dict[str, Any]:
-    """What the contest's eight says of what was searched for a learner: key path to value."""
-    table = msgspec.to_builtins(with_case(load_experiment("contest"), "eight"))
-    found = {}
-    for path in tuned()[learner]["settings"]:
-        here: Any = table
-        for part in path.split("."):
-            here = here[part]
-        found[path] = rounded(here)
-    return found

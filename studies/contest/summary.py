@@ -7,6 +7,8 @@ from statistics import median
 from typing import Any
 
 from mmnn_pin.contest.contest import Standing
+from mmnn_pin.contest.demand import held_out_torque
+from mmnn_pin.contest.task import tasks_of
 from mmnn_pin.show.contest.columns import KNOWLEDGE, TRAINING
 
 Cell = list[float | str | None] | None
@@ -14,8 +16,9 @@ Cell = list[float | str | None] | None
 
 def summed(standing: Standing) -> dict[str, Any]:
     """Tasks with their tables, targets, findings."""
+    held_out = {task.name: held_out_torque(task) for task in tasks_of(standing.experiment, ("pd",))}
     return {
-        "tasks": {task: about(standing, task) for task in standing.tasks},
+        "tasks": {task: about(standing, task) | {"held_out": held_out[task]} for task in standing.tasks},
         "targets": [target.to_dict() for target in standing.targets()],
         "seeds": standing.contest.seeds,
         "learned": standing.contest.learned,
