@@ -21,7 +21,8 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.torque.adaptation import adapt
-from mmnn_pin.torque.adaptive import Adapting, Adaptive, lifted, pseudo_inertias, vector_of
+from mmnn_pin.torque.adaptive import Adaptive, lifted, pseudo_inertias, vector_of
+from mmnn_pin.torque.adaptive_settings import Adapting
 from mmnn_pin.torque.controller import Feedback, Wiring
 from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, within
 

@@ -6,7 +6,8 @@ from ..errors import ConfigError
 from ..model.overrides import Overrides
 from ..model.regressor import Regressor
 from ..model.robot import Robot
-from ..torque.adaptive import Adapting, Adaptive, Predicting
+from ..torque.adaptive import Adaptive
+from ..torque.adaptive_settings import Adapting, Predicting
 from ..torque.concurrent import Concurrent, ConcurrentLearner
 from ..torque.controller import Feedback
 from .nominal import Nominal, nominal_parameters

@@ -23,12 +23,13 @@ from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
-from ..torque.adaptive import Adapting, Predicting
+from ..torque.adaptive_settings import Adapting, Predicting
 from ..torque.composite import Replaying
 from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
+from ..torque.inputs import Inputs
 from ..torque.kalman_settings import KalmanTables
-from ..torque.neural import Inputs, OneLayer, Robust, TwoLayer
+from ..torque.neural import OneLayer, Robust, TwoLayer
 from .contest import Contest
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .inertia import effective_inertia

@@ -16,7 +16,8 @@ from ..model.regressor import Regressor
 from ..settings import Settings, plain, require_numbers
 from ..signals import Array, Layout
 from . import law
-from .adaptive import Adapting, guess_of, scales
+from .adaptive import guess_of, scales
+from .adaptive_settings import Adapting
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
 from .history import scratch, shapes
