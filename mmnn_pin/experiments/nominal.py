@@ -35,6 +35,17 @@ class Nominal(Settings, frozen=True):
             raise ConfigError(f"{self.masses}", fix="use finite factors > 0", key="nominal.masses")
 
 
+def require_robot(robot: Robot | None, what: str) -> Robot:
+    """The robot that a controller is made for.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    if robot is None:
+        raise ConfigError(f"{what} of no robot", fix="give the robot", key="controllers")
+    return robot
+
+
 def nominal_robot(nominal: Nominal, robot: Robot | None, said: Overrides) -> Robot:
     """The robot that is believed in.
 
@@ -47,8 +58,7 @@ def nominal_robot(nominal: Nominal, robot: Robot | None, said: Overrides) -> Rob
         ConfigError: No robot, or a nominal one that moves otherwise.
         InputError: It cannot be loaded, or has no such body.
     """
-    if robot is None:
-        raise ConfigError("a nominal model of no robot", fix="give the robot", key="controllers")
+    robot = require_robot(robot, "a nominal model")
     believed = load_with(nominal.robot, said) if nominal.robot else robot
     alike = (believed.layout.dof, believed.layout.base) == (robot.layout.dof, robot.layout.base)
     if not alike or not np.array_equal(believed.T, robot.T):
