@@ -41,6 +41,7 @@ class Adaptive(CompiledController):
         adapting: Rates, start and bounds.
         nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
         learning: Off keeps the estimate as it starts.
+        predicting: The term of a prediction error, which makes it composite; None without one.
 
     Raises:
         ConfigError: A start from nominal parameters without them, or with others than k finite ones.

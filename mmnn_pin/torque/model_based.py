@@ -48,6 +48,7 @@ class PD(ConstantGain):
 
     Args:
         feedback: k1, k2.
+        name: Name in tables and recordings.
     """
 
     name: str = "pd"
