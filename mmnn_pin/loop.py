@@ -35,7 +35,7 @@ from .sensing import Sensor
 from .settings import plain
 from .signals import Array, Layout
 from .start import Bounds, Start
-from .streaming import Sink, stream
+from .streaming import Sink, run_to_end, with_remarks
 from .timing import Timing
 from .torque.controller import CompiledController, Memory, TorqueController, Wiring
 from .torque.origin import origin_of
@@ -265,7 +265,8 @@ class Loop:
             progress: Called after every block with the simulated time [s].
             cancelled: Asked after every block; true ends the run as interrupted.
         """
-        return stream(self, engine, sink, first, progress, cancelled)
+        outcome = run_to_end(self, engine, sink, first, progress, cancelled)
+        return with_remarks(outcome, engine, self.robot)
 
 
 @lru_cache(maxsize=4)  # runs of a batch mostly share their reference

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from .engines import Engine
+from .model.robot import Robot
 from .ordinary_loop import OrdinaryLoop
 from .recording import Outcome
 from .safety import HAS_TRIPPED, TRIPPED, remarks, trip_of
@@ -28,23 +29,7 @@ class Sink(Protocol):
         """Take a snapshot of the weights at a time [s]."""
 
 
-def stream(
-    loop: Loop,
-    engine: Engine,
-    sink: Sink,
-    first: int,
-    progress: Callable[[float], None] | None,
-    cancelled: Callable[[], bool],
-) -> Outcome:
-    """Run to the end, and tell what plant and supervisor saw; arguments as in `Loop.stream`."""
-    outcome = advance_to_end(loop, engine, sink, first, progress, cancelled)
-    found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
-    if engine.rig is not None and engine.rig.supervised:
-        found = remarks(engine.rig.guard, loop.robot, outcome.status) + found
-    return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
-
-
-def advance_to_end(
+def run_to_end(
     loop: Loop,
     engine: Engine,
     sink: Sink,
@@ -81,6 +66,14 @@ def advance_to_end(
     if engine.rig is not None and engine.rig.supervised and engine.rig.guard[HAS_TRIPPED]:
         return Outcome("tripped", *trip_of(engine.rig.guard, loop.robot))
     return Outcome("completed", samples * h)
+
+
+def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
+    """An outcome whose message also tells what supervisor and plant saw."""
+    found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
+    if engine.rig is not None and engine.rig.supervised:
+        found = remarks(engine.rig.guard, robot, outcome.status) + found
+    return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
 
 
 def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:

@@ -16,14 +16,15 @@ from scipy.linalg import expm, sqrtm
 
 from mmnn_pin import PD, Circle, Eight, Loop, Sine, Start, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.loop import Loop as ClosedLoop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.torque.adaptation import adapt
-from mmnn_pin.torque.adaptive import Adapting, Adaptive, lifted, pseudo_inertias, vector_of
+from mmnn_pin.torque.adaptive import Adaptive, lifted, pseudo_inertias, vector_of
+from mmnn_pin.torque.adaptive_settings import Adapting
 from mmnn_pin.torque.controller import Feedback, Wiring
 from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, within
+from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
@@ -274,31 +275,15 @@ def test_v_falls_by_the_feedback_alone_up_to_what_sampling_costs():
 
 
 def test_both_engines_agree_and_stop_where_they_are_told():
-    runs = [loop_of(adaptive(), 0.1, engine=engine).run() for engine in ("compiled", "ordinary")]
-    for name in ("psi_hat", "torque", "e", "weight_norm"):
-        np.testing.assert_allclose(runs[0][name], runs[1][name], rtol=1e-6, atol=1e-8)
-    np.testing.assert_allclose(runs[0].final["memory"], runs[1].final["memory"], rtol=1e-6, atol=1e-8)
-    frozen = loop_of(replace(adaptive(), learning=False), 0.1).run()
-    np.testing.assert_array_equal(frozen.weights["theta"][0], frozen.weights["theta"][-1])
-    assert "combinations" not in frozen.outcome.message
+    assert_engines_agree(loop_of(adaptive(), 0.1))
+    frozen = loop_of(replace(adaptive(), learning=False), 0.1)
+    assert_frozen(frozen)
+    assert "combinations" not in frozen.run().outcome.message
 
 
 def test_a_resumed_run_equals_the_uninterrupted_one():
-    half = 0.01 if PLAIN else 0.1
-    whole, first = loop_of(adaptive(), 2 * half), loop_of(adaptive(), half)
-    if PLAIN:
-        whole, first = (replace(loop, timing=replace_duration(loop, d)) for loop, d in ((whole, 0.02), (first, 0.01)))
-    straight, begun = whole.run(), first.run()
-    memory = first.controller.init(first.wiring())
-    memory.values[:] = begun.final["memory"]
-    state = (begun.final["position"], begun.final["nu"])
-    resumed = whole.run(memory=memory, state=state, first=round(half / 0.002))
-    np.testing.assert_array_equal(resumed.final["memory"], straight.final["memory"])
-
-
-def replace_duration(loop: ClosedLoop, duration: float) -> Timing:
-    timing = loop.timing
-    return Timing(duration, timing.control_period, timing.plant_step, timing.sensor_period, timing.integrator)
+    loop = loop_of(adaptive(), 0.2)
+    assert_it_resumes(loop, loop.timing.duration / 2)
 
 
 @pytest.mark.skipif(PLAIN, reason="needs a long run")

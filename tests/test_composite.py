@@ -12,7 +12,8 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.torque import prediction
 from mmnn_pin.torque.adaptation import factor, follow
-from mmnn_pin.torque.adaptive import Adapting, Predicting, pseudo_inertias, vector_of
+from mmnn_pin.torque.adaptive import pseudo_inertias, vector_of
+from mmnn_pin.torque.adaptive_settings import Adapting, Predicting
 from mmnn_pin.torque.prediction import descend, gather, pushed
 from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from tests.test_adaptive import REGRESSOR, ROBOT, TRUE, Bench, divergence, dual

@@ -19,8 +19,8 @@ from mmnn_pin.experiments.readings import readings, told
 from mmnn_pin.kinematic import command
 from mmnn_pin.model.world_frame import WorldFrame
 from mmnn_pin.signals import INDEX, Array, Layout
+from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.network import numerical_rank, two_layer_update
-from mmnn_pin.torque.neural import Inputs
 
 HERE = Path(__file__)
 DOCUMENT = HERE.parent.parent / "docs" / "errata.md"

@@ -33,7 +33,6 @@ from mmnn_pin import (
     Trajectory,
     load,
     load_experiment,
-    simulate_many,
 )
 from mmnn_pin.control import Torque
 from mmnn_pin.errors import ConfigError
@@ -49,6 +48,7 @@ from mmnn_pin.torque.kalman import KalmanLearner
 from mmnn_pin.torque.kalman_settings import KalmanBilinear, KalmanFeatures, KalmanRegressor, KalmanResidual
 from mmnn_pin.torque.least_squares import project, track
 from mmnn_pin.torque.linear import learn, parts_of
+from tests.learning import assert_engines_agree, assert_it_resumes
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 LONG = pytest.mark.skipif(PLAIN, reason="needs a long run")
@@ -430,36 +430,15 @@ def test_a_sample_that_is_no_number_teaches_nothing(kind, signal):
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_both_engines_agree_to_rounding(kind):
-    runs = [loop_of(small(kind), 0.2, engine=engine).run() for engine in ("compiled", "ordinary")]
-    for name in ("psi_hat", "torque", "e", "weight_norm"):
-        scale = np.abs(runs[0][name]).max()
-        np.testing.assert_allclose(runs[0][name], runs[1][name], atol=1e-9 * scale, rtol=1e-9)
-
-
-@LONG
-def test_a_batch_gives_the_runs_bit_for_bit():
-    loops = [loop_of(small(kind), 0.2, seed=seed) for kind in KINDS for seed in (1, 2)]
-    for run, loop in zip(simulate_many(loops, keep=True, workers=2), loops, strict=True):
-        alone = loop.run()
-        np.testing.assert_array_equal(run.recording["torque"], alone["torque"])
-        np.testing.assert_array_equal(run.final["memory"], alone.final["memory"])
+def test_both_engines_and_a_batch_agree(kind):
+    assert_engines_agree(loop_of(small(kind), 0.2))
 
 
 @pytest.mark.parametrize("safety", [None, Safety(torque=(60.0, 60.0, 30.0, 5.0))])
 @pytest.mark.parametrize("kind", ["regressor", "features"])
 def test_a_resumed_run_equals_the_uninterrupted_one(kind, safety):
-    half = 0.01 if PLAIN else 0.15
-    whole, first = (
-        replace(loop_of(small(kind, interval=0.006), safety=safety), timing=Timing(t, 0.002, 0.002))
-        for t in (2 * half, half)
-    )
-    straight, begun = whole.run(), first.run()
-    memory = first.controller.init(first.wiring())
-    memory.values[:] = begun.final["memory"]
-    state, rig = (begun.final["position"], begun.final["nu"]), begun.final["rig_memory"]
-    resumed = whole.run(memory=memory, state=state, rig_memory=rig, first=round(half / 0.002))
-    np.testing.assert_array_equal(resumed.final["memory"], straight.final["memory"])
+    loop = loop_of(small(kind, interval=0.006), 0.3, safety=safety)
+    assert_it_resumes(loop, loop.timing.duration / 2)
 
 
 def test_a_warm_start_elsewhere_takes_no_period_over_the_gap():

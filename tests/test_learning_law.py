@@ -21,8 +21,8 @@ from mmnn_pin.proof.learner import Stepper
 from mmnn_pin.proof.linear_fit import linear_fit
 from mmnn_pin.proof.proof import Proof
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.torque.inputs import THESIS_INPUT
 from mmnn_pin.torque.learning_law import norms
-from mmnn_pin.torque.neural import THESIS_INPUT
 
 SIGNALS = ("psi_hat", "torque", "effective_gain", "position", "nu", "motor_torque")
 

@@ -13,7 +13,7 @@ from numba import config
 from mmnn_pin.control import Torque
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.torque.composite import Replaying
-from mmnn_pin.torque.neural import MEASURED, Inputs
+from mmnn_pin.torque.inputs import MEASURED, Inputs
 from mmnn_pin.torque.replay import descend, keep_sample, recollect, replay
 from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from tests.test_composite import EIGHT

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from ..errors import ConfigError
 from ..model.overrides import Overrides
 from ..model.regressor import Regressor
 from ..model.robot import Robot
-from ..torque.adaptive import Adapting, Adaptive, Predicting
+from ..torque.adaptive import Adaptive
+from ..torque.adaptive_settings import Adapting, Predicting
 from ..torque.concurrent import Concurrent, ConcurrentLearner
 from ..torque.controller import Feedback
-from .nominal import Nominal, nominal_parameters
+from .nominal import Nominal, nominal_parameters, require_robot
 
 
 def adaptive_controller(
@@ -36,8 +36,7 @@ def adaptive_controller(
         ConfigError: No robot, or a nominal one that moves otherwise.
         InputError: The nominal robot cannot be loaded.
     """
-    if robot is None:
-        raise ConfigError("adaptive control of no robot", fix="give the robot", key="controllers")
+    robot = require_robot(robot, "adaptive control")
     start = nominal_parameters(nominal, robot, said) if adapting.initial == "nominal" else None
     return Adaptive(Regressor.of(robot), feedback, adapting, start, learning, predicting)
 
@@ -46,7 +45,6 @@ def concurrent_learner(
     settings: Concurrent, feedback: Feedback, robot: Robot | None, nominal: Nominal, said: Overrides, learning: bool
 ) -> ConcurrentLearner:
     """The concurrent learner for a robot; arguments and errors as in `adaptive_controller`."""
-    if robot is None:
-        raise ConfigError("concurrent learning of no robot", fix="give the robot", key="controllers")
+    robot = require_robot(robot, "concurrent learning")
     start = nominal_parameters(nominal, robot, said) if settings.initial == "nominal" else None
     return ConcurrentLearner(Regressor.of(robot), feedback, settings, start, learning)

@@ -19,52 +19,32 @@ from ..plant.contact.floor import Contact
 from ..reference import Trajectory
 from ..safety import Safety
 from ..sensing import Sensor
-from ..settings import Settings, require_gains
+from ..settings import Settings
 from ..signals import Array, Layout
 from ..start import Bounds, Start
 from ..timing import Timing
-from ..torque.adaptive import Adapting, Predicting
+from ..torque.adaptive_settings import Adapting, Predicting
 from ..torque.composite import Replaying
 from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
+from ..torque.inputs import Inputs
 from ..torque.kalman_settings import KalmanTables
-from ..torque.neural import Inputs, OneLayer, Robust, TwoLayer
+from ..torque.neural import OneLayer, Robust, TwoLayer
 from .contest import Contest
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
+from .friction import Friction
 from .inertia import effective_inertia
 from .laws import resolved
 from .nominal import Nominal
 from .references import HeldOut, ReferenceTables
 from .tolerance import Case, Tolerance
 
-# Pictures that a run can write; `show.plots` draws them.
+# Pictures that a run can write; `show.gallery` has them.
 PLOTS = (
     *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
     *("fvu", "frozen", "shares", "ranks", "lyapunov", "lyapunov-terms", "equality"),
     *("figure-4.2", "figure-4.3", "figure-4.4", "figure-5.3", "figure-5.4", "figure-5.5"),
 )
-
-
-class Friction(Settings, frozen=True):
-    """Viscous friction on nu, beside what the URDF says of its joints.
-
-    Args:
-        base: One number or one per base velocity [N s/m, N m s].
-        arm: One number or one per joint [N m s or N s/m].
-        coulomb: Dry friction of the arm's gears, one number or one per joint [N m or N]; it sticks with the integrator
-            "stick", else it is smooth.
-        breakaway: Ratio of static to Coulomb friction.
-        stribeck: Velocity over which the one falls to the other [rad/s or m/s].
-    """
-
-    base: float | tuple[float, ...] = 0.0
-    arm: float | tuple[float, ...] = 0.0
-    coulomb: float | tuple[float, ...] = 0.0
-    breakaway: float = 1.0
-    stribeck: float = 0.05
-
-    def __post_init__(self) -> None:
-        require_gains(self, "friction")
 
 
 class Experiment(Settings, frozen=True):

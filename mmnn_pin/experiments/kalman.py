@@ -7,7 +7,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..errors import ConfigError
 from ..model.overrides import Overrides
 from ..model.regressor import Regressor
 from ..model.robot import Robot
@@ -15,7 +14,7 @@ from ..torque.controller import Feedback
 from ..torque.kalman import KalmanLearner, Machine
 from ..torque.kalman_settings import Kalman, KalmanResidual, KalmanTables
 from .controllers import KALMAN
-from .nominal import Nominal, nominal_parameters
+from .nominal import Nominal, nominal_parameters, require_robot
 
 
 def machine_of(robot: Robot) -> Machine:
@@ -44,8 +43,7 @@ def kalman_controller(
         ConfigError: No robot, or a nominal one that moves otherwise.
         InputError: The nominal robot cannot be loaded.
     """
-    if robot is None:
-        raise ConfigError(f"{settings.section} of no robot", fix="give the robot", key="controllers")
+    robot = require_robot(robot, settings.section)
     regressor = Regressor.of(robot) if settings.needs_regressor else None
     theta0 = None
     if isinstance(settings, KalmanResidual):

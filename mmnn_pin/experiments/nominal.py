@@ -35,6 +35,17 @@ class Nominal(Settings, frozen=True):
             raise ConfigError(f"{self.masses}", fix="use finite factors > 0", key="nominal.masses")
 
 
+def require_robot(robot: Robot | None, what: str) -> Robot:
+    """The robot that a controller is made for.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    if robot is None:
+        raise ConfigError(f"{what} of no robot", fix="give the robot", key="controllers")
+    return robot
+
+
 def nominal_robot(nominal: Nominal, robot: Robot | None, said: Overrides) -> Robot:
     """The robot that is believed in.
 
@@ -48,8 +59,7 @@ def nominal_robot(nominal: Nominal, robot: Robot | None, said: Overrides) -> Rob
         UnknownName: No robot of that name, or no such body.
         InputError: It cannot be loaded, or has no such body.
     """
-    if robot is None:
-        raise ConfigError("a nominal model of no robot", fix="give the robot", key="controllers")
+    robot = require_robot(robot, "a nominal model")
     try:
         believed = load_with(nominal.robot, said) if nominal.robot else robot
     except UnknownName as error:

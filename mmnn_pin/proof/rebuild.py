@@ -21,10 +21,12 @@ from ..model.robot import Robot
 from ..recording import Recording
 from ..run_file import encode
 from ..signals import Array
-from ..torque.adaptive import Adapting, Adaptive
+from ..torque.adaptive import Adaptive
+from ..torque.adaptive_settings import Adapting
 from ..torque.controller import Feedback, Memory
+from ..torque.inputs import Inputs
 from ..torque.learning_law import LearningLaw
-from ..torque.neural import Inputs, Neural, OneLayer, Robust, TwoLayer
+from ..torque.neural import Neural, OneLayer, Robust, TwoLayer
 from .learner import Learner
 from .networks import Networks
 

@@ -58,20 +58,7 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
     if not is_exact:
         noise[:, -2], noise[:, -1] = late, added
     frozen[:, 0] = [robot.position_names.index(measured_joints(robot)[int(i)]) for i in frozen[:, 0]]
-    blocked = disturbance.windows(disturbance.Block, events, robot.position_names[layout.pose :])
-    blocked[:, 0] += layout.pose
-    if len(blocked) and timing.integrator != "stick" and loop.plant == "ideal":
-        why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
-        raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
     _, load = disturbance.payload(events)
-    limits = np.zeros(0)
-    if loop.safety is not None:
-        gains, K = stopping_gains(loop), loop.kinematic.arm_gains(layout)
-        short = bool(layout.base) and bool(np.all(motors[: layout.motors - layout.arm, motor.BRAKE] > 0.0))
-        arrivals = max(timing.control_period, timing.measurement_period)
-        limits = loop.safety.numbers(robot, timing.control_period, gains, K, short, arrivals)
-        if not motors[:, motor.BRAKE].any():  # nothing brakes but feedback
-            limits[safety.SETTLE] = np.inf
     p, m, nv = layout.dof, layout.motors, layout.full
     guard = safety.new_memory(layout)
     parts = (sensing.init(), np.zeros((m, motor.STATES + 1)), guard, np.zeros(len(frozen)), np.zeros(p))
@@ -95,12 +82,12 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
         motors=motors,
         supply=loop.actuator.supply(),
         dead=dead,
-        limits=limits,
+        limits=supervisor_limits(loop, motors),
         weights=places_of_weights(loop, memory),
         fates=disturbance.commands(events, timing),
         pushes=disturbance.pushes(events, robot),
         gusts=disturbance.gusts(events, timing.samples, gust_rng),
-        blocked=blocked,
+        blocked=blocked_joints(loop),
         pick=np.inf if load is None else float(load.start),
         memory=values,
         sensor=views[0],
@@ -118,6 +105,36 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
         total=np.zeros(p),
         tau=np.zeros(p),
     )
+
+
+def blocked_joints(loop: Loop) -> Array:
+    """Windows of the blocked joints, each with its place in a position, see `disturbance.windows`.
+
+    Raises:
+        ConfigError: There are some, and the integrator has no friction that holds them.
+        UnknownName: A joint that does not exist.
+    """
+    first = loop.robot.layout.pose
+    blocked = disturbance.windows(disturbance.Block, loop.disturbances, loop.robot.position_names[first:])
+    blocked[:, 0] += first
+    if len(blocked) and loop.timing.integrator != "stick" and loop.plant == "ideal":
+        why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
+        raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
+    return blocked
+
+
+def supervisor_limits(loop: Loop, motors: Array) -> Array:
+    """The numbers of the supervisor for motors (m, ...), see `Safety.numbers`; empty without one."""
+    layout, timing = loop.robot.layout, loop.timing
+    if loop.safety is None:
+        return np.zeros(0)
+    gains, K = stopping_gains(loop), loop.kinematic.arm_gains(layout)
+    short = bool(layout.base) and bool(np.all(motors[: layout.motors - layout.arm, motor.BRAKE] > 0.0))
+    arrivals = max(timing.control_period, timing.measurement_period)
+    limits = loop.safety.numbers(loop.robot, timing.control_period, gains, K, short, arrivals)
+    if not motors[:, motor.BRAKE].any():  # nothing brakes but feedback
+        limits[safety.SETTLE] = np.inf
+    return limits
 
 
 def flat(parts: tuple[Array, ...]) -> tuple[Array, list[Array]]:

@@ -41,8 +41,6 @@ from .pseudo_inertia import (
     clip,
     exponential,
     product,
-    product_by_transposed,
-    product_of_transposed,
     sandwich,
     to_matrix,
     to_vector,
@@ -238,13 +236,13 @@ def direction(theta: Array, gradient: Array, a: Adaptation, b: int) -> float:
 def update_body(theta: Array, eta: float, sigma: float, a: Adaptation, b: int) -> None:
     """One sample of body b, along its direction times eta and back by the leakage."""
     Q, L, X, B, half = a.work[0], a.work[1], a.steps[b], a.factors[b], a.work[2]
-    product_of_transposed(B, B, L)
+    product(B.T, B, L)
     for i in range(4):
         for j in range(4):
             X[i, j] = eta * X[i, j] - a.h * sigma * (L[i, j] - (1.0 if i == j else 0.0))
     exponential(X, L)
     product(B, L, X)
-    product_by_transposed(X, X, Q)
+    product(X, X.T, Q)
     if not within(Q, a.rho, L, half):
         clip(Q, a.rho, L, half)
     sandwich(a.roots[b], Q, L, X)

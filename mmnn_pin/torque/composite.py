@@ -14,10 +14,11 @@ from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, IntArray, Layout
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
-from .neural import MOST_HIDDEN, Inputs, Neural, TwoLayer
+from .inputs import Inputs
+from .neural import MOST_HIDDEN, Neural, TwoLayer
 from .replay import Replay
 
-# What every input is on a reference that is followed exactly; the others of `neural.MEASURED` are zero there.
+# What every input is on a reference that is followed exactly; the others of `inputs.MEASURED` are zero there.
 FOLLOWED = {
     "pose_ref": "pose", "pose": "pose", "q_ref": "q", "q": "q",
     "velocity_ref": "base", "velocity": "base", "alpha": "base", "qdot_ref": "arm", "qdot": "arm", "nu_ref": "nu",

@@ -28,6 +28,7 @@ import numpy as np
 
 from ..compiled import compiled
 from ..signals import Array
+from .matrices import inverse, log_det, product, solved
 
 
 class Stack(NamedTuple):
@@ -153,47 +154,24 @@ def has_entry(s: Stack, i: int) -> bool:
 @compiled
 def image(s: Stack, w: Scratch, Phi: Array) -> None:
     """`P Phi'` into w.PU, and `Phi P Phi'` into w.S."""
-    p, k = Phi.shape
-    for j in range(k):
-        for i in range(p):
-            total = 0.0
-            for c in range(k):
-                total += s.P[j, c] * Phi[i, c]
-            w.PU[j, i] = total
-    across(Phi, w, w.S)
-
-
-@compiled
-def across(Phi: Array, w: Scratch, out: Array) -> None:
-    """`Phi P U` with the w.PU of an equation U, (p, p)."""
-    p, k = Phi.shape
-    for i in range(p):
-        for j in range(p):
-            total = 0.0
-            for c in range(k):
-                total += Phi[i, c] * w.PU[c, j]
-            out[i, j] = total
+    product(s.P, Phi.T, w.PU)
+    product(Phi, w.PU, w.S)
 
 
 @compiled
 def log_det_with(w: Scratch, sign: float) -> float:
     """`log det(1 + sign S)`; w.S becomes the Cholesky factor of `1 + sign S`."""
-    p, total = len(w.S), 0.0
-    for i in range(p):
-        for j in range(p):
+    for i in range(len(w.S)):
+        for j in range(len(w.S)):
             w.X[i, j] = sign * w.S[i, j] + (1.0 if i == j else 0.0)
-    if not factored(w.X, w.S):
-        return -math.inf
-    for i in range(p):
-        total += 2.0 * math.log(w.S[i, i])
-    return total
+    return log_det(w.X, w.S)
 
 
 @compiled
 def removed(s: Stack, w: Scratch, i: int) -> None:
     """`1 - G_i+` into w.X, with G_i+ as it is once the equation of w.PU has been added."""
     p = len(w.S)
-    across(s.Phi[i], w, w.C)
+    product(s.Phi[i], w.PU, w.C)
     solved(w.S, w.C)
     for a in range(p):
         for b in range(p):
@@ -201,45 +179,6 @@ def removed(s: Stack, w: Scratch, i: int) -> None:
             for c in range(p):
                 total += w.C[a, c] * w.C[b, c]
             w.X[a, b] = total
-
-
-@compiled
-def solved(factor: Array, C: Array) -> None:
-    """`C F'^-1` in place for a lower triangular F, so that `C C'` becomes `C (F F')^-1 C'`."""
-    for a in range(len(C)):
-        for j in range(len(factor)):
-            total = C[a, j]
-            for c in range(j):
-                total -= C[a, c] * factor[j, c]
-            C[a, j] = total / factor[j, j]
-
-
-@compiled
-def log_det(X: Array, factor: Array) -> float:
-    """Logarithm of a determinant, -inf where the matrix is not positive definite; the factor is written."""
-    if not factored(X, factor):
-        return -math.inf
-    total = 0.0
-    for i in range(len(X)):
-        total += 2.0 * math.log(factor[i, i])
-    return total
-
-
-@compiled
-def factored(A: Array, F: Array) -> bool:
-    """Lower triangular `A = F F'`; False where A is not positive definite."""
-    for j in range(len(A)):
-        for i in range(j, len(A)):
-            total = A[i, j]
-            for c in range(j):
-                total -= F[i, c] * F[j, c]
-            if i > j:
-                F[i, j] = total / F[j, j]
-            elif total > 0.0:
-                F[j, j] = math.sqrt(total)
-            else:
-                return False
-    return True
 
 
 @compiled
@@ -261,7 +200,7 @@ def put(s: Stack, w: Scratch, place: int, Phi: Array, y: Array, share: float) ->
             s.Phi[place, i, j] = share * Phi[i, j]
     s.born[place] = -1.0
     s.used[1] += 1.0
-    inverted(s.L, w, s.P)
+    inverse(s.L, w.factor, w.column, s.P)
     refreshed(s, w, place)
     refreshed(s, w, int(s.used[1]) % max(1, int(s.used[0])))
 
@@ -274,7 +213,7 @@ def spread(s: Stack, w: Scratch, Phi: Array, sign: float) -> None:
     if not math.isfinite(log_det_with(w, sign)):
         return
     for n in range(int(s.used[0])):
-        across(s.Phi[n], w, w.C)
+        product(s.Phi[n], w.PU, w.C)
         solved(w.S, w.C)
         for i in range(p):
             for j in range(p):
@@ -294,26 +233,6 @@ def refreshed(s: Stack, w: Scratch, i: int) -> None:
     for a in range(len(w.S)):
         for b in range(len(w.S)):
             s.G[i, a, b] = w.S[a, b]
-
-
-@compiled
-def inverted(L: Array, w: Scratch, P: Array) -> None:
-    """`L^-1` into P; P stays where L is not positive definite."""
-    k, F, x = len(L), w.factor, w.column
-    if not factored(L, F):
-        return
-    for j in range(k):
-        for i in range(j, k):
-            total = 1.0 if i == j else 0.0
-            for c in range(j, i):
-                total -= F[i, c] * x[c]
-            x[i] = total / F[i, i]
-        for i in range(k - 1, j - 1, -1):
-            total = x[i]
-            for c in range(i + 1, k):
-                total -= F[c, i] * x[c]
-            x[i] = total / F[i, i]
-            P[i, j] = P[j, i] = x[i]
 
 
 @compiled

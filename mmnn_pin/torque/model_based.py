@@ -20,18 +20,17 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class PD(CompiledController):
-    """`tau = k s`, `s = [z; r]`: the feedback of (3.39) alone.
+class ConstantGain(CompiledController):
+    """`tau = Psi_hat + k s`, `s = [z; r]`, with nothing learned: a gain that never changes.
 
     Args:
         feedback: k1, k2.
     """
 
     feedback: Feedback = field(default_factory=Feedback)
-    name: str = "pd"
 
     def law(self, wiring: Wiring) -> Law:
-        """The gains."""
+        """The gains; for one that uses a model the loop writes its Psi into psi_hat."""
         return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), self.feedback.vector(wiring.layout))
 
     def init(self, wiring: Wiring) -> Memory:
@@ -43,8 +42,20 @@ class PD(CompiledController):
         return self.feedback.vector(layout)
 
 
+@dataclass(frozen=True)
+class PD(ConstantGain):
+    """`tau = k s`, `s = [z; r]`: the feedback of (3.39) alone.
+
+    Args:
+        feedback: k1, k2.
+        name: Name in tables and recordings.
+    """
+
+    name: str = "pd"
+
+
 @dataclass(frozen=True, eq=False)
-class ComputedTorque(CompiledController):
+class ComputedTorque(ConstantGain):
     """`tau = Psi + k s` with Psi of the nominal model at the measured state (Slotine-Li form with known parameters).
 
     Args:
@@ -53,7 +64,6 @@ class ComputedTorque(CompiledController):
         name: Name in tables and recordings.
     """
 
-    feedback: Feedback = field(default_factory=Feedback)
     model: Robot | None = None
     name: str = "computed_torque"
 
@@ -65,18 +75,6 @@ class ComputedTorque(CompiledController):
     def uses_model(self) -> bool:
         """Psi of the nominal robot is added."""
         return True
-
-    def law(self, wiring: Wiring) -> Law:
-        """The gains; the loop writes the model's Psi into psi_hat."""
-        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), self.feedback.vector(wiring.layout))
-
-    def init(self, wiring: Wiring) -> Memory:
-        """Nothing to remember."""
-        return Memory.of()
-
-    def feedback_gain(self, layout: Layout) -> Array:
-        """Gain on `[z; r]`, (p,)."""
-        return self.feedback.vector(layout)
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,39 +42,17 @@ def product(A: Array, B: Array, out: Array) -> None:
 
 
 @compiled
-def product_by_transposed(A: Array, B: Array, out: Array) -> None:
-    """`A B'`, 4 x 4."""
-    for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += A[i, c] * B[j, c]
-            out[i, j] = total
-
-
-@compiled
-def product_of_transposed(A: Array, B: Array, out: Array) -> None:
-    """`A' B`, 4 x 4."""
-    for i in range(4):
-        for j in range(4):
-            total = 0.0
-            for c in range(4):
-                total += A[c, i] * B[c, j]
-            out[i, j] = total
-
-
-@compiled
 def sandwich(A: Array, S: Array, half: Array, out: Array) -> None:
     """`A S A'`, 4 x 4."""
     product(A, S, half)
-    product_by_transposed(half, A, out)
+    product(half, A.T, out)
 
 
 @compiled
 def transposed_sandwich(A: Array, S: Array, half: Array, out: Array) -> None:
     """`A' S A`, 4 x 4."""
     product(S, A, half)
-    product_of_transposed(A, half, out)
+    product(A.T, half, out)
 
 
 @compiled
@@ -135,7 +113,7 @@ def clip(Q: Array, rho: float, U: Array, half: Array) -> None:
         value = min(max(Q[i, i], 1.0 / rho), rho)
         for j in range(4):
             half[j, i] = U[j, i] * value
-    product_by_transposed(half, U, Q)
+    product(half, U.T, Q)
 
 
 @compiled
