@@ -57,7 +57,7 @@ def repeat_before(n, row, at, y, reference, arm, gains, K):  # type: ignore[no-u
 def repeat_law(n, kind, row, at, sizes, settings, memory):  # type: ignore[no-untyped-def]
     """Torque and update of the weights."""
     for _ in range(n):
-        law.step(kind, row, at, sizes, settings, memory)
+        law.step(kind, row, at, sizes, settings, memory, None)
 
 
 @repeated

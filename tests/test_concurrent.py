@@ -16,6 +16,7 @@ from mmnn_pin.model.parameters import parameters
 from mmnn_pin.torque.concurrent import Concurrent
 from mmnn_pin.torque.controller import Memory
 from mmnn_pin.torque.history import consider, estimate_of, scratch, shapes, views
+from mmnn_pin.torque.motor_limits import limit, motor_limits
 from mmnn_pin.torque.recall import into_ball, recall
 from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from tests.test_composite import EIGHT
@@ -127,14 +128,16 @@ def test_the_ball(numbers, radius):
 def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
     loop, rng = made("concurrent"), np.random.default_rng(seed)
     learner, wiring = loop.controller, loop.wiring()
-    limited = replace(learner, effort=np.full(learner.effort.size, 20.0))
-    a, memory, row = limited.law(wiring).history, limited.init(wiring), wiring.layout.new_row()
+    limits = motor_limits(loop.robot.E, np.full(loop.robot.layout.motors, 20.0))
+    a, memory, row = learner.law(wiring).history, learner.init(wiring), wiring.layout.new_row()
     for k in range(30):
         row[:] = 10.0**size * rng.standard_normal(row.size)
         row[0] = k * a.h
         recall(row, wiring.layout.offsets, a, memory.values)
         assert np.linalg.norm(memory["w"]) <= a.radius * (1 + 1e-9)
-        motors = np.linalg.pinv(loop.robot.E) @ row[wiring.layout.where("psi_hat")]
+        psi_hat = row[wiring.layout.where("psi_hat")]
+        limit(psi_hat, 0.0 * psi_hat, limits)
+        motors = np.linalg.pinv(loop.robot.E) @ psi_hat
         assert (np.abs(motors) <= 20.0 * (1 + 1e-9)).all()
 
 

@@ -62,7 +62,7 @@ class Bench:
         self.row[:] = np.random.default_rng(seed).uniform(-1, 1, self.row.size)
         for name, value in signals.items():
             self.row[self.layout.where(name)] = value
-        law.step(self.law.kind, self.row, *self.integers, self.law.settings, self.memory.values)
+        law.step(self.law.kind, self.row, *self.integers, self.law.settings, self.memory.values, None)
         return self
 
     def __getitem__(self, name: str) -> Array:

@@ -158,7 +158,7 @@ def test_scaling_is_a_change_of_coordinates():
         for row, memory, number in zip(rows, memories, numbers, strict=True):
             number.settings[-22 * 2 :][:22][10:12] = 0.0
             number.settings[-22 * 2 :][:22][14:16] = 0.0
-            law.step(number.kind, row, layout.offsets, number.sizes, number.settings, memory.values)
+            law.step(number.kind, row, layout.offsets, number.sizes, number.settings, memory.values, None)
         torque = rows[1][layout.where("torque")]
         np.testing.assert_allclose(rows[0][layout.where("torque")], np.sqrt(m * c) * torque, rtol=1e-12)
     for name in ("W1", "V1", "W2", "V2"):

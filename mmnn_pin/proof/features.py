@@ -17,6 +17,7 @@ from ..torque.network import numerical_rank
 from .learner import Learner, Stepper
 from .networks import Networks, seen
 from .rank import Excitation, effective_rank, excitation
+from .unknown import Unknown, unknown
 
 MOST = 2000  # rows that are looked at, evenly spread
 
@@ -32,6 +33,7 @@ class Network:
         numerical: Numerical rank of the same.
         singular: Singular values of the same.
         excitation: Of what they are multiplied with.
+        unknown: What the run leaves undetermined on random motion; None for a learner that judges it itself.
     """
 
     name: str
@@ -40,9 +42,12 @@ class Network:
     numerical: dict[str, int]
     singular: dict[str, Array]
     excitation: Excitation
+    unknown: Unknown | None = None
 
     @classmethod
-    def of(cls, name: str, what: str, weights: dict[str, Array], excited: Excitation) -> Network:
+    def of(
+        cls, name: str, what: str, weights: dict[str, Array], excited: Excitation, unknown: Unknown | None = None
+    ) -> Network:
         """With the ranks of the weights that are matrices of more than one column and row."""
         matrices = {key: W for key, W in weights.items() if W.ndim == 2}
         return cls(
@@ -52,22 +57,25 @@ class Network:
             numerical={key: numerical_rank(W) for key, W in matrices.items()},
             singular={key: np.asarray(np.linalg.svd(W, compute_uv=False), float) for key, W in matrices.items()},
             excitation=excited,
+            unknown=unknown,
         )
 
 
 def features_of(learner: Learner, rows: Array) -> list[Network]:
     """What a learner's weights were multiplied with along rows (N, width); empty where it does not tell."""
+    left = unknown(learner, rows)
     if isinstance(learner, Networks):
         told = seen(learner, learner.end, rows)
-        return [network_of(learner, i, told.activations[i]) for i, _ in learner.networks]
+        return [network_of(learner, i, told.activations[i], left) for i, _ in learner.networks]
     linear = along(learner, rows)
-    return [] if linear is None else [linear_of(learner, linear.Phi)]
+    return [] if linear is None else [linear_of(learner, linear.Phi, left.get("all"))]
 
 
-def network_of(learner: Networks, i: int, activations: Array) -> Network:
+def network_of(learner: Networks, i: int, activations: Array, left: dict[str, Unknown]) -> Network:
     """Ranks and excitation of the i-th network."""
     weights = {name[0]: W for name, W in learner.controller.weights(learner.end).items() if name.endswith(str(i))}
-    return Network.of({1: "base", 2: "arm"}[i], "activations", weights, excitation(activations))
+    name = {1: "base", 2: "arm"}[i]
+    return Network.of(name, "activations", weights, excitation(activations), left.get(name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +107,12 @@ def along(learner: Learner, rows: Array) -> Along | None:
     return Along(at, np.array(Phi), np.array(said))
 
 
-def linear_of(learner: Learner, Phi: Array) -> Network:
+def linear_of(learner: Learner, Phi: Array, left: Unknown | None) -> Network:
     """Excitation of features (n, rows, k); of a regressor in the combinations that matter, against random motion."""
     _, rows, k = Phi.shape
     table = Phi.reshape(-1, k) * np.sqrt(rows)  # the mean is over samples, not over the rows of each
     weights = learner.controller.weights(learner.end)
     regressor = learner.wiring.regressor or getattr(learner.controller, "regressor", None)
     if not isinstance(regressor, Regressor) or regressor.size != k or rows == 1:
-        return Network.of("all", "features", weights, excitation(table))
-    return Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED))
+        return Network.of("all", "features", weights, excitation(table), left)
+    return Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED), left)

@@ -18,6 +18,7 @@ import numpy as np
 from ..signals import Array
 from .errors import motion_energy, pose_of
 from .ideal import Ideal
+from .limited import taken
 from .subject import Subject
 from .truth import Truth, estimate_part
 from .weights_part import weights_part
@@ -30,6 +31,7 @@ TERMS = {
     "robust": "-s' Kz (|Z| + ZB) s",
     "leakage": "kappa |s| tr(Zt' Z): the weights are pulled to zero, an estimate to its start",
     "cut": "updates of the estimate that are cut to a share of the feedback",
+    "limits": "s' (Psi_hat of the weights - Psi_hat): what the motors' limits take from it",
     "remainder": "s' w: what of Psi - Psi_hat no update of the weights cancels",
     "sensors": "the controller's s is not the true one",
     "motors": "-s' (torque of the motors - torque asked for)",
@@ -37,7 +39,7 @@ TERMS = {
     "step": "the update of the weights is a step, not a flow",
     "hold": "torque and weights are held over a control period",
 }
-PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "cut", "remainder", "sensors", "motors", "push")
+PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "cut", "limits", "remainder", "sensors", "motors", "push")
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +115,7 @@ def lyapunov(
         cut = np.broadcast_to(weights.cut, len(at))[here]
         terms |= {"leakage": weights.leakage[here], "remainder": weights.remainder[here], "cut": cut}
         terms["step"] = weights.step[there]
+        terms["limits"] = np.zeros(len(here)) if subject.learner is None else taken(subject.learner, subject.rows, starts)
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed

@@ -24,8 +24,9 @@ import numpy as np
 from ..model.robot import Robot
 from ..signals import Array, Layout
 from ..torque.controller import Memory
+from ..torque.inputs import MEASURED
 from ..torque.learning_law import LearningLaw
-from ..torque.neural import MEASURED, Neural, TwoLayer, channels
+from ..torque.neural import Neural, TwoLayer, channels
 from ..torque.residual import Residual
 from .learner import Learner, Stepper
 from .rank import excitation

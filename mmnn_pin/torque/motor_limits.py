@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled
+from ..compiled import compiled, copy_to
 from ..signals import Array
+
+ROUNDING = 1e-12  # part of a limit that is left for rounding, so that no sum is beyond it
 
 
 class MotorLimits(NamedTuple):
@@ -40,7 +42,7 @@ def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
         return None
     E = np.ascontiguousarray(E, dtype=float)
     E_inv = np.ascontiguousarray(np.linalg.pinv(E))
-    return MotorLimits(E, E_inv, np.array(effort, float), np.zeros(effort.size), np.zeros(len(E)))
+    return MotorLimits(E, E_inv, (1.0 - ROUNDING) * effort, np.zeros(effort.size), np.zeros(len(E)))
 
 
 @compiled
@@ -63,22 +65,23 @@ def limit(psi_hat: Array, feedback: Array, limits: MotorLimits) -> None:
     """Clip psi_hat, motor by motor, to what the feedback leaves of the limits.
 
     Args:
-        psi_hat: (p,) changed where it asks for too much, and where it is no number [N, N m].
+        psi_hat: (p,) changed where it asks for too much; one that is no number stays, and the guard sees it [N, N m].
         feedback: (p,) the rest of the torque on nu [N, N m].
         limits: Of the motors.
     """
     motors, clipped = limits.motors, False
+    copy_to(psi_hat, limits.asked)
     for j in range(motors.size):
         u, fed, top = 0.0, 0.0, limits.effort[j]
         for i in range(psi_hat.size):
             u += limits.E_inv[j, i] * psi_hat[i]
             fed += limits.E_inv[j, i] * feedback[i]
         low, high = -min(top, max(0.0, top + fed)), min(top, max(0.0, top - fed))
-        motors[j] = min(max(u, low), high) if not math.isnan(u) else 0.0
+        if math.isnan(u):
+            return
+        motors[j] = min(max(u, low), high)
         clipped = clipped or motors[j] != u
-    for i in range(psi_hat.size):
-        limits.asked[i] = psi_hat[i]
-        if clipped:
-            psi_hat[i] = 0.0
-            for j in range(motors.size):
-                psi_hat[i] += limits.E[i, j] * motors[j]
+    for i in range(psi_hat.size if clipped else 0):
+        psi_hat[i] = 0.0
+        for j in range(motors.size):
+            psi_hat[i] += limits.E[i, j] * motors[j]

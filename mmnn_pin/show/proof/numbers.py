@@ -73,6 +73,7 @@ def network_dict(network: Network) -> dict[str, Any]:
         "gram_smallest": number(found.smallest),
         "gram_largest": number(found.largest),
         "excited_directions": found.directions,
+        "undetermined": None if network.unknown is None else number(network.unknown.share),
     }
 
 
