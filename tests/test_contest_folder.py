@@ -20,6 +20,7 @@ from mmnn_pin.experiments.config import load_experiment
 from mmnn_pin.experiments.runner import run_experiment
 from mmnn_pin.show.contest import figures
 from mmnn_pin.show.contest.text import render
+from mmnn_pin.show.table import number
 
 FEW = ("pd", "two_layer", "adaptive")
 
@@ -118,8 +119,8 @@ def test_the_page_has_all_tables_targets_and_figures(standing, folder, tmp_path,
     assert not re.findall(r"(?:src|href)=.http", page)
     for task in ("eight", "poor"):
         for name in FEW:
-            shown = f"{1e3 * np.median([row.rms['phi'] for row in standing.of(task, name)]):.3g}"
-            assert shown.rstrip("0.") in page
+            shown = number(1e3 * np.median([row.rms["phi"] for row in standing.of(task, name)]))
+            assert re.search(rf">{re.escape(shown)}( ±\d+ %)?<", page)
     judged = [target for target in standing.targets() if target.reached is not None]
     assert f"{sum(target.met for target in judged)} of {len(judged)} targets met" in page
     assert all(text in page for text in ("What the learners say", "not excited", "mmnn report"))
