@@ -82,6 +82,11 @@ def test_what_only_a_robot_shows_is_told_before_anything_runs(text: str) -> None
     assert LATER[text] in str(caught.value) and "`" not in str(caught.value)
 
 
+def test_a_run_that_is_over_before_its_errors_count_is_no_verdict(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "faults", "--case", "none", "--set", "time.duration=0.5"]) == 2
+    assert "cases.none: tolerance.settle: error: 1 s: errors count from then on" in capsys.readouterr().err
+
+
 def test_the_command_line_says_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "contest", "--set", "nominal.masses=[1]"]) == 2
     err = capsys.readouterr().err
