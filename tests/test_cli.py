@@ -646,3 +646,12 @@ def test_list_names_all_there_is(call: Call) -> None:
     assert set(got["references"]["base"]) == {"line", "circle", "eight", "waypoints"}
     for names in (*got.values(), *got["references"].values()):
         assert [name for name in names if name not in text and name not in ("base", "arm")] == []
+
+
+def test_too_little_memory_is_one_line(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 3 TiB")
+
+    monkeypatch.setattr("mmnn_pin.experiments.config.load_experiment", fails)
+    code, _, err = call("run", "chapter4")
+    assert code == 2 and "not enough memory: Unable to allocate 3 TiB: use a shorter duration" in only_line(err)

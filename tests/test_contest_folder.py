@@ -170,3 +170,17 @@ def test_a_contest_tells_before_it_runs_where_no_errors_will_be(capsys, tmp_path
     assert code == 0 and err.count("no errors where the last window begins after the end") == 1
     assert "eight (3-4 s of 1.6 s)" in err and "eight (3-4 s" in json.loads(out)["comparison"]["notes"][0]
     assert tasks_of(quick(), NAMES)[0].experiment.windows[-1] == (0.8, 1.6)
+
+
+def test_a_law_that_says_inf_at_once_is_a_lost_run(capsys, tmp_path):
+    """Its recording holds no rows, which nothing behind it may mind."""
+    (tmp_path / "mine.py").write_text(
+        "import numpy as np\nfrom mmnn_pin import LearningLaw, Memory\n\n\nclass Inf(LearningLaw):\n"
+        "    def init(self, wiring):\n        return Memory.of(w=(2,))\n\n"
+        "    def estimate(self, now, memory):\n        return np.full(now.s.size, np.inf)\n\n"
+        "    def learn(self, now, memory):\n        pass\n"
+    )
+    words = ["--controller", tmp_path / "mine.py:Inf", "--set", "contest.beside=[]", "--out", tmp_path / "out"]
+    code, out, err = call(capsys, "run", "contest", "--case", "eight", *SET, *words)
+    assert code == 1 and "2 of 2 lost" in out and "diverged at 0 s" in out and err == "", err
+    assert not opened(tmp_path / "out").completed
