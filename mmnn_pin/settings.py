@@ -45,12 +45,13 @@ def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple
     message = str(error).partition(" - at ")[0]
     if missing := re.search(r"missing required field `(\w+)`", message):
         return f"the key '{missing[1]}' is missing", ""
-    found = re.fullmatch(r"Expected `([a-z |]+)`(?: of length (\d+))?, got `?(\w+)`?", message)
-    if found is None:
+    found = re.fullmatch(r"Expected `([a-z |]+)`(?: of length (\d+))?(?:, got `?(\w+)`?)?", message)
+    if found is None or not (found[2] or found[3]):
         return message, ""
     shown = "this" if value is None else shortly(value)
     if found[2]:
-        return f"{shown} has {found[3]} entries" if found[3] != "1" else f"{shown} has one entry", f"give {found[2]}"
+        count = {None: "another length", "1": "one entry"}.get(found[3], f"{found[3]} entries")
+        return f"{shown} has {count}", f"give {found[2]}"
     wanted = " or ".join(KINDS.get(name, name) for name in found[1].split(" | ") if name != "null")
     return f"{shown} is {KINDS.get(found[3], found[3])}", f"give {wanted}"
 

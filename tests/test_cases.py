@@ -207,7 +207,7 @@ def test_a_fault_that_fails_makes_the_command_fail(tmp_path, capsys):
 
 def test_recordings_say_which_case_they_are(tmp_path):
     time = msgspec.structs.replace(FAULTS.time, duration=0.5)
-    one = replace_controllers(changed(quiet={}), time)
+    one = replace_controllers(changed(quiet={"tolerance": {"settle": 0.2}}), time)
     matrix = run_cases(one, "faults", out=tmp_path)
     assert (tmp_path / "quiet" / "pd.h5").is_file()
     assert matrix.results["quiet"].recordings["pd"].meta["experiment"] == "faults/quiet"

@@ -333,12 +333,15 @@ BAD = {
     "missing state": (["model", "platform_arm", "--at", "s.json"], ["s.json", "cannot be read"]),
     "missing recording": (["plot", "x.h5"], ["x.h5", "no such recording"]),
     "folder as urdf": (["model", "/"], ["/", "folder"]),
-    "number for a text": (["run", "chapter4", "--set", "robot=3"], ["robot", "str"]),
+    "number for a text": (["run", "chapter4", "--set", "robot=3"], ["robot", "3 is a whole number: give a text"]),
     "text for a number": (["run", "chapter4", "--set", "feedback.base=strong"], ["feedback.base", "str"]),
     "text for an integer": (["run", "chapter4", "--seed", "one"], ["--seed", "one"]),
-    "float for an integer": (["run", "chapter4", "--set", "two_layer.hidden=2.5"], ["two_layer.hidden", "float"]),
+    "float for an integer": (
+        ["run", "chapter4", "--set", "two_layer.hidden=2.5"],
+        ["two_layer.hidden", "2.5 is a number: give a whole number"],
+    ),
     "wrong choice": (["run", "chapter4", "--set", "two_layer.initial=ones"], ["two_layer.initial", "ones"]),
-    "too few numbers": (["run", "chapter4", "--set", "two_layer.F=[1.0]"], ["two_layer.F", "length 2"]),
+    "too few numbers": (["run", "chapter4", "--set", "two_layer.F=[1.0]"], ["two_layer.F", "has one entry: give 2"]),
     "too many gains": (["run", "chapter4", "--set", "feedback.base=[1, 2, 3]"], ["feedback.base", "3", "2"]),
     "too many offsets": (["run", "chapter4", "--set", "start.joint_offset=[1, 2, 3]"], ["start.joint_offset", "3"]),
     "key into a number": (["run", "chapter4", "--set", "seed.value=3"], ["seed.value", "not a table"]),
@@ -347,7 +350,10 @@ BAD = {
     "negative gain": (["run", "chapter4", "--set", "feedback.arm=-1"], ["feedback.arm", "negative"]),
     "negative learning rate": (["run", "chapter4", "--set", "two_layer.F=[1, -1]"], ["two_layer.F", "negative"]),
     "range too wide": (["run", "chapter4", "--set", "two_layer.v_range=1.7e308"], ["two_layer.v_range", "smaller"]),
-    "too many units": (["run", "chapter4", "--set", "two_layer.hidden=2000000000"], ["memory", "hidden units"]),
+    "too many units": (
+        ["run", "chapter4", "--set", "two_layer.hidden=2000000000"],
+        ["two_layer.hidden", "hidden units: all their weights", "use at most 10000"],
+    ),
     "infinite gain": (["run", "chapter4", "--set", "kinematic.kx=inf"], ["kinematic.kx", "finite"]),
     "negative seed": (["run", "chapter4", "--seed", "-1"], ["seed", "-1"]),
     "unstable gain": (
@@ -550,15 +556,15 @@ def test_model_text_names_rows_and_columns(call: Call) -> None:
 
 
 BAD_STATES = {
-    '{"pose": [1, 2]}': ["pose", "length 3"],
+    '{"pose": [1, 2]}': ["pose", "this has another length: give 3"],
     '{"pose": [1, 2, NaN]}': ["not valid JSON"],
     '{"pose": [1, 2, 1e999]}': ["pose"],
     '{"base_velocity": [1, 2, 3]}': ["base_velocity", "v, w"],
     '{"joints": {"elbow": 1}}': ["joints", "unknown joint 'elbow'", "arm_1_joint", "wheel_left_joint"],
     '{"joint_velocities": {"wheel_left_joint": 1}}': ["joint_velocities", "wheel_left_joint", "arm_1_joint"],
-    '{"joints": {"arm_1_joint": "up"}}': ["joints", "float"],
+    '{"joints": {"arm_1_joint": "up"}}': ["joints", "a text: give a number"],
     '{"Pose": [1, 2, 3]}': ["unknown key 'Pose'", "did you mean 'pose'"],
-    "[1, 2, 3]": ["object"],
+    "[1, 2, 3]": ["a list: give a table"],
     '{"pose": [1, 2, 3]': ["not valid JSON"],
 }
 
@@ -640,3 +646,12 @@ def test_list_names_all_there_is(call: Call) -> None:
     assert set(got["references"]["base"]) == {"line", "circle", "eight", "waypoints"}
     for names in (*got.values(), *got["references"].values()):
         assert [name for name in names if name not in text and name not in ("base", "arm")] == []
+
+
+def test_too_little_memory_is_one_line(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise MemoryError("Unable to allocate 3 TiB")
+
+    monkeypatch.setattr("mmnn_pin.experiments.config.load_experiment", fails)
+    code, _, err = call("run", "chapter4")
+    assert code == 2 and "not enough memory: Unable to allocate 3 TiB: use a shorter duration" in only_line(err)

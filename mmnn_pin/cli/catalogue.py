@@ -9,15 +9,20 @@ import click
 from .options import examples, shared
 from .output import DONE, say, say_json
 
+MOST = 8  # names of cases that a line shows
+
 
 @click.command(
     "list",
-    short_help="List experiments, robots, controllers, references.",
+    short_help="List experiments with their cases, robots, controllers, references.",
     epilog=examples("mmnn list", "mmnn list --json"),
 )
 @shared
 def list_(as_json: bool) -> int:
-    """List the bundled experiments and robots, the controllers and the references."""
+    """List the bundled experiments with their cases, robots, the controllers and the references.
+
+    A contest's cases are its tasks. Controllers are listed with what they are told and what they learn.
+    """
     from ..experiments.controllers import CONTROLLERS
     from ..experiments.files import bundled, read_toml, variants
     from ..experiments.references import ARM_PROFILES, BASE_PATHS
@@ -27,6 +32,7 @@ def list_(as_json: bool) -> int:
     there_is: dict[str, dict[str, Any]] = {
         "experiments": {name: read_toml(path).get("title", "") for name, path in bundled().items()},
         "variants": {name: list(variants(path)) for name, path in bundled().items()},
+        "cases": {name: list(read_toml(path).get("cases", {})) for name, path in bundled().items()},
         "robots": {name: str(path) for name, path in (robots() | extra()).items()},
         "controllers": CONTROLLERS,
         "references": {"base": about(BASE_PATHS), "arm": about(ARM_PROFILES)},
@@ -34,9 +40,11 @@ def list_(as_json: bool) -> int:
     if as_json:
         say_json(there_is)
         return DONE
-    references, readings = there_is.pop("references"), there_is.pop("variants")
-    for name in [name for name, known in readings.items() if known]:
-        there_is["experiments"][name] += f" (--variant {', '.join(readings[name])})"
+    references = there_is.pop("references")
+    for option in ("variant", "case"):
+        for name, known in there_is.pop(f"{option}s").items():
+            shown = [*known[:MOST], "..."] if len(known) > MOST else known
+            there_is["experiments"][name] += f" (--{option} {', '.join(shown)})" if known else ""
     there_is |= {f"references of the {part}": kinds for part, kinds in references.items()}
     for kind, entries in there_is.items():
         say("\n".join([kind, *(f"  {name:24}{text}" for name, text in entries.items())]))

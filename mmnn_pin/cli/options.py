@@ -24,7 +24,8 @@ def shared(function: F) -> F:
 def law(function: F) -> F:
     """Add the option that names the file of a learning law; it is run before the command."""
     text = (
-        "File of a learning law of yours, FILE.py or FILE.py:Class; it is run to judge the law's weights; repeatable."
+        "Needed for runs of a controller of your own: its file, FILE.py or FILE.py:Class. The file is run, to evaluate"
+        " the recorded weights; without it what they say cannot be told. Repeatable."
     )
 
     @functools.wraps(function)

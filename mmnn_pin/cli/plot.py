@@ -71,6 +71,7 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
 
     folder = contest_of(runs)
     require_whats(whats, folder)
+    recordings = named([recording for path in runs for recording in open_runs(path)]) if folder is None else {}
     wanted = tuple(dict.fromkeys(whats)) or (("errors",) if folder is None else OF_CONTEST)
     files = pictures(out or Path("."), wanted, FORMATS)
     for file in files.values():
@@ -79,7 +80,6 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
             raise RecordingError("the picture exists", fix=fix, file=file)
     if folder is not None:
         return plot_contest(folder, files, as_json)
-    recordings = named([recording for path in runs for recording in open_runs(path)])
     figures = {what: PICTURES[what](recordings) for what in files}
     for what, file in files.items():
         save(figures[what], file)

@@ -40,7 +40,8 @@ from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
     "--region",
     metavar="SIZE=VALUE",
     multiple=True,
-    help="Certify this region, not the largest that is found: pose=M, arm=SIZE, energy=J; repeatable.",
+    help="Certify errors within these sizes, not the largest region that is found; give all of them: pose=M, the "
+    "base's pose error; arm=SIZE, the arm's errors; energy=J, s'Ms/2 (docs/theory.md); repeatable.",
 )
 @click.option(
     "--disturbance",

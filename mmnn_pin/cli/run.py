@@ -37,14 +37,27 @@ if TYPE_CHECKING:
         "mmnn run faults                            what sensors, motors and the world can do to a run",
         "mmnn run contest                           who tracks, who learns, who knows; minutes",
         "mmnn run contest --case eight --controller adaptive --set contest.seeds=2",
+        "mmnn run contest --case eight --controller my_law.py:MyLaw     a law of your own beside the others",
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
 @click.argument("experiment")
 @click.option("--variant", metavar="NAME", help="A variant of the experiment, see `mmnn list`.  [default: its first]")
 @click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
-@click.option("--controller", "controllers", metavar="NAME", multiple=True, help="Only this controller; repeatable.")
-@click.option("--case", "cases", metavar="NAME", multiple=True, help="Only this case or task; repeatable.")
+@click.option(
+    "--controller",
+    "controllers",
+    metavar="NAME",
+    multiple=True,
+    help="Only this controller, see `mmnn list`, or FILE.py:Class for one of your own; repeatable.",
+)
+@click.option(
+    "--case",
+    "cases",
+    metavar="NAME",
+    multiple=True,
+    help="Only this case, or this task of a contest, see `mmnn list`; repeatable.",
+)
 @click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the TOML; repeatable.")
 @click.option("--plant", metavar="NAME", help="ideal, or contact: wheels that may slip, in MuJoCo.")
 @click.option("--seed", type=int, help="The seed, short for --set seed=N.")
@@ -71,10 +84,15 @@ def run(
     """Run EXPERIMENT with all its controllers from equal starts and compare them.
 
     EXPERIMENT is a bundled name (see `mmnn list`) or the path of a TOML file. Writes one HDF5 recording per controller
-    and the pictures that the experiment asks for. An experiment with cases runs all controllers in each of them and
-    gives every run a verdict (exit code 1 if one fails). A contest runs them with several seeds, compares them in
-    tables and figures, and goes on where it was stopped. Ctrl-C ends the run and keeps what is recorded (exit code
-    130).
+    and the pictures that the experiment asks for. Ctrl-C ends the run and keeps what is recorded (exit code 130).
+
+    An experiment with cases runs all controllers in each of them and gives every run a verdict (exit code 1 if one
+    fails).
+
+    A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
+    several seeds, and then on trajectories that none of them was trained on, with what was learned held fixed and
+    learning on. It prints a table per task and the targets, draws figures, and goes on where it was stopped; what its
+    numbers mean is in docs/contest.md. --controller leaves those in by which the others are measured.
     """
     from ..experiments.cases import chosen_cases, run_cases
     from ..experiments.config import load_experiment

@@ -151,6 +151,7 @@ def run_cases(
     cases = {case: with_case(experiment, case) for case in experiment.cases}
     for case, changed in cases.items():
         try:
+            require_settled(changed)
             require_runnable(changed, changed.load_robot())
         except InputError as error:
             error.key = f"cases.{case}: {error.key or ''}".rstrip(": ")
@@ -174,6 +175,18 @@ def run_cases(
         if any(verdict.kind == "interrupted" for verdict in verdicts[case].values()):
             break
     return Matrix(experiment, name, results, verdicts)
+
+
+def require_settled(experiment: Experiment) -> None:
+    """Refuse a run that is over before its errors count: any would do.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    settle, end = experiment.tolerance.settle, experiment.time.duration
+    if settle >= end:
+        why, fix = f"errors count from then on, and the run is over after {end:g} s", "use a time within the run"
+        raise ConfigError(f"{settle:g} s", why=why, fix=fix, key="tolerance.settle")
 
 
 def judge(recording: Recording, tolerance: Tolerance) -> Verdict:

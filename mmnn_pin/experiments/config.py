@@ -139,8 +139,8 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
         table: What was converted; tells which of several types a table is.
     """
     message, _, where = str(error).partition(" - at ")
-    path_there = re.sub(r"\[(\d+|\.\.\.)\]", r".\1", where.strip("`").removeprefix("$")).removeprefix(".")
-    key = with_names(path_there.replace("....", ".*."), table) or None
+    there = re.sub(r"\[(\d+)\]", r".\1", where.strip("`").removeprefix("$").replace("[...]", ".*")).removeprefix(".")
+    key = with_names(there, table) or None
     kind, known = kind_at(key, table), tuple[str, ...]()
     if unknown := re.search(r"unknown field `(\w+)`", message):
         message, known = f"unknown key '{unknown[1]}'", keys_of(kind)
@@ -163,6 +163,8 @@ def with_names(key: str, table: Any) -> str:
     if not star:
         return key
     entries, kind = value_at(head, table), kind_at(f"{head}.*", table)
+    if kind is None:
+        return head
     for name, entry in entries.items() if isinstance(entries, dict) else ():
         try:
             msgspec.convert(entry, kind)
@@ -188,8 +190,8 @@ def kind_at(key: str | None, table: Any = None) -> Any:
             kind, table = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part), inside(table, part)
         elif get_origin(kind) in (tuple, list) and part:
             kind, table = get_args(kind)[0], inside(table, part)
-        elif get_origin(kind) is dict and part:
-            kind, table = get_args(kind)[1], inside(table, part)
+        elif part and (tables := [k for k in (kind, *get_args(kind)) if get_origin(k) is dict]):
+            kind, table = get_args(tables[0])[1], inside(table, part)
         elif part:
             return None
         kinds = tuple(k for k in get_args(kind) if k is not type(None)) if get_origin(kind) in UNIONS else (kind,)

@@ -59,7 +59,7 @@ class Experiment(Settings, frozen=True):
             (`root` for a mobile base), see `Robot.with_masses`.
         controllers: Controllers to run, names of `CONTROLLERS` or of `laws`; `FILE.py:Class` for a class of a user.
         seed: The one seed.
-        windows: Intervals for the RMS errors [s].
+        windows: Intervals for the RMS errors [s]; one that a run does not reach has none, which a note says.
         weights_interval: Time between two records of the weights [s].
         plots: Pictures that a run writes, names of `PLOTS`. With figures of the thesis the run is compared with
             the intervals of their axes, with `figure-5.5` also with the largest errors that chapter 5 prints.

@@ -16,8 +16,7 @@ def window_notes(experiment: Experiment) -> list[str]:
     cut = [window for window in experiment.windows if window[0] < end < window[1]]
     found = []
     if beyond:
-        fix = f"--set windows='[[0, {end / 5:g}], [{end / 2:g}, {end:g}]]' chooses others"
-        found.append(f"no errors in {words(beyond)}: the run is over after {end:g} s; {fix}")
+        found.append(f"no errors in {words(beyond)}: the run is over after {end:g} s; --set windows=... for others")
     if cut:
         found.append(f"errors in {words(cut)} count to the end of the run, {end:g} s")
     return found

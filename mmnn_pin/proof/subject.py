@@ -155,6 +155,6 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
     for name in recording:
         where = layout.where(name)
         if where.stop > where.start:
-            rows[:, where] = recording[name].reshape(len(recording), -1)
+            rows[:, where] = recording[name].reshape(len(recording), where.stop - where.start)
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     return rows[: bad[0]] if len(bad) else rows

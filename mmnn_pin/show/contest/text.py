@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from statistics import median
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -93,7 +94,7 @@ def cell(values: Sequence[float], infinite: str = "-", above: float = math.inf) 
     if any(map(math.isnan, values)):
         return Text("-")
     ordered = sorted(values)
-    low, mid, high = ordered[0], ordered[len(ordered) // 2], ordered[-1]
+    low, mid, high = ordered[0], median(ordered), ordered[-1]
     text = word(mid, infinite)
     if not math.isfinite(high):
         text += f"\n{word(low, infinite)} to {infinite}" * (low < high)

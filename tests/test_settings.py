@@ -1,0 +1,124 @@
+"""What a user reads for settings that cannot be: one plain line with the key, sizes and numbers within bounds."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mmnn_pin.cli import main
+from mmnn_pin.contest.task import tasks_of
+from mmnn_pin.errors import InputError
+from mmnn_pin.experiments.cases import chosen_cases
+from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.settings import LARGEST, wrong_type
+
+CIRCLE = "base={type='circle',radius=1.0,speed=1.0}"
+BAD = {
+    "nominal.masses=[0.7, 0.8]": "nominal.masses: error: [0.7, 0.8] is a list: give a number or a table",
+    "nominal.masses='x'": "nominal.masses: error: 'x' is a text: give a number or a table",
+    "nominal.masses={root='x'}": "nominal.masses.root: error: 'x' is a text: give a number",
+    "nominal.masses={root=nan}": "nominal.masses: error: {'root': nan}: use finite factors > 0",
+    "nominal.masses={}": "nominal.masses: error: {}: use finite factors > 0",
+    "nominal.friction=3": "nominal.friction: error: 3 is a whole number: give true or false",
+    "two_layer.F=[1.0]": "two_layer.F: error: [1.0] has one entry: give 2",
+    "kalman=3": "kalman: error: 3 is a whole number: give a table",
+    "kalman.features.hidden=1000000": "kalman.features.hidden: error: 1000000: memory and time grow with it",
+    "kalman.bilinear.hidden=2001": "kalman.bilinear.hidden: error: 2001: memory and time grow with it: use",
+    "kalman.residual.largest=2001": "kalman.residual.largest: error: 2001",
+    "kalman.regressor.prior=1e300": "kalman.regressor.prior: error: 1e+300: use a number up to 1e+12",
+    "kalman.regressor.noise=nan": "kalman.regressor.noise: error: nan is negative or not finite",
+    "concurrent.entries=5001": "concurrent.entries: error: 5001: memory and time grow with it: use at most 5000",
+    "replay.entries=100001": "replay.entries: error: 100001",
+    "replay.replays=1001": "replay.replays: error: 1001",
+    "replay.hidden=10001": "replay.hidden: error: 10001",
+    "one_layer.hidden=10001": "one_layer.hidden: error: 10001 hidden units: all their weights are kept and recorded",
+    "two_layer.hidden=10001": "two_layer.hidden: error: 10001 hidden units",
+    "contest.knows.kinematics=['nosuch']": "contest.knows.kinematics: error: unknown controller 'nosuch'",
+    "contest.knows.kinematics='x'": "contest.knows.kinematics: error: 'x' is a text: give a list",
+    "contest.knows.kinematics=['pd', 3]": "contest.knows.kinematics.1: error: 3 is a whole number: give a text",
+    "contest.knows.form=['adaptive']": "contest.knows.form: error: 'adaptive' is in kinematics, too: name it once",
+    "contest.beside=['adaptiv']": "contest.beside: error: unknown controller 'adaptiv': did you mean 'adaptive'?",
+    "contest.targets.task='nosuch'": "contest.targets.task: error: unknown task 'nosuch'",
+    "contest.targets.frozen_fvu.form=inf": "contest.targets.frozen_fvu.form: error: inf: give finite numbers > 0",
+    "contest.targets.frozen_fvu.form='x'": "contest.targets.frozen_fvu.form: error: 'x' is a text: give a number",
+    "contest.targets.near=inf": "contest.targets.near: error: inf is negative or not finite",
+    "held_out.mine=3": "held_out.mine: error: 3 is a whole number: give a table",
+    f"held_out.mine={{duration=inf, {CIRCLE}}}": "held_out.mine.duration: error: inf s: use a finite number",
+    f"held_out.mine={{duration=-1, {CIRCLE}}}": "held_out.mine.duration: error: -1.0 s",
+    "cases.mine={}": "cases.mine: error: the key 'title' is missing",
+    "cases.mine=3": "cases.mine: error: 3 is a whole number: give a table",
+    "cases.mine={title='x', set=3}": "cases.mine.set: error: 3 is a whole number: give a table",
+    "cases.mine={title='x', experiment='eigth'}": "cases.mine.experiment: error: unknown experiment 'eigth'",
+    "laws.x=3": "laws.x: error: 3 is a whole number: give a table",
+}
+LATER = {  # told when the tasks are made, still before anything is run
+    "nominal.robot='nosuch'": "nominal.robot: error: unknown robot 'nosuch'",
+    "nominal.robot='two_axis_arm'": "nominal.robot: error: two_axis_arm does not move as platform_arm",
+    "nominal.masses={nosuch=1.0}": "nominal.masses: error: unknown body 'nosuch'",
+    "contest.window=1e-9": "contest.window: error: 1e-09 s: use a time from the control period",
+    "contest.window=1000": "contest.window: error: 1000 s: use a time from the control period",
+    "contest.start=1e-9": "contest.start: error: 1e-09 s",
+    "windows=[]": "windows: error: no windows: the errors count in the last",
+    f"held_out.mine={{duration=0.5, {CIRCLE}}}": "held_out.mine.duration: error: 0.5 s: the first 0.5 s do not count",
+    f"held_out.mine={{{CIRCLE}}}": "held_out.mine.arm: error: 0 profiles for 2 arm joints: add one [[held",
+    "held_out.mine={base={type='circle', speed=1.0}}": "held_out.mine.base: error: the key 'radius' is missing",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_a_bad_setting_is_told_with_its_key(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_experiment("contest", [text])
+    assert f"contest.toml:{BAD[text]}" in str(caught.value)
+    assert "`" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", LATER)
+def test_what_only_a_robot_shows_is_told_before_anything_runs(text: str) -> None:
+    with pytest.raises(InputError) as caught:
+        tasks_of(chosen_cases(load_experiment("contest", [text]), ["eight"]), ("pd", "nominal"))
+    assert LATER[text] in str(caught.value) and "`" not in str(caught.value)
+
+
+def test_a_run_that_is_over_before_its_errors_count_is_no_verdict(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "faults", "--case", "none", "--set", "time.duration=0.5"]) == 2
+    assert "cases.none: tolerance.settle: error: 1 s: errors count from then on" in capsys.readouterr().err
+
+
+def test_the_command_line_says_it_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "contest", "--set", "nominal.masses=[1]"]) == 2
+    err = capsys.readouterr().err
+    assert err.endswith("nominal.masses: error: [1] is a list: give a number or a table\n") and err.count("\n") == 1
+
+
+def test_all_bundled_sizes_are_within_their_bounds() -> None:
+    for name in ("eight", "contest", "chapter4", "chapter5", "track"):
+        assert load_experiment(
+            name, ["kalman.features.hidden=2000", "concurrent.entries=5000", "two_layer.hidden=10000"]
+        )
+    assert load_experiment("eight", [f"kalman.features.prior={LARGEST!r}"]).kalman.features.prior == LARGEST
+
+
+KINDS = {int: "a whole number", float: "a number", str: "a text", bool: "true or false", list: "a list"}
+VALUES = {
+    int: st.integers(-9, 9),
+    float: st.floats(0.1, 0.9),
+    str: st.text("ab", min_size=1),
+    list: st.lists(st.none()),
+}
+
+
+@given(st.sampled_from([int, float, str, bool, list]), st.one_of(st.booleans(), *VALUES.values()))
+def test_every_message_of_a_conversion_is_put_in_plain_words(kind: type, value: object) -> None:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        what, fix = wrong_type(error, value)
+        assert fix == f"give {KINDS[kind]}" and what.endswith(f" is {KINDS[type(value)]}")
+
+
+def test_messages_of_another_kind_stay_as_they_are() -> None:
+    assert wrong_type("something else - at `$.x`") == ("something else", "")
+    assert wrong_type("Expected `int | null`, got `str`") == ("this is a text", "give a whole number")
