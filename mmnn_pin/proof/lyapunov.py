@@ -1,7 +1,7 @@
 """The Lyapunov function along a run: V of (3.53) with the corrected V1, its derivative term by term, and when it grows.
 
     V = V1(pose error) + s' M s / 2 + weights' part            (see `errors`, `weights_part`)
-    Vdot = pose + coupling + feedback + robust + leakage + remainder        for the continuous loop, predicted
+    Vdot = pose + coupling + feedback + robust + leakage + prediction + remainder + ...   continuous loop, predicted
 
 What the measured change of V over a control period adds to that is told apart: `step`, the second order of the update
 of the weights, and `hold`, the rest: torque and weights are held while the errors move on. With sensors that err,
@@ -15,12 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..signals import Array
+from ..signals import Array, IntArray
 from .errors import motion_energy, pose_of
-from .ideal import Ideal
 from .subject import Subject
-from .truth import Truth, estimate_part
-from .weights_part import weights_part
+from .weights_part import WeightsPart
 
 MOST = 5000  # samples that are looked at, evenly spread
 TERMS = {
@@ -28,8 +26,12 @@ TERMS = {
     "coupling": "ex z1 + (sin ephi/ky) z2: the velocity error drives the pose; (3.19) drops it",
     "feedback": "-s' k s",
     "robust": "-s' Kz (|Z| + ZB) s",
-    "leakage": "kappa |s| tr(Zt' Z): the weights are pulled to zero, an estimate to its start",
-    "cut": "updates of the estimate that are cut to a share of the feedback",
+    "leakage": "weights are pulled to zero, an estimate to its start or prior; kappa |s| tr(Zt' Z)",
+    "cut": "updates by s that are cut to a share of the feedback",
+    "prediction": "filtered torque or kept samples teach the weights, as far as they tell the truth",
+    "noise": "what filtered torque has wrong: sensors, motors, what the ideal weights leave",
+    "memory": "what was learned counts less, or a stack of equations changes",
+    "own": "what the law does beside W' = Gamma Phi' s",
     "remainder": "s' w: what of Psi - Psi_hat no update of the weights cancels",
     "sensors": "the controller's s is not the true one",
     "motors": "-s' (torque of the motors - torque asked for)",
@@ -37,7 +39,8 @@ TERMS = {
     "step": "the update of the weights is a step, not a flow",
     "hold": "torque and weights are held over a control period",
 }
-PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "cut", "remainder", "sensors", "motors", "push")
+PREDICTED = tuple(name for name in TERMS if name not in ("step", "hold"))
+Part = Callable[[IntArray, Callable[[float], None] | None], WeightsPart]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,16 +80,16 @@ class Lyapunov:
 
 def lyapunov(
     subject: Subject,
-    ideal: dict[int, Ideal] | Truth | None = None,
-    most: int = MOST,
+    part: Part | None = None,
+    most: float = MOST,
     progress: Callable[[float], None] | None = None,
 ) -> Lyapunov:
     """V along a run and the terms of its derivative.
 
     Args:
         subject: The run.
-        ideal: Ideal weights of its networks, or the true parameters of an adaptive controller; without them the
-            weights' part is left out, and `remainder` is all of `s' (Psi - Psi_hat)`.
+        part: Gives the weights' part at rows (`weights_of`); without it that is left out, and `remainder` is all of
+            `s' (Psi - Psi_hat)`.
         most: Samples to look at.
         progress: Called with the fraction done.
 
@@ -94,25 +97,20 @@ def lyapunov(
         RecordingError: `ky` is 0: there is no V1.
     """
     count, h = len(subject.rows) - 1, subject.timing.control_period
-    starts = np.arange(0, count, -(-count // most))
+    starts = np.arange(0, count, int(-(-count // most)) or 1)
     at = np.unique(np.concatenate((starts, starts + 1)))
     here, there = np.searchsorted(at, starts), np.searchsorted(at, starts + 1)
     rows = subject.rows[at]
     true = subject.truth(rows)
     pose, motion = pose_of(subject, true), motion_energy(subject, true)
-    weights = None
-    if isinstance(ideal, Truth) and subject.learner is not None:
-        weights = estimate_part(subject, subject.learner, ideal, at, progress)
-    elif isinstance(ideal, dict) and subject.networks is not None:
-        weights = weights_part(subject.networks, ideal, subject.rows, at, progress)
+    weights = None if part is None else part(at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
     rates = powers(subject, rows[here], true[here], subject.given.torque[starts], subject.given.push[starts])
     terms = {"pose": pose.decay[here], "coupling": pose.coupling[here]} | rates
     if weights is not None:
-        cut = np.broadcast_to(weights.cut, len(at))[here]
-        terms |= {"leakage": weights.leakage[here], "remainder": weights.remainder[here], "cut": cut}
-        terms["step"] = weights.step[there]
+        terms |= {name: values[here] for name, values in weights.terms.items()}
+        terms |= {name: values[there] for name, values in weights.arrived.items()}
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed
