@@ -29,10 +29,10 @@ from ..signals import Array, IntArray
 from ..torque.controller import Memory
 from ..torque.covariance import measure
 from ..torque.least_squares import predict, track
-from ..torque.linear import Linear, Parts, filtered_size, parts_of
+from ..torque.linear import Linear, Parts
 from .learner import Learner
 from .subject import Subject
-from .together import Row, together
+from .together import Row, copies, together
 from .weights_part import WITHOUT, WeightsPart, part_of
 
 
@@ -56,6 +56,10 @@ def covariance_part(
     )
 
 
+PARTS = ("W", "U", "D", "prior", "counts")
+FILTER = ("clock", "held", "filtered_torque", "states", "Phi_f", "Y_f")  # they follow
+
+
 class Ledger:
     """What every update does to the part.
 
@@ -73,27 +77,23 @@ class Ledger:
     def __init__(self, learner: Learner, a: Linear, ideal: Array, rows: int) -> None:
         self.a, self.ideal, self.found = a, np.ascontiguousarray(ideal.T), np.zeros((6, rows))
         self.at, self.h = learner.wiring.layout.offsets, learner.wiring.control_period
-        count, k = a.Phi.shape
-        self.sizes = (len(self.ideal), k, filtered_size(a.gain.size, a.filter.q.size, count, k))
         self.matters = learner.start["prior"] > 0.0
-        self.value = self.energy(parts_of(learner.start.values, *self.sizes))
+        self.value = self.energy(views(learner.start))
 
     def keep(self, memory: Memory) -> dict[str, Array]:
         """The memory before an update; of other samples the weights."""
         now = int(memory["counts"][0]) % self.a.every == 0
-        return {"all": memory.values.copy()} if now else {"W": memory["W"].copy()}
+        return copies(memory, *PARTS) if now else copies(memory, "W")
 
     def take(self, row: Row) -> None:
         """Value, pull and terms of one row."""
-        update = "all" in row.before
-        o = parts_of(row.before["all"], *self.sizes) if update else None
-        error = self.ideal - (row.before["W"] if o is None else o.W)
-        along = row.Phi @ error.T  # (rows, m)
+        along = row.Phi @ (self.ideal - row.before["W"]).T  # (rows, m)
         pull = float(row.s @ along.ravel())
         self.found[:2, row.number] = self.value, pull
-        if o is not None:
+        if "U" in row.before:
+            o = parts_of(row.before, np.zeros(0))
             self.found[2:, row.number] = np.array(self.update(row, o, pull)) / self.h
-            self.value = self.energy(parts_of(row.memory.values, *self.sizes))
+            self.value = self.energy(views(row.memory))
 
     def update(self, row: Row, o: Parts, pull: float) -> tuple[float, float, float, float]:
         """Cut, prediction, noise and memory of one update, over the whole of it; changes o."""
@@ -103,10 +103,9 @@ class Ledger:
         cut = a.interval * pull - float((weighed * (o.W - before)).sum())
         if row.memory["counts"][1] == o.counts[1]:  # no control period to learn from
             return cut, 0.0, 0.0, 0.0
-        after = parts_of(row.memory.values, *self.sizes)
-        o.filter[:] = after.filter
+        after = views(row.memory)
         prediction, noise, known = self.measured(row, o)
-        predict(a, o)
+        predict(a, o._replace(filter=after.filter))
         return cut, prediction, noise, self.energy(o) - known
 
     def measured(self, row: Row, o: Parts) -> tuple[float, float, float]:
@@ -147,3 +146,16 @@ class Ledger:
     def chosen(self, U: Array) -> Array:
         """Rows and columns of U' that the prior lets be."""
         return U if self.matters.all() else U[np.ix_(self.matters, self.matters)]
+
+
+def views(memory: Memory) -> Parts:
+    """The parts of a memory that an update reads and writes."""
+    first = sum(memory[name].size for name in PARTS)
+    size = sum(memory[name].size for name in FILTER)
+    return parts_of({name: memory[name] for name in PARTS}, memory.values[first : first + size])
+
+
+def parts_of(arrays: dict[str, Array], filtered: Array) -> Parts:
+    """The parts by name, with what the filter remembers."""
+    W, U, D, prior, counts = (arrays[name] for name in PARTS)
+    return Parts(W, U, D, prior, counts, filtered, np.zeros(0))

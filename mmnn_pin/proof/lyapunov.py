@@ -45,17 +45,18 @@ Part = Callable[[IntArray, Callable[[float], None] | None], WeightsPart]
 
 @dataclass(frozen=True, eq=False)
 class Lyapunov:
-    """V at (k,) control samples, and its change over the control period that begins there.
+    """V at (k,) control samples, and its change over the period that begins there.
 
     Attributes:
         time: [s].
-        period: Control period [s].
+        period: The control period, or that of a learner that updates its weights less often [s].
         pose: V1 [m^2].
         motion: s' M s / 2 [J].
         weights: The weights' part; zeros without a learner.
         measured: Change of V over the period, divided by it [SI/s].
         terms: Name to the term's share in that (k,) [SI/s]; they add up to `measured`.
         missed: How well stepping the learner again met the recorded Psi_hat, relative; 0 without a learner.
+        every: Control periods in one of these periods.
     """
 
     time: Array
@@ -66,6 +67,7 @@ class Lyapunov:
     measured: Array
     terms: dict[str, Array]
     missed: float
+    every: int = 1
 
     @property
     def total(self) -> Array:
@@ -83,6 +85,7 @@ def lyapunov(
     part: Part | None = None,
     most: float = MOST,
     progress: Callable[[float], None] | None = None,
+    every: int = 1,
 ) -> Lyapunov:
     """V along a run and the terms of its derivative.
 
@@ -92,12 +95,15 @@ def lyapunov(
             `s' (Psi - Psi_hat)`.
         most: Samples to look at.
         progress: Called with the fraction done.
+        every: Control periods from one update of the weights to the next. Of a learner that moves them in lumps all
+            samples are looked at, and V over its own periods.
 
     Raises:
         RecordingError: `ky` is 0: there is no V1.
     """
-    count, h = len(subject.rows) - 1, subject.timing.control_period
-    starts = np.arange(0, count, int(-(-count // most)) or 1)
+    every = min(every, len(subject.rows) - 1)
+    count, h = (len(subject.rows) - 1) // every * every, subject.timing.control_period
+    starts = np.arange(0, count, int(-(-count // most)) if every == 1 else 1)
     at = np.unique(np.concatenate((starts, starts + 1)))
     here, there = np.searchsorted(at, starts), np.searchsorted(at, starts + 1)
     rows = subject.rows[at]
@@ -114,9 +120,16 @@ def lyapunov(
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed
-    time = subject.signal("time")[starts, 0]
-    at_start = [value[here] for value in values]
-    return Lyapunov(time, h, at_start[0], at_start[1], at_start[2], np.asarray(measured), terms, missed)
+    time = subject.signal("time")[starts[::every], 0]
+    at_pose, at_motion, at_weights = (value[here][::every] for value in values)
+    terms = {name: means(values, every) for name, values in terms.items()}
+    measured = means(np.asarray(measured), every)
+    return Lyapunov(time, h * every, at_pose, at_motion, at_weights, measured, terms, missed, every)
+
+
+def means(values: Array, every: int) -> Array:
+    """Means over so many samples each."""
+    return np.asarray(values.reshape(-1, every).mean(axis=1))
 
 
 def powers(subject: Subject, rows: Array, true: Array, torque: Array, push: Array) -> dict[str, Array]:

@@ -11,13 +11,14 @@ import numpy as np
 from ..errors import InputError, RecordingError
 from ..recording import Recording
 from ..torque.adaptive import Adaptive
-from .balance import BUDGET, TOLERANCE, Balance, balance
+from ..torque.learning_law import LearningLaw
+from .balance import BUDGET, Balance, balance
 from .growth import Growth, growth
 from .ideal import Ideal, ideal_weights
 from .linear_fit import LinearFit, linear_fit
 from .lyapunov import Lyapunov, lyapunov
 from .networks import Networks
-from .psi import WINDOWS, Psi, psi_of
+from .psi import WINDOWS, Psi, how_to_know, psi_of
 from .subject import Subject
 from .truth import Truth, true_parameters
 from .weights_of import weights_of
@@ -74,6 +75,8 @@ class Proof:
         if fit is not None:
             return fit
         why = f"{subject.controller} does not tell what its weights are multiplied with"
+        if learner is not None and isinstance(learner.controller, LearningLaw):
+            why += "; write methods features(now, memory) and gain(memory), and V has its weights' part"
         raise RecordingError("no ideal weights", why=why, file=subject.recording.path)
 
     @cached_property
@@ -83,7 +86,7 @@ class Proof:
         kept = weights_of(self.subject, self.ideal) if self.has("ideal") else None
         if kept is not None:
             try:
-                found = lyapunov(self.subject, kept.part, kept.most, show)
+                found = lyapunov(self.subject, kept.part, kept.most, show, kept.every)
             except RecordingError as error:
                 if error.what != WITHOUT:
                     raise
@@ -122,7 +125,8 @@ class Proof:
         outcome = subject.recording.outcome
         if outcome.status != "completed":
             found.append(f"the run was {outcome.status}; told is the time before {subject.signal('time')[-1, 0]:.3g} s")
-        idle = {"psi", "ideal"} <= self.missing.keys()  # a controller without Psi_hat: one line says it
+        # one line says it: of a controller without Psi_hat, of a law that is not at hand
+        idle = {"psi", "ideal"} <= self.missing.keys() or bool(how_to_know(subject))
         found += [sentence(error) for name, error in self.missing.items() if not (idle and name == "ideal")]
         if subject.plant != "ideal":
             found.append(f"Psi is that of wheels that roll; on the {subject.plant} plant they may slip")
@@ -137,9 +141,6 @@ class Proof:
         if self.has("balance") and subject.given.varies:
             what = "motors or pushes may vary within control periods, of which the recording has the means"
             found.append(f"{what}: only model and command are held to the equality")
-        elif self.has("balance") and self.balance.recorded > TOLERANCE:
-            what = f"the plant's integrator, {subject.timing.integrator} at {subject.timing.plant_step:g} s"
-            found.append(f"{what}, moves the states off the equality by up to {self.balance.recorded:.1e}")
         return found
 
     @property

@@ -7,7 +7,6 @@ from functools import partial
 from typing import NamedTuple
 
 from ..torque.adaptive import Adaptive
-from ..torque.composite import CompositeNetwork
 from ..torque.concurrent import ConcurrentLearner
 from ..torque.kalman import KalmanLearner
 from ..torque.learning_law import LearningLaw
@@ -21,9 +20,7 @@ from .networks import Networks
 from .own_part import own_part
 from .stack_part import stack_part
 from .subject import Subject
-from .truth import Truth
-
-BY_WEIGHTS = {KalmanLearner: covariance_part, LearningLaw: own_part}
+from .truth import Truth, adaptation_of
 
 
 class Kept(NamedTuple):
@@ -31,11 +28,13 @@ class Kept(NamedTuple):
 
     Attributes:
         part: What gives it at rows.
-        most: Samples to look at: all where the weights do not move at every sample.
+        most: Samples to look at.
+        every: Control periods from one update of the weights to the next.
     """
 
     part: Part
-    most: float
+    most: float = math.inf
+    every: int = 1
 
 
 def weights_of(subject: Subject, ideal: dict[int, Ideal] | Truth | LinearFit) -> Kept | None:
@@ -45,17 +44,17 @@ def weights_of(subject: Subject, ideal: dict[int, Ideal] | Truth | LinearFit) ->
         return None
     controller = learner.controller
     if isinstance(learner, Networks) and isinstance(ideal, dict):
-        lumps = isinstance(controller, CompositeNetwork)
-        whole = partial(network_part, learner, ideal, subject.rows)
-        return Kept(whole, math.inf if lumps else MOST)
+        return Kept(partial(network_part, learner, ideal, subject.rows), MOST)
     if isinstance(controller, Adaptive) and isinstance(ideal, Truth):
-        lumps = controller.predicting is not None
-        return Kept(partial(estimate_part, subject, learner, ideal), math.inf if lumps else MOST)
+        prediction = adaptation_of(learner).prediction
+        return Kept(partial(estimate_part, subject, learner, ideal), MOST, prediction.every if prediction else 1)
     if not isinstance(ideal, LinearFit):
         return None
+    if isinstance(controller, LearningLaw):
+        return Kept(partial(own_part, subject, learner, ideal.W))
+    numbers = controller.law(learner.wiring)
     if isinstance(controller, ConcurrentLearner):
-        return Kept(partial(stack_part, subject, learner, ideal.W[:, 0]), math.inf)
-    for kind, part in BY_WEIGHTS.items():
-        if isinstance(controller, kind):
-            return Kept(partial(part, subject, learner, ideal.W), math.inf)
+        return Kept(partial(stack_part, subject, learner, ideal.W[:, 0]), every=numbers.history.every)
+    if isinstance(controller, KalmanLearner):
+        return Kept(partial(covariance_part, subject, learner, ideal.W), every=numbers.linear.every)
     return None
