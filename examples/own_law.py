@@ -35,6 +35,10 @@ class LeastSquares(LearningLaw):
         """What the weights are multiplied with; the monitors look at its excitation."""
         return now.regressor
 
+    def gain(self, memory):
+        """Gamma of `theta' = Gamma Y' s + ...`: the Lyapunov monitor weighs the error of theta with it."""
+        return memory["P"]
+
     def estimate(self, now, memory):
         """Psi_hat of this sample."""
         return now.regressor @ memory["theta"]

@@ -33,13 +33,14 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.experiments.experiment import Experiment
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.proof import rebuild, truth
+from mmnn_pin.proof.estimate_part import estimate_part, shares_of_update
 from mmnn_pin.proof.features import features_of
 from mmnn_pin.proof.learner import said
 from mmnn_pin.proof.linear_fit import linear_fit
 from mmnn_pin.proof.lyapunov import lyapunov
 from mmnn_pin.proof.proof import Proof
 from mmnn_pin.proof.subject import Subject
-from mmnn_pin.proof.truth import distances, divergence, estimate_part, stepped, true_parameters
+from mmnn_pin.proof.truth import distances, divergence, stepped, true_parameters
 from mmnn_pin.reference import Line
 from mmnn_pin.torque.adaptive import pseudo_inertias, scales
 
@@ -216,13 +217,15 @@ def test_v_changes_as_predicted_up_to_steps_of_second_order(what: str) -> None:
         found = estimate_part(subject, subject.learner, true_parameters(subject, subject.learner), every)
         s = subject.signal("nu_ref") - subject.signal("nu")
         error = (s * (subject.signal("psi") - subject.signal("psi_hat"))).sum(axis=1)
-        flow = found.leakage + found.remainder + found.cut - error
+        flow, step = sum(found.terms.values()) - error, found.arrived["step"]
         change = np.diff(found.value) / period
-        np.testing.assert_allclose(change, flow[:-1] + found.step[1:], rtol=1e-6, atol=1e-9 * np.abs(flow).max())
-        left.append(np.abs(found.step).sum() * period / (np.abs(flow).sum() * period))
-        assert found.missed < 1e-12 and found.leakage.any() == (what in ("sigma", "e"))
-        assert (np.abs(found.cut).max() > 1e-3 * np.abs(error).max()) == (what == "cut")
-        assert (np.abs(found.remainder).max() > 1e-6 * np.abs(error).max()) == ("alone" in what or what != "rotors")
+        np.testing.assert_allclose(change, flow[:-1] + step[1:], rtol=1e-6, atol=1e-9 * np.abs(flow).max())
+        left.append(np.abs(step).sum() * period / (np.abs(flow).sum() * period))
+        assert found.missed < 1e-12 and found.terms["leakage"].any() == (what in ("sigma", "e"))
+        assert (np.abs(found.terms["cut"]).max() > 1e-3 * np.abs(error).max()) == (what == "cut")
+        assert (np.abs(found.terms["remainder"]).max() > 1e-6 * np.abs(error).max()) == (
+            "alone" in what or what != "rotors"
+        )
     assert left[0] < 0.2 and 0.3 < left[1] / left[0] < 0.7, left
 
 
@@ -237,7 +240,7 @@ def test_the_share_of_an_update_is_the_one_that_was_made() -> None:
     found, a, h = stepped(learner, subject.rows, every), truth.adaptation_of(learner), learner.wiring.control_period
     s = np.hstack((subject.signal("z"), subject.signal("r")))
     g = np.einsum("npk,np->nk", found.Y, s)
-    eta = truth.shares_of_update(a, found.theta, g, s**2 @ a.gain, h)
+    eta = shares_of_update(a, found.theta, g, s**2 @ a.gain, h)
     j = own.regressor.labels.index("v.viscous")
     rate = h * a.rates[j - own.regressor.inertial]
     np.testing.assert_allclose(np.diff(found.theta[:, j]), eta[:-1] * rate * g[:-1, j], rtol=1e-9, atol=1e-15)

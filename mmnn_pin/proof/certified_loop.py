@@ -82,7 +82,7 @@ class CertifiedLoop:
     @cached_property
     def robust(self) -> tuple[Array, Array]:
         """Kz and ZB of the robust term, (p,) each; zeros without one."""
-        layout, term = self.robot.layout, self.learner.controller.robust if self.learner else None
+        layout, term = self.robot.layout, self.learner.own.robust if self.learner else None
         if term is None:
             return np.zeros(layout.dof), np.zeros(layout.dof)
         return per_velocity(term.base, term.arm, layout, "robust"), per_velocity(*term.ZB, layout, "robust.ZB")
@@ -109,7 +109,7 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
         kinematic=subject.kinematic,
         along=along,
         period=subject.timing.control_period,
-        gain=learner.controller.feedback.vector(layout) if learner else subject.signal("effective_gain")[0].copy(),
+        gain=learner.own.feedback.vector(layout) if learner else subject.signal("effective_gain")[0].copy(),
         learner=learner,
         disturbance=push_bound(subject),
         projection=safety.get("weights"),
@@ -154,7 +154,7 @@ def refusal(subject: Subject) -> str:
         return "its supervisor stepped in" if clipped else f"{subject.controller} is no learner of the thesis, nor PD"
     if learner.wiring.limits is not None:
         return "its robust term and Psi_hat are kept within the motors' limits"
-    if learner.controller.update != "after_output":
+    if learner.own.update != "after_output":
         return "the weights are updated before the output, with the hidden outputs of the call before"
     return ""
 

@@ -5,8 +5,9 @@ Here they are found, so that W*, V*, eps_N and ZB are numbers: least squares wit
 
     sum over components of FVU + PENALTY |Z|_F^2   ->   min over Z = (W, V)
 
-W in closed form for every V, V by L-BFGS from the weights that the run started with. The minimum is a local one and the
-penalty a choice: with a smaller one eps_N falls and the norm grows. They bound nothing outside the visited set.
+where a nominal model is added with `Psi - Psi_0` in the place of Psi. W in closed form for every V, V by L-BFGS from
+the weights that the run started with. The minimum is a local one and the penalty a choice: with a smaller one eps_N
+falls and the norm grows. They bound nothing outside the visited set.
 """
 
 from __future__ import annotations
@@ -62,12 +63,14 @@ class Ideal:
 
 def ideal_weights(subject: Subject, learner: Networks) -> dict[int, Ideal]:
     """Ideal weights of every network on the rows of a run, network (1 the base's, 2 the arm's) to weights."""
-    two_layer = isinstance(learner.controller.network, TwoLayer)
+    two_layer = isinstance(learner.own.network, TwoLayer)
     told, psi = seen(learner, learner.start, subject.rows), subject.signal("psi")
     some = slice(None, None, -(-len(psi) // MOST))
-    scale, found = learner.controller.network_scales(subject.layout)[1], {}
+    scale, found = learner.own.network_scales(subject.layout)[1], {}
     for i, part in learner.networks:
-        target, V = psi[:, part] / scale[part], np.array(learner.start[f"V{i}"])
+        network = scale[part] * (told.activations[i] @ learner.start[f"W{i}"])
+        known = told.psi_hat[:, part] - network  # what a nominal model says
+        target, V = (psi[:, part] - known) / scale[part], np.array(learner.start[f"V{i}"])
         if two_layer:
             V = hidden_weights(told.inputs[some], target[some], spread(V))
             hidden = expit(told.inputs @ V)
@@ -122,7 +125,7 @@ def spread(V: Array) -> Array:
 def judged(learner: Networks, i: int, W: Array, V: Array, target: Array, hidden: Array, scale: Array) -> Ideal:
     """Ideal weights with what they leave and how far the run's weights are from them."""
     error = target - hidden @ W
-    both = isinstance(learner.controller.network, TwoLayer)
+    both = isinstance(learner.own.network, TwoLayer)
 
     def norm(W: Array, V: Array) -> float:
         return float(np.sqrt((W**2).sum() + ((V**2).sum() if both else 0.0)))
@@ -137,7 +140,7 @@ def judged(learner: Networks, i: int, W: Array, V: Array, target: Array, hidden:
         distance_V=float(np.linalg.norm(V - end[f"V{i}"])) if both else 0.0,
         start_distance=norm(W - start[f"W{i}"], V - start[f"V{i}"]),
         learned_norm=norm(end[f"W{i}"], end[f"V{i}"]),
-        assumed=float("nan") if learner.controller.robust is None else learner.controller.robust.ZB[i - 1],
+        assumed=float("nan") if learner.own.robust is None else learner.own.robust.ZB[i - 1],
         eps=np.abs(error).max(axis=0) * scale,
         eps_N=float(np.linalg.norm(error, axis=1).max()),
         unexplained=(error**2).mean(axis=0) / variances(target),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def input_norm(loop: CertifiedLoop, added: Drive, pose: float, arm: Array, s: Array) -> float:
     """Largest |x|, for a size of the pose error [m], arm errors (n,), velocity errors (p,) and what they drive."""
     assert loop.learner is not None
-    inputs, layout = loop.learner.controller.inputs, loop.robot.layout
+    inputs, layout = loop.learner.own.inputs, loop.robot.layout
     row = layout.new_row()
     for name, value in signal_bounds(loop, added, pose, arm, s).items():
         row[layout.where(name)] = value

@@ -1,7 +1,7 @@
 """The Lyapunov function along a run: V of (3.53) with the corrected V1, its derivative term by term, and when it grows.
 
     V = V1(pose error) + s' M s / 2 + weights' part            (see `errors`, `weights_part`)
-    Vdot = pose + coupling + feedback + robust + leakage + remainder        for the continuous loop, predicted
+    Vdot = pose + coupling + feedback + robust + leakage + prediction + remainder + ...   continuous loop, predicted
 
 What the measured change of V over a control period adds to that is told apart: `step`, the second order of the update
 of the weights, and `hold`, the rest: torque and weights are held while the errors move on. With sensors that err,
@@ -15,13 +15,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..signals import Array
+from ..signals import Array, IntArray
 from .errors import motion_energy, pose_of
-from .ideal import Ideal
 from .limited import taken
 from .subject import Subject
-from .truth import Truth, estimate_part
-from .weights_part import weights_part
+from .weights_part import WeightsPart
 
 MOST = 5000  # samples that are looked at, evenly spread
 TERMS = {
@@ -29,9 +27,13 @@ TERMS = {
     "coupling": "ex z1 + (sin ephi/ky) z2: the velocity error drives the pose; (3.19) drops it",
     "feedback": "-s' k s",
     "robust": "-s' Kz (|Z| + ZB) s",
-    "leakage": "kappa |s| tr(Zt' Z): the weights are pulled to zero, an estimate to its start",
-    "cut": "updates of the estimate that are cut to a share of the feedback",
+    "leakage": "weights are pulled to zero, an estimate to its start or prior; kappa |s| tr(Zt' Z)",
+    "cut": "updates by s that are cut to a share of the feedback",
     "limits": "s' (Psi_hat of the weights - Psi_hat): what the motors' limits take from it",
+    "prediction": "filtered torque or kept samples teach the weights, as far as they tell the truth",
+    "noise": "what filtered torque has wrong: sensors, motors, what the ideal weights leave",
+    "memory": "what was learned counts less, or a stack of equations changes",
+    "own": "what the law does beside W' = Gamma Phi' s",
     "remainder": "s' w: what of Psi - Psi_hat no update of the weights cancels",
     "sensors": "the controller's s is not the true one",
     "motors": "-s' (torque of the motors - torque asked for)",
@@ -39,22 +41,24 @@ TERMS = {
     "step": "the update of the weights is a step, not a flow",
     "hold": "torque and weights are held over a control period",
 }
-PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "cut", "limits", "remainder", "sensors", "motors", "push")
+PREDICTED = tuple(name for name in TERMS if name not in ("step", "hold"))
+Part = Callable[[IntArray, Callable[[float], None] | None], WeightsPart]
 
 
 @dataclass(frozen=True, eq=False)
 class Lyapunov:
-    """V at (k,) control samples, and its change over the control period that begins there.
+    """V at (k,) control samples, and its change over the period that begins there.
 
     Attributes:
         time: [s].
-        period: Control period [s].
+        period: The control period, or that of a learner that updates its weights less often [s].
         pose: V1 [m^2].
         motion: s' M s / 2 [J].
         weights: The weights' part; zeros without a learner.
         measured: Change of V over the period, divided by it [SI/s].
         terms: Name to the term's share in that (k,) [SI/s]; they add up to `measured`.
         missed: How well stepping the learner again met the recorded Psi_hat, relative; 0 without a learner.
+        every: Control periods in one of these periods.
     """
 
     time: Array
@@ -65,6 +69,7 @@ class Lyapunov:
     measured: Array
     terms: dict[str, Array]
     missed: float
+    every: int = 1
 
     @property
     def total(self) -> Array:
@@ -79,49 +84,56 @@ class Lyapunov:
 
 def lyapunov(
     subject: Subject,
-    ideal: dict[int, Ideal] | Truth | None = None,
-    most: int = MOST,
+    part: Part | None = None,
+    most: float = MOST,
     progress: Callable[[float], None] | None = None,
+    every: int = 1,
 ) -> Lyapunov:
     """V along a run and the terms of its derivative.
 
     Args:
         subject: The run.
-        ideal: Ideal weights of its networks, or the true parameters of an adaptive controller; without them the
-            weights' part is left out, and `remainder` is all of `s' (Psi - Psi_hat)`.
+        part: Gives the weights' part at rows (`weights_of`); without it that is left out, and `remainder` is all of
+            `s' (Psi - Psi_hat)`.
         most: Samples to look at.
         progress: Called with the fraction done.
+        every: Control periods from one update of the weights to the next. Of a learner that moves them in lumps all
+            samples are looked at, and V over its own periods.
 
     Raises:
         RecordingError: `ky` is 0: there is no V1.
     """
-    count, h = len(subject.rows) - 1, subject.timing.control_period
-    starts = np.arange(0, count, -(-count // most))
+    every = min(every, len(subject.rows) - 1)
+    count, h = (len(subject.rows) - 1) // every * every, subject.timing.control_period
+    starts = np.arange(0, count, int(-(-count // most)) if every == 1 else 1)
     at = np.unique(np.concatenate((starts, starts + 1)))
     here, there = np.searchsorted(at, starts), np.searchsorted(at, starts + 1)
     rows = subject.rows[at]
     true = subject.truth(rows)
     pose, motion = pose_of(subject, true), motion_energy(subject, true)
-    weights = None
-    if isinstance(ideal, Truth) and subject.learner is not None:
-        weights = estimate_part(subject, subject.learner, ideal, at, progress)
-    elif isinstance(ideal, dict) and subject.networks is not None:
-        weights = weights_part(subject.networks, ideal, subject.rows, at, progress)
+    weights = None if part is None else part(at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
     rates = powers(subject, rows[here], true[here], subject.given.torque[starts], subject.given.push[starts])
     terms = {"pose": pose.decay[here], "coupling": pose.coupling[here]} | rates
     if weights is not None:
-        cut = np.broadcast_to(weights.cut, len(at))[here]
-        terms |= {"leakage": weights.leakage[here], "remainder": weights.remainder[here], "cut": cut}
-        terms["step"] = weights.step[there]
-        terms["limits"] = np.zeros(len(here)) if subject.learner is None else taken(subject.learner, subject.rows, starts)
+        terms |= {name: values[here] for name, values in weights.terms.items()}
+        terms |= {name: values[there] for name, values in weights.arrived.items()}
+        own = subject.learner
+        terms["limits"] = np.zeros(len(here)) if own is None else taken(own, subject.rows, starts)
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed
-    time = subject.signal("time")[starts, 0]
-    at_start = [value[here] for value in values]
-    return Lyapunov(time, h, at_start[0], at_start[1], at_start[2], np.asarray(measured), terms, missed)
+    time = subject.signal("time")[starts[::every], 0]
+    at_pose, at_motion, at_weights = (value[here][::every] for value in values)
+    terms = {name: means(values, every) for name, values in terms.items()}
+    measured = means(np.asarray(measured), every)
+    return Lyapunov(time, h * every, at_pose, at_motion, at_weights, measured, terms, missed, every)
+
+
+def means(values: Array, every: int) -> Array:
+    """Means over so many samples each."""
+    return np.asarray(values.reshape(-1, every).mean(axis=1))
 
 
 def powers(subject: Subject, rows: Array, true: Array, torque: Array, push: Array) -> dict[str, Array]:

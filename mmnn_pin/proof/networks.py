@@ -1,4 +1,4 @@
-"""A learner of the thesis, whose networks can be looked into: their inputs and activations along rows."""
+"""A learner with the thesis's networks, which can be looked into: their inputs and activations along rows."""
 
 from __future__ import annotations
 
@@ -7,16 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..signals import Array
+from ..torque.composite import CompositeNetwork
 from ..torque.controller import Memory
 from ..torque.neural import Neural, channels
+from ..torque.residual import Residual
 from .learner import Learner, Stepper
 
 
 @dataclass(frozen=True, eq=False)
 class Networks(Learner):
-    """A learner of the thesis: a network for the base, one for the arm (`Neural`)."""
+    """A learner with a network for the base, one for the arm: the thesis's, on a nominal model, or composite."""
 
-    controller: Neural
+    controller: Neural | Residual | CompositeNetwork
+
+    @property
+    def own(self) -> Neural:
+        """The thesis's controller in it."""
+        controller = self.controller
+        if isinstance(controller, Neural):
+            return controller
+        return controller.own if isinstance(controller, Residual) else controller.learner
 
     @property
     def networks(self) -> list[tuple[int, slice]]:

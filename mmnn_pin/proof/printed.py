@@ -52,7 +52,7 @@ class Printed:
 
 def printed(subject: Subject, learner: Networks, ideal: dict[int, Ideal], force: Array) -> dict[int, Printed]:
     """The printed bounds of every network (1 the base's, 2 the arm's); empty where kappa is 0; force (p,) is d."""
-    controller, h = learner.controller, learner.controller.network.hidden
+    controller, h = learner.own, learner.own.network.hidden
     x = np.linalg.norm(seen(learner, learner.start, subject.rows).inputs, axis=1)
     gain, parts = controller.feedback.vector(subject.layout), dict(learner.networks)
     s = {i: np.linalg.norm(subject.signal("z" if i == 1 else "r"), axis=1) for i in parts}
@@ -82,7 +82,7 @@ def printed(subject: Subject, learner: Networks, ideal: dict[int, Ideal], force:
 
 def follows(subject: Subject, learner: Networks, i: int) -> float:
     """c2 of the base's or c10 of the arm's network: largest factor from z, or r, to the input that depends on it."""
-    signals, scale, k = learner.controller.inputs.signals, learner.controller.inputs.scale, subject.kinematic
+    signals, scale, k = learner.own.inputs.signals, learner.own.inputs.scale, subject.kinematic
     K, nb = k.arm_gains(subject.layout), subject.layout.base
     if i == 1:
         v = float(np.abs(subject.signal("velocity_ref")).max(initial=0.0))

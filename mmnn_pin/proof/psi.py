@@ -153,13 +153,24 @@ def remarks_on_law(subject: Subject) -> list[str]:
     about = subject.recording.meta.get("law")
     if about is None or not set(GIVEN) <= (subject.recording.meta.get("controller_settings") or {}).keys():
         return []
-    file = about["file"] or "FILE.py"
-    if subject.learner is None:
-        return [f"what the weights of {subject.controller} know is told with --law {file}, which runs that file"]
+    if how := how_to_know(subject):
+        return [how]
+    assert subject.learner is not None
     used = origin_of(type(subject.learner.controller))
     if used["sha256"] == about["sha256"]:
         return []
     return [f"{used['file'] or used['class']} is not what it was in the run: its SHA-256 differs"]
+
+
+def how_to_know(subject: Subject) -> str:
+    """How to hear what the weights of a user's law know, where its class is not at hand; else empty."""
+    about = subject.recording.meta.get("law")
+    if about is None or subject.learner is not None:
+        return ""
+    if not set(GIVEN) <= (subject.recording.meta.get("controller_settings") or {}).keys():
+        return ""
+    file = about["file"] or "FILE.py"
+    return f"what the weights of {subject.controller} know is told with --law {file}, which runs that file"
 
 
 def known(

@@ -93,7 +93,7 @@ def judged(subject: Subject, learner: Networks, row: Array, memory: Memory) -> t
     where, layout = subject.layout.where, subject.layout
     L = kernel(learner, row, memory)
     gain = np.array(row[where("effective_gain")])
-    gain = np.where(gain > 0, gain, learner.controller.feedback_gain(layout))
+    gain = np.where(gain > 0, gain, learner.own.feedback_gain(layout))
     M = subject.dynamics(float(row[where("time")][0])).mass_matrix(row[where("position")])
     held = held_loop(
         M,
@@ -106,14 +106,14 @@ def judged(subject: Subject, learner: Networks, row: Array, memory: Memory) -> t
     share = np.diag(L) / np.maximum(gain, 1e-300)
     if held is None:
         return np.inf, np.inf, share, 0.0
-    first = learner.controller.update == "before_output"
+    first = learner.own.update == "before_output"
     without = float(np.abs(np.linalg.eigvals(held.closed(gain))).max())
     return radius(held, gain, L, first), without, share, factor(held, gain, L, first)
 
 
 def kernel(learner: Networks, row: Array, memory: Memory) -> Array:
     """L (p, p): what one update adds to Psi_hat per s, at a row (width,) and the weights of a memory [N s/m, ...]."""
-    controller, layout = learner.controller, learner.wiring.layout
+    controller, layout = learner.own, learner.wiring.layout
     scale, offset = controller.inputs.affine(layout)
     x = scale * row[controller.inputs.rows(layout)] + offset
     into, out = controller.network_scales(layout)
@@ -167,7 +167,7 @@ def factor(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
 
 def leakage(subject: Subject, learner: Networks) -> Array:
     """Largest kappa F |s| per sample over a run, (2,) base and arm; of W and V the larger."""
-    controller, layout = learner.controller, subject.layout
+    controller, layout = learner.own, subject.layout
     into, per = controller.network_scales(layout)[0], 1.0
     if controller.rates == "per_second":
         per = learner.wiring.control_period

@@ -23,10 +23,12 @@ from ..run_file import encode
 from ..signals import Array
 from ..torque.adaptive import Adaptive
 from ..torque.adaptive_settings import Adapting
+from ..torque.composite import CompositeNetwork
 from ..torque.controller import Feedback, Memory
 from ..torque.inputs import Inputs
 from ..torque.learning_law import LearningLaw
 from ..torque.neural import Neural, OneLayer, Robust, TwoLayer
+from ..torque.residual import Residual
 from .learner import Learner
 from .networks import Networks
 
@@ -64,7 +66,7 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
     snapshots = recording.weights
     if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:
         put(start, snapshots, 0)
-    kind = Networks if type(controller) is Neural else Learner
+    kind = Networks if isinstance(controller, Neural | Residual | CompositeNetwork) else Learner
     return kind(controller, wiring, start, *last(recording, start), robot)
 
 

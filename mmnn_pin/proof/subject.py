@@ -17,6 +17,7 @@ from ..recording import Recording
 from ..sensing import exact
 from ..signals import Array, Layout
 from ..timing import Timing
+from ..torque.neural import Neural
 from .given import Given
 from .learner import Learner
 from .networks import Networks
@@ -100,8 +101,9 @@ class Subject:
 
     @property
     def networks(self) -> Networks | None:
-        """The learner where it is one of the thesis, with networks; None otherwise; errors as of `learner`."""
-        return self.learner if isinstance(self.learner, Networks) else None
+        """The learner where it is one of the thesis, networks alone; None otherwise; errors as of `learner`."""
+        found = self.learner
+        return found if isinstance(found, Networks) and isinstance(found.controller, Neural) else None
 
     @cached_property
     def given(self) -> Given:

@@ -2,12 +2,10 @@
 
     V_theta = sum over bodies of D(P || P_hat) / gamma + sum over the rest of theta_tilde_j^2 / (2 gamma_j)
 
-with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptation`). Along a run
-
-    d/dt V_theta = -eta s' Y theta_tilde + leakage,     s' (Psi - Psi_hat) = s' Y theta_tilde + s' (Psi - Y theta)
-
-with eta < 1 where a sample's update was cut, so that what is left of both is remainder, cut and leakage. Parameters
-with the rate 0 are not learned: they have no part in V, and what their errors do is in the remainder.
+with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptation`); how it changes along
+a run is told in `estimate_part`. The other learners that know how the robot moves have these parameters as the truth of
+their weights, too; of all weights that say the same Psi on every motion, those are the ones nearest to their start,
+measured by their prior.
 """
 
 from __future__ import annotations
@@ -22,10 +20,13 @@ from ..model.parameters import parameters
 from ..signals import Array, IntArray
 from ..torque.adaptation import Adaptation
 from ..torque.adaptive import Adaptive, pseudo_inertias
+from ..torque.concurrent import ConcurrentLearner
+from ..torque.controller import Memory
+from ..torque.kalman import KalmanLearner
 from ..torque.pseudo_inertia import to_matrix
 from .learner import Learner, Stepper
 from .subject import Subject
-from .weights_part import LOST, WeightsPart
+from .weights_part import LOST
 
 BODY = 10
 
@@ -98,8 +99,17 @@ def adaptation_of(learner: Learner) -> Adaptation:
     return found
 
 
-def stepped(learner: Learner, rows: Array, at: IntArray, progress: Callable[[float], None] | None = None) -> Estimates:
-    """Estimates along rows (N, width) from the start of a run, and regressors at some of them, ascending."""
+def stepped(
+    learner: Learner,
+    rows: Array,
+    at: IntArray,
+    progress: Callable[[float], None] | None = None,
+    visit: Callable[[int, Memory], None] = lambda n, memory: None,
+) -> Estimates:
+    """Estimates along rows (N, width) from the start of a run, and regressors at some of them, ascending.
+
+    `visit` is called after every row with its number and the memory.
+    """
     stepper = Stepper(learner, learner.start.snapshot())
     adaptation = stepper.torque.law.adaptation
     assert adaptation is not None
@@ -113,9 +123,28 @@ def stepped(learner: Learner, rows: Array, at: IntArray, progress: Callable[[flo
             break
         if n in wanted:
             Y[wanted[n]] = adaptation.known.Y
+        visit(n, stepper.memory)
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
     return Estimates(theta, Y, (missed if np.isfinite(missed) else np.inf) / (largest or 1.0))
+
+
+def true_weights(subject: Subject, learner: Learner) -> Array | None:
+    """The weights (k,) of a learner with a regressor that say the robot's parameters; None for another learner.
+
+    Raises:
+        RobotError: A joint that cannot be flattened.
+    """
+    controller = learner.controller
+    if isinstance(controller, ConcurrentLearner):
+        basis, deviation = controller.basis, controller.deviation
+        scaled = (parameters(subject.robot) - controller.start()) / deviation
+        return np.asarray((basis / deviation[:, None]).T @ scaled)
+    if isinstance(controller, KalmanLearner) and controller.regressor is not None and controller.drawn is None:
+        matters = controller.regressor.identifiable()
+        spread = learner.start["prior"][:, None] * matters
+        return np.asarray(spread @ np.linalg.solve(matters.T @ spread, matters.T @ parameters(subject.robot)))
+    return None
 
 
 def distances(a: Adaptation, theta: Array, estimates: Array, part: slice = slice(None)) -> Array:
@@ -149,51 +178,3 @@ def matrices(numbers: Array, side: float = 1.0) -> Array:
     """The same of many, (N, 10) to (N, 4, 4)."""
     basis = np.array([matrix(e, side) for e in np.eye(BODY)])
     return np.asarray(np.einsum("nk,kij->nij", numbers, basis))
-
-
-def estimate_part(
-    subject: Subject, learner: Learner, truth: Truth, at: IntArray, progress: Callable[[float], None] | None = None
-) -> WeightsPart:
-    """V_theta at some rows of a run, (k,) ascending, and what learning leaves of its derivative."""
-    a, rows, h, theta = adaptation_of(learner), subject.rows, learner.wiring.control_period, truth.theta
-    found = stepped(learner, rows, at, progress)
-    estimate, first = found.theta[at], BODY * len(a.roots)
-    s = np.hstack((subject.signal("z"), subject.signal("r")))[at]
-    g, error = np.einsum("npk,np->nk", found.Y, s), theta - estimate
-    learned = np.concatenate((np.full(first, a.gamma > 0), a.rates > 0)) & a.learning
-    pull = (g * error)[:, learned].sum(axis=1)  # s' Y theta_tilde of what is learned
-    eta = shares_of_update(a, estimate, g, (s**2 @ a.gain), h)
-    leak = leakage_of(a, theta, estimate, s) if a.learning else np.zeros(len(at))
-    rest = (s * (rows[at][:, subject.layout.where("psi")] - found.Y @ theta)).sum(axis=1)
-    remainder = rest + (g * error)[:, ~learned].sum(axis=1)
-    value, rate = distances(a, theta, estimate) * a.learning, leak - eta * pull
-    step, follows = np.zeros(len(at)), np.flatnonzero(np.diff(at) == 1)
-    step[follows + 1] = (value[follows + 1] - value[follows]) / h - rate[follows]
-    return WeightsPart(value, leak, remainder, step, found.missed, (1 - eta) * pull)
-
-
-def shares_of_update(a: Adaptation, estimate: Array, g: Array, feedback: Array, h: float) -> Array:
-    """Eta, (N,): which share of its update each sample makes, for gradients `Y' s` (N, k) and `s' K s` (N,)."""
-    first = BODY * len(a.roots)
-    answer = (a.rates * g[:, first:] ** 2).sum(axis=1)
-    for b in range(len(a.roots)):
-        here = slice(BODY * b, BODY * b + BODY)
-        PL = matrices(estimate[:, here]) @ matrices(g[:, here], 0.5)
-        answer += a.gamma * np.einsum("nij,nji->n", PL, PL)
-    answer *= h
-    most = a.share * feedback
-    return np.where(answer > most, most / np.where(answer > most, answer, 1.0), 1.0)
-
-
-def leakage_of(a: Adaptation, theta: Array, estimate: Array, s: Array) -> Array:
-    """What leakage does to V_theta, (N,) [W]."""
-    sigma, first = a.sigma * (np.linalg.norm(s, axis=1) if a.by_error else np.ones(len(s))), BODY * len(a.roots)
-    learned = a.rates > 0
-    error, moved = (theta - estimate)[:, first:], estimate[:, first:] - a.start
-    found = (error * moved)[:, learned] @ (1 / a.rates[learned])
-    for b in range(len(a.roots) if a.gamma > 0 else 0):
-        here = slice(BODY * b, BODY * b + BODY)
-        P, P0, Q = matrix(theta[here]), a.roots[b] @ a.roots[b].T, matrices(estimate[:, here])
-        back = np.array([divergence(one, P0[None])[0] for one in Q])
-        found -= (divergence(P, Q) + back - divergence(P, P0[None])[0]) / a.gamma
-    return np.asarray(sigma * found)

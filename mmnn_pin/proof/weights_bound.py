@@ -57,7 +57,7 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
         x: Largest norm of the networks' input; may be inf.
         projection: Largest norm that every array of weights is scaled back to, None without one.
     """
-    controller, layout = learner.controller, learner.wiring.layout
+    controller, layout = learner.own, learner.wiring.layout
     part = dict(learner.networks)[i]
     two_layer = isinstance(controller.network, TwoLayer)
     per = 1.0 if controller.rates == "per_sample" else learner.wiring.control_period

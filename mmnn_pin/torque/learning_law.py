@@ -23,6 +23,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..errors import ConfigError, UnknownName
 from ..settings import plain
@@ -82,6 +83,14 @@ class LearningLaw(TorqueController):
         """What the weights are multiplied with, if Psi_hat is linear in them: `mmnn prove` then tells their excitation.
 
         (p, k) where all components share the k weights, (k,) where each has its own; None for none of these.
+        """
+        return None
+
+    def gain(self, memory: Memory) -> ArrayLike | None:
+        """Gamma where the law follows s by `W' = Gamma Phi' s + ...`, if it has `features` Phi.
+
+        One number, (k,) for a diagonal or (k, k), positive definite; a sample changes W by the control period times W'.
+        With it `mmnn prove` has the weights' part of the Lyapunov function; None leaves that out.
         """
         return None
 

@@ -51,37 +51,38 @@ class Residual(CompiledController):
     @property
     def notes(self) -> list[str]:
         """What the network has to say."""
-        return self._own.notes
+        return self.own.notes
 
     def law(self, wiring: Wiring) -> Law:
         """The network's numbers; the loop writes the model's Psi into psi_hat."""
-        numbers = self._own.law(wiring)
+        numbers = self.own.law(wiring)
         numbers.sizes[law.MODEL] = 1
         return numbers
 
     def init(self, wiring: Wiring) -> Memory:
         """Initial weights of the network."""
-        return self._own.init(wiring)
+        return self.own.init(wiring)
 
     def feedback_gain(self, layout: Layout) -> Array:
         """The network's, (p,)."""
-        return self._own.feedback_gain(layout)
+        return self.own.feedback_gain(layout)
 
     def weights(self, memory: Memory) -> dict[str, Array]:
         """The network's."""
-        return self._own.weights(memory)
+        return self.own.weights(memory)
 
     def facts(self) -> dict[str, Any]:
         """The network's settings and what is told of the model."""
         if self.model is None:
-            return self._own.facts()
+            return self.own.facts()
         told = self.model.facts()
-        return self._own.facts() | {"model": {k: v for k, v in told.items() if k not in ("urdf", "urdf_sha256")}}
+        return self.own.facts() | {"model": {k: v for k, v in told.items() if k not in ("urdf", "urdf_sha256")}}
 
     def findings(self, memory: Memory) -> list[str]:
         """What the network's weights show."""
-        return self._own.findings(memory)
+        return self.own.findings(memory)
 
     @property
-    def _own(self) -> Neural:
+    def own(self) -> Neural:
+        """The network's controller, as it is called and learns here."""
         return replace(self.learner, called=self.name, learning=self.learning and self.learner.learning)

@@ -15,7 +15,7 @@ from ...proof.growth import Growth
 from ...proof.linear_fit import LinearFit
 from ...proof.lyapunov import TERMS, Lyapunov
 from ...proof.proof import Proof
-from ...proof.psi import Psi
+from ...proof.psi import Psi, how_to_know
 from ...proof.truth import Truth
 from ...signals import Array
 from ..table import WIDTH, number
@@ -45,7 +45,7 @@ def render(proof: Proof, colour: bool = False, width: int = WIDTH) -> str:
 def parts(proof: Proof) -> Iterator[str | Table]:
     """Sentences and tables, in order."""
     if proof.has("psi"):
-        yield from verdicts(proof.psi)
+        yield from verdicts(proof.psi, how_to_know(proof.subject))
         yield from psi_tables(proof.psi)
         if proof.psi.networks:
             yield network_table(proof)
@@ -55,15 +55,19 @@ def parts(proof: Proof) -> Iterator[str | Table]:
         if spans := spans_sentence(proof.growth):
             yield spans
     if proof.has("balance"):
-        yield balance_sentence(proof.balance)
+        timing = proof.subject.timing
+        yield balance_sentence(proof.balance, f"{timing.integrator} at {timing.plant_step:g} s")
 
 
-def verdicts(psi: Psi) -> Iterator[str]:
-    """Per network one sentence: does it know Psi, or only follow it?"""
+def verdicts(psi: Psi, how: str = "") -> Iterator[str]:
+    """Per network one sentence: does it know Psi, or only follow it? First how to hear that of a user's law."""
+    if how:
+        yield f"{how[0].upper()}{how[1:]}."
     for half, where in psi.halves.items():
         online = worst(psi.online[where])
         if not psi.frozen:
-            yield f"{half}: FVU online {number(online)}; no network learned, so no weights are held fixed."
+            why = "its weights are not at hand" if how else "it learns nothing, so no weights are held fixed"
+            yield f"{half}: FVU online {number(online)}; {why}."
             continue
         same, other = (
             worst(psi.frozen[name].fvu[where]) if name in psi.frozen else math.nan for name in ("same", "held_out")
@@ -144,10 +148,12 @@ def network_table(proof: Proof) -> Table:
             return table
         if isinstance(proof.ideal, LinearFit):
             start, end = proof.ideal.distance
-            table.add_row("|W*| of the best fixed weights, fitted offline", number(proof.ideal.norm))
-            table.add_row("their Psi_hat against the run's, over Psi's deviation", f"{number(start)} to {number(end)}")
-            table.add_row("largest error of the best fixed weights [N, N m]", number(proof.ideal.eps.max()))
-            table.add_row("FVU of the best fixed weights (worst component)", number(proof.ideal.unexplained.max()))
+            best = "the true parameters" if proof.ideal.true else "the best fixed weights, fitted offline"
+            table.add_row(f"|W*| of {best}", number(proof.ideal.norm))
+            cell = f"{number(start)} to {number(end)}"
+            table.add_row("its Psi_hat against the run's, over Psi's deviation, start to end", cell)
+            table.add_row("eps_N: what W* leaves at most [N, N m]", number(proof.ideal.eps.max()))
+            table.add_row("FVU of W* (worst component)", number(proof.ideal.unexplained.max()))
             return table
         ideal = list(proof.ideal.values())
         table.add_row("|Z| learned", *(number(w.learned_norm) for w in ideal))
@@ -167,9 +173,12 @@ def lyapunov_sentence(v: Lyapunov, growth: Growth) -> str:
     text = f"Lyapunov function V: {number(v.total[0])} to {number(v.total[-1])} ({shown}). "
     if not growth.samples:
         return f"{text}It falls all the time."
+    what = (
+        "control periods" if v.every == 1 else f"intervals of {v.period:g} s from one update of the weights to the next"
+    )
     return (
-        f"{text}It grows in {100 * growth.samples:.0f} % of the control periods, by {number(growth.rise)} in all, and "
-        f"falls by {number(growth.fall)}."
+        f"{text}It grows in {100 * growth.samples:.0f} % of the {what}, by {number(growth.rise)} in all, and falls by "
+        f"{number(growth.fall)}."
     )
 
 
@@ -194,14 +203,16 @@ def spans_sentence(growth: Growth) -> str:
     return f"Most growth: {'; '.join(told)}.\n" if told else ""
 
 
-def balance_sentence(found: Balance) -> str:
+def balance_sentence(found: Balance, integrator: str) -> str:
     """Whether the equality holds, with its worst errors."""
     steps = small(found.steps) if math.isfinite(found.steps) else "not known"
+    plant = f"that integrator's error, {small(found.recorded)} between the recorded states, is not in it"
+    off = f" The run was simulated by {integrator}: {plant}." if found.recorded > TOLERANCE else ""
     return (
-        f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {'holds' if found.holds else 'IS VIOLATED'}. Worst relative "
-        f"errors over {len(found.time):,} of {found.periods:,} control periods: model and command "
-        f"{small(found.identity)}, recorded states against the plant's own steps {steps} (tolerance {TOLERANCE:g}); "
-        f"equality between the recorded states {small(found.recorded)}."
+        f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {'holds' if found.holds else 'IS VIOLATED'}, checked along "
+        f"exact motions from the recorded states. Worst relative errors over {len(found.time):,} of {found.periods:,} "
+        f"control periods: model and command {small(found.identity)}, recorded states against the plant's own steps "
+        f"{steps} (tolerance {TOLERANCE:g}).{off}"
     )
 
 
