@@ -18,7 +18,7 @@ from mmnn_pin.proof.ideal import ideal_weights
 from mmnn_pin.proof.limited import taken
 from mmnn_pin.proof.lyapunov import lyapunov
 from mmnn_pin.proof.subject import Subject
-from mmnn_pin.proof.weights_part import weights_part
+from mmnn_pin.proof.weights_of import weights_of
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement
@@ -220,15 +220,17 @@ def test_what_the_limits_take_is_a_term_of_v(tmp_path, which):
     assert one is not None and one.wiring.limits is not None
     rows, every = subject.rows, np.arange(len(subject.rows))
     ideal = ideal_weights(subject, one)
-    found, lost = weights_part(one, ideal, rows, every), taken(one, rows, every)
+    part = weights_of(subject, ideal).part
+    found, lost = part(every, None), taken(one, rows, every)
     s = subject.signal("nu_ref") - subject.signal("nu")
-    error = (s * (subject.signal("psi") - subject.signal("psi_hat"))).sum(axis=1) - lost
+    error = (s * (subject.signal("psi") - subject.signal("psi_hat"))).sum(axis=1)
     change = np.diff(found.value) / subject.timing.control_period
-    expected = (found.leakage + found.remainder - error)[:-1] + found.step[1:]
+    expected = (found.terms["leakage"] + found.terms["remainder"] - error)[:-1] + found.arrived["step"][1:]
     np.testing.assert_allclose(change, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
     assert found.missed == 0.0 and np.abs(lost).max() > 1e-3 * np.abs(error).max()
-    v = lyapunov(subject, ideal, most=10**6)
+    v = lyapunov(subject, part, most=10**6)
     np.testing.assert_array_equal(v.terms["limits"], lost[:-1])
+    np.testing.assert_array_equal(v.terms["remainder"], (found.terms["remainder"] - lost)[:-1])
 
 
 def test_a_certificate_does_not_count_with_them():
