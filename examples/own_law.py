@@ -10,10 +10,9 @@ from mmnn_pin import LearningLaw, Memory
 
 
 class LeastSquares(LearningLaw):
-    """Knows how the robot moves and learns what it weighs: `Psi_hat = Y theta`.
+    """Knows how the robot moves and learns what it weighs: `Psi_hat = Y theta`; P is the covariance of theta.
 
-    Two errors teach theta (Slotine and Li 1989, Automatica 25(4)): s, and the torque of the last control period against
-    the one that theta says for the motion that it made, both through a low-pass. P is the covariance of theta.
+    Two errors teach theta (Slotine and Li 1989, Automatica 25(4)): s, and filtered torque against what theta says.
     """
 
     pole: float = 5.0  # of the low-pass [1/s]

@@ -90,7 +90,7 @@ def test_the_numbers_are_those_of_the_parts(runs: dict[str, Recording], capsys: 
 def test_the_text_tells_them(runs: dict[str, Recording], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["prove", str(runs["two_layer"].path)]) == 0
     text = " ".join(capsys.readouterr().out.split())
-    for words in ("FVU online", "frozen, held out: an eight", "effective rank of W", "Equality", ": holds.", "leakage"):
+    for words in ("FVU online", "frozen, held out: an eight", "effective rank of W", "Equality", ": holds,", "leakage"):
         assert words in text
     assert max(map(len, render(Proof(runs["two_layer"])).splitlines())) <= 100
 

@@ -39,6 +39,7 @@ COLOURS = (
     "#999999",
 )
 SHOWN = 1e-3  # terms that add less than this share of the largest are left out
+DEEPEST = 1e-10  # part of the largest value below which nothing is shown: a start on the reference has none
 
 
 @styled
@@ -61,10 +62,17 @@ def lyapunov_figure(recordings: Recordings) -> Figure:
     for axes in values:
         axes.set_yscale("log")
         axes.autoscale(axis="y")
+        top = axes.get_ylim()[1]
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], DEEPEST * top))
     largest = max((float(np.abs(v.measured).max(initial=0.0)) for v in found.values()), default=1.0)
-    rates.set_yscale("symlog", linthresh=1e-5 * largest or 1.0)
+    rates.set_yscale("symlog", linthresh=power_of_ten(1e-5 * largest))
     rates.autoscale(axis="y")
     return figure
+
+
+def power_of_ten(size: float) -> float:
+    """The next one: where an axis turns linear between ticks, these crowd around its zero."""
+    return float(10.0 ** np.round(np.log10(size))) if size > 1e-300 else 1.0
 
 
 @styled
@@ -92,7 +100,7 @@ def terms_figure(recordings: Recordings) -> Figure:
                 shown.add(term)
         axes.plot(v.time, v.total - v.total[0], **change)
         axes.axhline(0.0, color="0.75", linewidth=0.8, zorder=1)
-        axes.set_yscale("symlog", linthresh=max(1e-2 * largest, 1e-300))
+        axes.set_yscale("symlog", linthresh=power_of_ten(1e-2 * largest))
         axes.set_ylabel("added to V [SI]")
         axes.set_title(plain(name), loc="left")
     stack[-1].set_xlabel("time [s]")

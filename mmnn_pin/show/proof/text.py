@@ -37,7 +37,8 @@ def render(proof: Proof, colour: bool = False, width: int = WIDTH) -> str:
                 console.print(part, highlight=False, markup=False)
             else:
                 console.print(part)
-        for remark in proof.remarks():
+        said = how_to_know(subject) if proof.has("psi") else ""
+        for remark in (one for one in proof.remarks() if one != said):
             console.print(f"note: {remark}", style="italic", highlight=False, markup=False)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
