@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from ..model.regressor import Regressor
@@ -193,6 +194,8 @@ class KalmanLearner(CompiledController):
             share[: random.t.size] *= self.drawn.linear
             share[random.t.size + random.number :] *= self.drawn.linear
         share /= share.sum()
+        if random is not None and self.drawn is not None:
+            share[at_rest(random, k)] *= self.drawn.gravity**2
         memory["prior"] = self.settings.prior**2 * share / np.where(matters, square, 1.0)
         memory["D"] = memory["prior"]
         return memory
@@ -255,3 +258,13 @@ class KalmanLearner(CompiledController):
             f"{self.name}: not excited: {unknown[worst]:.0%} of what it did not know{of} is left, on random motion; "
             "what it learned tracks the motions of this run and is no knowledge of others"
         ]
+
+
+def at_rest(random: Random, k: int) -> NDArray[np.bool_]:
+    """Which of k random features are there when nothing moves: the constant, and random functions that stand alone."""
+    last = random.t.size - 1
+    places = np.arange(k)
+    function = (places > last) & (places <= last + random.number)
+    if random.kind == BILINEAR:
+        function &= (places - last - 1) % random.t.size == last
+    return np.asarray(function | (places == last))

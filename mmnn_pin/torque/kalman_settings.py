@@ -66,6 +66,8 @@ class RandomFeatures(Kalman, frozen=True):
         hidden: Random functions, at least.
         weights: Standard deviation of their weights on every input.
         linear: Ratio of the prior variances of features without and with a random function.
+        gravity: Factor on the prior standard deviation of what is there at rest. A link of length l whose gain K gives it
+            a bandwidth b has a gravity of up to g / (b l) over K: a servo arm that PD lets sag by a radian needs much.
         eps: Speed over which dry friction turns [rad/s or m/s].
     """
 
@@ -73,9 +75,10 @@ class RandomFeatures(Kalman, frozen=True):
     hidden: int = 25
     weights: float = 0.3
     linear: float = 10.0
+    gravity: float = 600.0
     eps: float = 0.03
 
-    positive: ClassVar[tuple[str, ...]] = (*Kalman.positive, "hidden", "linear", "eps")
+    positive: ClassVar[tuple[str, ...]] = (*Kalman.positive, "hidden", "linear", "gravity", "eps")
 
 
 class KalmanBilinear(RandomFeatures, frozen=True):
@@ -101,6 +104,7 @@ class KalmanFeatures(RandomFeatures, frozen=True):
 
     hidden: int = 300
     weights: float = 0.5
+    gravity: float = 20.0
     speed: float = 3.0
     acceleration: float = 20.0
 
