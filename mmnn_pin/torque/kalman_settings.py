@@ -66,8 +66,9 @@ class RandomFeatures(Kalman, frozen=True):
         hidden: Random functions, at least.
         weights: Standard deviation of their weights on every input.
         linear: Ratio of the prior variances of features without and with a random function.
-        gravity: Factor on the prior standard deviation of what is there at rest. A link of length l whose gain K gives it
-            a bandwidth b has a gravity of up to g / (b l) over K: a servo arm that PD lets sag by a radian needs much.
+        gravity: Standard deviation of what is there at rest, a share of what the arm's motors can give (the median of
+            the joints); at least what `prior` gives it. Gravity over K is g / (b l) for a link of length l that K gives
+            the bandwidth b: some tens of a small arm's prior, and little of a geared arm's.
         eps: Speed over which dry friction turns [rad/s or m/s].
     """
 
@@ -75,10 +76,10 @@ class RandomFeatures(Kalman, frozen=True):
     hidden: int = 25
     weights: float = 0.3
     linear: float = 10.0
-    gravity: float = 600.0
+    gravity: float = 0.2
     eps: float = 0.03
 
-    positive: ClassVar[tuple[str, ...]] = (*Kalman.positive, "hidden", "linear", "gravity", "eps")
+    positive: ClassVar[tuple[str, ...]] = (*Kalman.positive, "hidden", "linear", "eps")
 
 
 class KalmanBilinear(RandomFeatures, frozen=True):
@@ -104,7 +105,6 @@ class KalmanFeatures(RandomFeatures, frozen=True):
 
     hidden: int = 300
     weights: float = 0.5
-    gravity: float = 20.0
     speed: float = 3.0
     acceleration: float = 20.0
 
