@@ -49,8 +49,14 @@ def new_controller(
         case "concurrent":
             return concurrent_learner(experiment.concurrent, feedback, robot, *told)
         case "two_layer_composite":
-            rates = experiment.learning.rates
-            return CompositeNetwork(feedback, experiment.replay, experiment.two_layer, rates=rates, learning=learning)
+            return CompositeNetwork(
+                feedback,
+                experiment.replay,
+                experiment.two_layer,
+                rates=experiment.learning.rates,
+                learning=learning,
+                inertia=None if inertia is None else tuple(inertia.tolist()),
+            )
         case "two_layer_residual":
             believed = nominal_robot(experiment.nominal, robot, experiment.overrides)
             return Residual(networks(experiment, name, feedback, robust, inertia), believed, learning)

@@ -81,6 +81,7 @@ class CompositeNetwork(CompiledController):
         inputs: What the networks see; (3.24) lacks q, nu and a constant.
         rates: "per_sample" or "per_second", of F and G.
         learning: Off keeps the weights as they are.
+        inertia: (p,) effective inertias that the networks are scaled by, as in `Neural`; None for the thesis's form.
         name: Name in tables and recordings.
     """
 
@@ -90,6 +91,7 @@ class CompositeNetwork(CompiledController):
     inputs: Inputs = SEEN
     rates: Any = "per_sample"
     learning: bool = True
+    inertia: tuple[float, ...] | None = None
     name: str = "two_layer_composite"
 
     within_limits: ClassVar[bool] = True
@@ -102,7 +104,15 @@ class CompositeNetwork(CompiledController):
         changed = {"F": slower[0], "G": slower[1], "hidden": own.hidden, "v_range": own.v_range, "initial": "random"}
         network = msgspec.structs.replace(self.network, **changed)
         return Neural(
-            network, self.feedback, None, self.inputs, self.rates, self.learning, leakage=False, called=self.name
+            network=network,
+            feedback=self.feedback,
+            robust=None,
+            inputs=self.inputs,
+            rates=self.rates,
+            learning=self.learning,
+            leakage=False,
+            inertia=self.inertia,
+            called=self.name,
         )
 
     def law(self, wiring: Wiring) -> Law:
@@ -117,7 +127,7 @@ class CompositeNetwork(CompiledController):
             raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
         if not self.learning:
             return numbers
-        scale, offset = self.inputs.affine(layout)
+        (scale, offset), scale_out = self.inputs.affine(layout), self.learner.network_scales(layout)[1]
         replay = Replay(
             filter=new_filter(layout, h, 0.0, own.pole),
             first=self.learner.init(wiring).values.size,
@@ -125,7 +135,8 @@ class CompositeNetwork(CompiledController):
             source=self.followed(layout),
             scale=scale,
             offset=offset,
-            unit=own.unit * K,
+            scale_out=scale_out,
+            unit=own.unit * K / scale_out,
             rate=float(own.rate),
             replays=own.replays,
             every=max(1, round(own.every / h)),
@@ -174,7 +185,8 @@ class CompositeNetwork(CompiledController):
     def facts(self) -> dict[str, Any]:
         """All settings."""
         own = {"feedback": self.feedback, "replaying": self.replaying, "network": self.network, "inputs": self.inputs}
-        return {name: plain(value) for name, value in own.items()} | {"rates": self.rates, "learning": self.learning}
+        more = {"rates": self.rates, "learning": self.learning, "inertia": self.inertia}
+        return {name: plain(value) for name, value in own.items()} | plain(more)
 
     def unknown(self, memory: Memory) -> Array:
         """Share of the variance of the output that is left on random motion of unit speed, per network.

@@ -16,10 +16,13 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ..compiled import compiled
-from ..signals import Array
+from ..signals import Array, IntArray
 
 BILINEAR, GENERIC = 0, 1
+GRAVITY = 4  # one in so many random features is one of gravity, where there is no room for all
 
 
 class Random(NamedTuple):
@@ -29,6 +32,7 @@ class Random(NamedTuple):
         kind: `BILINEAR` or `GENERIC`.
         number: Features with a random function.
         units: Random functions.
+        pairs: (number, 2) random function and term of every one of them; the term is -1 for none.
         inputs: What each of them sees: n joints, or n + 3 p numbers.
         eps: Speed over which dry friction turns [rad/s or m/s].
         centre: (n,) where the joints are counted from [rad or m].
@@ -41,6 +45,7 @@ class Random(NamedTuple):
     kind: int
     number: int
     units: int
+    pairs: IntArray
     inputs: int
     eps: float
     centre: Array
@@ -63,11 +68,37 @@ def size(kind: int, p: int, number: int) -> int:
 def coprime(units: int, terms: int) -> int:
     """The smallest number from `units` on that shares no divisor with the number of terms.
 
-    Feature c takes unit `c % units` and term `c % terms`: then all pairs come once before one comes again.
+    With function `c % units` and term `c % terms` all pairs come once before one comes again.
     """
     while math.gcd(units, terms) > 1:
         units += 1
     return units
+
+
+def paired(kind: int, p: int, hidden: int, largest: int) -> IntArray:
+    """Random function and term of every feature that has one, (number, 2); term -1 for none.
+
+    Bilinear features are all pairs, where they are at most `largest`. A robot with many joints has more, most of them
+    products of velocities: there gravity gets a quarter of them, each with a function of its own, so that many joints
+    can bend it, the accelerations a half and the products a quarter.
+
+    Args:
+        kind: `BILINEAR` or `GENERIC`.
+        p: Number of velocities.
+        hidden: Random functions, at least.
+        largest: Most bilinear features with a random function.
+    """
+    if kind == GENERIC:
+        return np.column_stack((np.arange(hidden), np.full(hidden, -1)))
+    count = terms(kind, p)
+    units = coprime(hidden, count)
+    c = np.arange(units * count)
+    if c.size <= largest:
+        return np.column_stack((c % units, c % count))
+    functions = max(1, largest // GRAVITY)
+    shares = ((functions, count - 1, 1), (largest // 2, 0, p), (largest - functions - largest // 2, p, count - 1 - p))
+    pairs = [np.column_stack((np.arange(n) % functions, first + np.arange(n) % size)) for n, first, size in shares]
+    return np.vstack(pairs)
 
 
 @compiled
@@ -120,4 +151,5 @@ def fill(
     for c in range(last + 1):
         phi[c] = t[c]
     for c in range(r.number):
-        phi[last + 1 + c] = r.g[c % r.units] * (t[c % (last + 1)] if r.kind == BILINEAR else 1.0)
+        term = r.pairs[c, 1]
+        phi[last + 1 + c] = r.g[r.pairs[c, 0]] * (t[term] if term >= 0 else 1.0)

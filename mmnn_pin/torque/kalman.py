@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..errors import ConfigError
 from ..model.regressor import Regressor
@@ -17,7 +18,7 @@ from ..settings import plain
 from ..signals import Array, Layout
 from . import law
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
-from .features import BILINEAR, GENERIC, Random, coprime, fill, size, terms
+from .features import BILINEAR, GENERIC, Random, fill, paired, size, terms
 from .filtered import new_filter, parts
 from .kalman_settings import Kalman, KalmanBilinear, KalmanFeatures, RandomFeatures
 from .least_squares import left
@@ -46,6 +47,12 @@ class Machine:
         """Lower and upper ends of the arm's motion, (n,) each; half a turn either way where there are no limits."""
         whole = np.isfinite(self.upper - self.lower)
         return np.where(whole, self.lower, -np.pi), np.where(whole, self.upper, np.pi)
+
+    def strength(self, K: Array) -> float:
+        """What the motors of the arm can give over its gains, the median of the joints [rad/s]; 0 without limits."""
+        joints = slice(K.size - self.lower.size, None)
+        limits = (np.abs(self.E) @ self.effort)[joints] / K[joints] if np.isfinite(self.effort).all() else np.zeros(0)
+        return float(np.median(limits)) if limits.size else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,22 +122,23 @@ class KalmanLearner(CompiledController):
             return None
         generic = isinstance(own, KalmanFeatures)
         kind = GENERIC if generic else BILINEAR
-        count = terms(kind, p)
-        units = own.hidden if generic else coprime(own.hidden, count)
+        pairs = paired(kind, p, own.hidden, own.largest if isinstance(own, KalmanBilinear) else own.hidden)
+        units = int(pairs[:, 0].max()) + 1
         scale = np.ones(n)
         if isinstance(own, KalmanFeatures):
             scale = np.concatenate((scale, np.full(2 * p, 1 / own.speed), np.full(p, 1 / own.acceleration)))
         return Random(
             kind=kind,
-            number=min(units * count, own.largest) if isinstance(own, KalmanBilinear) else units,
+            number=len(pairs),
             units=units,
+            pairs=pairs,
             inputs=scale.size,
             eps=float(own.eps),
             centre=np.mean(self.machine.ranges, axis=0),
             scale=scale,
             x=np.zeros(scale.size),
             g=np.zeros(units),
-            t=np.zeros(count),
+            t=np.zeros(terms(kind, p)),
         )
 
     def law(self, wiring: Wiring) -> Law:
@@ -186,6 +194,10 @@ class KalmanLearner(CompiledController):
             share[: random.t.size] *= self.drawn.linear
             share[random.t.size + random.number :] *= self.drawn.linear
         share /= share.sum()
+        if random is not None and self.drawn is not None:
+            rest = at_rest(random, k)
+            wide = (self.drawn.gravity * self.machine.strength(K) / self.settings.prior) ** 2
+            share[rest] *= max(1.0, wide / share[rest].sum())
         memory["prior"] = self.settings.prior**2 * share / np.where(matters, square, 1.0)
         memory["D"] = memory["prior"]
         return memory
@@ -226,11 +238,21 @@ class KalmanLearner(CompiledController):
         return None if law.linear is None else law.linear.Phi
 
     def unknown(self, memory: Memory) -> Array:
-        """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
-        Phi, (rows, k, _) = self.typical(memory), self.shape
+        """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known.
+
+        Of random features the larger share of two: of what is there at rest, whose prior is so much wider that it
+        would hide the other, and of the rest.
+        """
+        Phi, (rows, k, _), random = self.typical(memory), self.shape, self.random()
+        rest = np.zeros(k, bool) if random is None else at_rest(random, k)
+        groups = [~rest] if random is None else [~rest, rest]
         U, D, nothing, f = memory["U"], memory["D"], np.zeros((k, k)), np.zeros(k)
         per_row = [
-            left(np.ascontiguousarray(Phi[:, i]), U, D, f) / left(Phi[:, i].copy(), nothing, memory["prior"], f)
+            max(
+                left(np.ascontiguousarray(Phi[:, i] * group), U, D, f)
+                / left(np.ascontiguousarray(Phi[:, i] * group), nothing, memory["prior"], f)
+                for group in groups
+            )
             for i in range(rows)
         ]
         return np.broadcast_to(np.array(per_row), (len(self.machine.velocities),))
@@ -248,3 +270,11 @@ class KalmanLearner(CompiledController):
             f"{self.name}: not excited: {unknown[worst]:.0%} of what it did not know{of} is left, on random motion; "
             "what it learned tracks the motions of this run and is no knowledge of others"
         ]
+
+
+def at_rest(random: Random, k: int) -> NDArray[np.bool_]:
+    """Which of k random features are there when nothing moves: the constant, and random functions that stand alone."""
+    last, rest = random.t.size - 1, np.zeros(k, bool)
+    rest[last] = True
+    rest[last + 1 : last + 1 + random.number] = np.isin(random.pairs[:, 1], (-1, last))
+    return rest

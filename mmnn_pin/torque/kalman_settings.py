@@ -68,6 +68,9 @@ class RandomFeatures(Kalman, frozen=True):
         hidden: Random functions, at least; 2000 at most.
         weights: Standard deviation of their weights on every input.
         linear: Ratio of the prior variances of features without and with a random function.
+        gravity: Standard deviation of what is there at rest, a share of what the arm's motors can give (the median of
+            the joints); at least what `prior` gives it. Gravity over K is g / (b l) for a link of length l that K gives
+            the bandwidth b: some tens of a small arm's prior, and little of a geared arm's.
         eps: Speed over which dry friction turns [rad/s or m/s].
     """
 
@@ -75,6 +78,7 @@ class RandomFeatures(Kalman, frozen=True):
     hidden: int = 25
     weights: float = 0.3
     linear: float = 10.0
+    gravity: float = 0.2
     eps: float = 0.03
 
     positive: ClassVar[tuple[str, ...]] = (*Kalman.positive, "hidden", "linear", "eps")

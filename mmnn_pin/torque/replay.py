@@ -45,7 +45,8 @@ class Replay(NamedTuple):
         source: (nx,) which of q, nu, nudot, pose every input is on a reference that is followed exactly; -1 for 0.
         scale: (nx,) factor on every input.
         offset: (nx,) added to it.
-        unit: (p,) torque that counts as 1.
+        scale_out: (p,) what a network's output is multiplied with, see `Neural.network_scales`.
+        unit: (p,) output that counts as 1.
         rate: mu.
         replays: Kept samples that every control sample learns from.
         every: Control samples between two that are kept, until the memory is full.
@@ -63,6 +64,7 @@ class Replay(NamedTuple):
     source: IntArray
     scale: Array
     offset: Array
+    scale_out: Array
     unit: Array
     rate: float
     replays: int
@@ -92,6 +94,8 @@ def replay(row: Array, at: IntArray, a: Replay, memory: Array) -> None:
     kept = memory[filtered:].reshape((-1, width))
     if period(row, at, f, memory[a.first + 3 : filtered]):
         recollect(a)
+        for i in range(p):
+            f.torque[i] /= a.scale_out[i]
         teach(row, at, a, memory, a.x, f.torque)
         if int(counts[0]) % (a.every * int(counts[2])) == 0:
             keep_sample(a, counts, kept)

@@ -50,7 +50,7 @@ def tell(robot_name: str, controllers: tuple[str, ...], settings: list[str]) -> 
         robot = experiment.load_robot()
         loops = [experiment.loop(robot, experiment.controller(name, robot=robot)) for name in ("pd", *controllers)]
     except InputError as refused:
-        print(f"{robot_name}: not run: {refused}", flush=True)
+        print(f"{robot_name}: not run: {refused.what}", flush=True)
         return
     runs = simulate_many(loops, windows=(LATE,), keep=("motor_torque",))
     of_pd = errors(runs[0])
