@@ -39,7 +39,10 @@ TERMS = {
     "step": "the update of the weights is a step, not a flow",
     "hold": "torque and weights are held over a control period",
 }
-PREDICTED = ("pose", "coupling", "feedback", "robust", "leakage", "cut", "limits", "remainder", "sensors", "motors", "push")
+PREDICTED = (
+    *("pose", "coupling", "feedback", "robust", "leakage", "cut", "limits"),
+    *("remainder", "sensors", "motors", "push"),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,8 @@ def lyapunov(
         cut = np.broadcast_to(weights.cut, len(at))[here]
         terms |= {"leakage": weights.leakage[here], "remainder": weights.remainder[here], "cut": cut}
         terms["step"] = weights.step[there]
-        terms["limits"] = np.zeros(len(here)) if subject.learner is None else taken(subject.learner, subject.rows, starts)
+        assert subject.learner is not None
+        terms["limits"] = taken(subject.learner, subject.rows, starts)
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed
