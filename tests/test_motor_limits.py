@@ -1,4 +1,4 @@
-"""What is learned within the motors' limits: by bisection, in both engines, batches, cycles, resumed, in plain Python."""
+"""What is learned within the motors' limits: by bisection, in both engines, batches, cycles, plain Python."""
 
 from __future__ import annotations
 
@@ -77,12 +77,14 @@ def test_of_every_motor_psi_hat_takes_what_the_feedback_leaves(psi_hat, feedback
 def test_a_term_is_lowered_as_a_whole_to_where_all_motors_have_room(feedback, more, top):
     limits = motor_limits(ROBOT.E, top)
     if limits is not None:
-        motors = list(zip(E_INV @ more, E_INV @ feedback, top, strict=True))
-        slack = 1e-9 * np.abs(E_INV @ feedback).max()
-        least, most = (
-            min(room(u, f, max(0.0, t * (1 + sign * 1e-9) + sign * slack)) for u, f, t in motors) for sign in (-1, 1)
-        )
-        assert least * (1 - 1e-9) - 1e-12 <= share_left(feedback, more, limits) <= most * (1 + 1e-9)
+        u, fed, share = E_INV @ more, E_INV @ feedback, share_left(feedback, more, limits)
+        near = 1e-9 * (np.abs(u).max() + np.abs(fed).max() + 1e-300)
+        above = share * u + fed - np.maximum(top * (1 + 1e-9), fed)
+        below = np.minimum(-top * (1 + 1e-9), fed) - share * u - fed
+        assert 0 <= share <= 1 and max(above.max(), below.max()) <= near
+        further = (share * u + np.sign(u) * 2e-9 * (top + np.abs(fed)) + fed)[u != 0]
+        low, high = np.minimum(-top, fed)[u != 0], np.maximum(top, fed)[u != 0]
+        assert share == 1 or (further > high - near).any() or (further < low + near).any()  # and no more of it
 
 
 def test_what_is_no_number_stays_so_that_the_run_ends_and_without_limits_there_is_nothing_to_do():

@@ -70,8 +70,8 @@ class Learning(Settings, frozen=True):
         learning: Off keeps the initial weights.
         leakage: Off drops the e-modification.
         robust_term: Off drops the robust term (3.50).
-        within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves, for all controllers that
-            have one; without it for the learners beyond the thesis, not for its networks.
+        within_limits: Whether robust term and Psi_hat take of every motor's limit only what the feedback leaves, of all
+            controllers; without it of the learners beyond the thesis, not of its networks.
     """
 
     rates: Literal["per_sample", "per_second"] = "per_sample"

@@ -61,8 +61,8 @@ class Experiment(Settings, frozen=True):
         seed: The one seed.
         windows: Intervals for the RMS errors [s]; one that a run does not reach has none, which a note says.
         weights_interval: Time between two records of the weights [s].
-        plots: Pictures that a run writes, names of `PLOTS`. With figures of the thesis the run is compared with
-            the intervals of their axes, with `figure-5.5` also with the largest errors that chapter 5 prints.
+        plots: Pictures that a run writes, names of `PLOTS`. With the thesis's figures it is compared with the intervals
+            of their axes, with `figure-5.5` also with the largest errors that chapter 5 prints.
         torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.

@@ -18,11 +18,14 @@ from .nominal import Nominal, nominal_parameters, require_robot
 
 
 def machine_of(robot: Robot) -> Machine:
-    """What a learner may know of a robot without knowing how it moves: names, ends of its joints."""
+    """What a learner may know of a robot without knowing how it moves: names, and of its joints the ends and motors."""
+    n, limits = robot.layout.arm, robot.effort_limits
+    joints = (np.abs(robot.E) @ limits)[robot.layout.dof - n :] if np.isfinite(limits).all() else np.full(n, np.inf)
     return Machine(
         velocities=tuple(robot.velocity_names),
         lower=robot.lower[robot.arm_index],
         upper=robot.upper[robot.arm_index],
+        effort=joints,
     )
 
 

@@ -119,9 +119,9 @@ def lyapunov(
     if weights is not None:
         terms |= {name: values[here] for name, values in weights.terms.items()}
         terms |= {name: values[there] for name, values in weights.arrived.items()}
-        if subject.learner is not None:
-            terms["limits"] = taken(subject.learner, subject.rows, starts)
-            terms["remainder"] = terms["remainder"] - terms["limits"]
+        assert subject.learner is not None
+        terms["limits"] = taken(subject.learner, subject.rows, starts)
+        terms["remainder"] = terms["remainder"] - terms["limits"]
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
     missed = 0.0 if weights is None else weights.missed

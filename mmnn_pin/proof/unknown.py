@@ -8,8 +8,8 @@ motion. There, the mean taken out, J shows some directions of the weights (`VISI
 
     P = (1 + E_run[J' J] / NOISE)^-1,      unknown = trace P / directions,
 
-0 for a run that determines all of them and 1 for one that determines none. E_run is a mean over the run: a longer one of
-the same motion says no more. It is about what could be known of the motion, not about what was learned.
+0 for a run that determines all of them and 1 for one that determines none. E_run is a mean over the run: a longer one
+of the same motion says no more. It is about what could be known of the motion, not about what was learned.
 
 A network whose units act as few on random motion (`acting`) is another case: no motion determines its weights.
 """
@@ -88,8 +88,8 @@ def unknown(learner: Learner, rows: Array) -> dict[str, Unknown]:
     own, some = network_in(learner.controller), rows[:: -(-len(rows) // MOST)]
     motion = random_motion(learner.robot, learner.wiring.layout)
     if own is None:
-        run, random = (features(learner, table) for table in (some, motion))
-        return {} if run is None or random is None else {"all": Unknown(*left(run, random))}
+        told = [features(learner, table) for table in (some, motion)]
+        return {} if told[0] is None or told[1] is None else {"all": Unknown(*left(told[0], told[1]))}
     run, random = (tangents(learner, own, table) for table in (some, motion))
     names, found = {1: "base", 2: "arm"}, {}
     for i, _ in channels(learner.wiring.layout):
@@ -160,7 +160,7 @@ def features(learner: Learner, rows: Array) -> Array | None:
 
 
 def random_motion(robot: Robot, layout: Layout, seed: int = 0) -> Array:
-    """Rows (SAMPLES, width) of random motion without errors: 1 m/s, 1 rad/s, 1 m/s^2, 1 rad/s^2, 1 m, the arm anywhere."""
+    """Rows (SAMPLES, width) of random motion without errors, of 1 in every unit (m, s, rad), the arm anywhere."""
     rng, nb = np.random.default_rng(seed), layout.base
     rows = np.zeros((SAMPLES, layout.width))
     lower, upper = robot.lower[robot.arm_index], robot.upper[robot.arm_index]
@@ -191,6 +191,6 @@ def not_excited(name: str, found: dict[str, Unknown]) -> list[str]:
             "determines its weights"
         ]
     return [
-        f"{name}: not excited: the run leaves {worst.share:.0%} of what random motion shows{whose} undetermined; what it "
-        "learned tracks the motions of this run and is no knowledge of others"
+        f"{name}: not excited: the run leaves {worst.share:.0%} of what random motion shows{whose} undetermined; what "
+        "it learned tracks the motions of this run and is no knowledge of others"
     ]

@@ -36,11 +36,13 @@ class Machine:
     Attributes:
         velocities: (p,) names of the velocities.
         lower, upper: (n,) limits of the arm's joints [rad or m], infinite for none.
+        effort: (n,) largest torques of its motors at the joints [N m or N], inf where one of the robot's has no limit.
     """
 
     velocities: tuple[str, ...]
     lower: Array
     upper: Array
+    effort: Array
 
     @property
     def ranges(self) -> tuple[Array, Array]:
@@ -50,9 +52,8 @@ class Machine:
 
     def strength(self, K: Array) -> float:
         """What the motors of the arm can give over its gains, the median of the joints [rad/s]; 0 without limits."""
-        joints = slice(K.size - self.lower.size, None)
-        limits = (np.abs(self.E) @ self.effort)[joints] / K[joints] if np.isfinite(self.effort).all() else np.zeros(0)
-        return float(np.median(limits)) if limits.size else 0.0
+        n = self.effort.size
+        return float(np.median(self.effort / K[K.size - n :])) if n and np.isfinite(self.effort).all() else 0.0
 
 
 @dataclass(frozen=True, eq=False)

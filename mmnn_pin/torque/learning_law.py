@@ -44,7 +44,7 @@ class LearningLaw(TorqueController):
         name: Name in tables and recordings; that of the class unless it says.
         learned: Names of the parts of the memory that are weights: they are recorded at intervals, their norm at every
             sample, and a supervisor bounds them. Empty for all parts.
-        within_limits: Whether Psi_hat is kept within what the feedback leaves of the motors' limits, unless the loop says.
+        within_limits: Whether Psi_hat takes of the motors' limits only what the feedback leaves, unless the loop says.
         knows_motion: Whether it is told how the robot moves, never what it weighs: `now.regressor`.
 
     Args:

@@ -137,8 +137,8 @@ def network_table(proof: Proof) -> Table:
     table.add_row(above, *(f"{e.directions} of {e.units}" for e in found))
     table.add_row(f"smallest eigenvalue of the Gram matrix of the {first.what}", *(small(e.smallest) for e in found))
     if any(network.unknown for network in networks.values()):
-        cells = ["-" if n.unknown is None else f"{n.unknown.share:.0%}" for n in networks.values()]
-        table.add_row("left undetermined of what random motion shows", *cells)
+        shares = ("-" if n.unknown is None else f"{n.unknown.share:.0%}" for n in networks.values())
+        table.add_row("left undetermined of what random motion shows", *shares)
     if proof.has("ideal"):
         table.add_section()
         if isinstance(proof.ideal, Truth):
