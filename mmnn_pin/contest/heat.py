@@ -34,7 +34,9 @@ class Stopped(Exception):
     """Ctrl-C: what was under way is dropped."""
 
 
-def heat(task: Task, name: str, file: Path | None, workers: int | None, progress: Progress) -> tuple[list[Row], float]:
+def heat(
+    task: Task, name: str, file: Path | None, workers: int | None, progress: Progress, knowledge: bool = True
+) -> tuple[list[Row], float]:
     """All rows of one controller on one task, and the processor time of its step [s].
 
     Args:
@@ -43,6 +45,7 @@ def heat(task: Task, name: str, file: Path | None, workers: int | None, progress
         file: For the recording of the first seed; None keeps none.
         workers: Threads; None for one per core.
         progress: Called with the fraction done.
+        knowledge: Whether the FVU with fixed weights and the time of the step are wanted; they cost half of the time.
 
     Raises:
         Stopped: Ctrl-C.
@@ -54,9 +57,9 @@ def heat(task: Task, name: str, file: Path | None, workers: int | None, progress
     trials = tried(task, controller, memories, workers, lambda f: progress(0.5 + 0.4 * f))
     rows = []
     for i, (seed, run) in enumerate(zip(task.seeds, runs, strict=True)):
-        rows.append(row_of(task, name, controller, seed, run, memories[i], trials[i]))
+        rows.append(row_of(task, name, controller, seed, run, memories[i], trials[i], knowledge))
         progress(0.9 + 0.1 * (i + 1) / len(runs))
-    return rows, step_time(task.training(controller, task.seeds[0]), first)
+    return rows, step_time(task.training(controller, task.seeds[0]), first) if knowledge else math.nan
 
 
 def trained(
@@ -131,14 +134,22 @@ def tried(
 
 
 def row_of(
-    task: Task, name: str, controller: Any, seed: int, run: Run, memory: Any, trials: dict[str, dict[str, Tracking]]
+    task: Task,
+    name: str,
+    controller: Any,
+    seed: int,
+    run: Run,
+    memory: Any,
+    trials: dict[str, dict[str, Tracking]],
+    knowledge: bool,
 ) -> Row:
     """The row of a run."""
     assert run.recording is not None
     contest, window = task.contest, task.experiment.windows[-1]
     limits = np.array(task.robot.facts()["effort_limits"], float)
     numbers = training_numbers(run.recording, limits, window, contest.window, contest.start)
-    known_of = {held: frozen_fvu(task, controller, seed, memory, held) for held in task.held_out}
+    judged = task.held_out if knowledge else ()
+    known_of = {held: frozen_fvu(task, controller, seed, memory, held) for held in judged}
     mean, worst = (largest([values[k] for values in known_of.values()]) for k in (0, 1))
     findings = found_in(task, name, controller, seed, run, memory) if memory is not None else []
     return Row(
@@ -167,8 +178,8 @@ def found_in(task: Task, name: str, controller: Any, seed: int, run: Run, memory
 
 
 def largest(values: list[float]) -> float:
-    """Largest of some numbers; nan where one is missing."""
-    return max(values) if all(map(math.isfinite, values)) else math.nan
+    """Largest of some numbers; nan where one is missing, or all are."""
+    return max(values) if values and all(map(math.isfinite, values)) else math.nan
 
 
 def frozen_fvu(task: Task, controller: Any, seed: int, memory: Any, held: str) -> tuple[float, float]:

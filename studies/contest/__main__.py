@@ -82,7 +82,7 @@ def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool
     write_figures(standing, out / "figures")
     return {
         **summed(standing),
-        "tuned": {tuning: {name: short(found) for name, found in each.items()} for tuning, each in tuned().items()},
+        "tuned": {tuning: {name: short(one) for name, one in found.items()} for tuning, found in tuned().items()},
         "soon": SOON,
         "run": {
             "wall_s": time.perf_counter() - begin,

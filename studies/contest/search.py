@@ -52,7 +52,7 @@ class Bench:
     def made(cls, tuning: str, *overrides: str) -> Bench:
         """The tasks of a tuning experiment, with PD run on them."""
         tasks = tuple(tasks_of(load_experiment(tuning_file(tuning), overrides), ("pd",)))
-        return cls(tasks, {task.name: heat(task, "pd", None, None, quiet)[0] for task in tasks})
+        return cls(tasks, {task.name: heat(task, "pd", None, None, quiet, False)[0] for task in tasks})
 
     def score(self, learner: str, settings: Mapping[str, Any]) -> float:
         """Geometric mean of a learner's errors over PD's, see the top of this module."""
@@ -62,7 +62,7 @@ class Bench:
                 changed = replace(task, experiment=changed_by(task.experiment, settings))
             except InputError:
                 return LOST
-            rows, _ = heat(changed, learner, None, None, quiet)
+            rows, _ = heat(changed, learner, None, None, quiet, False)
             for row, pd in zip(rows, self.pd[task.name], strict=True):
                 logs += [math.log(ratio) for ratio in ratios(row, pd, task.contest.window)]
         return math.exp(float(np.mean(logs)))
