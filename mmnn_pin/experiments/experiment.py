@@ -55,14 +55,13 @@ class Experiment(Settings, frozen=True):
         variant: Which reading of the experiment this is, where it has several files.
         robot: Bundled name or path.
         overrides: What is said about the robot, as in the file beside its URDF.
-        masses: Factor on the inertias of the true robot's bodies, one for all or one per joint that carries a body
-            (`root` for a mobile base), see `Robot.with_masses`.
+        masses: Factor on the true robot's inertias, one for all or one per joint with a body (`Robot.with_masses`).
         controllers: Controllers to run, names of `CONTROLLERS` or of `laws`; `FILE.py:Class` for a class of a user.
         seed: The one seed.
         windows: Intervals for the RMS errors [s]; one that a run does not reach has none, which a note says.
         weights_interval: Time between two records of the weights [s].
-        plots: Pictures that a run writes, names of `PLOTS`. With the thesis's figures it is compared with the intervals
-            of their axes, with `figure-5.5` also with the largest errors that chapter 5 prints.
+        plots: Pictures that a run writes, names of `PLOTS`. With figures of the thesis it is compared with the
+            intervals of their axes, with `figure-5.5` also with the largest errors that chapter 5 prints.
         torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.
@@ -91,7 +90,7 @@ class Experiment(Settings, frozen=True):
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
-        cases: Changes of this experiment, name to case; with them it runs once in each, and every run gets a verdict.
+        cases: Changes of this experiment, name to case; with them it runs once in each, with a verdict on every run.
         tolerance: What a case asks of its runs.
         contest: With it the cases are the tasks of a contest: runs are not judged one by one but compared.
         held_out: Held-out trajectories by name; without any one follows from the reference (see `proof.held_out`).
