@@ -18,8 +18,10 @@ from mmnn_pin import (
     Cycle,
     Eight,
     Feedback,
+    LearningLaw,
     Line,
     Loop,
+    Memory,
     Neural,
     OneLayer,
     Recording,
@@ -30,6 +32,7 @@ from mmnn_pin import (
     Trajectory,
     TwoLayer,
     load,
+    load_experiment,
 )
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
@@ -115,6 +118,57 @@ def test_every_signal_is_that_of_the_ordinary_loop(name):
         assert found.final["memory"].tolist() == run.final["memory"].tolist()
     assert found.outcome == run.outcome
     assert found.step_times.min() > 0
+
+
+LEARNERS = [
+    *("kalman_regressor", "kalman_bilinear", "kalman_features", "kalman_residual", "concurrent", "adaptive"),
+    *("adaptive_composite", "two_layer_composite", "two_layer_residual", "own"),
+]
+QUICK = [  # so that all of them learn within 0.1 s
+    *(f"kalman.{table}.state_pole=1000.0" for table in ("regressor", "bilinear", "features", "residual")),
+    *("kalman.bilinear.hidden=3", "kalman.residual.hidden=3", "kalman.features.hidden=20", "replay.pole=1000.0"),
+    "concurrent.entries=10",
+]
+
+
+class Follow(LearningLaw):
+    """A law of a user that learns from both errors: `Psi_hat = W' [1, nu, nudot_ref]`."""
+
+    def init(self, wiring):
+        return Memory.of(W=(1 + 2 * wiring.layout.dof, wiring.layout.dof))
+
+    def estimate(self, now, memory):
+        return np.concatenate(([1.0], now.nu, now.nudot_ref)) @ memory["W"]
+
+    def learn(self, now, memory):
+        x = np.concatenate(([1.0], now.nu, now.nudot_ref))
+        error = 10.0 * now.s if now.first else 10.0 * now.s + 1e-3 * (now.sent - x @ memory["W"])
+        memory["W"] += now.period * np.outer(x, error)
+
+
+def learner(name, robot=ROBOT):
+    """A learner with `GAINS`, the numbers of a robot's own."""
+    if name == "own":
+        return Follow(feedback=GAINS)
+    told = [*QUICK, f"feedback.base={GAINS.base}", f"feedback.arm={GAINS.arm}"]
+    return load_experiment("chapter4", told).controller(name, robot=robot)
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_a_learner_learns_there_what_it_learns_in_the_loop(name, monkeypatch):
+    monkeypatch.setattr("mmnn_pin.torque.kalman.SAMPLES", 20)  # of the prior: the time that plain Python takes
+    monkeypatch.setattr("mmnn_pin.torque.concurrent.SAMPLES", 60)
+    loop = closed(learner(name), duration=0.05 if config.DISABLE_JIT else 0.5)
+    run = loop.run()
+    found = replayed(loop, run)
+    for signal in ("psi_hat", "torque", "weight_norm"):
+        np.testing.assert_array_equal(found[signal], run[signal], signal)
+    assert found.final["memory"].tolist() == run.final["memory"].tolist()
+    assert list(found.weights) == list(run.weights)
+    for array in run.weights:
+        np.testing.assert_array_equal(found.weights[array], run.weights[array], array)
+    learned = [name for name in run.weights if name != "time"]
+    assert any(np.abs(run.weights[name][-1] - run.weights[name][0]).max() > 0 for name in learned)
 
 
 def test_a_fixed_arm_has_one_too():

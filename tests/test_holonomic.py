@@ -16,6 +16,8 @@ from mmnn_pin.experiments.config import load_experiment
 from mmnn_pin.kinematic import Kinematic, body_error, holonomic
 from mmnn_pin.loop import Loop
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Table, Trajectory, Waypoints
 from mmnn_pin.sampled import sampled_loop
@@ -25,6 +27,7 @@ from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural, TwoLayer
+from tests.learning import assert_engines_agree, assert_frozen
 
 GAINS = np.array([2.0, 3.0, 4.0])
 PATHS = {
@@ -213,3 +216,53 @@ def test_mecanum_follows_an_eight_while_it_turns(kind, engine):
     assert run["alpha"].shape[1] == 3 and run["psi_hat"].shape[1] == 5
     if kind == "computed_torque" and not config.DISABLE_JIT:
         assert np.linalg.norm(run["pose_error"][-1]) < 1e-4 < np.linalg.norm(run["pose_error"][0])
+
+
+LEARNERS = [
+    *("kalman_regressor", "kalman_bilinear", "kalman_features", "kalman_residual", "concurrent", "adaptive"),
+    *("adaptive_composite", "two_layer_composite", "two_layer_residual"),
+]
+
+
+def learning_loop(name: str, duration: float) -> Loop:
+    """A mecanum robot on an eight while it turns, learned of by a controller of the experiments, or PD."""
+    robot, small = mecanum(1), ["kalman.bilinear.hidden=3", "kalman.residual.hidden=3", "kalman.features.hidden=30"]
+    gains = ["feedback.base=[400.0, 400.0, 40.0]", "feedback.arm=5.0", "replay.pole=500.0", "concurrent.entries=20"]
+    quick = [f"kalman.{table}.state_pole=500.0" for table in ("regressor", "bilinear", "features", "residual")]
+    experiment = load_experiment("chapter4", [*small, *gains, *quick, "robust.base=0.0", "robust.arm=0.0"])
+    trajectory = Trajectory(Holonomic(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0),))
+    controller = experiment.controller(name, robot=robot)
+    return Loop(robot, trajectory, controller, timing=Timing(duration, 0.002, 0.002), start=Start(moving=True))
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_learners_of_a_holonomic_base_learn(name):
+    """Sideways motion too: the base follows better than by PD, from what was learned."""
+    short = config.DISABLE_JIT
+    run = learning_loop(name, 0.03 if short else 4.0).run()
+    assert run.outcome.status == "completed" and run["psi_hat"].shape[1] == 4
+    assert all(np.isfinite(run["psi_hat"]).ravel())
+    if not short:
+        plain = learning_loop("pd", 4.0).run()
+        late = slice(len(run) // 2, None)
+        error, of_pd = (np.sqrt(np.mean(np.asarray(r["true_z"])[late] ** 2, axis=0)) for r in (run, plain))
+        assert (error < 0.7 * of_pd).all(), error / of_pd
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_both_engines_and_fixed_weights_on_a_holonomic_base(name):
+    loop = learning_loop(name, 0.02 if config.DISABLE_JIT else 0.2)
+    assert_engines_agree(loop)
+    assert_frozen(loop)
+
+
+def test_the_regressor_of_a_holonomic_base_is_its_dynamics():
+    """`Y theta = Psi` with sideways velocities; theta from the robot, Psi from Pinocchio."""
+    robot, rng = mecanum(2).with_friction((30.0, 40.0, 5.0, 0.2, 0.1)), np.random.default_rng(0)
+    regressor, dynamics, theta = Regressor.of(robot), Dynamics(robot), parameters(robot)
+    for _ in range(20):
+        position = regressor.random_position(rng)
+        nu, nu_ref, nudot_ref = rng.standard_normal((3, 5))
+        psi = dynamics.psi(position, nu, nu_ref, nudot_ref)
+        ours = regressor.matrix(position, nu, nu_ref, nudot_ref) @ theta
+        np.testing.assert_allclose(ours, psi, rtol=0, atol=1e-10 * np.abs(psi).max())
