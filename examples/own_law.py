@@ -57,4 +57,5 @@ class LeastSquares(LearningLaw):
         Y, seen = memory["Y"], P @ memory["Y"].T
         gain = np.linalg.solve(Y @ seen + np.diag(memory["R"]), seen.T).T
         theta += gain @ (memory["torque"] - Y @ theta)
-        P -= gain @ seen.T
+        rest = np.eye(theta.size) - gain @ Y
+        memory["P"] = rest @ P @ rest.T + (gain * memory["R"]) @ gain.T  # Joseph's form: positive in spite of rounding

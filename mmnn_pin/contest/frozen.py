@@ -23,6 +23,8 @@ def frozen(controller: Any) -> Any:
 def said(loop: Loop, layout: Layout, memory: Any, rows: Array) -> Array:
     """Psi_hat of the controller of a loop, step by step along rows (N, width); (N, p) [N, N m].
 
+    It is what the weights say, before the motors' limits take of it.
+
     Args:
         loop: Of the controller, which learns from the rows unless it is frozen.
         layout: Of the rows; they may lack what the loop's rig adds.
@@ -31,4 +33,8 @@ def said(loop: Loop, layout: Layout, memory: Any, rows: Array) -> Array:
     """
     wiring = replace(loop.wiring(), layout=layout)
     stepper = Stepper(Learner(loop.controller, wiring, memory, memory, 0.0, loop.believed), memory)
-    return np.array([stepper.step(row).copy() for row in rows]).reshape(len(rows), layout.dof)
+    found = np.zeros((len(rows), layout.dof))
+    for n, row in enumerate(rows):
+        stepper.step(row)
+        found[n] = stepper.known
+    return found

@@ -81,13 +81,22 @@ class Stepper:
         self.torque.keep()
         return self.psi_hat
 
+    @property
+    def known(self) -> Array:
+        """Psi_hat of the last step as the weights say it, before the motors' limits take of it, (p,), a view."""
+        limits = self.torque.limits
+        return self.psi_hat if limits is None else limits.asked
+
 
 def said(learner: Learner, memory: Memory, rows: Array, every: int = 1) -> Array:
-    """What the weights of a memory, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p)."""
+    """What the weights of a memory, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
+
+    It is what they know: before the motors' limits take of it.
+    """
     stepper = Stepper(learner, memory.snapshot(), learning=False)
     found = np.zeros((-(-len(rows) // every), learner.wiring.layout.dof))
     for n, row in enumerate(rows):
-        psi_hat = stepper.step(row)
+        stepper.step(row)
         if n % every == 0:
-            found[n // every] = psi_hat
+            found[n // every] = stepper.known
     return found

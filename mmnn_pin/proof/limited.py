@@ -28,5 +28,5 @@ def taken(learner: Learner, rows: Array, at: IntArray) -> Array:
     for n, row in enumerate(rows):
         psi_hat = stepper.step(row)
         s = np.concatenate((row[layout.where("z")], row[layout.where("r")]))
-        found[n] = s @ (limits.asked - psi_hat)
+        found[n] = s @ (stepper.known - psi_hat)
     return found[at]
