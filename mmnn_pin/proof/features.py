@@ -17,7 +17,8 @@ from ..torque.network import numerical_rank
 from .learner import Learner, Stepper
 from .networks import Networks, seen
 from .rank import Excitation, effective_rank, excitation
-from .unknown import Unknown, unknown
+from .unknown import MOST as FEW
+from .unknown import Unknown, network_in, tangents, unknown
 
 MOST = 2000  # rows that are looked at, evenly spread
 
@@ -67,11 +68,15 @@ def features_of(learner: Learner, rows: Array) -> list[Network]:
     if isinstance(learner, Networks):
         told = seen(learner, learner.end, rows)
         return [network_of(learner, i, told.activations[i], left) for i, _ in learner.networks]
+    own = network_in(learner.controller)
+    if own is not None:  # behind a nominal model
+        found = tangents(learner, own, rows[:: -(-len(rows) // FEW)])
+        return [network_of(learner, i, one.activations, left) for i, one in found.items()]
     linear = along(learner, rows)
     return [] if linear is None else [linear_of(learner, linear.Phi, left.get("all"))]
 
 
-def network_of(learner: Networks, i: int, activations: Array, left: dict[str, Unknown]) -> Network:
+def network_of(learner: Learner, i: int, activations: Array, left: dict[str, Unknown]) -> Network:
     """Ranks and excitation of the i-th network."""
     weights = {name[0]: W for name, W in learner.controller.weights(learner.end).items() if name.endswith(str(i))}
     name = {1: "base", 2: "arm"}[i]

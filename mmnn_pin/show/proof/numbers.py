@@ -74,6 +74,7 @@ def network_dict(network: Network) -> dict[str, Any]:
         "gram_largest": number(found.largest),
         "excited_directions": found.directions,
         "undetermined": None if network.unknown is None else number(network.unknown.share),
+        "acting_units": network.unknown.acting if network.unknown is not None and network.unknown.units else None,
     }
 
 

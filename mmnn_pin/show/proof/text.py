@@ -139,6 +139,11 @@ def network_table(proof: Proof) -> Table:
     if any(network.unknown for network in networks.values()):
         shares = ("-" if n.unknown is None else f"{n.unknown.share:.0%}" for n in networks.values())
         table.add_row("left undetermined of what random motion shows", *shares)
+        acting = [
+            f"{n.unknown.acting} of {n.unknown.units}" for n in networks.values() if n.unknown and n.unknown.units
+        ]
+        if acting:
+            table.add_row("as how many its units act on random motion", *acting)
     if proof.has("ideal"):
         table.add_section()
         if isinstance(proof.ideal, Truth):
