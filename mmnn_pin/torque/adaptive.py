@@ -22,7 +22,7 @@ from . import law
 from .adaptation import Adaptation
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
-from .guess import guess_of
+from .guess import guess_of, tempo
 from .prediction import Prediction
 from .pseudo_inertia import to_matrix, to_vector
 
@@ -58,9 +58,10 @@ class Predicting(Settings, frozen=True):
 class Adapting(Settings, frozen=True):
     """How an adaptive controller learns.
 
-    The rates are in units of energy, whatever the robot: a body's estimate moves by its own size where `rate` times
-    the energy that its error does in a sample is one. Friction is measured by `c_j = 1 / (t_j K^-1 t_j')`, the feedback
-    gain that joint j with the row t_j of T feels.
+    The rates are in units of energy: a body's estimate moves by its own size where `rate` times the work that its error
+    does in a sample is one. They hold for an arm with gains of 30 N m s (the median of its joints) and are multiplied
+    with 30 N m s over its gains for another one: light arms have little energy. Friction is measured by
+    `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
 
     Args:
         rate: gamma of the pseudo-inertias [1/J].
@@ -76,8 +77,8 @@ class Adapting(Settings, frozen=True):
             experiment the one of `[nominal]`).
         mass: Masses of the guess, (base, every other body) [kg].
         size: Radii of gyration of the guess about each axis, likewise [m].
-        slowest: The guess is made lighter where a velocity would feel more inertia of it than its gain in this time
-            can handle [s]; see `torque.guess`.
+        slowest: The guess is made lighter where a velocity feels more inertia of it than this times its gain [s]; see
+            `torque.guess`.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -95,7 +96,7 @@ class Adapting(Settings, frozen=True):
     initial: Literal["guess", "nominal"] = "guess"
     mass: tuple[float, float] = (30.0, 2.0)
     size: tuple[float, float] = (0.3, 0.2)
-    slowest: float = 0.1
+    slowest: float = 0.3
 
     def __post_init__(self) -> None:
         require_gains(self, "adaptive", "rate", "viscous", "coulomb", "rotor", "leakage", "share", "friction_bound")
@@ -160,14 +161,15 @@ class Adaptive(CompiledController):
         scale, first = scales(self.regressor, K), self.regressor.inertial
         matrices = pseudo_inertias(start[:first])
         roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
-        rates = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
+        faster = tempo(K, wiring.layout.base)
+        rates = faster * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         adaptation = Adaptation(
             known=self.regressor.workspace(),
             gain=K,
             learning=self.learning,
             h=float(wiring.control_period),
             tracking=1.0 if self.predicting is None else float(self.predicting.tracking),
-            gamma=float(own.rate),
+            gamma=faster * float(own.rate),
             sigma=float(own.leakage),
             by_error=own.modification == "e",
             rho=float(own.bounds),
