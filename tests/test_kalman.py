@@ -187,8 +187,8 @@ def test_pairs_do_not_repeat(units, terms):
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_the_prior_is_what_its_docstring_says(kind):
-    """Mean variance of Psi / K over random motion: prior^2."""
-    bench = Bench(kind, prior=2.0)
+    """Mean variance of Psi / K over random motion: prior^2, where gravity has no more than its part of it."""
+    bench = Bench(kind, prior=2.0, **({} if kind == "regressor" else {"gravity": 0.0}))
     Phi = bench.controller.typical(bench.memory)
     scaled = Phi / GAINS[:, None] if bench.m == 1 else Phi
     assert np.einsum("nik,k,nik->", scaled, bench.memory["prior"], scaled) / (len(Phi) * bench.rows) == pytest.approx(4)
@@ -196,6 +196,22 @@ def test_the_prior_is_what_its_docstring_says(kind):
     np.testing.assert_allclose(bench.controller.unknown(bench.memory), 1.0)
     bench.memory["D"] *= 0.25
     np.testing.assert_allclose(bench.controller.unknown(bench.memory), 0.25)
+
+
+@pytest.mark.parametrize("kind", ["bilinear", "features", "residual"])
+def test_gravity_may_be_a_share_of_what_the_motors_give(kind):
+    """Variance of what stands there at rest, by features of a robot at rest that turns to all sides."""
+    plain, wide = Bench(kind, gravity=0.0), Bench(kind, gravity=3.0)
+    strength = np.median(machine_of(ROBOT).effort[-2:] / GAINS[-2:])
+    Phi = wide.controller.typical(wide.memory)[:, 0]
+    changed = wide.memory["prior"] != plain.memory["prior"]
+    np.testing.assert_allclose(np.mean(Phi[:, changed] ** 2 @ wide.memory["prior"][changed]), (3.0 * strength) ** 2)
+    for i in np.flatnonzero(changed):  # the constant, or what is a function that does not go away at rest
+        moving = wide.row.copy()
+        for name in ("velocity", "qdot", "nu_ref", "nudot_ref"):
+            wide.row[LAYOUT.where(name)] = 0.0
+        assert stated(wide)[i] != 0.0
+        wide.row[:] = moving
 
 
 def test_a_robot_with_many_joints_gets_no_more_features_than_allowed():

@@ -23,7 +23,7 @@ from .adaptation import Adaptation
 from .adaptive_settings import Adapting, Predicting
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
-from .guess import guess_of
+from .guess import guess_of, tempo
 from .prediction import Prediction
 from .pseudo_inertia import to_matrix, to_vector
 
@@ -89,14 +89,15 @@ class Adaptive(CompiledController):
         scale, first = scales(self.regressor, K), self.regressor.inertial
         matrices = pseudo_inertias(start[:first])
         roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
-        rates = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
+        faster = tempo(K, wiring.layout.base)
+        rates = faster * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         adaptation = Adaptation(
             known=self.regressor.workspace(),
             gain=K,
             learning=self.learning,
             h=float(wiring.control_period),
             tracking=1.0 if self.predicting is None else float(self.predicting.tracking),
-            gamma=float(own.rate),
+            gamma=faster * float(own.rate),
             sigma=float(own.leakage),
             by_error=own.modification == "e",
             rho=float(own.bounds),

@@ -14,6 +14,7 @@ from ..model.regressor import Regressor
 from ..model.tree_regressor import BODY
 from ..signals import Array
 
+GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
 SAMPLES = 100  # of random positions
 POWERS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)  # of the size in the ten numbers of a body
 
@@ -79,3 +80,16 @@ def inertia_of_bodies(regressor: Regressor, theta: Array, seed: int = 0) -> Arra
             Y = regressor.matrix(position, still, still, one)[i, :first] - gravity[i]
             felt[:, i] = np.maximum(felt[:, i], (Y * theta[:first]).reshape(count, BODY).sum(axis=1))
     return felt
+
+
+def tempo(K: Array, base: int) -> float:
+    """Factor on rates in 1/J: `GAIN` over the arm's gains, the median of the joints; 1 without an arm.
+
+    A robot that is the same but for its masses and gains, all of them a hundredth, has a hundredth of the energy in its
+    errors; with this factor it learns as fast.
+
+    Args:
+        K: (p,) feedback gains.
+        base: How many of them are of the base.
+    """
+    return GAIN / float(np.median(K[base:])) if K.size > base else 1.0

@@ -1,8 +1,8 @@
 """Every learner with its defaults on every robot of `mmnn list`, along the eight of `track`: error over PD's.
 
 For base (position) and arm (all joints together) the RMS error after 2 s over that of PD, and the largest peak torque
-over its motor's limit. Arguments are robots and controllers, none for all, and `key=value`s; docs/learners.md has the
-table. A run that is lost says when.
+over its motor's limit. Arguments are robots and controllers, none for all, and `key=value`s; `--table` prints it once
+more as the table of docs/learners.md, with "!" where a motor was asked for more than it can give.
 
     python studies/learners/robots.py so100 so101 kalman_bilinear
 """
@@ -43,34 +43,39 @@ def peak(run: Run, limits: Array) -> float:
     return float(np.max(abs(as_columns(run.recording["motor_torque"])) / limits))
 
 
-def tell(robot_name: str, controllers: tuple[str, ...], settings: list[str]) -> None:
-    """Run PD and controllers on a robot and print what they reached."""
+def tell(robot_name: str, controllers: tuple[str, ...], settings: list[str]) -> list[str]:
+    """Run PD and controllers on a robot and print what they reached; the same as the cells of a table's row."""
     experiment = load_experiment("track", [f"robot={robot_name}", *settings])
     try:
         robot = experiment.load_robot()
         loops = [experiment.loop(robot, experiment.controller(name, robot=robot)) for name in ("pd", *controllers)]
     except InputError as refused:
         print(f"{robot_name}: not run: {refused.what}", flush=True)
-        return
+        return []
     runs = simulate_many(loops, windows=(LATE,), keep=("motor_torque",))
     of_pd = errors(runs[0])
-    print(f"{robot_name}: pd: base {1e3 * of_pd[0]:.3g} mm, arm {1e3 * of_pd[1]:.3g} mrad", flush=True)
+    cells = [f"`{robot_name}`", " ".join(f"{1e3 * value:.3g}" for value in of_pd if np.isfinite(value))]
     for name, run in zip(("pd", *controllers), runs, strict=True):
-        base, arm = errors(run) / of_pd
-        outcome = run.outcome.status if run.outcome.status == "completed" else f"lost at {run.outcome.time:.2f} s"
-        most = peak(run, robot.effort_limits)
-        print(f"  {name:22s} base {base:8.3g}  arm {arm:8.3g}  torque {most:8.3g}  {outcome}", flush=True)
+        ratios, most = errors(run) / of_pd, peak(run, robot.effort_limits)
+        done = run.outcome.status == "completed"
+        parts = "  ".join(f"{part} {value:8.3g}" for part, value in zip(("base", "arm"), ratios, strict=True))
+        outcome = "completed" if done else f"lost at {run.outcome.time:.2f} s"
+        print(f"{robot_name} {name:20s} {parts}  torque {most:8.3g}  {outcome}", flush=True)
+        cells += [
+            " ".join(f"{value:.2g}" for value in ratios if np.isfinite(value)) + "!" * (most > 1) if done else "lost"
+        ]
+    return [*cells[:2], *cells[3:]]
 
 
 def main(arguments: list[str]) -> None:
     """Tell of all robots and controllers that are named."""
     settings = [text for text in arguments if "=" in text]
     controllers = tuple(text for text in arguments if text in CONTROLLERS) or NAMES
-    robots = [text for text in arguments if text not in settings and text not in CONTROLLERS] or list(
-        bundled() | extra()
-    )
-    for name in robots:
-        tell(name, controllers, settings)
+    named = [text for text in arguments if text not in (*settings, *CONTROLLERS, "--table")]
+    rows = [tell(name, controllers, settings) for name in named or (bundled() | extra())]
+    if "--table" in arguments:
+        for cells in (["robot", "PD [mm, mrad]", *controllers], ["---"] * (len(controllers) + 2), *filter(None, rows)):
+            print(f"| {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":
