@@ -22,6 +22,7 @@ def render_certificate(told: CertifiedRun, colour: bool = False, width: int = WI
     """The section on the certificate as text of at most `width` columns."""
     console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
     with console.capture() as capture:
+        console.print()
         console.print("Certificate (docs/theory.md)", style="bold", highlight=False)
         for part in parts(told):
             if isinstance(part, str):
