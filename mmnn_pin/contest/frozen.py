@@ -20,7 +20,7 @@ def frozen(controller: Any) -> Any:
     return controller if isinstance(controller, CompiledController) else None
 
 
-def said(loop: Loop, layout: Layout, memory: Any, rows: Array, limited: bool = False) -> Array:
+def said(loop: Loop, layout: Layout, memory: Any, rows: Array) -> Array:
     """Psi_hat of the controller of a loop, step by step along rows (N, width); (N, p) [N, N m].
 
     It is what the weights say, before the motors' limits take of it.
@@ -30,10 +30,8 @@ def said(loop: Loop, layout: Layout, memory: Any, rows: Array, limited: bool = F
         layout: Of the rows; they may lack what the loop's rig adds.
         memory: What it remembers, changed in place.
         rows: The rows; they are not changed.
-        limited: Within the motors' limits where the loop is; else all that it says.
     """
     wiring = replace(loop.wiring(), layout=layout)
-    wiring = wiring if limited else replace(wiring, limits=None)
     stepper = Stepper(Learner(loop.controller, wiring, memory, memory, 0.0, loop.believed), memory)
     found = np.zeros((len(rows), layout.dof))
     for n, row in enumerate(rows):

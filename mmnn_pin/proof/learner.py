@@ -56,7 +56,7 @@ class Stepper:
     Args:
         learner: The learner.
         memory: Its memory, changed in place.
-        learning: Off holds its weights fixed and asks what they say, whatever motors can give.
+        learning: Off holds its weights fixed.
 
     Attributes:
         row: (width,) the row that was stepped last, as the controller left it.
@@ -66,11 +66,10 @@ class Stepper:
     def __init__(self, learner: Learner, memory: Memory, learning: bool = True) -> None:
         layout = learner.wiring.layout
         controller = learner.controller if learning else learner.frozen()
-        wiring = learner.wiring if learning else replace(learner.wiring, limits=None)
         self.memory, self.row = memory, layout.new_row()
         self._time, self._torque = layout.where("time").start, layout.where("torque")
         self.psi_hat, self._sent = self.row[layout.where("psi_hat")], np.zeros(layout.dof)
-        self.torque = Torque(controller, wiring, self.row, learner.robot, memory)
+        self.torque = Torque(controller, learner.wiring, self.row, learner.robot, memory)
 
     def step(self, row: Array) -> Array:
         """Output at a row (width,), a view (p,) that the next step overwrites; a learner learns from it."""
