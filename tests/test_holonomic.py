@@ -239,11 +239,11 @@ def learning_loop(name: str, duration: float) -> Loop:
 def test_learners_of_a_holonomic_base_learn(name):
     """Sideways motion too: the base follows better than by PD, from what was learned."""
     short = config.DISABLE_JIT
-    run = learning_loop(name, 0.03 if short else 4.0).run()
+    run = learning_loop(name, 0.03 if short else 2.0).run()
     assert run.outcome.status == "completed" and run["psi_hat"].shape[1] == 4
     assert all(np.isfinite(run["psi_hat"]).ravel())
     if not short:
-        plain = learning_loop("pd", 4.0).run()
+        plain = learning_loop("pd", 2.0).run()
         late = slice(len(run) // 2, None)
         error, of_pd = (np.sqrt(np.mean(np.asarray(r["true_z"])[late] ** 2, axis=0)) for r in (run, plain))
         assert (error < 0.7 * of_pd).all(), error / of_pd

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import config
 from robots import fixed_arm, mobile_arm
 from test_tree import random_map, random_model
 
@@ -47,6 +49,18 @@ def worst(robot, samples=10, seed=0):
 @pytest.mark.parametrize("name", [*bundled(), "mobile", "fixed"])
 def test_the_regressor_times_the_parameters_is_psi(name):
     assert worst(robot_named(name)) < RELATIVE
+
+
+def test_threads_may_share_a_regressor():
+    """As the runs of a batch do whose controller is one and the same."""
+    regressor, rng = Regressor.of(load("platform_arm")), np.random.default_rng(0)
+    at = [
+        (regressor.random_position(rng), *rng.standard_normal((3, 4))) for _ in range(20 if config.DISABLE_JIT else 300)
+    ]
+    alone = [regressor.matrix(*one) for one in at]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(1 if config.DISABLE_JIT else 20):
+            np.testing.assert_array_equal(list(pool.map(lambda one: regressor.matrix(*one), at)), alone)
 
 
 @pytest.mark.skipif(not extra(), reason="example-robot-data is not installed")

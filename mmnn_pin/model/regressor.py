@@ -97,15 +97,18 @@ class Regressor:
     def matrix(self, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
         """Y, (p, k): `Y theta = M nudot_ref + C(q, nu) nu_ref + gravity + friction`.
 
+        Threads may share a regressor: each call works in a memory of its own.
+
         Args:
             position: (nv,) pose of the control frame and joint coordinates [m, rad].
             nu: (p,) velocities.
             nu_ref: (p,) reference velocities.
             nudot_ref: (p,) their time derivative.
         """
-        self.massless.position[:], self.massless.nu[:] = position, nu
-        regress(self.massless, np.array(nu_ref, float), np.array(nudot_ref, float))
-        return self.massless.Y.copy()
+        own = self.workspace()
+        own.position[:], own.nu[:] = position, nu
+        regress(own, np.array(nu_ref, float), np.array(nudot_ref, float))
+        return own.Y
 
     def gram(self, samples: int = 200, seed: int = 0) -> Array:
         """Mean of `Y' Y` over random states and references of unit size, (k, k)."""
