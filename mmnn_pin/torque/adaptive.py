@@ -16,13 +16,13 @@ from scipy.linalg import eigh, solve_triangular
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..model.tree_regressor import BODY
-from ..settings import Settings, plain, require_gains, require_numbers
+from ..settings import Settings, plain, require_numbers
 from ..signals import Array, Layout
 from . import law
 from .adaptation import Adaptation
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
-from .guess import guess_of, tempo
+from .guess import gains_of, guess_of, scales, tempo
 from .prediction import Prediction
 from .pseudo_inertia import to_matrix, to_vector
 
@@ -99,11 +99,8 @@ class Adapting(Settings, frozen=True):
     slowest: float = 0.3
 
     def __post_init__(self) -> None:
-        require_gains(self, "adaptive", "rate", "viscous", "coulomb", "rotor", "leakage", "share", "friction_bound")
-        for name in ("mass", "size"):
-            if not (np.isfinite(getattr(self, name)).all() and np.all(np.asarray(getattr(self, name)) > 0)):
-                raise ConfigError(f"{getattr(self, name)}", fix="use finite numbers > 0", key=f"adaptive.{name}")
-        if not (np.isfinite(self.bounds) and self.bounds > 1):
+        require_numbers(self, "adaptive", ("mass", "size", "slowest"))
+        if not self.bounds > 1:
             raise ConfigError(f"{self.bounds}", fix="use a finite ratio > 1", key="adaptive.bounds")
 
 
@@ -268,19 +265,6 @@ class Adaptive(CompiledController):
     def unit(self) -> Array:
         """The combinations of theta that matter, each of the size that random motion excites alike, (k, known)."""
         return self.regressor.unit()
-
-
-def gains_of(regressor: Regressor, feedback: Feedback) -> Array:
-    """K of the robot that a regressor belongs to, (p,)."""
-    m = regressor.massless
-    return feedback.vector(Layout(m.base, m.nu.size - m.base, m.offset.size, 0))
-
-
-def scales(regressor: Regressor, K: Array) -> Array:
-    """c_j of rotors, viscous and dry friction, (k - 10 bodies,): the gain that each of them feels."""
-    known = regressor.massless
-    joints = 1.0 / np.einsum("ki,i,ki->k", known.joints, 1.0 / K, known.joints)
-    return np.concatenate((joints, K[: known.base], joints, joints))
 
 
 def pseudo_inertias(theta: Array) -> Array:
