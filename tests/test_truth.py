@@ -42,7 +42,8 @@ from mmnn_pin.proof.proof import Proof
 from mmnn_pin.proof.subject import Subject
 from mmnn_pin.proof.truth import distances, divergence, stepped, true_parameters
 from mmnn_pin.reference import Line
-from mmnn_pin.torque.adaptive import pseudo_inertias, scales
+from mmnn_pin.torque.adaptive import pseudo_inertias
+from mmnn_pin.torque.guess import scales
 
 patient = settings(deadline=None, max_examples=25)
 seeds = st.integers(0, 2**32 - 1)
@@ -164,13 +165,14 @@ def test_the_distance_is_that_of_bodies_and_of_friction() -> None:
     theta, first = parameters(subject.robot), own.regressor.inertial
     np.testing.assert_array_equal(found.theta, theta)
     assert found.eps.max() < 1e-9 * np.abs(subject.signal("psi")).max()  # smooth friction, exact sensors
-    start = own.start()
+    start, K = own.start(), own.feedback.vector(subject.layout)
+    pace = 30.0 / np.median(K[subject.layout.base :])  # rates are those of an arm with gains of 30 N m s
     bodies = sum(
-        (r - np.log(r) - 1).sum() / own.adapting.rate
+        (r - np.log(r) - 1).sum() / (pace * own.adapting.rate)
         for P, Q in zip(pseudo_inertias(theta[:first]), pseudo_inertias(start[:first]), strict=True)
         for r in [eigvals(P, Q).real]
     )
-    rates = np.repeat([0.0, 0.01, 0.01], own.counts()) * scales(own.regressor, own.feedback.vector(subject.layout)) ** 2
+    rates = pace * np.repeat([0.0, 0.01, 0.01], own.counts()) * scales(own.regressor, K) ** 2
     error = (theta - start)[first:]
     friction = (error[rates > 0] ** 2 / (2 * rates[rates > 0])).sum()
     assert found.parts["bodies"][0] == pytest.approx(bodies) and found.parts["friction"][0] == pytest.approx(friction)

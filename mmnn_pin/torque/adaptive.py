@@ -23,7 +23,7 @@ from .adaptation import Adaptation
 from .adaptive_settings import Adapting, Predicting
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
-from .guess import guess_of, tempo
+from .guess import gains_of, guess_of, scales, tempo
 from .prediction import Prediction
 from .pseudo_inertia import to_matrix, to_vector
 
@@ -196,19 +196,6 @@ class Adaptive(CompiledController):
     def unit(self) -> Array:
         """The combinations of theta that matter, each of the size that random motion excites alike, (k, known)."""
         return self.regressor.unit()
-
-
-def gains_of(regressor: Regressor, feedback: Feedback) -> Array:
-    """K of the robot that a regressor belongs to, (p,)."""
-    m = regressor.massless
-    return feedback.vector(Layout(m.base, m.nu.size - m.base, m.offset.size, 0))
-
-
-def scales(regressor: Regressor, K: Array) -> Array:
-    """c_j of rotors, viscous and dry friction, (k - 10 bodies,): the gain that each of them feels."""
-    known = regressor.massless
-    joints = 1.0 / np.einsum("ki,i,ki->k", known.joints, 1.0 / K, known.joints)
-    return np.concatenate((joints, K[: known.base], joints, joints))
 
 
 def pseudo_inertias(theta: Array) -> Array:

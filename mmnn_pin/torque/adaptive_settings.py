@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-
 from ..errors import ConfigError
-from ..settings import Settings, require_gains, require_numbers
+from ..settings import Settings, require_numbers
 
 
 class Predicting(Settings, frozen=True):
@@ -78,9 +76,6 @@ class Adapting(Settings, frozen=True):
     slowest: float = 0.3
 
     def __post_init__(self) -> None:
-        require_gains(self, "adaptive", "rate", "viscous", "coulomb", "rotor", "leakage", "share", "friction_bound")
-        for name in ("mass", "size"):
-            if not (np.isfinite(getattr(self, name)).all() and np.all(np.asarray(getattr(self, name)) > 0)):
-                raise ConfigError(f"{getattr(self, name)}", fix="use finite numbers > 0", key=f"adaptive.{name}")
-        if not (np.isfinite(self.bounds) and self.bounds > 1):
+        require_numbers(self, "adaptive", ("mass", "size", "slowest"))
+        if not self.bounds > 1:
             raise ConfigError(f"{self.bounds}", fix="use a finite ratio > 1", key="adaptive.bounds")

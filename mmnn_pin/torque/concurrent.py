@@ -16,11 +16,10 @@ from ..model.regressor import Regressor
 from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, Layout
 from . import law
-from .adaptive import gains_of, scales
 from .adaptive_settings import Adapting
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
-from .guess import guess_of, sizes_of
+from .guess import gains_of, guess_of, scales, sizes_of
 from .history import scratch, shapes
 from .recall import History
 

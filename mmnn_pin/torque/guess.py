@@ -12,7 +12,8 @@ import numpy as np
 
 from ..model.regressor import Regressor
 from ..model.tree_regressor import BODY
-from ..signals import Array
+from ..signals import Array, Layout
+from .controller import Feedback
 
 GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
 SAMPLES = 100  # of random positions
@@ -93,3 +94,16 @@ def tempo(K: Array, base: int) -> float:
         base: How many of them are of the base.
     """
     return GAIN / float(np.median(K[base:])) if K.size > base else 1.0
+
+
+def gains_of(regressor: Regressor, feedback: Feedback) -> Array:
+    """K of the robot that a regressor belongs to, (p,)."""
+    m = regressor.massless
+    return feedback.vector(Layout(m.base, m.nu.size - m.base, m.offset.size, 0))
+
+
+def scales(regressor: Regressor, K: Array) -> Array:
+    """c_j of rotors, viscous and dry friction, (k - 10 bodies,): the gain that each of them feels."""
+    known = regressor.massless
+    joints = 1.0 / np.einsum("ki,i,ki->k", known.joints, 1.0 / K, known.joints)
+    return np.concatenate((joints, K[: known.base], joints, joints))
