@@ -322,7 +322,7 @@ def test_pushes_count_as_the_disturbance() -> None:
 @compiled_only
 def test_the_command_tells_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "run.h5"
-    loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.3).run(file)
+    loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.1).run(file)
     assert main(["prove", str(file), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["certificate"]
     assert told["applies"] and told["holds"] and told["run"]["stays"] and told["rate"]["stable"]
@@ -339,7 +339,7 @@ def test_the_command_tells_all_of_it(tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_a_region_and_forces_may_be_asked_for(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A box just inside the one found is certified, not with a force beyond what it stands, nor a tiny box."""
     file = tmp_path / "run.h5"
-    loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.3).run(file)
+    loop_of(Start((0.01, 0.01, 0.0), moving=True), 0.04).run(file)
 
     def told(*options: str) -> dict:
         assert main(["prove", str(file), "--json", *options]) == 0

@@ -155,7 +155,9 @@ def test_friction_in_numpy_is_that_of_the_adaptive_law(kind: str) -> None:
     """With masses that are known (rate 0, no bodies' part) what is left of it is a gradient with clipping."""
     K, regressor = feedback(robot_of_kind(kind), 0.002), Regressor.of(robot_of_kind(kind))
     known = parameters(robot_of_kind(kind)) + np.where(np.arange(regressor.size) < regressor.inertial, 0.0, 0.1)
-    theirs = Adaptive(regressor, K, Adapting(rate=0.0, share=1e9, friction_bound=1e9, initial="nominal"), known)
+    slower = float(np.median(K.arm)) / 30.0  # the rates of `Adapting` are those of an arm with gains of 30 N m s
+    adapting = Adapting(rate=0.0, viscous=slower, coulomb=10 * slower, share=1e9, friction_bound=1e9, initial="nominal")
+    theirs = Adaptive(regressor, K, adapting, known)
     masses = theirs.start().copy()
 
     class WithMasses(Friction):
