@@ -10,10 +10,7 @@ from mmnn_pin import LearningLaw, Memory
 
 
 class LeastSquares(LearningLaw):
-    """Knows how the robot moves and learns what it weighs: `Psi_hat = Y theta`; P is the covariance of theta.
-
-    Two errors teach theta (Slotine and Li 1989, Automatica 25(4)): s, and filtered torque against what theta says.
-    """
+    """Learns what the robot weighs, `Psi_hat = Y theta`, from s and filtered torque (Slotine, Li 1989, Automatica 25(4))."""
 
     pole: float = 5.0  # of the low-pass [1/s]
     noise: float = 1e-3  # of the velocities [m/s, rad/s], as torque through the feedback
@@ -23,7 +20,7 @@ class LeastSquares(LearningLaw):
     learned = ("theta",)  # the weights among the parts of the memory
 
     def init(self, wiring):
-        """Everything from zero; the covariance as large as the prior says."""
+        """Everything from zero; P, the covariance of theta, as large as the prior says."""
         n, p, k = wiring.layout.arm, wiring.layout.dof, wiring.regressor.size
         memory = Memory.of(theta=(k,), P=(k, k), Y=(p, k), torque=(p,), R=(p,), last=(n + p,))
         memory["P"] = self.prior**2 * np.eye(k)
