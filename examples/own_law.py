@@ -10,7 +10,7 @@ from mmnn_pin import LearningLaw, Memory
 
 
 class LeastSquares(LearningLaw):
-    """Learns what the robot weighs, `Psi_hat = Y theta`, from s and filtered torque (Slotine, Li 1989, Automatica 25(4))."""
+    """Learns the masses, `Psi_hat = Y theta`, from s and filtered torque (Slotine and Li 1989, Automatica 25(4))."""
 
     pole: float = 5.0  # of the low-pass [1/s]
     noise: float = 1e-3  # of the velocities [m/s, rad/s], as torque through the feedback
