@@ -366,7 +366,7 @@ def test_a_cell_tells_the_median_and_the_spread():
     assert cell([1.0, 3.0, 2.0]).plain == "2.00\n±50 %"
     assert cell([2.0, 2.001, 2.002]).plain == "2.00"
     assert cell([1.0, 3.0]).plain == "2.00\n±50 %"
-    assert cell([1.0, math.inf, 2.0], "never").plain == "2.00\n1.00 to never"
+    assert cell([1.0, math.inf, 2.0], "never").plain == "2.00\n(1.00 to never)"
     assert cell([1.0, math.nan]).plain == "-" and cell([90.0, 120.0, 130.0], above=100.0).style == "bold red"
 
 

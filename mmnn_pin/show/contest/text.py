@@ -97,7 +97,7 @@ def cell(values: Sequence[float], infinite: str = "-", above: float = math.inf) 
     low, mid, high = ordered[0], median(ordered), ordered[-1]
     text = word(mid, infinite)
     if not math.isfinite(high):
-        text += f"\n{word(low, infinite)} to {infinite}" * (low < high)
+        text += f"\n({word(low, infinite)} to {infinite})" * (low < high)
     elif mid > 0 and high - low >= 0.02 * mid:
         text += f"\n±{50 * (high - low) / mid:.0f} %"
     return Text(text, style="bold red" if mid > above else "")
