@@ -7,6 +7,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -26,8 +27,9 @@ from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.experiments.cases import chosen_cases
 from mmnn_pin.experiments.config import load_experiment, recorded_experiment
 from mmnn_pin.experiments.contest import Contest, Targets
+from mmnn_pin.loop import Loop
 from mmnn_pin.model.regressor import Regressor
-from mmnn_pin.recording import Recording
+from mmnn_pin.recording import Outcome, Recording
 from mmnn_pin.reference import Eight
 from mmnn_pin.show.contest.text import cell, render
 
@@ -224,6 +226,12 @@ def test_it_goes_on_where_it_was_stopped(standing, tmp_path, monkeypatch):
     second = run_contest(quick(), "contest", out=tmp_path)
     assert done[3:] == ["adaptive", "computed_torque"] and second.completed
     assert plain(second.rows) == plain(standing.rows)
+
+
+def test_ctrl_c_ahead_of_the_first_run_is_no_error_of_a_trajectory(monkeypatch):
+    monkeypatch.setattr(Loop, "run", lambda loop: SimpleNamespace(outcome=Outcome("interrupted", 0.0)))
+    with pytest.raises(KeyboardInterrupt):
+        _ = tasks_of(quick(), NAMES)[0].rows
 
 
 def test_ctrl_c_within_a_batch_drops_what_was_under_way(monkeypatch):

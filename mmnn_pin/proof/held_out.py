@@ -157,6 +157,7 @@ def recorded_under_computed_torque(
 
     Raises:
         RecordingError: It is lost on the way.
+        KeyboardInterrupt: Ctrl-C on the way.
     """
     timing = msgspec.structs.replace(timing, duration=wanted.duration, sensor_period=None)
     loop = Loop(
@@ -169,6 +170,8 @@ def recorded_under_computed_torque(
         check_gains=False,
     )
     run = loop.run()
+    if run.outcome.status == "interrupted":
+        raise KeyboardInterrupt
     if run.outcome.status != "completed":
         raise RecordingError(
             "no held-out trajectory", why=f"computed torque does not get through: {run.outcome.message}"
