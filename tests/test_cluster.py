@@ -13,6 +13,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from ipaddress import IPv4Address
 from pathlib import Path
 
 import msgspec
@@ -39,7 +40,9 @@ import cloudpickle
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 
 ROOT = Path(__file__).parents[1]
-NETWORK, OUTSIDE, INSIDE = f"mmnn{os.getpid() % 10000}", "10.213.7.1", "10.213.7.2"
+NETWORK = f"mmnn{os.getpid()}"
+# Four addresses of its own for every process, so that runs at the same time do not take each other's way.
+OUTSIDE, INSIDE = (str(IPv4Address("10.213.0.0") + 4 * (os.getpid() % 2**14) + i) for i in (1, 2))
 QUIET = {"DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
@@ -54,16 +57,26 @@ def started(folder: Path, *command: str, within: str | None) -> subprocess.Popen
     return subprocess.Popen([*inside, *program], cwd=folder, env=environment, stdout=log, stderr=log, text=True)
 
 
+def left_behind() -> list[str]:
+    """Networks whose process was killed before it could take them down."""
+    if not shutil.which("ip"):
+        return []
+    listed = subprocess.run(["ip", "netns"], capture_output=True, text=True).stdout
+    return [name for name, pid in re.findall(r"^(mmnn(\d+))\b", listed, re.M) if not Path(f"/proc/{pid}").exists()]
+
+
 @contextlib.contextmanager
 def network() -> Iterator[str | None]:
     """A network namespace joined to this one by a pair of virtual cables; None where the machine allows none."""
+    for left in left_behind():
+        subprocess.run(["ip", "netns", "del", left], capture_output=True)
     steps = (
         f"ip netns add {NETWORK}",
         f"ip link add {NETWORK}a type veth peer name {NETWORK}b",
         f"ip link set {NETWORK}b netns {NETWORK}",
-        f"ip addr add {OUTSIDE}/24 dev {NETWORK}a",
+        f"ip addr add {OUTSIDE}/30 dev {NETWORK}a",
         f"ip link set {NETWORK}a up",
-        f"ip netns exec {NETWORK} ip addr add {INSIDE}/24 dev {NETWORK}b",
+        f"ip netns exec {NETWORK} ip addr add {INSIDE}/30 dev {NETWORK}b",
         f"ip netns exec {NETWORK} ip link set {NETWORK}b up",
         f"ip netns exec {NETWORK} ip link set lo up",
     )
