@@ -14,7 +14,21 @@ from proofs import SLOW, learner, subject_of
 from proofs import loop_of as small_loop
 from scipy.optimize import differential_evolution
 
-from mmnn_pin import PD, Feedback, Hold, Line, Loop, Neural, Start, Timing, TorqueController, Trajectory, TwoLayer, load
+from mmnn_pin import (
+    PD,
+    Feedback,
+    Hold,
+    Line,
+    Loop,
+    Neural,
+    Safety,
+    Start,
+    Timing,
+    TorqueController,
+    Trajectory,
+    TwoLayer,
+    load,
+)
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Push
 from mmnn_pin.kinematic import Kinematic
@@ -71,6 +85,19 @@ def test_a_projection_bounds_what_no_leakage_does() -> None:
     loop, box = learner_loop(kappa=0.0), Box(0.08, 0.1, 0.03)
     assert not np.isfinite(Boxes(loop, box).networks[1].W)
     assert Boxes(replace(loop, projection=0.2), box).networks[1].W == 0.2
+
+
+@pytest.mark.parametrize(("own", "supervisor"), [(None, None), (3.0, None), (None, 4.0), (3.0, 4.0), (3.0, 1e4)])
+def test_of_a_learners_projection_and_a_supervisors_the_smaller_counts(own, supervisor) -> None:
+    """In a run without leakage, whose weights stay within."""
+    learning = replace(controller(kappa=0.0), projection=own)
+    safety = None if supervisor is None else Safety(weights=supervisor)
+    run = loop_of(Start(moving=True), 0.01, controller=learning, safety=safety).run()
+    found = Boxes(certified_loop(Subject.of(run)), Box(0.08, 0.1, 0.03)).networks[1]
+    radius = (own or np.inf) * 0.1 * learning.feedback_gain(certified_robot().layout)[:2].max()
+    least = min(radius, supervisor or np.inf)
+    assert least == found.W and found.why == ("projection" if np.isfinite(least) else "nothing: there is no leakage")
+    assert np.linalg.norm(run.weights["W1"][-1]) <= least
 
 
 def test_on_the_faces_of_the_region_the_worst_velocity_error_pulls_inward() -> None:

@@ -68,6 +68,7 @@ SETTINGS = {
     "per second": {"rates": "per_second"},
     "scaled": {"inertia": "yes"},
     "no leakage": {"leakage": False},
+    "projected": {"projection": 0.9},
     "hidden weights fixed": {"network": TwoLayer(hidden=6, F=(2.0, 1.0), G=(0.0, 0.0), kappa=0.3, v_range=0.5)},
 }
 
@@ -90,11 +91,12 @@ def test_the_weights_part_changes_exactly_as_its_terms_say(which: str, what: str
     error = (s * (subject.signal("psi") - subject.signal("psi_hat"))).sum(axis=1)
     change = np.diff(found.value) / PERIOD
     leakage, remainder, step = found.terms["leakage"], found.terms["remainder"], found.arrived["step"]
-    expected = (leakage + remainder - error)[:-1] + step[1:]
+    projection = found.arrived["projection"]
+    expected = (leakage + remainder - error)[:-1] + (step + projection)[1:]
     np.testing.assert_allclose(change, expected, rtol=1e-7, atol=1e-9 * np.abs(expected).max())
     assert found.missed == 0.0 and np.abs(change).max() > 1e-6
     assert leakage.any() == (what != "no leakage") and remainder.any() and (step >= 0).all()
-    assert not found.arrived["prediction"].any()
+    assert not found.arrived["prediction"].any() and projection.any() == (what == "projected")
 
 
 def test_the_remainder_is_what_the_thesis_calls_w() -> None:
@@ -119,9 +121,10 @@ def test_the_remainder_is_what_the_thesis_calls_w() -> None:
     np.testing.assert_allclose(psi - psi_hat, linear + w, rtol=1e-9, atol=1e-9)
 
 
-def test_appendix_b_updates_before_the_output() -> None:
+@pytest.mark.parametrize("projection", [None, 0.9])
+def test_appendix_b_updates_before_the_output(projection: float | None) -> None:
     """The weights of a sample are those after its step; `hold` takes what the order does."""
-    controller = learner("differential", update="before_output")
+    controller = learner("differential", update="before_output", projection=projection)
     subject = Subject.of(loop_of("differential", controller, duration=DURATION).run())
     one = subject.networks
     assert one is not None
@@ -131,6 +134,22 @@ def test_appendix_b_updates_before_the_output() -> None:
     found = network_part(one, ideal, subject.rows, np.array([len(subject.rows) - 1]))
     assert found.value[0] == pytest.approx(end) and v.missed == 0.0
     np.testing.assert_allclose(np.sum(list(v.terms.values()), axis=0), v.measured, rtol=1e-9, atol=1e-9)
+    assert v.terms["projection"].any() == (projection is not None)
+
+
+@pytest.mark.parametrize("update", ["after_output", "before_output"])
+def test_a_projection_never_raises_v_for_ideal_weights_within_it(update: str) -> None:
+    """Any weights within the bound will do, not only a fit."""
+    controller = learner("differential", update=update, projection=0.9)
+    subject = Subject.of(loop_of("differential", controller, duration=DURATION).run())
+    one, rng = subject.networks, np.random.default_rng(0)
+    assert one is not None
+    ideal = ideal_weights(subject, one)
+    for i, found in ideal.items():
+        W, V = (0.9 * rng.uniform() * A / np.linalg.norm(A) for A in (found.W, found.V))
+        ideal[i] = replace(found, W=W, V=V)
+    term = network_part(one, ideal, subject.rows, np.arange(len(subject.rows))).arrived["projection"]
+    assert (term <= 1e-12 * np.abs(term).max()).all() and (term < 0).sum() > 5
 
 
 def weigh(one, ideal, i: int) -> float:

@@ -19,6 +19,7 @@ from mmnn_pin.torque.network import (
     numerical_rank,
     one_layer_output,
     one_layer_update,
+    project,
     two_layer_output,
     two_layer_update,
 )
@@ -247,6 +248,32 @@ def test_leakage_pulls_by_kappa_times_the_error_and_bounds_the_weights() -> None
         norms[kappa] = np.linalg.norm(m.W)
     assert norms[1.0] < 5
     assert norms[0.0] > 10 * norms[1.0]
+
+
+@patient
+@given(seeds, st.floats(0.01, 10.0), st.floats(0.0, 10.0))
+def test_the_projection_comes_closer_to_every_point_of_the_ball(seed: int, radius: float, size: float) -> None:
+    """It is the nearest point of the ball; a difference of two norms as second answer to what the proof needs of it."""
+    rng = np.random.default_rng(seed)
+    A, ideal = rng.standard_normal((2, 4, 3))
+    A *= size / np.linalg.norm(A)
+    ideal *= radius * rng.uniform() / np.linalg.norm(ideal)
+    after = A.copy()
+    project(after, radius)
+    np.testing.assert_allclose(after, A * min(1.0, radius / size) if size > 0 else A, rtol=1e-12)
+    assert np.linalg.norm(after) <= radius * (1 + 1e-12)
+    assert np.linalg.norm(ideal - after) <= np.linalg.norm(ideal - A) * (1 + 1e-12)
+
+
+def test_the_projection_has_an_end_whatever_comes() -> None:
+    for bad in (np.nan, np.inf, 1e200):
+        A = np.array([[bad, 1.0]])
+        with np.errstate(over="ignore"):
+            project(A, 2.0)
+        assert np.linalg.norm(A) <= 2.0
+        B = np.array([[bad, 1.0]])
+        project(B, np.inf)
+        np.testing.assert_array_equal(B, [[bad, 1.0]])
 
 
 def test_no_error_no_learning() -> None:

@@ -76,6 +76,38 @@ def test_without_learning_the_weights_stay():
     assert run.meta["controller_settings"]["model"]["robot"]
 
 
+@pytest.mark.parametrize("name", ["two_layer_residual", "two_layer", "one_layer"])
+def test_a_projection_bounds_the_weights_at_every_sample(name):
+    """Rates a hundred times too large and no leakage; both engines, and a run that never gets there as it was."""
+    wild = ["two_layer.F=[100.0,20.0]", "two_layer.G=[100.0,20.0]", "one_layer.beta=[50.0,50.0]"]
+    loop = made(name, *wild, "learning.leakage=false", "learning.projection=0.5")
+    runs = [replace(loop, engine=engine).run() for engine in ("compiled", "ordinary")]
+    np.testing.assert_allclose(runs[0]["torque"], runs[1]["torque"], rtol=1e-9, atol=1e-9)
+    network = loop.controller.own if isinstance(loop.controller, Residual) else loop.controller
+    memory = network.init(loop.wiring())
+    memory.values[:] = runs[0].final["memory"]
+    sizes = {name: np.linalg.norm(W) for name, W in network.weights(memory).items()}
+    gain = 0.1 * network.feedback_gain(loop.robot.layout) / network.network_scales(loop.robot.layout)[1]
+    bounds = {"W1": 0.5 * gain[:2].max(), "V1": 0.5, "W2": 0.5 * gain[2:].max(), "V2": 0.5}
+    shares = [size / bounds[name] for name, size in sizes.items()]
+    assert max(shares) == pytest.approx(1.0)
+    assert any("ended on the bound of learning.projection" in told for told in network.findings(memory))
+    most = [np.hypot(bounds[f"W{i}"], bounds[f"V{i}"] * ("V1" in sizes)) for i in (1, 2)]
+    assert (runs[0]["weight_norm"][1:] <= np.array(most) * (1 + 1e-12)).all()  # the first output is of the start
+    wide, free = (made(name, f"learning.projection={bound}").run() for bound in (1e9, 1e12))
+    np.testing.assert_array_equal(wide["torque"], free["torque"])
+
+
+def test_a_network_on_a_model_has_a_bound_unless_told():
+    assert made("two_layer_residual").controller.own.projection == 100.0
+    assert made("two_layer_residual", "learning.projection=7.0").controller.own.projection == 7.0
+    assert made("two_layer").controller.projection is None
+    for bad in ("0.0", "-1.0", "nan", "inf"):
+        with pytest.raises(ConfigError) as error:
+            made("two_layer_residual", f"learning.projection={bad}")
+        assert error.value.key == "learning.projection"
+
+
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
 def test_the_network_makes_up_for_wrong_masses():
     def late(name):

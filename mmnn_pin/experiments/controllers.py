@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Literal
 
-from ..settings import Settings
+from ..settings import Settings, require_numbers
 from ..torque.neural import Robust
 
 # PD at a learner's effective gain: the learner whose gain it takes, see also `effective`.
@@ -70,8 +70,14 @@ class Learning(Settings, frozen=True):
         learning: Off keeps the initial weights.
         leakage: Off drops the e-modification.
         robust_term: Off drops the robust term (3.50).
+        projection: Bound on |W|_F in units (what the feedback answers to 0.1 m/s or rad/s) and on |V|_F of every
+            network: larger ones are scaled back onto it. Without it 100 for `two_layer_residual` and none for the
+            thesis's networks; `two_layer_composite` has `replay.bound`.
         within_limits: Whether robust term and Psi_hat take of every motor's limit only what the feedback leaves, of all
             controllers; without it of the learners beyond the thesis, not of its networks.
+
+    Raises:
+        ConfigError: A projection that is not above 0 or not finite.
     """
 
     rates: Literal["per_sample", "per_second"] = "per_sample"
@@ -79,4 +85,8 @@ class Learning(Settings, frozen=True):
     learning: bool = True
     leakage: bool = True
     robust_term: bool = True
+    projection: float | None = None
     within_limits: bool | None = None
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "learning", ("projection",))

@@ -10,7 +10,7 @@ from ..torque.composite import CompositeNetwork
 from ..torque.controller import CompiledController, Feedback, TorqueController
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
 from ..torque.neural import Neural, Robust
-from ..torque.residual import Residual
+from ..torque.residual import PROJECTION, Residual
 from .adaptive import adaptive_controller, concurrent_learner
 from .controllers import EFFECTIVE, KALMAN
 from .kalman import kalman_controller
@@ -59,7 +59,12 @@ def new_controller(
             )
         case "two_layer_residual":
             believed = nominal_robot(experiment.nominal, robot, experiment.overrides)
-            return Residual(networks(experiment, name, feedback, robust, inertia), believed, learning)
+            return Residual(
+                networks(experiment, name, feedback, robust, inertia),
+                believed,
+                learning,
+                PROJECTION if experiment.learning.projection is None else experiment.learning.projection,
+            )
         case _:
             return networks(experiment, name, feedback, robust, inertia)
 
@@ -86,5 +91,6 @@ def networks(experiment: Experiment, name: str, feedback: Feedback, robust: Robu
         learning=switches.learning,
         leakage=switches.leakage,
         update=switches.update,
+        projection=switches.projection,
         called=name,
     )

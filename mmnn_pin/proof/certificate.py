@@ -164,7 +164,7 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     yield Condition("speed", loop.pose.slowest, 0.0, "slowest speed of the reference [m/s]", "above")
     for i, network in boxes.networks.items():
         name = {1: "base", 2: "arm"}[i]
-        if loop.projection is None:
+        if not network.projected:
             leak = max(network.leak, network.leak_V)
             yield Condition(f"leakage, {name}", leak, 2.0, "kappa F |s| per sample, also with G")
         yield Condition(f"weights, {name}", network.norm, math.inf, f"|Z| has a bound, by {network.why}")

@@ -37,7 +37,7 @@ class CertifiedLoop:
         gain: (p,) constant gain on s: k [N s/m, N m s].
         learner: Networks and robust term; None for PD.
         disturbance: (p,) largest external force on nu [N, N m].
-        projection: Largest norm that the weights are scaled back to, None without.
+        projection: Largest norm that a supervisor scales the weights back to, None without.
         supervisor: Limits that the loop must not pass; None without.
         drift: Speed [m/s] and yaw rate [rad/s] at which the reference's poses leave its velocities, at most.
         spread: (n,) largest arm error looked at [rad or m].

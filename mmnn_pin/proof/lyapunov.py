@@ -33,6 +33,7 @@ TERMS = {
     "prediction": "filtered torque or kept samples teach the weights, as far as they tell the truth",
     "noise": "what filtered torque has wrong: sensors, motors, what the ideal weights leave",
     "memory": "what was learned counts less, or a stack of equations changes",
+    "projection": "weights beyond learning.projection are scaled back: never up with ideal weights within it",
     "own": "what the law does beside W' = Gamma Phi' s",
     "remainder": "s' w: what of Psi - Psi_hat no update of the weights cancels",
     "sensors": "the controller's s is not the true one",

@@ -13,12 +13,15 @@ the update cancels all but `s' w + kappa |s| tr(Zt' Z)` (3.54). A network on a n
 `Psi - Psi_0` in the place of Psi, and nothing else changes. One that also learns from filtered torque
 (`two_layer_composite`) moves its weights a second time in every sample: what that does to the part is the term
 `prediction`, the difference of the part before and after, of either sign, as the prediction error is not linear in V.
+Where weights are scaled back onto a bound (`Neural.projection`), that difference is the term `projection`: the same
+sample once more without the bound tells it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -111,14 +114,15 @@ def network_part(
     stepper = Stepper(learner, learner.start.snapshot())
     memory, first = stepper.memory, controller.update == "before_output"
     networks = {i: Network.of(learner, i, part, ideal[i]) for i, part in learner.networks}
-    replayed = Replayed.of(stepper)
+    replayed, unbounded = Replayed.of(stepper), Unbounded.of(learner)
     psi, recorded = layout.where("psi"), rows[:, layout.where("psi_hat")]
     largest = float(np.abs(recorded).max())
     wanted, missed = set(at.tolist()), 0.0
-    value, leakage, remainder, step, prediction = np.zeros((5, len(at)))
+    value, leakage, remainder, step, prediction, projection = np.zeros((6, len(at)))
     weights = views(networks, memory)
     seen = {i: (memory[f"sigma{i}"], memory["x"], memory[f"s{i}"]) for i in networks}
     before = copied(weights)
+    free: Weights | None = None
     k = 0
     for n, row in enumerate(rows):
         # weights that this sample's output uses: those from before the step, or from after it (Appendix B); those of
@@ -126,12 +130,16 @@ def network_part(
         look = n in wanted
         moved = copied(weights)
         used = moved if replayed is None or first else replayed.step(row, memory, networks)
+        arrived, free = free, None
+        if unbounded is not None and (n if first else n + 1) in wanted:
+            free = unbounded.step(row, memory, networks)
         psi_hat = stepper.step(row)
         missed = float(np.maximum(missed, np.abs(psi_hat - recorded[n]).max()))
         if missed > LOST * largest:  # these are not the weights of the run
             break
         if first and (look or n + 1 in wanted):
             used = copied(weights)
+            arrived = free
         if look:
             for i, network in networks.items():
                 W, V = used[i]
@@ -142,15 +150,43 @@ def network_part(
                 leakage[k] += left[0]
                 remainder[k] += left[1]
                 end = moved[i] if not first else used[i]
-                step[k] += network.step(*end, *before[i]) / h
+                taken = end if arrived is None else arrived[i]
+                step[k] += network.step(*taken, *before[i]) / h
+                projection[k] += (network.value(*end) - network.value(*taken)) / h
                 prediction[k] += (network.value(W, V) - network.value(*end)) / h
             k += 1
         before = used
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
     missed = missed if np.isfinite(missed) else np.inf
-    terms, arrived = {"leakage": leakage, "remainder": remainder}, {"step": step, "prediction": prediction}
-    return WeightsPart(value, terms, arrived, missed / largest if largest else missed)
+    terms, led = {"leakage": leakage, "remainder": remainder}, {"step": step, "prediction": prediction}
+    return WeightsPart(value, terms, {**led, "projection": projection}, missed / largest if largest else missed)
+
+
+@dataclass(frozen=True, eq=False)
+class Unbounded:
+    """A learner whose weights are bounded by a projection, stepped without it.
+
+    Attributes:
+        stepper: The learner without it.
+    """
+
+    stepper: Stepper
+
+    @classmethod
+    def of(cls, learner: Networks) -> Unbounded | None:
+        """None for a learner without a projection."""
+        if learner.own.projection is None:
+            return None
+        controller: Any = learner.controller
+        free = replace(learner, controller=replace(controller, projection=None))
+        return cls(Stepper(free, learner.start.snapshot()))
+
+    def step(self, row: Array, memory: Memory, networks: dict[int, Network]) -> Weights:
+        """The weights after a row, from the memory before its step."""
+        self.stepper.memory.values[:] = memory.values
+        self.stepper.step(row)
+        return copied(views(networks, self.stepper.memory))
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,7 @@ class WeightsBound:
         V: Largest |V|_F of hidden weights that learn; 0 where they are fixed.
         output: (m,) largest |Psi_hat| [N, N m].
         why: What holds the weights, in words.
+        projected: Whether a projection does, whatever `leak` is.
     """
 
     leak: float
@@ -40,6 +41,7 @@ class WeightsBound:
     V: float
     output: Array
     why: str
+    projected: bool = False
 
     @property
     def norm(self) -> float:
@@ -55,7 +57,7 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
         i: Which network.
         s: (p,) largest |s_i| at any control sample.
         x: Largest norm of the networks' input; may be inf.
-        projection: Largest norm that every array of weights is scaled back to, None without one.
+        projection: Largest norm that a supervisor scales every array of weights back to, None without one.
     """
     controller, layout = learner.own, learner.wiring.layout
     part = dict(learner.networks)[i]
@@ -72,11 +74,13 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
     W = max(W0, growth(leak) * hidden / kappa) if kappa > 0 else math.inf
     V = max(V0, growth(leak_V) * x * W / (4 * kappa)) if kappa > 0 else math.inf
     why = "e-modification" if kappa > 0 else "nothing: there is no leakage"
-    if projection is not None:
-        W, V = min(W, max(W0, projection)), min(V, max(V0, projection))
+    radii = [min(radius, math.inf if projection is None else projection) for radius in controller.radii(layout)[i]]
+    projected = math.isfinite(radii[0])
+    if projected:
+        W, V = min(W, max(W0, radii[0])), min(V, max(V0, radii[1]))
         why = f"{why}, projection" if kappa > 0 else "projection"
     output = scale_out * W * hidden
-    return WeightsBound(leak, leak_V, W, V * two_layer if two_layer else 0.0, output, why)
+    return WeightsBound(leak, leak_V, W, V * two_layer if two_layer else 0.0, output, why, projected)
 
 
 def growth(y: float) -> float:

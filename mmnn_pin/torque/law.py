@@ -14,6 +14,7 @@ from .network import (
     hidden_input,
     one_layer_output,
     one_layer_update,
+    project,
     two_layer_output,
     two_layer_update,
 )
@@ -27,9 +28,9 @@ CONSTANT_GAIN, SCHEDULED_GAIN, TWO_LAYER, ONE_LAYER = 0, 1, 2, 3  # kinds of law
 # a model is added, nx rows of x
 NX, LEARNING, ORDER, HIDDEN, MODEL, ROWS = 0, 1, 2, 3, 5, 6
 OUTPUT_FIRST, UPDATE_FIRST = 0, 1
-# settings of a network controller: dt, per network (rate of W, rate of V or width, leakage, ZB), k (p), Kz (p), what
-# the networks' s and torque are multiplied with (p, p), scale of the input (nx), offset of the input (nx)
-DT, RATES, PER_NETWORK, GAINS = 0, 1, 4, 9
+# settings of a network controller: dt, per network (rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|),
+# k (p), Kz (p), what the networks' s and torque are multiplied with (p, p), scale of the input (nx), offset of it (nx)
+DT, RATES, PER_NETWORK, GAINS = 0, 1, 6, 13
 
 
 @compiled
@@ -148,14 +149,20 @@ def one_network(
     if kind == ONE_LAYER:
         if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
             one_layer_update(W, sigma, s, rates[0], rates[2], dt)
+            project(W, rates[4])
         norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
         if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
             one_layer_update(W, sigma, s, rates[0], rates[2], dt)
+            project(W, rates[4])
         return norm
     if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
         hidden_input(V, x, net)
         two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
+        project(W, rates[4])
+        project(V, rates[5])
     norm = two_layer_output(W, V, x, net, sigma, psi_hat)
     if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
         two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
+        project(W, rates[4])
+        project(V, rates[5])
     return norm

@@ -157,6 +157,32 @@ def one_layer_update(W: Array, phi: Array, s: Array, beta: float, mu: float, dt:
             W[j, i] += dt * beta * (phi[j] * s[i] - leak * W[j, i])
 
 
+@compiled
+def project(A: Array, radius: float) -> None:
+    """A onto the ball |A|_F <= radius, in place; inf leaves it as it is.
+
+    The nearest point of a ball is not farther from any point within it, so with ideal weights there
+    `tr(Wt' F^-1 Wt)` never grows by it (projection of adaptive control: Ioannou and Sun 1996, Robust Adaptive Control).
+    """
+    if radius < math.inf:
+        square = 0.0
+        for i in range(A.shape[0]):
+            for j in range(A.shape[1]):
+                square += A[i, j] * A[i, j]
+        shrink(A, square, radius)
+
+
+@compiled
+def shrink(A: Array, square: float, radius: float) -> None:
+    """A into a ball, given the square of its norm there; zero where that is no number."""
+    if square <= radius * radius:
+        return
+    share = radius / math.sqrt(square) if math.isfinite(square) else 0.0
+    for i in range(A.shape[0]):
+        for j in range(A.shape[1]):
+            A[i, j] = share * A[i, j] if share > 0.0 else 0.0
+
+
 def numerical_rank(W: Array, tolerance: float = 1e-9) -> int:
     """Number of singular values above `tolerance` times the largest; 0 for a zero matrix.
 

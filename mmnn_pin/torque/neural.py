@@ -5,6 +5,7 @@ The networks see measured and commanded signals only; this module never imports 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar, Literal
 
@@ -19,6 +20,7 @@ from .inputs import Inputs
 from .network import numerical_rank
 
 MOST_HIDDEN = 10_000  # hidden units of a network
+UNIT = 0.1  # torque that counts as one in a bound on W, over the gain on s [m/s, rad/s]
 
 
 class TwoLayer(Settings, frozen=True):
@@ -145,6 +147,8 @@ class Neural(CompiledController):
         learning: Off keeps the weights as they are.
         leakage: Off drops the e-modification.
         update: "after_output" or "before_output" (Appendix B, with the hidden outputs of the previous call).
+        projection: Bound on |W|_F in units and on |V|_F of every network: larger ones are scaled back onto it. A unit
+            is what the feedback answers to an error of 0.1 m/s or rad/s, see `radii`. None for no bound.
         inertia: (p,) effective inertias that the networks are scaled by (see `network_scales`); None for the thesis's
             form. The feedback and the robust term are scaled by themselves (`Feedback.scaled`, `Robust.scaled`).
         called: Name in tables and recordings; empty for that of the network.
@@ -158,6 +162,7 @@ class Neural(CompiledController):
     learning: bool = True
     leakage: bool = True
     update: Literal["after_output", "before_output"] = "after_output"
+    projection: float | None = None
     inertia: tuple[float, ...] | None = None
     called: str = ""
 
@@ -184,7 +189,8 @@ class Neural(CompiledController):
         sizes = [rows.size, int(self.learning), order, self.network.hidden, self.network.hidden, 0, *rows]
         dt = 1.0 if self.rates == "per_sample" else wiring.control_period
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
-        per_network = [(*self.network.rates(i, self.leakage), robust.ZB[i]) for i in range(2)]
+        bounds = self.radii(layout)
+        per_network = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
         Kz = per_velocity(robust.base, robust.arm, layout, "robust")
         parts = [[dt], *per_network, self.feedback.vector(layout), Kz, *self.network_scales(layout)]
         parts += self.inputs.affine(layout)
@@ -224,6 +230,24 @@ class Neural(CompiledController):
         c = np.concatenate([np.full(part.size, part.mean()) for part in parts if part.size])
         return unit * np.sqrt(m / c), np.sqrt(m * c) / unit
 
+    def radii(self, layout: Layout) -> dict[int, tuple[float, float]]:
+        """Bounds on |W|_F and |V|_F of the base's (1) and the arm's (2) network; inf without a projection.
+
+        W is a torque over the network's scale, so its bound goes with the largest gain that is there from the first
+        sample on; V has no unit that the robot knows.
+
+        Raises:
+            ConfigError: A projection without a gain: nothing says which torques are large.
+        """
+        if self.projection is None:
+            return {1: (math.inf, math.inf), 2: (math.inf, math.inf)}
+        gain, bound = self.feedback_gain(layout) / self.network_scales(layout)[1], float(self.projection)
+        if not (gain > 0).all():
+            why = f"the bound of learning.projection on the weights of {self.name} goes with them"
+            raise ConfigError(f"gains {self.feedback_gain(layout).tolist()}", why=why, fix="raise them", key="feedback")
+        parts = {1: gain[: layout.base], 2: gain[layout.base :]}
+        return {i: (bound * UNIT * float(part.max(initial=0.0)), bound) for i, part in parts.items()}
+
     def feedback_gain(self, layout: Layout) -> Array:
         """Gain on `[z; r]` that is there from the first sample on: k + Kz ZB, (p,)."""
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
@@ -240,13 +264,22 @@ class Neural(CompiledController):
         return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 
     def findings(self, memory: Memory) -> list[str]:
-        """What the weights show after a run: layers that have collapsed to rank one."""
-        layers = {name: W for name, W in self.weights(memory).items() if min(W.shape) > 1 and np.isfinite(W).all()}
-        ranks = {name: numerical_rank(W) for name, W in layers.items()}
-        collapsed = [name for name, rank in ranks.items() if rank == 1]
-        if not collapsed:
-            return []
-        return [f"{self.name}: {', '.join(collapsed)} ended at rank one: the hidden units act as one"]
+        """What the weights show after a run: layers that have collapsed to rank one, and those on their bound."""
+        layers = {name: W for name, W in self.weights(memory).items() if np.isfinite(W).all()}
+        collapsed = [name for name, W in layers.items() if min(W.shape) > 1 and numerical_rank(W) == 1]
+        radii = self.radii(self._layout(memory))
+        most = {f"{letter}{i}": (1 - 1e-9) * pair[k] for i, pair in radii.items() for k, letter in enumerate("WV")}
+        held = [name for name, W in layers.items() if np.linalg.norm(W) >= most[name]]
+        told = []
+        if collapsed:
+            told.append(f"{self.name}: {', '.join(collapsed)} ended at rank one: the hidden units act as one")
+        if held:
+            told.append(f"{self.name}: {', '.join(held)} ended on the bound of learning.projection")
+        return told
+
+    def _layout(self, memory: Memory) -> Layout:
+        nb, n = (memory[f"s{i}"].size if f"s{i}" in memory.shapes else 0 for i in (1, 2))
+        return Layout(nb, n, nb + n, nb + n)
 
 
 def channels(layout: Layout) -> list[tuple[int, int]]:

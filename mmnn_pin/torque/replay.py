@@ -30,6 +30,7 @@ from ..compiled import compiled, copy_to
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, period, remember
 from .law import HIDDEN
+from .network import shrink
 
 Z, R = INDEX["z"], INDEX["r"]
 GOLDEN = 0.6180339887498949  # fractions of its multiples are spread evenly, and in no order
@@ -189,17 +190,6 @@ def descend(a: Replay, W: Array, V: Array, x: Array, torque: Array, unit: Array)
             sum_v += V[i, j] * V[i, j]
     shrink(W, sum_w, a.radius[0])
     shrink(V, sum_v, a.radius[1])
-
-
-@compiled
-def shrink(A: Array, square: float, radius: float) -> None:
-    """A into a ball, given the square of its norm there; zero where that is no number."""
-    if square <= radius * radius:
-        return
-    share = radius / math.sqrt(square) if math.isfinite(square) else 0.0
-    for i in range(A.shape[0]):
-        for j in range(A.shape[1]):
-            A[i, j] = share * A[i, j] if share > 0.0 else 0.0
 
 
 @compiled

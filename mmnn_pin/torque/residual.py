@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from ..model.robot import Robot
 
 
+PROJECTION = 100.0  # bound on the weights unless told, as of `Neural`
+
+
 @dataclass(frozen=True, eq=False)
 class Residual(CompiledController):
     """`tau = k s + Psi_0 + network + robust term`: a network of the thesis with a nominal model taken out of it.
@@ -28,12 +31,14 @@ class Residual(CompiledController):
         learner: The network with its feedback and robust term.
         model: The nominal robot; None for the loop's.
         learning: Off keeps the weights as they are.
+        projection: Bound on the weights, as of `Neural`; takes the place of the learner's.
         name: Name in tables and recordings.
     """
 
     learner: Neural
     model: Robot | None = None
     learning: bool = True
+    projection: float | None = PROJECTION
     name: str = "two_layer_residual"
 
     within_limits: ClassVar[bool] = True
@@ -85,4 +90,5 @@ class Residual(CompiledController):
     @property
     def own(self) -> Neural:
         """The network's controller, as it is called and learns here."""
-        return replace(self.learner, called=self.name, learning=self.learning and self.learner.learning)
+        learning = self.learning and self.learner.learning
+        return replace(self.learner, called=self.name, learning=learning, projection=self.projection)
