@@ -219,6 +219,13 @@ def test_with_a_lifetime_a_payload_is_learned():
     assert errors[6.0][2] < 0.05 * errors[0.0][2] and errors[6.0][3] < errors[0.0][3]
 
 
+def test_a_gain_of_0_is_refused_before_anything_is_computed_from_it():
+    loop = made("concurrent", "feedback.arm=[60.0,0.0]")
+    for use in (lambda: loop.controller.notes, lambda: loop.controller.law(loop.wiring())):
+        with pytest.raises(ConfigError, match="needs all > 0"):
+            use()
+
+
 def test_impossible_settings_are_refused_with_their_key():
     for name, value in (("entries", 0), ("rate", -1.0), ("noise", 0.0), ("growth", 0.0), ("pole", np.inf)):
         with pytest.raises(ConfigError) as error:

@@ -108,6 +108,39 @@ def test_a_network_on_a_model_has_a_bound_unless_told():
         assert error.value.key == "learning.projection"
 
 
+def test_a_bound_needs_one_gain_of_a_network_that_learns():
+    """A joint without a gain has the bound of its network; where nothing is learned, nothing is bounded."""
+    zero = ["feedback.arm=0.0", "learning.robust_term=false"]
+    some = made("two_layer_residual", "feedback.arm=[60.0,0.0]", "learning.robust_term=false")
+    gain = some.controller.feedback_gain(some.robot.layout) / some.controller.own.network_scales(some.robot.layout)[1]
+    assert gain[3] == 0 and some.run().outcome.status == "completed"
+    assert some.controller.own.radii(some.robot.layout)[2] == pytest.approx((100 * 0.1 * gain[2], 100))
+    with pytest.raises(ConfigError, match="all gains of the arm are 0") as error:
+        made("two_layer_residual", *zero).run()
+    assert error.value.key == "feedback.arm"
+    assert made("two_layer_residual", *zero, "learning.learning=false").run().outcome.status == "completed"
+    assert made("two_layer", *zero).run().outcome.status == "completed"
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
+def test_a_bound_from_python_is_checked_too(bad):
+    with pytest.raises(ConfigError) as error:
+        replace(made("two_layer").controller, projection=bad).radii(made("two_layer").robot.layout)
+    assert error.value.key == "projection"
+
+
+def test_weights_that_are_held_fixed_are_on_no_bound():
+    """Fixed ones are as they were given, larger than the bound or not, and are not said to be on it."""
+    loop = made("two_layer_residual")
+    memory = loop.controller.init(loop.wiring())
+    fixed = replace(loop.controller, projection=1.0, learning=False)
+    run = replace(loop, controller=fixed).run(memory=memory)
+    np.testing.assert_array_equal(run.weights["V1"][-1], memory["V1"])
+    assert np.linalg.norm(run.weights["V1"][-1]) > 1.0 and "bound" not in run.outcome.message
+    learnt = replace(loop, controller=replace(fixed, learning=True)).run(memory=memory)
+    assert np.linalg.norm(learnt.weights["V1"][-1]) <= 1.0
+
+
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
 def test_the_network_makes_up_for_wrong_masses():
     def late(name):

@@ -118,9 +118,7 @@ class ConcurrentLearner(CompiledController):
         Raises:
             ConfigError: A gain of 0: noise is measured by the gains.
         """
-        K, own, h = self.feedback.vector(wiring.layout), self.settings, float(wiring.control_period)
-        if not (K > 0).all():
-            raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
+        K, own, h = self._gains, self.settings, float(wiring.control_period)
         p, k = K.size, self.dimension
         history = History(
             known=self.regressor.workspace(),
@@ -236,4 +234,8 @@ class ConcurrentLearner(CompiledController):
 
     @property
     def _gains(self) -> Array:
-        return gains_of(self.regressor, self.feedback)
+        """K, (p,); errors as of `law`."""
+        K = gains_of(self.regressor, self.feedback)
+        if not (K > 0).all():
+            raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
+        return K

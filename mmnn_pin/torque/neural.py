@@ -231,22 +231,27 @@ class Neural(CompiledController):
         return unit * np.sqrt(m / c), np.sqrt(m * c) / unit
 
     def radii(self, layout: Layout) -> dict[int, tuple[float, float]]:
-        """Bounds on |W|_F and |V|_F of the base's (1) and the arm's (2) network; inf without a projection.
+        """Bounds on |W|_F and |V|_F of the base's (1) and the arm's (2) network; inf where nothing is projected.
 
         W is a torque over the network's scale, so its bound goes with the largest gain that is there from the first
         sample on; V has no unit that the robot knows.
 
         Raises:
-            ConfigError: A projection without a gain: nothing says which torques are large.
+            ConfigError: A projection that is not above 0 or not finite, or one for a network that learns and has no
+                gain at all: nothing says which torques are large.
         """
-        if self.projection is None:
+        if self.projection is None or not self.learning:
             return {1: (math.inf, math.inf), 2: (math.inf, math.inf)}
-        gain, bound = self.feedback_gain(layout) / self.network_scales(layout)[1], float(self.projection)
-        if not (gain > 0).all():
-            why = f"the bound of learning.projection on the weights of {self.name} goes with them"
-            raise ConfigError(f"gains {self.feedback_gain(layout).tolist()}", why=why, fix="raise them", key="feedback")
-        parts = {1: gain[: layout.base], 2: gain[layout.base :]}
-        return {i: (bound * UNIT * float(part.max(initial=0.0)), bound) for i, part in parts.items()}
+        bound = float(self.projection)
+        if not 0 < bound < math.inf:
+            raise ConfigError(f"{bound}", fix="use a finite number > 0, None for no bound", key="projection")
+        gain = self.feedback_gain(layout) / self.network_scales(layout)[1]
+        largest = {1: gain[: layout.base].max(initial=0.0), 2: gain[layout.base :].max(initial=0.0)}
+        for i, _ in channels(layout):
+            if not largest[i] > 0:
+                part, why = ("base", "arm")[i - 1], f"they measure the bound on the weights of {self.name}"
+                raise ConfigError(f"all gains of the {part} are 0", why=why, fix="raise one", key=f"feedback.{part}")
+        return {i: (bound * UNIT * float(most), bound) for i, most in largest.items()}
 
     def feedback_gain(self, layout: Layout) -> Array:
         """Gain on `[z; r]` that is there from the first sample on: k + Kz ZB, (p,)."""
