@@ -21,11 +21,12 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.experiments.config import recorded_experiment
 from mmnn_pin.proof.fvu import worst
+from mmnn_pin.proof.lyapunov import TERMS
 from mmnn_pin.proof.proof import Proof
 from mmnn_pin.safety import Safety
 from mmnn_pin.show.proof import cache
 from mmnn_pin.show.proof.figures import PROOF_FIGURES
-from mmnn_pin.show.proof.lyapunov_figures import equality_figure, lyapunov_figure, terms_figure
+from mmnn_pin.show.proof.lyapunov_figures import COLOURS, equality_figure, lyapunov_figure, terms_figure
 from mmnn_pin.show.proof.psi_figures import frozen_figure, fvu_figure, ranks_figure, shares_figure
 from mmnn_pin.show.proof.text import judgement, render
 from mmnn_pin.show.report import report
@@ -266,6 +267,10 @@ def test_figures_of_what_learns_nothing_say_why(runs: dict[str, Recording]) -> N
     for name in ("fvu", "frozen", "shares", "ranks"):
         with pytest.raises(RecordingError, match="nothing to plot"):
             PROOF_FIGURES[name]({"pd": runs["pd"]})
+
+
+def test_every_term_of_the_derivative_has_a_colour_of_its_own() -> None:
+    assert len(set(COLOURS)) == len(COLOURS) == len(TERMS)
 
 
 @compiled_only
