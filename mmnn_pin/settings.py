@@ -121,8 +121,8 @@ def require_numbers(settings: Settings, section: str, positive: Collection[str])
         value, key = getattr(settings, name), f"{section}.{name}"
         if value is None or isinstance(value, str):
             continue
+        if name in positive and np.any(np.asarray(value) <= 0):
+            raise ConfigError(f"{value}", fix="use a number > 0", key=key)
         require_gain(value, key)
         if np.any(np.asarray(value) > LARGEST):
             raise ConfigError(f"{value}", fix=f"use a number up to {LARGEST:g}", key=key)
-        if name in positive and not np.all(np.asarray(value) > 0):
-            raise ConfigError(f"{value}", fix="use a number > 0", key=key)
