@@ -26,7 +26,8 @@ from mmnn_pin.proof.rebuild import recorded_learner
 from mmnn_pin.recorded_robot import recorded_robot
 from mmnn_pin.show import table
 from mmnn_pin.torque.inputs import Inputs
-from mmnn_pin.torque.neural import Neural, TwoLayer
+from mmnn_pin.torque.neural import Neural
+from mmnn_pin.torque.neural_settings import TwoLayer
 
 FILE = bundled()["chapter5"]
 LEARNERS = ("two_layer_zero", "two_layer_random", "one_layer")

@@ -36,7 +36,8 @@ from mmnn_pin.torque.controller import (
 )
 from mmnn_pin.torque.inputs import MEASURED, Inputs
 from mmnn_pin.torque.model_based import PD, ComputedTorque, ScheduledPD
-from mmnn_pin.torque.neural import Neural, OneLayer, Robust, TwoLayer
+from mmnn_pin.torque.neural import Neural
+from mmnn_pin.torque.neural_settings import OneLayer, Robust, TwoLayer
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 LAYOUT = Layout(base=2, arm=2, full=7, motors=4)

@@ -26,7 +26,8 @@ from mmnn_pin.start import Start
 from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
-from mmnn_pin.torque.neural import Neural, TwoLayer
+from mmnn_pin.torque.neural import Neural
+from mmnn_pin.torque.neural_settings import TwoLayer
 from tests.learning import assert_engines_agree, assert_frozen
 
 GAINS = np.array([2.0, 3.0, 4.0])

@@ -27,7 +27,7 @@ from mmnn_pin.proof.rank import effective_rank, excitation
 from mmnn_pin.proof.rebuild import networks_of
 from mmnn_pin.proof.shares import shares, sizes
 from mmnn_pin.proof.subject import Subject
-from mmnn_pin.torque.neural import OneLayer, TwoLayer
+from mmnn_pin.torque.neural_settings import OneLayer, TwoLayer
 
 patient = settings(deadline=None, max_examples=25)
 seeds = st.integers(0, 2**32 - 1)

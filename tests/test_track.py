@@ -29,7 +29,8 @@ from mmnn_pin.sampled import SampledLoop, sampled_loop
 from mmnn_pin.show import table
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import Feedback, Wiring
-from mmnn_pin.torque.neural import Neural, Robust, TwoLayer
+from mmnn_pin.torque.neural import Neural
+from mmnn_pin.torque.neural_settings import Robust, TwoLayer
 
 DURATION = 0.02 if config.DISABLE_JIT else 1.5
 CONTROLLERS = {"two_layer", "pd", "pd_effective", "computed_torque"}

@@ -19,7 +19,7 @@ from mmnn_pin.experiments.cases import chosen_cases
 from mmnn_pin.proof.learner import Learner
 from mmnn_pin.proof.subject import Subject
 from mmnn_pin.proof.unknown import NOISE, Unknown, left, not_excited, random_motion, signals_for, tangents, unknown
-from mmnn_pin.torque.neural import OneLayer, TwoLayer
+from mmnn_pin.torque.neural_settings import OneLayer, TwoLayer
 
 LONG = pytest.mark.skipif(SLOW, reason="needs a long run")
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from typing import Literal
 
 from ..settings import Settings, require_numbers
-from ..torque.neural import Robust
+from ..torque.neural_settings import Robust
 
 # PD at a learner's effective gain: the learner whose gain it takes, see also `effective`.
 EFFECTIVE = {"pd_effective": "two_layer", "pd_effective_one_layer": "one_layer"}

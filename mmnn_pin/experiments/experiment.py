@@ -29,7 +29,7 @@ from ..torque.concurrent import Concurrent
 from ..torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ..torque.inputs import Inputs
 from ..torque.kalman_settings import KalmanTables
-from ..torque.neural import OneLayer, Robust, TwoLayer
+from ..torque.neural_settings import OneLayer, Robust, TwoLayer
 from .contest import Contest
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
 from .friction import Friction

@@ -9,7 +9,8 @@ from ..signals import Array
 from ..torque.composite import CompositeNetwork
 from ..torque.controller import CompiledController, Feedback, TorqueController
 from ..torque.model_based import PD, ComputedTorque, ScheduledPD
-from ..torque.neural import Neural, Robust
+from ..torque.neural import Neural
+from ..torque.neural_settings import Robust
 from ..torque.residual import PROJECTION, Residual
 from .adaptive import adaptive_controller, concurrent_learner
 from .controllers import EFFECTIVE, KALMAN

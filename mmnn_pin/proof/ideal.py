@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import expit
 
 from ..signals import Array
-from ..torque.neural import TwoLayer
+from ..torque.neural_settings import TwoLayer
 from .networks import Networks, seen
 from .subject import Subject
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from ..signals import Array, IntArray
 from ..torque.controller import Memory
-from ..torque.neural import TwoLayer
+from ..torque.neural_settings import TwoLayer
 from ..torque.replay import replay
 from .ideal import Ideal
 from .learner import Stepper

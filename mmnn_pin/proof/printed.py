@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..signals import Array
-from ..torque.neural import Robust
+from ..torque.neural_settings import Robust
 from .ideal import Ideal
 from .networks import Networks, seen
 from .subject import Subject

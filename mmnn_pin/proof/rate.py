@@ -21,7 +21,7 @@ from ..errors import RecordingError
 from ..sampled import HeldLoop, held_loop, viscous_friction
 from ..signals import Array
 from ..torque.controller import Memory
-from ..torque.neural import OneLayer
+from ..torque.neural_settings import OneLayer
 from .networks import Networks
 from .rebuild import put
 from .subject import Subject

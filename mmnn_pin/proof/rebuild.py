@@ -27,7 +27,8 @@ from ..torque.composite import CompositeNetwork
 from ..torque.controller import Feedback, Memory
 from ..torque.inputs import Inputs
 from ..torque.learning_law import LearningLaw
-from ..torque.neural import Neural, OneLayer, Robust, TwoLayer
+from ..torque.neural import Neural
+from ..torque.neural_settings import OneLayer, Robust, TwoLayer
 from ..torque.residual import Residual
 from .learner import Learner
 from .networks import Networks

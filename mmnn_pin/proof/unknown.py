@@ -26,7 +26,8 @@ from ..signals import Array, Layout
 from ..torque.controller import Memory
 from ..torque.inputs import MEASURED
 from ..torque.learning_law import LearningLaw
-from ..torque.neural import Neural, TwoLayer, channels
+from ..torque.neural import Neural, channels
+from ..torque.neural_settings import TwoLayer
 from ..torque.residual import Residual
 from .learner import Learner, Stepper
 from .rank import excitation

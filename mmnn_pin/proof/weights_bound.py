@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..signals import Array
-from ..torque.neural import TwoLayer
+from ..torque.neural_settings import TwoLayer
 from .networks import Networks
 
 

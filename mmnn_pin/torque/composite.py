@@ -15,7 +15,8 @@ from ..signals import Array, IntArray, Layout
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
 from .inputs import Inputs
-from .neural import MOST_HIDDEN, Neural, TwoLayer
+from .neural import Neural
+from .neural_settings import MOST_HIDDEN, TwoLayer
 from .replay import Replay
 
 # What every input is on a reference that is followed exactly; the others of `inputs.MEASURED` are zero there.
