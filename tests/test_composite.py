@@ -19,6 +19,7 @@ from tests.learning import assert_engines_agree, assert_frozen, assert_it_resume
 from tests.test_adaptive import REGRESSOR, ROBOT, TRUE, Bench, divergence, dual
 
 seeds = st.integers(0, 2**32 - 1)
+EXAMPLES = 4 if config.DISABLE_JIT else 15  # plain Python takes a hundred times as long
 
 
 class Follower(Bench):
@@ -92,7 +93,7 @@ def test_gamma_is_the_natural_metric():
     np.testing.assert_allclose((S @ S.T @ g)[first:], bench.a.rates * g[first:], atol=1e-12)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(-3, 6))
 def test_a_step_is_implicit_euler(seed, size):
     """Against numpy's solution of (1 + c tau S' Q S) y = c tau S' (b - Q theta)."""
@@ -107,7 +108,7 @@ def test_a_step_is_implicit_euler(seed, size):
     np.testing.assert_allclose(bench.S() @ found, S @ np.linalg.solve(A, g), atol=1e-2 * np.linalg.norm(S @ found))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(-3, 6))
 def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
     """D(P || P_hat) + ... never grows for exact equations."""
@@ -122,7 +123,7 @@ def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
         assert bench.distance(truth) <= before * (1 + 1e-12)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds)
 def test_v_falls_by_the_square_of_the_prediction_error(seed):
     """V' = -c theta~' Q theta~, by a small step."""
@@ -136,7 +137,7 @@ def test_v_falls_by_the_square_of_the_prediction_error(seed):
     assert before - bench.distance(truth) == pytest.approx(expected, rel=0.02)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(0, 9))
 def test_the_estimate_stays_physical_and_bounded_whatever_was_filtered(seed, size):
     bench, rng = Follower(adapting={"bounds": 7.0}), np.random.default_rng(seed)

@@ -123,7 +123,7 @@ def test_the_ball(numbers, radius):
         np.testing.assert_array_equal(w, numbers)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=3 if config.DISABLE_JIT else 10, deadline=None)
 @given(seeds, st.floats(0, 8))
 def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
     loop, rng = made("concurrent"), np.random.default_rng(seed)
