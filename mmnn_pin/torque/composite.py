@@ -15,7 +15,7 @@ from ..signals import Array, IntArray, Layout
 from .controller import CompiledController, Feedback, Law, Memory, Wiring
 from .filtered import new_filter, parts
 from .inputs import Inputs
-from .neural import Neural
+from .neural import Neural, layout_of
 from .neural_settings import MOST_HIDDEN, TwoLayer
 from .replay import Replay
 
@@ -195,7 +195,7 @@ class CompositeNetwork(CompiledController):
         The output weights are taken as unknown with a deviation of one unit, the hidden units as they are now, and the
         kept samples as measured to `NOISE` units.
         """
-        rng, filled, layout = np.random.default_rng(0), int(memory["counts"][1]), self._layout(memory)
+        rng, filled, layout = np.random.default_rng(0), int(memory["counts"][1]), layout_of(memory)
         n, p = layout.arm, layout.dof
         scale, offset = self.inputs.affine(layout)
         seen = np.hstack(
@@ -220,7 +220,3 @@ class CompositeNetwork(CompiledController):
             return found
         why = "the samples that it kept do not determine its output on random motion"
         return [*found, f"{self.name}: not excited: {why}"]
-
-    def _layout(self, memory: Memory) -> Layout:
-        p, n = memory["filtered_torque"].size, memory["states"].shape[1] - memory["filtered_torque"].size
-        return Layout(p - n, n, p + 3, p)

@@ -146,23 +146,27 @@ def one_network(
     With OUTPUT_FIRST the torque of a sample uses the weights from before it; UPDATE_FIRST is the order of Appendix B:
     the weights move first, with the hidden outputs of the previous call, then the output is computed.
     """
-    if kind == ONE_LAYER:
-        if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
-            one_layer_update(W, sigma, s, rates[0], rates[2], dt)
-            project(W, rates[4])
-        norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
-        if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
-            one_layer_update(W, sigma, s, rates[0], rates[2], dt)
-            project(W, rates[4])
-        return norm
     if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
-        hidden_input(V, x, net)
-        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
-        project(W, rates[4])
-        project(V, rates[5])
-    norm = two_layer_output(W, V, x, net, sigma, psi_hat)
+        if kind == TWO_LAYER:
+            hidden_input(V, x, net)
+        update(kind, dt, rates, W, V, x, net, sigma, s)
+    if kind == ONE_LAYER:
+        norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
+    else:
+        norm = two_layer_output(W, V, x, net, sigma, psi_hat)
     if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
-        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
-        project(W, rates[4])
-        project(V, rates[5])
+        update(kind, dt, rates, W, V, x, net, sigma, s)
     return norm
+
+
+@compiled
+def update(
+    kind: int, dt: float, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array
+) -> None:
+    """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
+    if kind == ONE_LAYER:
+        one_layer_update(W, sigma, s, rates[0], rates[2], dt)
+    else:
+        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
+        project(V, rates[5])
+    project(W, rates[4])

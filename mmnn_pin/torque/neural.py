@@ -171,15 +171,17 @@ class Neural(CompiledController):
 
     def _held(self, layers: dict[str, Array], memory: Memory) -> list[str]:
         """Which of the layers are on their bound."""
-        radii = self.radii(self._layout(memory))
+        radii = self.radii(layout_of(memory))
         most = {f"{letter}{i}": (1 - 1e-9) * pair[k] for i, pair in radii.items() for k, letter in enumerate("WV")}
         return [name for name, W in layers.items() if np.linalg.norm(W) >= most[name]]
-
-    def _layout(self, memory: Memory) -> Layout:
-        nb, n = (memory[f"s{i}"].size if f"s{i}" in memory.shapes else 0 for i in (1, 2))
-        return Layout(nb, n, nb + n, nb + n)
 
 
 def channels(layout: Layout) -> list[tuple[int, int]]:
     """Networks of a robot: (1, nb) for the base and (2, n) for the arm, where there is one."""
     return [(i, size) for i, size in ((1, layout.base), (2, layout.arm)) if size]
+
+
+def layout_of(memory: Memory) -> Layout:
+    """Base and arm of the robot that a memory with networks is for; other sizes as of one that is just that."""
+    base, arm = (memory[f"s{i}"].size if f"s{i}" in memory.shapes else 0 for i in (1, 2))
+    return Layout(base, arm, base + arm, base + arm)
