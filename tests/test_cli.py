@@ -352,7 +352,7 @@ BAD = {
     "range too wide": (["run", "chapter4", "--set", "two_layer.v_range=1.7e308"], ["two_layer.v_range", "smaller"]),
     "too many units": (
         ["run", "chapter4", "--set", "two_layer.hidden=2000000000"],
-        ["two_layer.hidden", "hidden units: all their weights", "use at most 10000"],
+        ["two_layer.hidden", "memory and time grow with it", "use at most 10000"],
     ),
     "infinite gain": (["run", "chapter4", "--set", "kinematic.kx=inf"], ["kinematic.kx", "finite"]),
     "negative seed": (["run", "chapter4", "--seed", "-1"], ["seed", "-1"]),

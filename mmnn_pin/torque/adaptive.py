@@ -178,6 +178,11 @@ class Adaptive(CompiledController):
 
     def start(self) -> Array:
         """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""
+        return self._start.copy()
+
+    @cached_property
+    def _start(self) -> Array:
+        """The same, computed once: a guess looks at many positions."""
         first, own = self.regressor.inertial, self.adapting
         guess = guess_of(self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, own.slowest)
         if self.adapting.initial == "guess" or self.nominal is None:

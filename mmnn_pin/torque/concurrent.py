@@ -168,6 +168,11 @@ class ConcurrentLearner(CompiledController):
 
     def start(self) -> Array:
         """The parameters before anything is learned, (k0,)."""
+        return self._start.copy()
+
+    @cached_property
+    def _start(self) -> Array:
+        """The same, computed once: a guess looks at many positions."""
         if self.settings.initial == "nominal" and self.nominal is not None:
             return np.array(self.nominal)
         own = Adapting()

@@ -1,7 +1,7 @@
 """Linear learners with a covariance: a regressor, or random features, with or without a nominal model in front.
 
-`torque.linear` has the law, `torque.features` the features. A learner is told K and where its joints
-end; the one with a regressor how the robot moves; the one with a nominal model also the numbers of that.
+`torque.linear` has the law, `torque.features` the features. A learner is told K, where its joints end and what their
+motors can give; the one with a regressor how the robot moves; the one with a nominal model also the numbers of that.
 """
 
 from __future__ import annotations
@@ -247,15 +247,12 @@ class KalmanLearner(CompiledController):
         Phi, (rows, k, _), random = self.typical(memory), self.shape, self.random()
         rest = np.zeros(k, bool) if random is None else at_rest(random, k)
         groups = [~rest] if random is None else [~rest, rest]
-        U, D, nothing, f = memory["U"], memory["D"], np.zeros((k, k)), np.zeros(k)
-        per_row = [
-            max(
-                left(np.ascontiguousarray(Phi[:, i] * group), U, D, f)
-                / left(np.ascontiguousarray(Phi[:, i] * group), nothing, memory["prior"], f)
-                for group in groups
-            )
-            for i in range(rows)
-        ]
+        nothing, f = np.zeros((k, k)), np.zeros(k)
+
+        def share(part: Array) -> float:
+            return left(part, memory["U"], memory["D"], f) / left(part, nothing, memory["prior"], f)
+
+        per_row = [max(share(Phi[:, i] * group) for group in groups) for i in range(rows)]
         return np.broadcast_to(np.array(per_row), (len(self.machine.velocities),))
 
     def findings(self, memory: Memory) -> list[str]:

@@ -7,7 +7,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..errors import ConfigError
-from ..settings import Settings, require_gains
+from ..settings import Settings, require_at_most, require_gains
 from ..signals import Array, Layout
 from . import law
 from .controller import per_velocity, split
@@ -28,7 +28,7 @@ class TwoLayer(Settings, frozen=True):
         v_range: Half-width of the initial V.
 
     Raises:
-        ConfigError: A rate is negative or not finite, or there are no hidden units.
+        ConfigError: A rate is negative or not finite, or there are no hidden units or too many.
     """
 
     hidden: int = 22
@@ -42,7 +42,7 @@ class TwoLayer(Settings, frozen=True):
     name: ClassVar[str] = "two_layer"
 
     def __post_init__(self) -> None:
-        require_hidden(self.hidden, "two_layer.hidden")
+        require_hidden(self, "two_layer")
         require_gains(self, "two_layer", "F", "G", "kappa", "v_range")
         require_width(self.v_range, "two_layer.v_range")
 
@@ -68,7 +68,7 @@ class OneLayer(Settings, frozen=True):
         centres: "diagonal" spaces them evenly along the diagonal of the input space, "random" draws them uniformly.
 
     Raises:
-        ConfigError: A rate is negative or not finite, the width is not positive, or there are no units.
+        ConfigError: A rate is negative or not finite, the width is not positive, or there are no units or too many.
     """
 
     hidden: int = 22
@@ -82,7 +82,7 @@ class OneLayer(Settings, frozen=True):
     name: ClassVar[str] = "one_layer"
 
     def __post_init__(self) -> None:
-        require_hidden(self.hidden, "one_layer.hidden")
+        require_hidden(self, "one_layer")
         require_gains(self, "one_layer", "beta", "mu", "width", "centre_range")
         if self.width == 0:
             raise ConfigError("width 0", why="Gaussians need one", fix="use a number > 0", key="one_layer.width")
@@ -126,17 +126,15 @@ class Robust(Settings, frozen=True):
         return Robust(*split(Kz, layout), self.ZB)
 
 
-def require_hidden(hidden: int, key: str) -> None:
+def require_hidden(network: TwoLayer | OneLayer, section: str) -> None:
     """Refuse a network without hidden units, and one that no memory holds.
 
     Raises:
         ConfigError: With the key.
     """
-    if hidden < 1:
-        raise ConfigError(f"{hidden} hidden units", fix="use at least one", key=key)
-    if hidden > MOST_HIDDEN:
-        why, fix = "all their weights are kept and recorded", f"use at most {MOST_HIDDEN}"
-        raise ConfigError(f"{hidden} hidden units", why=why, fix=fix, key=key)
+    if network.hidden < 1:
+        raise ConfigError(f"{network.hidden} hidden units", fix="use at least one", key=f"{section}.hidden")
+    require_at_most(network, section, {"hidden": MOST_HIDDEN})
 
 
 def require_width(half: float, key: str) -> None:
