@@ -7,9 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
-from .output import DONE, FAILED, STOPPED, say, say_json
+from .output import DONE, FAILED, STOPPED, say, say_json, warn
 
 if TYPE_CHECKING:
     from ..contest.contest import Standing
@@ -23,11 +21,6 @@ def contest(
     from ..contest.contest import run_contest
 
     return run_contest(experiment, name, out=folder, force=force, progress=progress, warn=warn)
-
-
-def warn(note: str) -> None:
-    """Say what to know before a long run."""
-    click.echo(f"warning: {note}", err=True)
 
 
 def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:

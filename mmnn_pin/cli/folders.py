@@ -66,11 +66,11 @@ def folders_of(path: Path) -> list[Path]:
 
 def recordings_in(path: Path) -> str:
     """The recordings of a folder in words, to choose one; with `FOLDER/` for those of its folders."""
+    if here := sorted(path.glob("*.h5")):
+        return f"name one of its recordings: {', '.join(file.name for file in here)}"
     folders = folders_of(path)
-    names = dict.fromkeys(file.name for folder in (path, *folders) for file in sorted(folder.glob("*.h5")))
-    if not names:
+    if not folders:
         return "name a recording that `mmnn run` wrote"
-    if any(path.glob("*.h5")):
-        return f"name one of its recordings: {', '.join(file.name for file in sorted(path.glob('*.h5')))}"
+    names = dict.fromkeys(file.name for folder in folders for file in sorted(folder.glob("*.h5")))
     where = ", ".join(folder.name for folder in folders)
     return f"name a recording FOLDER/FILE in it: FOLDER is one of {where}; FILE one of {', '.join(names)}"

@@ -32,6 +32,11 @@ def say_json(content: dict[str, Any]) -> None:
     say(json.dumps(content, allow_nan=False))
 
 
+def warn(text: str) -> None:
+    """Say on standard error what to know of a run or a page."""
+    click.echo(f"warning: {text}", err=True)
+
+
 def compile_if_cold(rig: bool = False) -> None:
     """Compile what a run needs, unless that was done, and tell so on standard error.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,6 +13,8 @@ from .options import examples, law, shared
 from .output import DONE, say, say_json
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from ..recording import Recording
 
 WHATS = (
@@ -78,14 +80,16 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
         if file.exists() and not force:
             fix = "choose another with --out, or replace it with --force"
             raise RecordingError("the picture exists", fix=fix, file=file)
-    if folder is not None:
-        return plot_contest(folder, files, as_json)
-    figures = {what: PICTURES[what](recordings) for what in files}
+    told: dict[str, Any]
+    if folder is None:
+        told = {"runs": [str(recording.path) for recording in recordings.values()]}
+        figures = {what: PICTURES[what](recordings) for what in files}
+    else:
+        told, figures = {"contest": str(folder)}, figures_of(folder, wanted)
     for what, file in files.items():
         save(figures[what], file)
     if as_json:
-        paths = [str(recording.path) for recording in recordings.values()]
-        say_json({"runs": paths, "files": {what: str(file) for what, file in files.items()}})
+        say_json(told | {"files": {what: str(file) for what, file in files.items()}})
     else:
         say("\n".join(f"wrote {file}" for file in files.values()))
     return DONE
@@ -106,23 +110,19 @@ def require_whats(whats: tuple[str, ...], contest: Path | None) -> None:
             raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=contest, key="--what")
 
 
-def plot_contest(folder: Path, files: dict[str, Path], as_json: bool) -> int:
-    """Draw the figures of a contest again."""
+def figures_of(folder: Path, whats: tuple[str, ...]) -> dict[str, Figure]:
+    """Figures of the contest in a folder, drawn again.
+
+    Raises:
+        RecordingError: It has none, or no run that reached its end.
+    """
     from ..contest.contest import opened
     from ..show.contest.figures import FIGURES
-    from ..show.figure import save
 
     standing = opened(folder)
     if not any(row.completed for row in standing.rows):
         raise RecordingError("nothing to draw", why="no run reached its end", file=folder)
-    figures = {what: FIGURES[what](standing) for what in files}
-    for what, file in files.items():
-        save(figures[what], file)
-    if as_json:
-        say_json({"contest": str(folder), "files": {what: str(file) for what, file in files.items()}})
-    else:
-        say("\n".join(f"wrote {file}" for file in files.values()))
-    return DONE
+    return {what: FIGURES[what](standing) for what in whats}
 
 
 def named(recordings: list[Recording]) -> dict[str, Recording]:

@@ -12,7 +12,7 @@ import click
 from ..errors import RecordingError
 from .folders import open_runs
 from .options import examples, shared
-from .output import DONE, say, say_json
+from .output import DONE, say, say_json, warn
 
 if TYPE_CHECKING:
     from ..recording import Recording
@@ -63,7 +63,7 @@ def replay(
     recordings = by_name([recording for path in runs for recording in open_runs(path)])
     made = page(recordings, fps=fps, package_dirs=package_dirs)
     for warning in made.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        warn(warning)
     facts = {"runs": [str(r.path) for r in recordings.values()], "bytes": made.size, "frames": made.frames}
     facts |= {"samples": made.samples, "warnings": list(made.warnings)}
     if html is None:

@@ -10,7 +10,7 @@ import click
 
 from .folders import contest_of, open_runs, study_of
 from .options import examples, law, shared
-from .output import DONE, say, say_json
+from .output import DONE, say, say_json, warn
 from .replay import by_name
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def report(
     command = shlex.join(["mmnn", "report", *map(str, runs), "--html", str(html)])
     made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
     for warning in made.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        warn(warning)
     made.save(html)
     if as_json:
         files = [str(recording.path) for recording in recordings.values()]

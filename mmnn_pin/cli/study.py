@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .options import examples, makes_runs, shared
-from .output import DONE, FAILED, STOPPED, compile_if_cold, say, say_json
+from .output import DONE, FAILED, STOPPED, compile_if_cold, say, say_json, warn
 from .run import remembered_interrupt
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def study(
         return replay(plan, row, folder, force, as_json)
     require_at_hand(plan, cluster)
     for note in window_notes(plan.base):
-        click.echo(f"warning: {note}", err=True)
+        warn(note)
     pool = choose(found, workers, processes, cluster)
     stopped = make(plan, found, folder, pool, force)
     return tell(folder, stopped, as_json)

@@ -234,13 +234,12 @@ def opened(folder: Path) -> Standing:
     if about is None:
         fix = "run the contest again, with --force or in another folder"
         raise RecordingError(f"no {NAME} beside the rows", why="an older version wrote them", fix=fix, file=folder)
-    tasks = {name: task for name, task in about.tasks.items() if any(k.startswith(f"{name}/") for k in store.heats)}
-    keys = [(name, controller) for name, task in tasks.items() for controller in task.controllers]
+    keys = [(name, controller) for name, task in about.tasks.items() for controller in task.controllers]
     heats = {key: store.heats["/".join(key)] for key in keys if "/".join(key) in store.heats}
     if not heats:
         raise RecordingError("a contest without rows", why="it was stopped before the first", file=folder)
-    planned = [f"{task}/{name}" for task, one in about.tasks.items() for name in one.controllers]
-    missing = tuple(key for key in planned if key not in store.heats)
+    missing = tuple("/".join(key) for key in keys if key not in heats)
+    tasks = {name: about.tasks[name] for name, _ in heats}
     titles, demands = {k: task.title for k, task in tasks.items()}, {k: task.demand for k, task in tasks.items()}
     experiment = about.contest(folder)
     name, who, rest = about.name, about.controllers, bool(missing)

@@ -15,6 +15,7 @@ import numpy as np
 
 from .boxes import STRICT, Box, Boxes, Faces
 from .certified_loop import CertifiedLoop
+from .networks import NAMES
 
 ENERGIES = np.geomspace(1e-6, 30.0, 32)  # [J]
 SIZES = np.array([0.01, 0.03, 0.07, 0.13, 0.2, 0.3, 0.42, 0.56, 0.72])  # of the largest size of the pose error
@@ -163,7 +164,7 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     loop, motion, box = boxes.loop, faces.motion, faces.box
     yield Condition("speed", loop.pose.slowest, 0.0, "slowest speed of the reference [m/s]", "above")
     for i, network in boxes.networks.items():
-        name = {1: "base", 2: "arm"}[i]
+        name = NAMES[i]
         if not network.projected:
             leak = max(network.leak, network.leak_V)
             yield Condition(f"leakage, {name}", leak, 2.0, "kappa F |s| per sample, also with G")
@@ -211,9 +212,8 @@ def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
     for name, value in zip(names, gains.disturbance, strict=True):
         yield Constant(f"d[{name}]", float(value), "N, N m", "given", "external force at most")
     for i, network in boxes.networks.items():
-        which = {1: "base", 2: "arm"}[i]
-        yield Constant(f"|W| {which}", network.W, "", "computed", "bound on the output weights")
-        yield Constant(f"|V| {which}", network.V, "", "computed", "bound on the hidden weights that learn")
+        yield Constant(f"|W| {NAMES[i]}", network.W, "", "computed", "bound on the output weights")
+        yield Constant(f"|V| {NAMES[i]}", network.V, "", "computed", "bound on the hidden weights that learn")
     eigenvalues = np.linalg.eigvalsh(loop.samples.M)
     yield Constant("M_min", float(eigenvalues.min()), "SI", "sampled", "smallest eigenvalue of M")
     yield Constant("M_max", float(eigenvalues.max()), "SI", "sampled", "largest eigenvalue of M")

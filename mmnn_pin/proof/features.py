@@ -15,7 +15,7 @@ from ..signals import Array, IntArray
 from ..torque.adaptive import EXCITED
 from ..torque.network import numerical_rank
 from .learner import Learner, Stepper
-from .networks import Networks, seen
+from .networks import NAMES, Networks, seen
 from .rank import Excitation, effective_rank, excitation
 from .unknown import MOST as FEW
 from .unknown import Unknown, network_in, tangents, unknown
@@ -79,8 +79,7 @@ def features_of(learner: Learner, rows: Array) -> list[Network]:
 def network_of(learner: Learner, i: int, activations: Array, left: dict[str, Unknown]) -> Network:
     """Ranks and excitation of the i-th network."""
     weights = {name[0]: W for name, W in learner.controller.weights(learner.end).items() if name.endswith(str(i))}
-    name = {1: "base", 2: "arm"}[i]
-    return Network.of(name, "activations", weights, excitation(activations), left.get(name))
+    return Network.of(NAMES[i], "activations", weights, excitation(activations), left.get(NAMES[i]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,12 +103,12 @@ def along(learner: Learner, rows: Array) -> Along | None:
     at = np.arange(0, len(rows), -(-len(rows) // MOST))
     for row in rows[at]:
         psi_hat = stepper.step(row).copy()
-        features = stepper.torque.features()
-        if features is None:
+        Phi = stepper.features()
+        if Phi is None:
             return None
-        found.append((np.array(np.atleast_2d(features), float), psi_hat))
-    Phi, said = zip(*found, strict=True)
-    return Along(at, np.array(Phi), np.array(said))
+        found.append((Phi, psi_hat))
+    features, said = zip(*found, strict=True)
+    return Along(at, np.array(features), np.array(said))
 
 
 def linear_of(learner: Learner, Phi: Array, left: Unknown | None) -> Network:

@@ -87,6 +87,11 @@ class Stepper:
         limits = self.torque.limits
         return self.psi_hat if limits is None else limits.asked
 
+    def features(self) -> Array | None:
+        """What the weights are multiplied with at the last step, (rows, k), a copy; None where it does not tell."""
+        found = self.torque.features()
+        return None if found is None else np.array(np.atleast_2d(found), float)
+
 
 def said(learner: Learner, memory: Memory, rows: Array, every: int = 1) -> Array:
     """What the weights of a memory, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).

@@ -32,7 +32,7 @@ from ..torque.replay import replay
 from .ideal import Ideal
 from .learner import Stepper
 from .networks import Networks
-from .weights_part import LOST, WeightsPart
+from .weights_part import Missed, WeightsPart
 
 Weights = dict[int, tuple[Array, Array]]
 
@@ -115,9 +115,7 @@ def network_part(
     memory, first = stepper.memory, controller.update == "before_output"
     networks = {i: Network.of(learner, i, part, ideal[i]) for i, part in learner.networks}
     replayed, unbounded = Replayed.of(stepper), Unbounded.of(learner)
-    psi, recorded = layout.where("psi"), rows[:, layout.where("psi_hat")]
-    largest = float(np.abs(recorded).max())
-    wanted, missed = set(at.tolist()), 0.0
+    psi, missed, wanted = layout.where("psi"), Missed(rows[:, layout.where("psi_hat")]), set(at.tolist())
     value, leakage, remainder, step, prediction, projection = np.zeros((6, len(at)))
     weights = views(networks, memory)
     seen = {i: (memory[f"sigma{i}"], memory["x"], memory[f"s{i}"]) for i in networks}
@@ -134,8 +132,7 @@ def network_part(
         if unbounded is not None and (n if first else n + 1) in wanted:
             free = unbounded.step(row, memory, networks)
         psi_hat = stepper.step(row)
-        missed = float(np.maximum(missed, np.abs(psi_hat - recorded[n]).max()))
-        if missed > LOST * largest:  # these are not the weights of the run
+        if missed.lost(n, psi_hat):
             break
         if first and (look or n + 1 in wanted):
             used = copied(weights)
@@ -158,9 +155,8 @@ def network_part(
         before = used
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
-    missed = missed if np.isfinite(missed) else np.inf
     terms, led = {"leakage": leakage, "remainder": remainder}, {"step": step, "prediction": prediction}
-    return WeightsPart(value, terms, {**led, "projection": projection}, missed / largest if largest else missed)
+    return WeightsPart(value, terms, {**led, "projection": projection}, missed.share)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,8 @@ from ..torque.neural import Neural, channels
 from ..torque.residual import Residual
 from .learner import Learner, Stepper
 
+NAMES = {1: "base", 2: "arm"}  # of the networks
+
 
 @dataclass(frozen=True, eq=False)
 class Networks(Learner):

@@ -11,7 +11,7 @@ from ..signals import Array
 from ..torque.controller import Memory
 from ..torque.learning_law import LearningLaw
 from .learner import Learner, Stepper
-from .weights_part import LOST
+from .weights_part import Missed
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,29 +52,26 @@ def together(
         progress: Called now and then with the fraction done.
 
     Returns:
-        How well it met the recorded Psi_hat, as `WeightsPart.missed`.
+        How far it was from the recorded Psi_hat, as of `Missed.share`.
     """
     stepper = Stepper(learner, learner.start.snapshot())
     still = Stepper(learner, learner.start.snapshot(), learning=False)
-    where, own, missed = learner.wiring.layout.where, isinstance(learner.controller, LearningLaw), 0.0
-    recorded = rows[:, where("psi_hat")]
-    largest = float(np.abs(recorded).max()) or 1.0
+    where, own = learner.wiring.layout.where, isinstance(learner.controller, LearningLaw)
+    missed = Missed(rows[:, where("psi_hat")])
     for n, row in enumerate(rows):
         if own:  # features of a user's law may be learned
             still.memory.values[:] = stepper.memory.values
         still.step(row)
-        features = still.torque.features()
-        assert features is not None
-        Phi = np.array(np.atleast_2d(features), float)
+        Phi = still.features()
+        assert Phi is not None
         before = keep(stepper.memory)
-        missed = float(np.maximum(missed, np.abs(stepper.step(row) - recorded[n]).max()))
-        if not missed <= LOST * largest:
+        if missed.lost(n, stepper.step(row)):
             break
         s = np.concatenate((row[where("z")], row[where("r")]))
         visit(Row(n, row, s, Phi, before, stepper.memory))
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
-    return (missed if np.isfinite(missed) else np.inf) / largest
+    return missed.share
 
 
 def copies(memory: Memory, *parts: str) -> dict[str, Array]:

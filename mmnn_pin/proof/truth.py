@@ -26,7 +26,7 @@ from ..torque.kalman import KalmanLearner
 from ..torque.pseudo_inertia import to_matrix
 from .learner import Learner, Stepper
 from .subject import Subject
-from .weights_part import LOST
+from .weights_part import Missed
 
 BODY = 10
 
@@ -57,7 +57,7 @@ class Estimates:
     Attributes:
         theta: (N, k) its estimate before the update of every row.
         Y: (k', p, k) its regressor at the rows that were asked for.
-        missed: How well it met the recorded Psi_hat, relative to the largest.
+        missed: How far it was from the recorded Psi_hat, as of `Missed.share`.
     """
 
     theta: Array
@@ -114,19 +114,17 @@ def stepped(
     adaptation = stepper.torque.law.adaptation
     assert adaptation is not None
     theta, Y = np.zeros((len(rows), stepper.memory["theta"].size)), np.zeros((len(at), *adaptation.known.Y.shape))
-    recorded, missed, wanted = rows[:, learner.wiring.layout.where("psi_hat")], 0.0, {n: i for i, n in enumerate(at)}
-    largest = float(np.abs(recorded).max())
+    missed, wanted = Missed(rows[:, learner.wiring.layout.where("psi_hat")]), {n: i for i, n in enumerate(at)}
     for n, row in enumerate(rows):
         theta[n] = stepper.memory["theta"]
-        missed = float(np.maximum(missed, np.abs(stepper.step(row) - recorded[n]).max()))
-        if missed > LOST * largest:
+        if missed.lost(n, stepper.step(row)):
             break
         if n in wanted:
             Y[wanted[n]] = adaptation.known.Y
         visit(n, stepper.memory)
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
-    return Estimates(theta, Y, (missed if np.isfinite(missed) else np.inf) / (largest or 1.0))
+    return Estimates(theta, Y, missed.share)
 
 
 def true_weights(subject: Subject, learner: Learner) -> Array | None:

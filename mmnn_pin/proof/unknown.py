@@ -30,6 +30,7 @@ from ..torque.neural import Neural, channels
 from ..torque.neural_settings import TwoLayer
 from ..torque.residual import Residual
 from .learner import Learner, Stepper
+from .networks import NAMES
 from .rank import excitation
 
 NOISE = 1e-3  # of what random motion does: less does not count as excited, as in `torque.adaptive`
@@ -92,10 +93,10 @@ def unknown(learner: Learner, rows: Array) -> dict[str, Unknown]:
         told = [features(learner, table) for table in (some, motion)]
         return {} if told[0] is None or told[1] is None else {"all": Unknown(*left(told[0], told[1]))}
     run, random = (tangents(learner, own, table) for table in (some, motion))
-    names, found = {1: "base", 2: "arm"}, {}
+    found = {}
     for i, _ in channels(learner.wiring.layout):
         acting = excitation(random[i].activations, VISIBLE)
-        found[names[i]] = Unknown(*left(run[i].J, random[i].J), acting.directions, acting.units)
+        found[NAMES[i]] = Unknown(*left(run[i].J, random[i].J), acting.directions, acting.units)
     return found
 
 
@@ -153,10 +154,10 @@ def features(learner: Learner, rows: Array) -> Array | None:
     stepper, found = Stepper(learner, learner.end.snapshot(), learning=False), list[Array]()
     for row in rows:
         stepper.step(row)
-        Phi = stepper.torque.features()
+        Phi = stepper.features()
         if Phi is None:
             return None
-        found.append(np.array(np.atleast_2d(Phi), float))
+        found.append(Phi)
     return np.array(found)
 
 

@@ -80,7 +80,7 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
         W, V = min(W, max(W0, radii[0])), min(V, max(V0, radii[1]))
         why = f"{why}, projection" if kappa > 0 else "projection"
     output = scale_out * W * hidden
-    return WeightsBound(leak, leak_V, W, V * two_layer if two_layer else 0.0, output, why, projected)
+    return WeightsBound(leak, leak_V, W, V if two_layer else 0.0, output, why, projected)
 
 
 def growth(y: float) -> float:

@@ -31,14 +31,35 @@ class WeightsPart:
         value: The part itself.
         terms: Name in `lyapunov.TERMS` to that term over the period that begins at the row [W].
         arrived: The same over the period that led to the row.
-        missed: Largest difference between the Psi_hat of these steps and the recorded one, relative to the largest; one
-            beyond `LOST` ends the steps, and the rest is 0.
+        missed: As of `Missed.share`; one beyond `LOST` ends the steps, and the rest is 0.
     """
 
     value: Array
     terms: dict[str, Array]
     arrived: dict[str, Array]
     missed: float
+
+
+class Missed:
+    """How far a learner that is stepped again is from what it said in its run.
+
+    Args:
+        recorded: (N, p) Psi_hat of the run.
+    """
+
+    def __init__(self, recorded: Array) -> None:
+        self._recorded, self._most = recorded, 0.0
+        self._largest = float(np.abs(recorded).max()) or 1.0
+
+    def lost(self, n: int, psi_hat: Array) -> bool:
+        """Whether its weights, that say psi_hat (p,) at row n, are no longer those of the run."""
+        self._most = float(np.maximum(self._most, np.abs(psi_hat - self._recorded[n]).max()))
+        return not self._most <= LOST * self._largest
+
+    @property
+    def share(self) -> float:
+        """Largest difference so far, relative to the largest Psi_hat of the run; inf where one is no number."""
+        return (self._most if np.isfinite(self._most) else np.inf) / self._largest
 
 
 def part_of(

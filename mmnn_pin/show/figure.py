@@ -6,6 +6,7 @@ matplotlib is imported when the first figure is made, and never its state machin
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
@@ -214,6 +215,14 @@ def save(figure: Figure, path: str | Path) -> Path:
         if suffix == "png":
             thin(part)
     return path
+
+
+def svg(figure: Figure) -> str:
+    """A figure as an SVG element."""
+    file = io.StringIO()
+    figure.savefig(file, format="svg", metadata={"Date": None})
+    text = file.getvalue()
+    return text[text.index("<svg") :]
 
 
 def thin(path: Path) -> None:

@@ -1,11 +1,12 @@
-"""A page of HTML that stands alone: its size, how it is written, how it stands within another page."""
+"""A page of HTML that stands alone: how it is filled and written, its size, how it stands within another page."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from html import escape
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from .whole import whole
 
@@ -43,3 +44,12 @@ class HtmlPage:
         with whole(Path(path), self.what) as part:
             part.write_text(self.html, encoding="utf-8")
         return Path(path)
+
+
+def filled(template: str, **values: Any) -> str:
+    """A template with its values, and `made`: when that was."""
+    from jinja2 import Environment
+
+    made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    found = Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True).from_string(template)
+    return found.render(made=made, **values)

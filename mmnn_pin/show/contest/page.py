@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from datetime import UTC, datetime
 from importlib import resources
 from typing import Any
 
 from ...contest.contest import Standing
-from ..html_page import HtmlPage
+from ..figure import svg
+from ..html_page import HtmlPage, filled
 from ..report.page import source as source_of_report
 from ..report.tables import Row, plain, rows_of
-from ..study.page import svg
 from .columns import KNOWLEDGE, TRAINING, Column
 from .figures import FIGURES, run_tasks
 from .text import caption, demands, findings, table, targets_table
@@ -32,28 +31,22 @@ def page(standing: Standing, command: str = "") -> HtmlPage:
         standing: What it gave.
         command: The command that makes this page, to be shown in it.
     """
-    from jinja2 import Environment
-
     found = [target for target in standing.targets() if target.reached is not None]
-    text = (
-        Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-        .from_string(resources.files(__package__).joinpath("page.html").read_text("utf-8"))
-        .render(
-            title=standing.experiment.title or standing.name,
-            subject=subject(standing),
-            met=sum(target.met for target in found),
-            targets=rows_of(targets_table(found)),
-            notes=[*unfinished(standing), *standing.notes],
-            findings=findings(standing),
-            tasks=list(tasks_of(standing)),
-            caption=caption(standing).replace("below them", "beside them"),
-            pictures=pictures(standing),
-            folder=str(standing.folder or ""),
-            command=command,
-            settings=json.dumps(json.loads(standing.experiment.to_json()), indent=2, ensure_ascii=False),
-            made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            style=source_of_report("page.css"),
-        )
+    text = filled(
+        resources.files(__package__).joinpath("page.html").read_text("utf-8"),
+        title=standing.experiment.title or standing.name,
+        subject=subject(standing),
+        met=sum(target.met for target in found),
+        targets=rows_of(targets_table(found)),
+        notes=[*unfinished(standing), *standing.notes],
+        findings=findings(standing),
+        tasks=list(tasks_of(standing)),
+        caption=caption(standing).replace("below them", "beside them"),
+        pictures=pictures(standing),
+        folder=str(standing.folder or ""),
+        command=command,
+        settings=json.dumps(json.loads(standing.experiment.to_json()), indent=2, ensure_ascii=False),
+        style=source_of_report("page.css"),
     )
     return HtmlPage(text)
 

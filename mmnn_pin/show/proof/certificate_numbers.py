@@ -7,10 +7,11 @@ from typing import Any
 
 from ...proof.boxes import Faces
 from ...proof.certified_run import CertifiedRun
+from ...proof.networks import NAMES
 from ...proof.printed import Printed
 from ...proof.rate import Rate
 from ...proof.reached import Reached
-from .numbers import NAMES, number
+from .numbers import number
 
 
 def certificate_dict(told: CertifiedRun) -> dict[str, Any]:

@@ -12,10 +12,10 @@ from rich.table import Table
 
 from ...proof.certificate import Certificate, Condition
 from ...proof.certified_run import CertifiedRun
+from ...proof.networks import NAMES
 from ...proof.rate import Rate
 from ...proof.reached import Reached
 from ..table import WIDTH, number
-from .numbers import NAMES
 
 
 def render_certificate(told: CertifiedRun, colour: bool = False, width: int = WIDTH) -> str:

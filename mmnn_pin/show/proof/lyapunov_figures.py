@@ -72,7 +72,7 @@ def lyapunov_figure(recordings: Recordings) -> Figure:
 
 
 def power_of_ten(size: float) -> float:
-    """The next one: where an axis turns linear between ticks, these crowd around its zero."""
+    """The nearest one, 1 for 0: where an axis turns linear between ticks, these crowd around its zero."""
     return float(10.0 ** np.round(np.log10(size))) if size > 1e-300 else 1.0
 
 

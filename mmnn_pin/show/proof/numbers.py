@@ -13,12 +13,11 @@ from ...proof.growth import Growth
 from ...proof.ideal import Ideal
 from ...proof.linear_fit import LinearFit
 from ...proof.lyapunov import Lyapunov
+from ...proof.networks import NAMES
 from ...proof.proof import Proof
 from ...proof.psi import Psi
 from ...proof.truth import Truth
 from ...signals import Array
-
-NAMES = {1: "base", 2: "arm"}
 
 
 def to_dict(proof: Proof) -> dict[str, Any]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
 from typing import Any, ClassVar
@@ -16,7 +15,7 @@ from ...experiments.runner import Result
 from ...recording import Recording
 from .. import replay
 from ..figure import styles_of
-from ..html_page import HtmlPage
+from ..html_page import HtmlPage, filled
 from ..replay.page import source as source_of_replay
 from ..replay.page import title_of
 from ..replay.scene import label
@@ -68,34 +67,28 @@ def report(
     Raises:
         RecordingError: No run, one without rows, or runs of robots with different velocities.
     """
-    from jinja2 import Environment
-
     result = result_of(recordings)
     charts = Charts(result.recordings)
     robots, remarks = robots_in(result.recordings)
     replayed, more = replay_of(result.recordings, package_dirs) if with_replay else (None, ())
-    text = (
-        Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-        .from_string(source("page.html"))
-        .render(
-            title=result.experiment.title or title_of(result.recordings) or "Report",
-            subject=subject(result),
-            verdict=verdict(result),
-            runs=runs_of(result),
-            tables=list(tables_of(result)),
-            charts=charts,
-            proved=proved(result.recordings),
-            data=charts.pack(),
-            replay=replayed,
-            robots=robots,
-            checks={"samples": SAMPLES, "seed": SEED},
-            facts=list(facts_of(result.recordings)),
-            commands=[line for line in (command_of(result), command) if line],
-            config=config_of(result),
-            made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            style=source("page.css"),
-            scripts="\n".join([source_of_replay("unpack.js"), *map(source, SCRIPTS)]),
-        )
+    text = filled(
+        source("page.html"),
+        title=result.experiment.title or title_of(result.recordings) or "Report",
+        subject=subject(result),
+        verdict=verdict(result),
+        runs=runs_of(result),
+        tables=list(tables_of(result)),
+        charts=charts,
+        proved=proved(result.recordings),
+        data=charts.pack(),
+        replay=replayed,
+        robots=robots,
+        checks={"samples": SAMPLES, "seed": SEED},
+        facts=list(facts_of(result.recordings)),
+        commands=[line for line in (command_of(result), command) if line],
+        config=config_of(result),
+        style=source("page.css"),
+        scripts="\n".join([source_of_replay("unpack.js"), *map(source, SCRIPTS)]),
     )
     return Report(text, (*charts.skipped, *remarks, *more))
 

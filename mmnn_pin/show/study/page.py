@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import io
 import json
-from datetime import UTC, datetime
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from ...study.intervals import Interval, quantile, rate
 from ...study.results import Results
 from ...study.verdict import sentences, verdict
-from ..html_page import HtmlPage
+from ..figure import svg
+from ..html_page import HtmlPage, filled
 from ..report.page import source as source_of_report
 from . import plots
 from .table import CAPTION, QUANTILES, number, remarks, shown_unit, title
@@ -30,32 +29,26 @@ def page(results: Results, command: str = "") -> HtmlPage:
         results: Its rows.
         command: The command that makes this page, to be shown in it.
     """
-    from jinja2 import Environment
-
     found = verdict(results)
     head, *points = sentences(results, found)
-    text = (
-        Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
-        .from_string(resources.files(__package__).joinpath("page.html").read_text("utf-8"))
-        .render(
-            title=title(results),
-            headline=head,
-            points=points,
-            remarks=remarks(results),
-            controllers=results.controllers,
-            rows=list(table_rows(results)),
-            caption=CAPTION,
-            success=success_words(results),
-            pictures=pictures(results),
-            decides=decides(results),
-            worst=worst(results),
-            factors=factor_rows(results),
-            facts=facts(results),
-            command=command,
-            settings=json.dumps(results.meta["settings"], indent=2, ensure_ascii=False),
-            made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-            style=source_of_report("page.css"),
-        )
+    text = filled(
+        resources.files(__package__).joinpath("page.html").read_text("utf-8"),
+        title=title(results),
+        headline=head,
+        points=points,
+        remarks=remarks(results),
+        controllers=results.controllers,
+        rows=list(table_rows(results)),
+        caption=CAPTION,
+        success=success_words(results),
+        pictures=pictures(results),
+        decides=decides(results),
+        worst=worst(results),
+        factors=factor_rows(results),
+        facts=facts(results),
+        command=command,
+        settings=json.dumps(results.meta["settings"], indent=2, ensure_ascii=False),
+        style=source_of_report("page.css"),
     )
     return HtmlPage(text)
 
@@ -105,14 +98,6 @@ def pictures(results: Results) -> list[dict[str, str]]:
         )
         made.append((words, plots.sensitivity(results)))
     return [{"svg": svg(figure), "caption": caption} for caption, figure in made]
-
-
-def svg(figure: Figure) -> str:
-    """A figure as an SVG element."""
-    file = io.StringIO()
-    figure.savefig(file, format="svg", metadata={"Date": None})
-    text = file.getvalue()
-    return text[text.index("<svg") :]
 
 
 def decides(results: Results) -> list[dict[str, Any]]:
