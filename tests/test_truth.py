@@ -157,6 +157,21 @@ def test_the_divergence_is_a_sum_over_relative_eigenvalues(seed: int) -> None:
     assert divergence(P, P[None])[0] == pytest.approx(0.0, abs=1e-10) and expected > 0
 
 
+def test_what_the_truth_leaves_is_no_matter_of_whose_run_it_is() -> None:
+    """A recording that says another Psi_hat is of the same robot on the same motion."""
+    own = controller()
+    subject = subject_of(own, duration=0.02)
+    learner = subject.learner
+    assert learner is not None
+    eps = true_parameters(subject, learner).eps
+    expected = [own.regressor.matrix(*state) @ parameters(subject.robot) for state in states(subject)]
+    by_hand = np.abs(subject.signal("psi") - expected).max(axis=0)
+    np.testing.assert_allclose(eps, by_hand, atol=1e-9 * np.abs(subject.signal("psi")).max())
+    rows = subject.rows.copy()
+    rows[:, subject.layout.where("psi_hat")] *= 2.0
+    np.testing.assert_array_equal(true_parameters(replace(subject, rows=rows), learner).eps, eps)
+
+
 def test_the_distance_is_that_of_bodies_and_of_friction() -> None:
     own = controller(rotor=0.0)
     subject = subject_of(own, duration=0.02)

@@ -51,7 +51,7 @@ def demand(task: Task) -> Demand:
         dynamics.refresh(position, nu[k])
         dynamics.refresh_psi(nu[k], nudot[k], psi)
         torque = np.maximum(torque, np.abs(inverse @ psi))
-    limits = np.array(robot.facts()["effort_limits"], float)
+    limits = robot.effort_limits
     return Demand(tuple(robot.actuator_names), tuple(speed.tolist()), tuple((torque / limits).tolist()))
 
 
@@ -62,8 +62,7 @@ def held_out_torque(task: Task) -> dict[str, float]:
         RecordingError: The robot is lost on one of them.
     """
     layout, inverse = task.robot.layout, np.linalg.pinv(task.robot.E)
-    limits = np.array(task.robot.facts()["effort_limits"], float)
     return {
-        name: float((np.abs(rows[:, layout.where("psi")] @ inverse.T) / limits).max())
+        name: float((np.abs(rows[:, layout.where("psi")] @ inverse.T) / task.robot.effort_limits).max())
         for name, rows in task.rows.items()
     }

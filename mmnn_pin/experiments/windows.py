@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 from .experiment import Experiment
 
@@ -22,6 +22,6 @@ def window_notes(experiment: Experiment) -> list[str]:
     return found
 
 
-def words(windows: Iterable[Window]) -> str:
+def words(windows: Sequence[Window]) -> str:
     """Windows in words."""
-    return "the window " + ", ".join(f"{start:g}-{stop:g} s" for start, stop in windows)
+    return "the window" + "s" * (len(windows) > 1) + " " + ", ".join(f"{start:g}-{stop:g} s" for start, stop in windows)

@@ -80,8 +80,7 @@ def true_parameters(subject: Subject, learner: Learner) -> Truth:
             why = f"the body at '{name}' has no density: flat, a point, or with impossible inertias"
             raise RecordingError("no true parameters", why=why, file=subject.recording.path)
     some = np.unique(np.linspace(0, len(subject.rows) - 1, 500).astype(int))
-    found = stepped(learner, subject.rows[: some[-1] + 1], some)
-    eps = subject.signal("psi")[some] - found.Y @ theta
+    eps = subject.signal("psi")[some] - regressors(learner, subject.rows[some]) @ theta
     ends = np.array([learner.start["theta"], learner.end["theta"]])
     first = controller.regressor.inertial
     parts = {
@@ -97,6 +96,18 @@ def adaptation_of(learner: Learner) -> Adaptation:
     found = learner.controller.law(learner.wiring).adaptation
     assert found is not None
     return found
+
+
+def regressors(learner: Learner, rows: Array) -> Array:
+    """Y of an adaptive controller at rows (N, width), (N, p, k), which no estimate changes."""
+    stepper = Stepper(learner, learner.start.snapshot(), learning=False)
+    adaptation = stepper.torque.law.adaptation
+    assert adaptation is not None
+    Y = np.zeros((len(rows), *adaptation.known.Y.shape))
+    for n, row in enumerate(rows):
+        stepper.step(row)
+        Y[n] = adaptation.known.Y
+    return Y
 
 
 def stepped(

@@ -4,7 +4,9 @@ Bilinear: what every mechanism's equations look like and no more. Psi is linear 
 nu and nu_ref (Christoffel's C), and its coefficients are unknown functions of the arm's joints (a free base sees no
 pose); these are `tanh(a' q + b)` with random a and b, their weights are learned, one set per velocity,
 
-    Psi_i ~ sum over units u and terms t of W_iut g_u(q) t(nu, nu_ref, nudot_ref),    t = nudot_ref, sym(nu nu_ref'), 1.
+    Psi_i ~ sum over units u and terms t of W_iut g_u(q) t(nu, nu_ref, nudot_ref),    t = nudot_ref, sym(nu nu_ref'), 1,
+
+over all pairs, or as many as `paired` leaves a robot with many joints.
 
 Generic: `tanh` of random combinations of q, nu, nu_ref and nudot_ref, which knows nothing (random features: Rahimi and
 Recht 2008, NIPS; with a linear last layer as in Igelnik and Pao 1995, IEEE Trans. Neural Networks 6(6)). Both have the

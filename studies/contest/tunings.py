@@ -1,7 +1,7 @@
 """The two searches by name: where, in which spaces, how many tries, and what was found and is kept.
 
-`eight` searches all settings of the learners on a robot that does not change, `payload` after it those that forget and
-follow on one that picks something up.
+`eight` searches the settings of every learner that its space names, on a robot that does not change, `payload` after it
+those that forget and follow on one that picks something up.
 """
 
 from __future__ import annotations
