@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from itertools import pairwise
 
 import msgspec
 import numpy as np
@@ -109,6 +110,22 @@ def test_plot_draws_the_figures_of_a_contest_again(folder, tmp_path, capsys):
 def test_what_a_folder_is_not_taken_for_is_one_line(words, says, folder, capsys):
     code, _, err = call(capsys, *(word.format(folder) for word in words))
     assert code == 2 and says in err and err.count("\n") == 1, err
+
+
+@pytest.mark.parametrize("span", [2.5, 5.0, 34.0, 51.0, 99.0, 101.0, 300.0, 1e4, 1e9])
+def test_numbers_of_a_logarithmic_axis_do_not_touch(span):
+    """In the panel of the FVU, on both axes, wherever the range begins; a short one has two at least."""
+    for low in (0.17, 1.0, 3.3):
+        figure, (axes,) = figures.panels_for(["one"], 4, 3.2, 3.1)
+        axes.plot([low, low * span], [low, low * span])
+        axes.set(xscale="log", yscale="log", xlim=(low, low * span), ylim=(low, low * span))
+        figures.number_short(axes)
+        figure.canvas.draw()
+        for axis, part in ((axes.xaxis, "intervalx"), (axes.yaxis, "intervaly")):
+            inside, labels = getattr(axes.bbox, part), axis.get_ticklabels(which="both")
+            places = [tuple(getattr(label.get_window_extent(), part)) for label in labels if label.get_text()]
+            places = sorted((a, b) for a, b in places if inside[0] <= (a + b) / 2 <= inside[1])
+            assert len(places) >= 2 and all(a[1] < b[0] for a, b in pairwise(places))
 
 
 def test_the_page_has_all_tables_targets_and_figures(standing, folder, tmp_path, capsys):

@@ -19,6 +19,7 @@ from .columns import over_all
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 ERRORS: Mapping[str, Callable[[Row], float]] = {
@@ -82,7 +83,8 @@ def dots(standing: Standing, title: str, columns: Sequence[tuple[str, Callable[.
                 values = [of(row, **options) for row in standing.of(task, name) if row.completed]
                 line(axes, -k, [value for value in values if math.isfinite(value) and value > 0], style[name])
             if axes.lines:
-                log_ticks(axes)
+                axes.set_xscale("log")
+                log_ticks(axes.xaxis)
             else:
                 axes.set_xticks([])
                 axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="0.5")
@@ -101,16 +103,28 @@ def line(axes: Axes, at: float, values: Sequence[float], style: Style) -> None:
     axes.plot([float(np.median(values))], [at], "|", ms=11, mew=2, color=style.color)
 
 
-def log_ticks(axes: Axes) -> None:
-    """A logarithmic axis with numbers at powers of ten, or at 1, 2 and 5 of them where it is short."""
+def log_ticks(axis: Axis) -> None:
+    """Numbers of a logarithmic axis at powers of ten, between them too where it is short."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    axes.set_xscale("log")
-    low, high = axes.get_xlim()
-    subs = (1.0,) if high > 30 * low else (1.0, 2.0, 5.0)
-    axes.xaxis.set_major_locator(LogLocator(subs=subs, numticks=8))
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axes.xaxis.set_minor_formatter(NullFormatter())
+    low, high = axis.get_view_interval()
+    subs = (1.0,) if not is_short(axis) else (1.0, 2.0, 5.0) if high > 5 * low else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+    axis.set_major_locator(LogLocator(subs=subs, numticks=8))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def is_short(axis: Axis) -> bool:
+    """Whether a logarithmic axis has so few powers of ten that numbers between them are needed, and have room."""
+    low, high = axis.get_view_interval()
+    return bool(high <= 100 * low)
+
+
+def number_short(axes: Axes) -> None:
+    """`log_ticks` of those of both axes that are short; on the others powers of ten have room."""
+    for axis in (axes.xaxis, axes.yaxis):
+        if is_short(axis):
+            log_ticks(axis)
 
 
 def panels_for(tasks: Sequence[str], most: int, width: float, height: float) -> tuple[Figure, Any]:
@@ -141,6 +155,7 @@ def known(standing: Standing) -> Figure:
         low, high = min(axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])
         axes.plot([low, high], [low, high], color="0.7", lw=0.8, zorder=1)
         axes.axhline(1.0, color="0.7", lw=0.8, ls=":", zorder=1)
+        number_short(axes)
     legend(figure, "Contest: what is followed and what is known", panels)
     return figure
 

@@ -55,7 +55,7 @@ def subject(standing: Standing) -> str:
     """What was run, in one line."""
     tasks, seeds, seed = run_tasks(standing), standing.contest.seeds, standing.experiment.seed
     counts = f"{len(standing.controllers)} controllers \u00b7 {len(tasks)} task{'s' if len(tasks) > 1 else ''}"
-    return f"{standing.name} \u00b7 {counts} \u00b7 {seeds} seeds from {seed}"
+    return f"{standing.name} \u00b7 {counts} \u00b7 {seeds} seed{'s' if seeds > 1 else ''} from {seed}"
 
 
 def unfinished(standing: Standing) -> list[str]:
