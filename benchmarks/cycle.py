@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 from mmnn_pin import load_experiment
-from mmnn_pin.cycle import Cycle
-from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.loop.cycle import Cycle
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.signals import Measurement
 

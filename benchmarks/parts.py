@@ -11,12 +11,12 @@ from typing import Any
 from numba import njit
 from workload import thesis_loop
 
-from mmnn_pin.compiled_loop import CompiledLoop
+from mmnn_pin.loop.compiled import CompiledLoop
+from mmnn_pin.loop.ordinary import OrdinaryLoop
+from mmnn_pin.loop.sample import after_torque, before_torque
 from mmnn_pin.model.reduction import friction, spread
-from mmnn_pin.model.tree_dynamics import psi_again, terms
-from mmnn_pin.ordinary_loop import OrdinaryLoop
+from mmnn_pin.model.tree.dynamics import psi_again, terms
 from mmnn_pin.plant.integrators import SEMI_IMPLICIT, euler
-from mmnn_pin.sample import after_torque, before_torque
 from mmnn_pin.torque import law
 
 REPEAT = 5000

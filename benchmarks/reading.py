@@ -18,11 +18,11 @@ import time
 from pathlib import Path
 
 from mmnn_pin.model.arm import choose_arm
-from mmnn_pin.model.overrides import Overrides
+from mmnn_pin.model.base.overrides import Overrides
+from mmnn_pin.model.base.understanding import find_base
 from mmnn_pin.model.robots import find
-from mmnn_pin.model.shapes import AtRest
-from mmnn_pin.model.understanding import find_base
-from mmnn_pin.model.urdf import read
+from mmnn_pin.model.urdf.parsing import read
+from mmnn_pin.model.urdf.shapes import AtRest
 
 SIZE = 200_000  # bytes
 INERTIA = '<inertia ixx="0.012" ixy="1e-5" ixz="-2e-5" iyy="0.013" iyz="3e-6" izz="0.011"/>'

@@ -19,7 +19,7 @@ from worker import Prepare, serve
 from workload import arm_loop, chain, find_tiago, peer_work, thesis_loop
 
 from mmnn_pin import Loop, load, simulate_many
-from mmnn_pin.recorder import Recorder
+from mmnn_pin.recording.recorder import Recorder
 
 Timed = Callable[[], dict[str, Any]]
 SECONDS, FOLDER = float(sys.argv[1]), Path(sys.argv[2])

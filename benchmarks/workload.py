@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mmnn_pin import Feedback, Line, Loop, Neural, Robot, Robust, Sine, Timing, Trajectory, TwoLayer, load
-from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from mmnn_pin import TorqueController, load_experiment
-from mmnn_pin.proof.fvu import START, fvu
+from mmnn_pin.lab.proof.fvu import START, fvu
 
 
 class PI(TorqueController):

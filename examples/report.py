@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from mmnn_pin import load_experiment
-from mmnn_pin.experiments.runner import run_experiment
-from mmnn_pin.show.report import report
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.show.report import report
 
 controllers = "controllers=['two_layer', 'pd', 'pd_effective', 'computed_torque']"
 runs = run_experiment(load_experiment("chapter4", [controllers]), "chapter4").recordings

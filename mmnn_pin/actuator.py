@@ -28,10 +28,10 @@ import numpy as np
 
 from .compiled import compiled
 from .errors import ConfigError
+from .model.checks.sampling import random_state
 from .model.dynamics import Dynamics
 from .model.limits import Numbers, each, limits, speed_limits
 from .model.robot import Robot
-from .model.sampling import random_state
 from .settings import Settings, require_numbers
 from .signals import Array
 

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 
 from mmnn_pin.model import Robot
+from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
-from mmnn_pin.model.overrides import Overrides
-from mmnn_pin.model.urdf import parse
+from mmnn_pin.model.urdf.parsing import parse
 
 UP = np.array([0.0, 0.0, 1.0])
 SPHERE = '<sphere radius="{r!r}"/>'

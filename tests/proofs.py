@@ -11,9 +11,9 @@ from test_holonomic import PATHS, mecanum
 
 from mmnn_pin import PD, Hold, Loop, Neural, OneLayer, Robust, Sine, Start, Timing, Trajectory, TwoLayer
 from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.proof.subject import Subject
-from mmnn_pin.recording import Recording
+from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Holonomic
 
 KINDS = ("differential", "holonomic", "fixed")
@@ -63,7 +63,7 @@ def subject_of(kind: str, recording: Recording) -> Subject:
     if kind != "holonomic":
         return Subject.of(recording)
     subject = Subject.of.__func__  # the classmethod, around the robot of the test
-    import mmnn_pin.proof.subject as module
+    import mmnn_pin.lab.proof.subject as module
 
     original, module.recorded_robot = module.recorded_robot, lambda recording: robot_of_kind(kind)
     try:

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.recorder import Recorder
-from mmnn_pin.recording import Outcome, Recording
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome, Recording
 
 TYPES = {"f4": "<f4", "u2": "<u2", "u4": "<u4"}
 

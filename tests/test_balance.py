@@ -12,11 +12,11 @@ from mmnn_pin import Line, Timing, Trajectory, load_experiment
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Block, Payload, Push
 from mmnn_pin.errors import RecordingError
+from mmnn_pin.lab.proof import balance as module
+from mmnn_pin.lab.proof.balance import TOLERANCE, Balance, balance, evenly
+from mmnn_pin.lab.proof.between import Between, polynomial
+from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.proof import balance as module
-from mmnn_pin.proof.balance import TOLERANCE, Balance, balance, evenly
-from mmnn_pin.proof.between import Between, polynomial
-from mmnn_pin.proof.subject import Subject
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import INDEX
 

@@ -34,12 +34,12 @@ from mmnn_pin import (
     TorqueController,
     Trajectory,
     TwoLayer,
-    batch,
     load,
     simulate_many,
 )
 from mmnn_pin.errors import ConfigError, TrajectoryError, UnknownName
-from mmnn_pin.metrics import metrics
+from mmnn_pin.loop import batch
+from mmnn_pin.recording.metrics import metrics
 
 ROBOT = load("platform_arm")
 GAINS = Feedback(base=500.0, arm=10.0)

@@ -14,11 +14,11 @@ from replays import recorded
 from robots import mobile_arm
 
 from mmnn_pin import load
+from mmnn_pin.lab.show.replay import page
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robots import extra
-from mmnn_pin.model.urdf import parse
-from mmnn_pin.recording import Outcome
-from mmnn_pin.show.replay import page
+from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.recording.recording import Outcome
 
 ORANGE = np.array([238, 125, 33])  # of the thesis robot's forearm
 ROBOTS = [

@@ -13,10 +13,10 @@ from numba import config
 from replays import recorded
 
 from mmnn_pin import load
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.runner import run_experiment
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.show.report import report
 from mmnn_pin.model.robots import extra
-from mmnn_pin.show.report import report
 
 READY = "window.report"
 DURATION = 0.05 if config.DISABLE_JIT else 1.0

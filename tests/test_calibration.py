@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmnn_pin import Loop, load, load_experiment
-from mmnn_pin.experiments.figure_ranges import figure_intervals, figure_ranges
+from mmnn_pin.lab.experiments.figure_ranges import figure_intervals, figure_ranges
 from mmnn_pin.model.dynamics import Dynamics
 
 pytest.importorskip("optuna")

@@ -11,13 +11,13 @@ import pytest
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.experiments.cases import judge, run_cases, with_case
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.files import merged
-from mmnn_pin.experiments.tolerance import Case, Tolerance
-from mmnn_pin.recorder import Recorder
-from mmnn_pin.recording import Outcome
-from mmnn_pin.show import cases as shown
+from mmnn_pin.lab.experiments.cases import judge, run_cases, with_case
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.files import merged
+from mmnn_pin.lab.experiments.tolerance import Case, Tolerance
+from mmnn_pin.lab.show import cases as shown
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome
 from mmnn_pin.signals import Layout
 
 LAYOUT = Layout(base=2, arm=2, full=7, motors=4)

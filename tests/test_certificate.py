@@ -32,13 +32,13 @@ from mmnn_pin import (
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Push
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.proof.boxes import Box, Boxes, Faces
-from mmnn_pin.proof.certificate import Certificate, certify
-from mmnn_pin.proof.certified_loop import certified_loop, refusal
-from mmnn_pin.proof.rate import Rate, rate_of
-from mmnn_pin.proof.reached import Sizes, sizes_of
-from mmnn_pin.proof.subject import Subject
-from mmnn_pin.recording import Recording
+from mmnn_pin.lab.proof.boxes import Box, Boxes, Faces
+from mmnn_pin.lab.proof.certificate import Certificate, certify
+from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
+from mmnn_pin.lab.proof.rate import Rate, rate_of
+from mmnn_pin.lab.proof.reached import Sizes, sizes_of
+from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.recording.recording import Recording
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
 FORCE = np.array([4.0, 1.0, 0.3, 0.1])  # [N, N m] within which the pushes stay

@@ -12,15 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import PD, Feedback, Hold, Line, Safety, Start, Table, Timing, Trajectory, load
-from mmnn_pin.proof.boxes import Box, Boxes
-from mmnn_pin.proof.certificate import Certificate, certify
-from mmnn_pin.proof.certified_loop import CertifiedLoop, certified_loop, refusal
-from mmnn_pin.proof.motion_bound import motion_bound
-from mmnn_pin.proof.moving_reference import drift, jump
-from mmnn_pin.proof.reached import reached, sizes_of
-from mmnn_pin.proof.subject import Subject
+from mmnn_pin.lab.proof.boxes import Box, Boxes
+from mmnn_pin.lab.proof.certificate import Certificate, certify
+from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop, refusal
+from mmnn_pin.lab.proof.motion_bound import motion_bound
+from mmnn_pin.lab.proof.moving_reference import drift, jump
+from mmnn_pin.lab.proof.reached import reached, sizes_of
+from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.show.proof.certificate_text import side
 from mmnn_pin.reference.path import BasePath, BaseSamples
-from mmnn_pin.show.proof.certificate_text import side
 
 STILL = Trajectory(Line(speed=0.3), (Hold(0.0), Hold(0.8)))
 

@@ -15,16 +15,16 @@ from marks import leaves, marked
 from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.experiments.controllers import effective
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.fairness import unfair
-from mmnn_pin.experiments.files import bundled, read_toml
-from mmnn_pin.experiments.largest_errors import THESIS, largest_errors, mean_ratio, ratios, thesis_ratios
-from mmnn_pin.experiments.readings import readings
-from mmnn_pin.experiments.runner import Result
-from mmnn_pin.proof.rebuild import recorded_learner
-from mmnn_pin.recorded_robot import recorded_robot
-from mmnn_pin.show import table
+from mmnn_pin.lab.experiments.controllers import effective
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.fairness import unfair
+from mmnn_pin.lab.experiments.files import bundled, read_toml
+from mmnn_pin.lab.experiments.largest_errors import THESIS, largest_errors, mean_ratio, ratios, thesis_ratios
+from mmnn_pin.lab.experiments.readings import readings
+from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.proof.rebuild import recorded_learner
+from mmnn_pin.lab.show import table
+from mmnn_pin.recording.robot import recorded_robot
 from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.neural_settings import TwoLayer

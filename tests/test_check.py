@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from mmnn_pin.cli import main
-from mmnn_pin.model import properties
+from mmnn_pin.model.checks import properties
 from mmnn_pin.signals import Array
 
 

@@ -17,10 +17,10 @@ import pytest
 
 from mmnn_pin import Dynamics, Recording, load
 from mmnn_pin.cli import main
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.controllers import CONTROLLERS
-from mmnn_pin.experiments.files import bundled
-from mmnn_pin.show import table, verdicts
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.controllers import CONTROLLERS
+from mmnn_pin.lab.experiments.files import bundled
+from mmnn_pin.lab.show import table, verdicts
 
 SHORT = ("--set", "time.duration=0.02")
 ARM = ("--robot", "two_axis_arm", "--controller", "pd", "--set", "feedback.arm=1")
@@ -226,7 +226,7 @@ def test_ctrl_c_that_python_swallows_is_not_lost(call: Call, monkeypatch: pytest
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(0.1)  # the KeyboardInterrupt is raised and ignored in here
 
-    from mmnn_pin.experiments import runner
+    from mmnn_pin.lab.experiments import runner
 
     order = runner.in_order
 
@@ -652,6 +652,6 @@ def test_too_little_memory_is_one_line(call: Call, monkeypatch: pytest.MonkeyPat
     def fails(*_: object, **__: object) -> None:
         raise MemoryError("Unable to allocate 3 TiB")
 
-    monkeypatch.setattr("mmnn_pin.experiments.config.load_experiment", fails)
+    monkeypatch.setattr("mmnn_pin.lab.experiments.config.load_experiment", fails)
     code, _, err = call("run", "chapter4")
     assert code == 2 and "not enough memory: Unable to allocate 3 TiB: use a shorter duration" in only_line(err)

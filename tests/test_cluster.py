@@ -24,15 +24,15 @@ from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import MmnnError, StudyError
+from mmnn_pin.lab.study import cluster as dask
+from mmnn_pin.lab.study import worker
+from mmnn_pin.lab.study.bundle import Bundle
+from mmnn_pin.lab.study.execution import execute, fill
+from mmnn_pin.lab.study.packed import carriers
+from mmnn_pin.lab.study.session import missing_rows, probe
+from mmnn_pin.lab.study.store import NAME, writing
+from mmnn_pin.lab.study.worker import code_digest
 from mmnn_pin.model.robots import bundled
-from mmnn_pin.study import cluster as dask
-from mmnn_pin.study import worker
-from mmnn_pin.study.bundle import Bundle
-from mmnn_pin.study.execution import execute, fill
-from mmnn_pin.study.packed import carriers
-from mmnn_pin.study.session import missing_rows, probe
-from mmnn_pin.study.store import NAME, writing
-from mmnn_pin.study.worker import code_digest
 
 pytest.importorskip("distributed")
 import cloudpickle
@@ -238,7 +238,7 @@ def test_another_version_of_the_scheduler_or_of_a_worker_is_told() -> None:
 def test_a_worker_without_the_package_or_with_other_code_is_told() -> None:
     dask.require_same_code({"w": code_digest()})
     with pytest.raises(StudyError, match="the worker at w has no mmnn_pin: install the same version"):
-        dask.require_same_code({"w": ModuleNotFoundError("none", name="mmnn_pin.study")})
+        dask.require_same_code({"w": ModuleNotFoundError("none", name="mmnn_pin.lab.study")})
     with pytest.raises(StudyError, match="the worker at w runs other code of mmnn_pin"):
         dask.require_same_code({"w": "0123456789abcdef"})
 

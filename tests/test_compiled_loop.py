@@ -39,7 +39,7 @@ from mmnn_pin import (
     load,
 )
 from mmnn_pin.errors import ConfigError, RobotError
-from mmnn_pin.model import body
+from mmnn_pin.model.tree import body
 
 SAME = 1e-9
 LONG = 0.04 if config.DISABLE_JIT else 5.0  # [s]

@@ -13,25 +13,25 @@ import msgspec
 import numpy as np
 import pytest
 
-from mmnn_pin.batch import Run
 from mmnn_pin.cli import main
-from mmnn_pin.contest import contest as running
-from mmnn_pin.contest.contest import learning_time, run_contest
-from mmnn_pin.contest.frozen import frozen, said
-from mmnn_pin.contest.heat import Stopped, heat, memory_of, trained
-from mmnn_pin.contest.row import Row, Tracking, arm_of, base_of
-from mmnn_pin.contest.store import Store
-from mmnn_pin.contest.targets import targets
-from mmnn_pin.contest.task import tasks_of
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
-from mmnn_pin.experiments.cases import chosen_cases
-from mmnn_pin.experiments.config import load_experiment, recorded_experiment
-from mmnn_pin.experiments.contest import Contest, Targets
-from mmnn_pin.loop import Loop
+from mmnn_pin.lab.contest import contest as running
+from mmnn_pin.lab.contest.contest import learning_time, run_contest
+from mmnn_pin.lab.contest.frozen import frozen, said
+from mmnn_pin.lab.contest.heat import Stopped, heat, memory_of, trained
+from mmnn_pin.lab.contest.row import Row, Tracking, arm_of, base_of
+from mmnn_pin.lab.contest.store import Store
+from mmnn_pin.lab.contest.targets import targets
+from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.experiments.cases import chosen_cases
+from mmnn_pin.lab.experiments.config import load_experiment, recorded_experiment
+from mmnn_pin.lab.experiments.contest import Contest, Targets
+from mmnn_pin.lab.show.contest.text import cell, render
+from mmnn_pin.loop.batch import Run
+from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model.regressor import Regressor
-from mmnn_pin.recording import Outcome, Recording
+from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.reference import Eight
-from mmnn_pin.show.contest.text import cell, render
 
 QUICK = [
     *("time.duration=1.6", "time.control_period=0.0025", "time.plant_step=0.00125", "windows=[[0, 0.5], [0.8, 1.6]]"),

@@ -13,15 +13,15 @@ import pytest
 from test_contest import NAMES, SET, quick
 
 from mmnn_pin.cli import main
-from mmnn_pin.contest.contest import opened, run_contest
-from mmnn_pin.contest.demand import demand
-from mmnn_pin.contest.task import tasks_of
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.runner import run_experiment
-from mmnn_pin.show.contest import figures
-from mmnn_pin.show.contest.text import render
-from mmnn_pin.show.table import number
+from mmnn_pin.lab.contest.contest import opened, run_contest
+from mmnn_pin.lab.contest.demand import demand
+from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.show.contest import figures
+from mmnn_pin.lab.show.contest.text import render
+from mmnn_pin.lab.show.table import number
 
 FEW = ("pd", "two_layer", "adaptive")
 
@@ -157,7 +157,7 @@ def test_joined_windows_keep_the_mean_square():
 def test_a_picture_has_few_colours_and_looks_the_same(standing, tmp_path):
     from PIL import Image
 
-    from mmnn_pin.show.figure import save
+    from mmnn_pin.lab.show.figure import save
 
     figure = figures.errors(standing)
     figure.savefig(tmp_path / "all.png", dpi=160)

@@ -10,11 +10,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mmnn_pin.contest.demand import demand, held_out_torque
-from mmnn_pin.contest.task import tasks_of
 from mmnn_pin.disturbance import payload
-from mmnn_pin.experiments.cases import with_case
-from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.lab.contest.demand import demand, held_out_torque
+from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.experiments.cases import with_case
+from mmnn_pin.lab.experiments.config import load_experiment
 from studies.contest import document, search, tunings
 from studies.contest.__main__ import main
 from studies.contest.tunings import TRIES, TUNINGS, spaces, taken, tuned, tuning_file

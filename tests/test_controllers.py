@@ -18,12 +18,12 @@ from scipy.special import expit
 
 import mmnn_pin
 from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.loop import Loop
+from mmnn_pin.loop.loop import Loop
+from mmnn_pin.loop.start import Start
 from mmnn_pin.model import load
-from mmnn_pin.recording import Recording
+from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
 from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
-from mmnn_pin.start import Start
 from mmnn_pin.timing import Timing
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import (

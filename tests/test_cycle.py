@@ -36,11 +36,11 @@ from mmnn_pin import (
 )
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.cli import main
-from mmnn_pin.cycle import UNKNOWN
 from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
-from mmnn_pin.proof.proof import Proof
-from mmnn_pin.recorded_robot import recorded_position
+from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.loop.cycle import UNKNOWN
+from mmnn_pin.recording.robot import recorded_position
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement

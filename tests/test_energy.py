@@ -17,16 +17,16 @@ from robots import feedback
 
 from mmnn_pin import LearningLaw, Memory, load_experiment
 from mmnn_pin.errors import RecordingError
+from mmnn_pin.lab.proof.covariance_part import covariance_part
+from mmnn_pin.lab.proof.estimate_part import metric, prediction_step
+from mmnn_pin.lab.proof.learner import Stepper, said
+from mmnn_pin.lab.proof.lyapunov import TERMS
+from mmnn_pin.lab.proof.network_part import network_part
+from mmnn_pin.lab.proof.networks import Networks
+from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.lab.proof.stack_part import stack_part
+from mmnn_pin.lab.proof.truth import adaptation_of, distances, true_weights
 from mmnn_pin.model.parameters import parameters
-from mmnn_pin.proof.covariance_part import covariance_part
-from mmnn_pin.proof.estimate_part import metric, prediction_step
-from mmnn_pin.proof.learner import Stepper, said
-from mmnn_pin.proof.lyapunov import TERMS
-from mmnn_pin.proof.network_part import network_part
-from mmnn_pin.proof.networks import Networks
-from mmnn_pin.proof.proof import Proof
-from mmnn_pin.proof.stack_part import stack_part
-from mmnn_pin.proof.truth import adaptation_of, distances, true_weights
 from mmnn_pin.torque.adaptation import directions, factor, move
 
 slow = pytest.mark.skipif(SLOW, reason="too long for uncompiled code")

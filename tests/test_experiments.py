@@ -10,14 +10,14 @@ import pytest
 
 from mmnn_pin import InputError, Recording, load_experiment, run_experiment
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
-from mmnn_pin.experiments.config import keys_of, kind_at
-from mmnn_pin.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.files import bundled, override, parse_value
-from mmnn_pin.experiments.runner import Result, in_order
-from mmnn_pin.metrics import as_columns, metrics
-from mmnn_pin.recorder import Recorder
-from mmnn_pin.recording import Outcome
+from mmnn_pin.lab.experiments.config import keys_of, kind_at
+from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.files import bundled, override, parse_value
+from mmnn_pin.lab.experiments.runner import Result, in_order
+from mmnn_pin.recording.metrics import as_columns, metrics
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome
 from mmnn_pin.signals import Layout
 
 SHORT = ("time.duration=0.02",)

@@ -13,13 +13,13 @@ from hypothesis import strategies as st
 
 from mmnn_pin import load_experiment, run_experiment
 from mmnn_pin.cli import main
-from mmnn_pin.experiments.controllers import EFFECTIVE
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.figure_ranges import figure_intervals, figure_ranges
-from mmnn_pin.experiments.improvement import Improvement, improvements
-from mmnn_pin.experiments.readings import SWITCHES, readings, told
-from mmnn_pin.experiments.runner import Result
-from mmnn_pin.show import effects, verdicts
+from mmnn_pin.lab.experiments.controllers import EFFECTIVE
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.figure_ranges import figure_intervals, figure_ranges
+from mmnn_pin.lab.experiments.improvement import Improvement, improvements
+from mmnn_pin.lab.experiments.readings import SWITCHES, readings, told
+from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.show import effects, verdicts
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.inputs import MEASURED
 

@@ -34,9 +34,9 @@ from mmnn_pin import (
     load,
     load_experiment,
 )
-from mmnn_pin.control import Torque
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.experiments.kalman import kalman_from_facts, machine_of
+from mmnn_pin.lab.experiments.kalman import kalman_from_facts, machine_of
+from mmnn_pin.loop.control import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor

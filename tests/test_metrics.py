@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin.metrics import Reducer, halves, metrics
-from mmnn_pin.recorder import Recorder
-from mmnn_pin.recording import Outcome, Recording
+from mmnn_pin.recording.metrics import Reducer, halves, metrics
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import Array, Layout
 
 PERIOD = 0.01

@@ -10,8 +10,8 @@ from test_holonomic import PATHS
 from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory, TwoLayer, load
 from mmnn_pin.cli.plot import WHATS
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.show.gallery import PICTURES
-from mmnn_pin.show.monitors import MONITORS, residuals_figure, step_times_figure, weights_figure
+from mmnn_pin.lab.show.gallery import PICTURES
+from mmnn_pin.lab.show.monitors import MONITORS, residuals_figure, step_times_figure, weights_figure
 
 
 def test_figures_draw_what_was_recorded() -> None:

@@ -12,13 +12,13 @@ from proofs import learner, loop_of
 from test_lyapunov import DURATION
 
 from mmnn_pin import Cycle, Feedback, LearningLaw, Memory, Recording, Robust, TorqueController, load, load_experiment
-from mmnn_pin.experiments.cases import with_case
-from mmnn_pin.proof.certified_loop import refusal
-from mmnn_pin.proof.ideal import ideal_weights
-from mmnn_pin.proof.limited import taken
-from mmnn_pin.proof.lyapunov import lyapunov
-from mmnn_pin.proof.subject import Subject
-from mmnn_pin.proof.weights_of import weights_of
+from mmnn_pin.lab.experiments.cases import with_case
+from mmnn_pin.lab.proof.certified_loop import refusal
+from mmnn_pin.lab.proof.ideal import ideal_weights
+from mmnn_pin.lab.proof.limited import taken
+from mmnn_pin.lab.proof.lyapunov import lyapunov
+from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.proof.weights_of import weights_of
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement

@@ -18,10 +18,10 @@ from test_prove import compiled_only
 from mmnn_pin import LearningLaw, Recording, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.experiments.config import recorded_experiment
-from mmnn_pin.experiments.laws import load_class
-from mmnn_pin.proof.fvu import worst
-from mmnn_pin.proof.proof import Proof
+from mmnn_pin.lab.experiments.config import recorded_experiment
+from mmnn_pin.lab.experiments.laws import load_class
+from mmnn_pin.lab.proof.fvu import worst
+from mmnn_pin.lab.proof.proof import Proof
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples/own_law.py"

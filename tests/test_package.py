@@ -197,7 +197,7 @@ def test_a_wheel_brings_robots_experiments_and_types(tmp_path: Path) -> None:
     assert Path(here).is_relative_to(site)
     assert [Path(robot).name for robot in robots] == ["platform_arm.urdf", "two_axis_arm.urdf"]
     assert all(Path(robot).is_relative_to(site) for robot in robots)
-    assert (site / "mmnn_pin/py.typed").exists() and (site / "mmnn_pin/experiments/chapter4.toml").exists()
+    assert (site / "mmnn_pin/py.typed").exists() and (site / "mmnn_pin/lab/experiments/chapter4.toml").exists()
     assert not (site / "tests").exists()
     load = "from mmnn_pin import load, load_experiment; print(load(load_experiment('chapter4').robot).layout.dof)"
     assert python("-c", load, cwd=tmp_path, PYTHONPATH=str(site)).strip() == "4"

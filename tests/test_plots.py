@@ -10,12 +10,12 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
 
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.experiments import controllers
-from mmnn_pin.recorder import Recorder
-from mmnn_pin.recording import Outcome, Recording
-from mmnn_pin.show.figure import OTHERS, STYLES, save, styles_of
-from mmnn_pin.show.path_plot import path_figure
-from mmnn_pin.show.plots import FIGURES, errors_figure, psi_figure, torque_figure
+from mmnn_pin.lab.experiments import controllers
+from mmnn_pin.lab.show.figure import OTHERS, STYLES, save, styles_of
+from mmnn_pin.lab.show.path_plot import path_figure
+from mmnn_pin.lab.show.plots import FIGURES, errors_figure, psi_figure, torque_figure
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import Layout
 
 MOBILE, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
@@ -236,7 +236,7 @@ def test_what_cannot_be_saved_is_told(tmp_path):
 
 def test_plots_need_no_display_and_load_matplotlib_late():
     code = (
-        "import sys, mmnn_pin.show.plots as p, mmnn_pin.errors as e; assert 'matplotlib' not in sys.modules; "
+        "import sys, mmnn_pin.lab.show.plots as p, mmnn_pin.errors as e; assert 'matplotlib' not in sys.modules; "
         "import os; os.environ['MPLBACKEND'] = 'TkAgg'\n"
         "try: p.errors_figure({})\nexcept e.RecordingError: pass\n"
         "assert 'matplotlib.pyplot' not in sys.modules"

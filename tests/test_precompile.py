@@ -8,8 +8,8 @@ import sys
 import pytest
 from numba import config
 
-from mmnn_pin import precompile as module
-from mmnn_pin.precompile import precompile
+from mmnn_pin.loop import precompile as module
+from mmnn_pin.loop.precompile import precompile
 
 SCRIPT = """
 import sys
@@ -73,7 +73,7 @@ def started(monkeypatch, tmp_path):
 
 def test_two_processes_share_the_work_and_the_second_one_is_ended(started):
     precompile()
-    assert started == [[sys.executable, "-m", "mmnn_pin.precompile"], "control"]
+    assert started == [[sys.executable, "-m", "mmnn_pin.loop.precompile"], "control"]
     assert module.PROCESS.calls == ["wait", "kill"]
 
 
@@ -88,6 +88,6 @@ def test_ctrl_c_ends_the_second_process(started, monkeypatch):
     ("name", "value"), [("is_warm", lambda: True), ("cache_folder", lambda: None), ("os.cpu_count", lambda: 1)]
 )
 def test_nothing_is_started_where_it_would_not_help(started, monkeypatch, name, value):
-    monkeypatch.setattr(f"mmnn_pin.precompile.{name}", value)
+    monkeypatch.setattr(f"mmnn_pin.loop.precompile.{name}", value)
     precompile()
     assert started == []

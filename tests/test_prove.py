@@ -19,17 +19,17 @@ from test_report import Page
 from mmnn_pin import PD, Feedback, Recording, TorqueController, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.experiments.config import recorded_experiment
-from mmnn_pin.proof.fvu import worst
-from mmnn_pin.proof.lyapunov import TERMS
-from mmnn_pin.proof.proof import Proof
+from mmnn_pin.lab.experiments.config import recorded_experiment
+from mmnn_pin.lab.proof.fvu import worst
+from mmnn_pin.lab.proof.lyapunov import TERMS
+from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.lab.show.proof import cache
+from mmnn_pin.lab.show.proof.figures import PROOF_FIGURES
+from mmnn_pin.lab.show.proof.lyapunov_figures import COLOURS, equality_figure, lyapunov_figure, terms_figure
+from mmnn_pin.lab.show.proof.psi_figures import frozen_figure, fvu_figure, ranks_figure, shares_figure
+from mmnn_pin.lab.show.proof.text import judgement, render
+from mmnn_pin.lab.show.report import report
 from mmnn_pin.safety import Safety
-from mmnn_pin.show.proof import cache
-from mmnn_pin.show.proof.figures import PROOF_FIGURES
-from mmnn_pin.show.proof.lyapunov_figures import COLOURS, equality_figure, lyapunov_figure, terms_figure
-from mmnn_pin.show.proof.psi_figures import frozen_figure, fvu_figure, ranks_figure, shares_figure
-from mmnn_pin.show.proof.text import judgement, render
-from mmnn_pin.show.report import report
 
 compiled_only = pytest.mark.skipif(SLOW, reason="half a second of uncompiled code")
 SETTINGS = ("time.duration=0.8", "windows=[[0.0, 0.4], [0.4, 0.8]]", "plots=[]", "weights_interval=0.05")
@@ -302,7 +302,7 @@ def test_the_report_tells_what_is_proved(runs: dict[str, Recording], proof: Proo
 
 
 def judgement_number(proof: Proof) -> str:
-    from mmnn_pin.show.table import number
+    from mmnn_pin.lab.show.table import number
 
     return number(worst(proof.psi.online[proof.psi.halves["arm"]]))
 

@@ -14,16 +14,16 @@ from test_base import four
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.runner import run_experiment
-from mmnn_pin.loop import Loop
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.loop.loop import Loop
+from mmnn_pin.model.base.overrides import Overrides
+from mmnn_pin.model.checks.world_frame import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import load
-from mmnn_pin.model.overrides import Overrides
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.model.world_frame import WorldFrame
-from mmnn_pin.recorded_robot import recorded_robot
-from mmnn_pin.recording import Recording
+from mmnn_pin.recording.recording import Recording
+from mmnn_pin.recording.robot import recorded_robot
 from mmnn_pin.reference import Hold, Line, Trajectory
 from mmnn_pin.timing import Timing
 from mmnn_pin.torque.model_based import PD, ComputedTorque

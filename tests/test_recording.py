@@ -14,8 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import RecordingError, UnknownName
-from mmnn_pin.recorder import BUFFER_ROWS, Recorder
-from mmnn_pin.recording import Outcome, Recording
+from mmnn_pin.recording.recorder import BUFFER_ROWS, Recorder
+from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import SIGNALS, Layout
 
 LAYOUT = Layout(base=2, arm=2, full=7, motors=4)

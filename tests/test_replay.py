@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import config
 
-from mmnn_pin.control import Torque
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.control import Torque
 from mmnn_pin.torque.composite import Replaying
 from mmnn_pin.torque.inputs import MEASURED, Inputs
 from mmnn_pin.torque.replay import descend, keep_sample, recollect, replay

@@ -19,19 +19,19 @@ from replays import recorded as recorded_without_period
 from mmnn_pin import load
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.runner import run_experiment
-from mmnn_pin.metrics import metrics
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.show.figure import STYLES
+from mmnn_pin.lab.show.report import Report, report
+from mmnn_pin.lab.show.report.charts import MOST, kept_rows
+from mmnn_pin.lab.show.report.origin import command_of
+from mmnn_pin.lab.show.report.results import result_of
+from mmnn_pin.lab.show.report.verdict import verdict
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.model.urdf import parse
-from mmnn_pin.recording import Outcome, Recording
-from mmnn_pin.show.figure import STYLES
-from mmnn_pin.show.report import Report, report
-from mmnn_pin.show.report.charts import MOST, kept_rows
-from mmnn_pin.show.report.origin import command_of
-from mmnn_pin.show.report.results import result_of
-from mmnn_pin.show.report.verdict import verdict
+from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.recording.metrics import metrics
+from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import INDEX
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"

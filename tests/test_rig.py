@@ -38,12 +38,12 @@ from mmnn_pin import (
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Block, Commands, DeadMotor, Frozen, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.rig import sense
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.show.plots import torque_figure
+from mmnn_pin.lab.show.replay.events import events_of
+from mmnn_pin.loop.hardware import sense
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.show.plots import torque_figure
-from mmnn_pin.show.replay.events import events_of
 
 ROBOT = load("platform_arm")
 LEFT, ARM = ROBOT.base.wheels[0].joint, ROBOT.joint_names[0]

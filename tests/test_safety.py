@@ -223,7 +223,7 @@ def test_weights_that_are_not_finite_trip():
     memory = loop.memory_from()
     engine = loop.engine_at(memory)
     engine.memory["V1"][0, 0] = math.nan
-    from mmnn_pin.recorder import Recorder
+    from mmnn_pin.recording.recorder import Recorder
 
     with Recorder(loop.robot.layout, loop.facts(), None, False) as recorder:
         outcome = loop.stream(engine, recorder)

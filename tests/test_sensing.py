@@ -31,7 +31,7 @@ from mmnn_pin import (
     simulate_many,
 )
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.metrics import metrics
+from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.sensing import Sensor, measure
 from mmnn_pin.signals import Measurement
 

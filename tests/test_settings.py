@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mmnn_pin.cli import main
-from mmnn_pin.contest.task import tasks_of
 from mmnn_pin.errors import InputError
-from mmnn_pin.experiments.cases import chosen_cases
-from mmnn_pin.experiments.config import load_experiment
+from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.experiments.cases import chosen_cases
+from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.settings import LARGEST, wrong_type
 
 CIRCLE = "base={type='circle',radius=1.0,speed=1.0}"

@@ -18,19 +18,19 @@ from numba import config
 from study_files import SHORT, numbers, planned, run_here, stored, told, written
 
 from mmnn_pin import Recording, load
-from mmnn_pin.batch import simulate
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.runner import run_experiment
-from mmnn_pin.study import worker
-from mmnn_pin.study.execution import fill
-from mmnn_pin.study.plan import Plan
-from mmnn_pin.study.pools import processes, threads
-from mmnn_pin.study.results import load_results
-from mmnn_pin.study.session import missing_rows, probe
-from mmnn_pin.study.store import NAME, Stored, reading, writing
-from mmnn_pin.study.worker import Task, loop_of
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.study import worker
+from mmnn_pin.lab.study.execution import fill
+from mmnn_pin.lab.study.plan import Plan
+from mmnn_pin.lab.study.pools import processes, threads
+from mmnn_pin.lab.study.results import load_results
+from mmnn_pin.lab.study.session import missing_rows, probe
+from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
+from mmnn_pin.lab.study.worker import Task, loop_of
+from mmnn_pin.loop.batch import simulate
 
 compiled_only = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 ROOT = Path(__file__).parents[1]

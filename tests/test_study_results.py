@@ -20,18 +20,18 @@ from study_files import SHORT, planned, run_here
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
-from mmnn_pin.show.study import plots
-from mmnn_pin.show.study.page import page
-from mmnn_pin.show.study.table import render
-from mmnn_pin.study.factors import Factor
-from mmnn_pin.study.intervals import differ, quantile, rate
-from mmnn_pin.study.patterns import unit_of, value_of
-from mmnn_pin.study.region import region_of
-from mmnn_pin.study.results import Results, load_results
-from mmnn_pin.study.sensitivity import bins_of, share_of
-from mmnn_pin.study.settings import Sampling, StudySettings, Success
-from mmnn_pin.study.store import NAME, Stored, writing
-from mmnn_pin.study.verdict import sentences, verdict
+from mmnn_pin.lab.show.study import plots
+from mmnn_pin.lab.show.study.page import page
+from mmnn_pin.lab.show.study.table import render
+from mmnn_pin.lab.study.factors import Factor
+from mmnn_pin.lab.study.intervals import differ, quantile, rate
+from mmnn_pin.lab.study.patterns import unit_of, value_of
+from mmnn_pin.lab.study.region import region_of
+from mmnn_pin.lab.study.results import Results, load_results
+from mmnn_pin.lab.study.sensitivity import bins_of, share_of
+from mmnn_pin.lab.study.settings import Sampling, StudySettings, Success
+from mmnn_pin.lab.study.store import NAME, Stored, writing
+from mmnn_pin.lab.study.verdict import sentences, verdict
 
 # -- intervals --------------------------------------------------------------------------------------------------------
 

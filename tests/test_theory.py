@@ -18,15 +18,15 @@ from scipy.linalg import eigh
 from scipy.special import expit
 
 from mmnn_pin.kinematic import command
+from mmnn_pin.lab.proof.boxes import Box, Boxes
+from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
+from mmnn_pin.lab.proof.inputs_bound import signal_bounds
+from mmnn_pin.lab.proof.motion_bound import Forces, dissipation, drive, push
+from mmnn_pin.lab.proof.pose_bound import PoseBound, PoseSet
+from mmnn_pin.lab.proof.rate import radius
+from mmnn_pin.lab.proof.weights_bound import growth
+from mmnn_pin.loop.sampled import held_loop
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.proof.boxes import Box, Boxes
-from mmnn_pin.proof.certified_loop import CertifiedLoop
-from mmnn_pin.proof.inputs_bound import signal_bounds
-from mmnn_pin.proof.motion_bound import Forces, dissipation, drive, push
-from mmnn_pin.proof.pose_bound import PoseBound, PoseSet
-from mmnn_pin.proof.rate import radius
-from mmnn_pin.proof.weights_bound import growth
-from mmnn_pin.sampled import held_loop
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.network import one_layer_update, two_layer_update
 

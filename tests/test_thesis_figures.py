@@ -13,14 +13,12 @@ from matplotlib.patches import Rectangle
 
 from mmnn_pin.cli.plot import WHATS
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.experiments.experiment import PLOTS
-from mmnn_pin.experiments.figure_ranges import figure_intervals, figure_ranges
-from mmnn_pin.recorder import Recorder
-from mmnn_pin.recording import Outcome, Recording
-from mmnn_pin.show.figure import STYLES
-from mmnn_pin.show.gallery import PICTURES, write_pictures
-from mmnn_pin.show.plots import gains_figure, psi_figure
-from mmnn_pin.show.thesis_figures import (
+from mmnn_pin.lab.experiments.experiment import PLOTS
+from mmnn_pin.lab.experiments.figure_ranges import figure_intervals, figure_ranges
+from mmnn_pin.lab.show.figure import STYLES
+from mmnn_pin.lab.show.gallery import PICTURES, write_pictures
+from mmnn_pin.lab.show.plots import gains_figure, psi_figure
+from mmnn_pin.lab.show.thesis_figures import (
     THESIS_FIGURES,
     arm_figure,
     joints_figure,
@@ -29,6 +27,8 @@ from mmnn_pin.show.thesis_figures import (
     two_layer_figure,
     velocity_figure,
 )
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import Layout
 
 LAYOUT, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)

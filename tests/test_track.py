@@ -13,20 +13,20 @@ from closed_form import inertial, joint
 from numba import config
 from robots import dynamics, mobile_arm, place, robot_of
 
-from mmnn_pin.before_run import require_stable_gains
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.inertia import effective_inertia
-from mmnn_pin.experiments.references import Swing
-from mmnn_pin.experiments.runner import run_experiment
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.inertia import effective_inertia
+from mmnn_pin.lab.experiments.references import Swing
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.show import table
+from mmnn_pin.loop.before_run import require_stable_gains
+from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Trajectory
-from mmnn_pin.sampled import SampledLoop, sampled_loop
-from mmnn_pin.show import table
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import Feedback, Wiring
 from mmnn_pin.torque.neural import Neural

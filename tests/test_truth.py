@@ -30,17 +30,17 @@ from mmnn_pin import (
     load_experiment,
 )
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.proof import rebuild, truth
+from mmnn_pin.lab.proof.estimate_part import estimate_part, shares_of_update
+from mmnn_pin.lab.proof.features import features_of
+from mmnn_pin.lab.proof.learner import said
+from mmnn_pin.lab.proof.linear_fit import linear_fit
+from mmnn_pin.lab.proof.lyapunov import lyapunov
+from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.proof.truth import distances, divergence, stepped, true_parameters
 from mmnn_pin.model.parameters import parameters
-from mmnn_pin.proof import rebuild, truth
-from mmnn_pin.proof.estimate_part import estimate_part, shares_of_update
-from mmnn_pin.proof.features import features_of
-from mmnn_pin.proof.learner import said
-from mmnn_pin.proof.linear_fit import linear_fit
-from mmnn_pin.proof.lyapunov import lyapunov
-from mmnn_pin.proof.proof import Proof
-from mmnn_pin.proof.subject import Subject
-from mmnn_pin.proof.truth import distances, divergence, stepped, true_parameters
 from mmnn_pin.reference import Line
 from mmnn_pin.torque.adaptive import pseudo_inertias
 from mmnn_pin.torque.guess import scales

@@ -13,12 +13,12 @@ from numba import config
 from study_files import SHORT, planned, run_here, written
 
 from mmnn_pin.cli import main
-from mmnn_pin.study.constraints import violations
-from mmnn_pin.study.objective import LOST, REFUSED, Score, Scorer
-from mmnn_pin.study.pools import threads
-from mmnn_pin.study.reading import load_study
-from mmnn_pin.study.results import load_results
-from mmnn_pin.study.tuning import NAME
+from mmnn_pin.lab.study.constraints import violations
+from mmnn_pin.lab.study.objective import LOST, REFUSED, Score, Scorer
+from mmnn_pin.lab.study.pools import threads
+from mmnn_pin.lab.study.reading import load_study
+from mmnn_pin.lab.study.results import load_results
+from mmnn_pin.lab.study.tuning import NAME
 
 optuna = pytest.importorskip("optuna")
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from proofs import SLOW, learner, loop_of
 
 from mmnn_pin import LearningLaw, Memory, load_experiment
-from mmnn_pin.batch import simulate_many
-from mmnn_pin.contest.heat import found_in
-from mmnn_pin.contest.row import KEPT
-from mmnn_pin.contest.task import tasks_of
-from mmnn_pin.experiments.cases import chosen_cases
-from mmnn_pin.proof.learner import Learner
-from mmnn_pin.proof.subject import Subject
-from mmnn_pin.proof.unknown import NOISE, Unknown, left, not_excited, random_motion, signals_for, tangents, unknown
+from mmnn_pin.lab.contest.heat import found_in
+from mmnn_pin.lab.contest.row import KEPT
+from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.experiments.cases import chosen_cases
+from mmnn_pin.lab.proof.learner import Learner
+from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.lab.proof.unknown import NOISE, Unknown, left, not_excited, random_motion, signals_for, tangents, unknown
+from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.torque.neural_settings import OneLayer, TwoLayer
 
 LONG = pytest.mark.skipif(SLOW, reason="needs a long run")

@@ -14,10 +14,10 @@ import pytest
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import load
-from mmnn_pin.model.audit.tags import one_edit
 from mmnn_pin.model.build import pinocchio_model
 from mmnn_pin.model.loading import build
-from mmnn_pin.model.urdf import Finding, audit_data, number_problem, parse, read
+from mmnn_pin.model.urdf.parsing import Finding, audit_data, number_problem, parse, read
+from mmnn_pin.model.urdf.tags import one_edit
 
 GOOD = """\
 <?xml version="1.0"?>

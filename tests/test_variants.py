@@ -14,10 +14,10 @@ from marks import leaves, marked
 from mmnn_pin import Recording, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.experiments.fairness import unfair
-from mmnn_pin.experiments.files import bundled, read_toml, variants
-from mmnn_pin.experiments.runner import Result
-from mmnn_pin.show import table
+from mmnn_pin.lab.experiments.fairness import unfair
+from mmnn_pin.lab.experiments.files import bundled, read_toml, variants
+from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.show import table
 
 FILES = variants(bundled()["chapter4"])
 LEARNERS = ("two_layer", "one_layer")

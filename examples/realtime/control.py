@@ -10,8 +10,8 @@ import numpy as np
 import task
 from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 
-from mmnn_pin.cycle import MEASURED, Cycle
 from mmnn_pin.errors import InputError
+from mmnn_pin.loop.cycle import MEASURED, Cycle
 from mmnn_pin.signals import Measurement
 
 STOPS = (signal.SIGINT, signal.SIGTERM)  # they end the run between two cycles

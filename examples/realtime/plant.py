@@ -16,7 +16,7 @@ from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 
 from mmnn_pin import PD, TorqueController
 from mmnn_pin.errors import InputError
-from mmnn_pin.recorder import Recorder
+from mmnn_pin.recording.recorder import Recorder
 
 TIMEOUT, RAMP, LINGER = 0.5, 0.25, 1.0  # [s]
 LONGER = 5.0  # it outlives the controller's run by at most this [s]
@@ -38,7 +38,7 @@ class Motors(TorqueController):
         deadline = clock.monotonic() + patience
         while (kind := self.channel.receive()) != COMMAND:
             if clock.monotonic() > deadline:
-                raise InputError("no controller", why=f"no command within {patience:g} s", fix="start control.py")
+                raise InputError("no controller", why=f"no command within {patience:g} s", fix="start loop/control.py")
             if kind == HELLO:
                 self.channel.send(MEASUREMENT, measured)
             clock.sleep(0.001)

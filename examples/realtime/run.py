@@ -12,7 +12,7 @@ import task
 from control import control
 from faults import FAULTS
 
-from mmnn_pin.experiments.runner import require_free
+from mmnn_pin.lab.experiments.runner import require_free
 
 HERE = Path(__file__).parent
 

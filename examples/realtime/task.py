@@ -7,7 +7,7 @@ from pathlib import Path
 
 from mmnn_pin import InputError, load_experiment
 from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.experiments.controllers import CONTROLLERS, EFFECTIVE
+from mmnn_pin.lab.experiments.controllers import CONTROLLERS, EFFECTIVE
 
 PORT = 47800
 TASK = Path(__file__).with_name("task.toml")

@@ -29,9 +29,9 @@ def check(robot: str, samples: int, seed: int, said: dict[str, Any], as_json: bo
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. Every property is a scale-free
     residual, its worst value over random states held against a tolerance; exit code 1 when one fails.
     """
+    from ..lab.show.properties import properties_text, to_dict
+    from ..model.checks.properties import check_properties
     from ..model.loading import load
-    from ..model.properties import check_properties
-    from ..show.properties import properties_text, to_dict
 
     loaded = load(robot, **said)
     with progress_bar() as show:

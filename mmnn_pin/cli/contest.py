@@ -10,23 +10,23 @@ from typing import TYPE_CHECKING
 from .output import DONE, FAILED, STOPPED, say, say_json, warn
 
 if TYPE_CHECKING:
-    from ..contest.contest import Standing
-    from ..experiments.experiment import Experiment
+    from ..lab.contest.contest import Standing
+    from ..lab.experiments.experiment import Experiment
 
 
 def contest(
     experiment: Experiment, name: str, folder: Path, force: bool, progress: Callable[[str, float], None]
 ) -> Standing:
     """Run it; arguments as in `run_contest`."""
-    from ..contest.contest import run_contest
+    from ..lab.contest.contest import run_contest
 
     return run_contest(experiment, name, out=folder, force=force, progress=progress, warn=warn)
 
 
 def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
     """Draw and print what came of it; the exit code."""
-    from ..show.contest.figures import write_figures
-    from ..show.contest.text import findings, render
+    from ..lab.show.contest.figures import write_figures
+    from ..lab.show.contest.text import findings, render
 
     drawn = write_figures(standing, folder)
     if as_json:

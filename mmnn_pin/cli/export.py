@@ -35,8 +35,8 @@ def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_js
     MCAP holds joint states, transforms, odometry and all signals as messages of ROS 2. Parquet and MCAP need
     `pip install 'mmnn_pin[export]'`.
     """
-    from ..show.export import export as write
-    from ..show.whole import require_free
+    from ..lab.show.export import export as write
+    from ..lab.show.whole import require_free
 
     if (study := study_of(runs)) is not None:
         return export_study(study, to, out, force, as_json)
@@ -55,8 +55,8 @@ def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_js
 
 def export_study(path: Path, to: str, out: Path | None, force: bool, as_json: bool) -> int:
     """Write the rows of a study."""
-    from ..show.study.rows import export as write
-    from ..study.results import load_results
+    from ..lab.show.study.rows import export as write
+    from ..lab.study.results import load_results
 
     results = load_results(path)
     is_file = out is not None and out.suffix and not out.is_dir()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from ..errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
-    from ..recording import Recording
+    from ..recording.recording import Recording
 
 STUDY, CONTEST = "study.sqlite", ("contest.json", "rows.json")  # names of their files
 
@@ -49,7 +49,7 @@ def open_runs(path: Path) -> list[Recording]:
     Raises:
         RecordingError: None there, or one that cannot be read.
     """
-    from ..recording import Recording
+    from ..recording.recording import Recording
 
     files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
     if not files:

@@ -29,11 +29,11 @@ def inspect(robot: str, said: dict[str, Any], as_json: bool) -> int:
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. What is said in the options can
     stand in NAME.mmnn.toml beside NAME.urdf too. Exit code 2 when the robot cannot be used or its base is undecided.
     """
+    from ..lab.show.inspection import inspection_text, refusal_text
+    from ..model.base.overrides import Overrides
     from ..model.inspection import inspection_of, refusal_of
     from ..model.loading import load
-    from ..model.overrides import Overrides
     from ..model.robots import find
-    from ..show.inspection import inspection_text, refusal_text
 
     try:
         content, code = inspection_of(load(robot, **said)), DONE

@@ -39,7 +39,7 @@ def model(robot: str, state: Path | None, said: dict[str, Any], as_json: bool) -
     if as_json:
         say_json(at)
     else:
-        from ..show.matrices import model_text
+        from ..lab.show.matrices import model_text
 
         say(model_text(at))
     return DONE

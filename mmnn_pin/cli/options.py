@@ -32,7 +32,7 @@ def law(function: F) -> F:
     def loaded(*args: Any, **kwargs: Any) -> Any:
         files = kwargs.pop("law_files")
         if files:
-            from ..experiments.laws import load_class, read_file
+            from ..lab.experiments.laws import load_class, read_file
 
             for file in files:
                 if file.endswith(".py"):

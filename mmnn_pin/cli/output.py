@@ -47,7 +47,7 @@ def compile_if_cold(rig: bool = False) -> None:
 
     if not is_warm():
         click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
-        from ..precompile import precompile
+        from ..loop.precompile import precompile
 
         precompile()
     folder = cache_folder()

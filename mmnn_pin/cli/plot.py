@@ -15,7 +15,7 @@ from .output import DONE, say, say_json
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from ..recording import Recording
+    from ..recording.recording import Recording
 
 WHATS = (
     "errors",
@@ -68,8 +68,8 @@ OF_CONTEST = ("contest-errors", "contest-fvu", "contest-learning", "contest-held
 @shared
 def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force: bool, as_json: bool) -> int:
     """Plot recordings side by side. RUN is a recording, a folder with recordings, or the folder of one contest."""
-    from ..show.figure import FORMATS, save
-    from ..show.gallery import PICTURES
+    from ..lab.show.figure import FORMATS, save
+    from ..lab.show.gallery import PICTURES
 
     folder = contest_of(runs)
     require_whats(whats, folder)
@@ -116,8 +116,8 @@ def figures_of(folder: Path, whats: tuple[str, ...]) -> dict[str, Figure]:
     Raises:
         RecordingError: It has none, or no run that reached its end.
     """
-    from ..contest.contest import opened
-    from ..show.contest.figures import FIGURES
+    from ..lab.contest.contest import opened
+    from ..lab.show.contest.figures import FIGURES
 
     standing = opened(folder)
     if not any(row.completed for row in standing.rows):

@@ -73,15 +73,15 @@ def prove(
     that it ends up in, conditions and constants, a condition on the learning rates (docs/theory.md). Exit code 1 when
     the equality or the certificate is violated.
     """
-    from ..proof.balance import BUDGET
-    from ..proof.certified_run import certified_run
-    from ..proof.proof import Proof, sentence
-    from ..recording import Recording
-    from ..show.proof.certificate_numbers import certificate_dict
-    from ..show.proof.certificate_text import render_certificate
-    from ..show.proof.figures import write_proof
-    from ..show.proof.numbers import to_dict
-    from ..show.proof.text import render
+    from ..lab.proof.balance import BUDGET
+    from ..lab.proof.certified_run import certified_run
+    from ..lab.proof.proof import Proof, sentence
+    from ..lab.show.proof.certificate_numbers import certificate_dict
+    from ..lab.show.proof.certificate_text import render_certificate
+    from ..lab.show.proof.figures import write_proof
+    from ..lab.show.proof.numbers import to_dict
+    from ..lab.show.proof.text import render
+    from ..recording.recording import Recording
 
     wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
     if run.is_dir():

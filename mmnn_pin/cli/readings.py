@@ -29,10 +29,10 @@ def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as
     wd = 5, the frame of the pose error in the networks' input, the input with and without absolute position. Nothing
     is written.
     """
-    from ..experiments.config import load_experiment
-    from ..experiments.readings import readings as turn
-    from ..experiments.readings import told
-    from ..show import effects
+    from ..lab.experiments.config import load_experiment
+    from ..lab.experiments.readings import readings as turn
+    from ..lab.experiments.readings import told
+    from ..lab.show import effects
 
     asked, name = load_experiment(experiment, settings, variant), Path(experiment).stem
     compile_if_cold()

@@ -15,8 +15,8 @@ from .options import examples, shared
 from .output import DONE, say, say_json, warn
 
 if TYPE_CHECKING:
-    from ..recording import Recording
-    from ..show.replay import Page
+    from ..lab.show.replay import Page
+    from ..recording.recording import Recording
 
 
 @click.command(
@@ -56,7 +56,7 @@ def replay(
     Ctrl-C.
     """
     parent = os.getppid()  # before anything slow: a parent that dies meanwhile counts, too
-    from ..show.replay import page
+    from ..lab.show.replay import page
 
     if html is not None and html.exists() and not force:
         raise RecordingError("the file exists", fix="choose another, or replace it with --force", file=html)
@@ -80,7 +80,7 @@ def serve(made: Page, port: int, no_browser: bool, parent: int, facts: dict[str,
     """Serve a page until Ctrl-C or until the parent process is gone; `facts` are told as JSON."""
     import webbrowser
 
-    from ..show.replay.server import served, wait_until_left
+    from ..lab.show.replay.server import served, wait_until_left
 
     with served(made.html, port) as url:
         if facts is None:

@@ -14,7 +14,7 @@ from .output import DONE, say, say_json, warn
 from .replay import by_name
 
 if TYPE_CHECKING:
-    from ..show.html_page import HtmlPage
+    from ..lab.show.html_page import HtmlPage
 
 
 @click.command(
@@ -45,8 +45,8 @@ def report(
     RUN is a recording, or a folder with recordings; or one study: its folder or its database; or the folder of one
     contest: its page has the tables of all tasks, the targets and the figures. The page needs no network and no server.
     """
-    from ..show.report import report as make
-    from ..show.whole import require_free
+    from ..lab.show.report import report as make
+    from ..lab.show.whole import require_free
 
     require_free(html, force)
     if (study := study_of(runs)) is not None:
@@ -69,8 +69,8 @@ def report(
 
 def report_study(path: Path, html: Path, as_json: bool) -> int:
     """Write the page of a study."""
-    from ..show.study.page import page
-    from ..study.results import load_results
+    from ..lab.show.study.page import page
+    from ..lab.study.results import load_results
 
     made = page(load_results(path), shlex.join(["mmnn", "report", str(path), "--html", str(html)]))
     return write(made, html, "study", path, as_json)
@@ -78,8 +78,8 @@ def report_study(path: Path, html: Path, as_json: bool) -> int:
 
 def report_contest(path: Path, html: Path, as_json: bool) -> int:
     """Write the page of a contest."""
-    from ..contest.contest import opened
-    from ..show.contest.page import page
+    from ..lab.contest.contest import opened
+    from ..lab.show.contest.page import page
 
     made = page(opened(path), shlex.join(["mmnn", "report", str(path), "--html", str(html)]))
     return write(made, html, "contest", path, as_json)

@@ -20,8 +20,8 @@ from .options import examples, shared, understanding
 from .output import DONE, FAILED, STOPPED, compile_if_cold, progress_bar, say, say_json
 
 if TYPE_CHECKING:
-    from ..experiments.cases import Matrix
-    from ..experiments.runner import Result
+    from ..lab.experiments.cases import Matrix
+    from ..lab.experiments.runner import Result
 
 
 @click.command(
@@ -94,9 +94,9 @@ def run(
     learning on. It prints a table per task and the targets, draws figures, and goes on where it was stopped; what its
     numbers mean is in docs/contest.md. --controller leaves those in by which the others are measured.
     """
-    from ..experiments.cases import chosen_cases, run_cases
-    from ..experiments.config import load_experiment
-    from ..experiments.runner import has_rig, run_experiment
+    from ..lab.experiments.cases import chosen_cases, run_cases
+    from ..lab.experiments.config import load_experiment
+    from ..lab.experiments.runner import has_rig, run_experiment
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
     overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
@@ -181,14 +181,14 @@ def require_no_pictures(files: list[Path]) -> None:
 
 def draw(result: Result, folder: Path) -> dict[str, Path]:
     """Write the pictures of an experiment, as far as its runs have something for them; name to file."""
-    from ..show.gallery import write_pictures
+    from ..lab.show.gallery import write_pictures
 
     return write_pictures(result.recordings, result.experiment.plots, folder)
 
 
 def tell(result: Result, pictures: list[Path]) -> None:
     """Print the table, the notes and where the files are."""
-    from ..show import table
+    from ..lab.show import table
 
     say(table.render(result, colour=sys.stdout.isatty()) + "\n")
     for note in table.notes(result):
@@ -200,7 +200,7 @@ def tell(result: Result, pictures: list[Path]) -> None:
 
 def tell_cases(matrix: Matrix, folder: Path, as_json: bool) -> None:
     """Print the verdicts on all cases, and where the recordings are."""
-    from ..show import cases
+    from ..lab.show import cases
 
     if as_json:
         say_json(matrix.to_dict())

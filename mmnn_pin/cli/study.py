@@ -15,10 +15,10 @@ from .output import DONE, FAILED, STOPPED, compile_if_cold, say, say_json, warn
 from .run import remembered_interrupt
 
 if TYPE_CHECKING:
-    from ..study.plan import Plan
-    from ..study.pools import Pool
-    from ..study.session import Probe
-    from ..study.worker import Done
+    from ..lab.study.plan import Plan
+    from ..lab.study.pools import Pool
+    from ..lab.study.session import Probe
+    from ..lab.study.worker import Done
 
 
 @click.command(
@@ -56,10 +56,10 @@ def study(
     A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
     same command goes on with what is missing. The file is explained in docs/studies.md.
     """
-    from ..experiments.windows import window_notes
-    from ..study.plan import plan_of
-    from ..study.reading import load_study
-    from ..study.session import probe
+    from ..lab.experiments.windows import window_notes
+    from ..lab.study.plan import plan_of
+    from ..lab.study.reading import load_study
+    from ..lab.study.session import probe
 
     plan = plan_of(load_study(file, settings))
     folder = out or Path("runs") / plan.study.name
@@ -93,9 +93,9 @@ def require_at_hand(plan: Plan, cluster: str | None) -> None:
 def choose(found: Probe, workers: int | None, processes: bool, cluster: str | None) -> AbstractContextManager[Pool]:
     """Where the runs are made."""
     from ..errors import ConfigError
-    from ..study import pools
-    from ..study.cluster import cluster as dask
-    from ..study.session import require_room
+    from ..lab.study import pools
+    from ..lab.study.cluster import cluster as dask
+    from ..lab.study.session import require_room
 
     if cluster is not None:
         if workers is not None or processes:
@@ -108,9 +108,9 @@ def choose(found: Probe, workers: int | None, processes: bool, cluster: str | No
 
 def make(plan: Plan, found: Probe, folder: Path, where: AbstractContextManager[Pool], force: bool) -> bool:
     """Make the missing runs; whether Ctrl-C ended them."""
-    from ..study.execution import fill
-    from ..study.session import missing_rows
-    from ..study.store import NAME, writing
+    from ..lab.study.execution import fill
+    from ..lab.study.session import missing_rows
+    from ..lab.study.store import NAME, writing
 
     with writing(folder / NAME) as store:
         missing = missing_rows(store, plan, found, force)
@@ -166,7 +166,7 @@ def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[Done],
 
 def replay(plan: Plan, number: int, folder: Path, force: bool, as_json: bool) -> int:
     """Run one row alone with all its signals and compare its numbers with those stored."""
-    from ..study.replay import replay as again
+    from ..lab.study.replay import replay as again
 
     result = again(plan, number, folder, force)
     if as_json:
@@ -178,8 +178,8 @@ def replay(plan: Plan, number: int, folder: Path, force: bool, as_json: bool) ->
 
 def tell(folder: Path, stopped: bool, as_json: bool) -> int:
     """Tell what the database holds, and give the exit code."""
-    from ..show.study import table
-    from ..study.results import load_results
+    from ..lab.show.study import table
+    from ..lab.study.results import load_results
 
     results = load_results(folder)
     if as_json:

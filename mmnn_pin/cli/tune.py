@@ -18,7 +18,7 @@ from .run import remembered_interrupt
 from .study import choose
 
 if TYPE_CHECKING:
-    from ..study.tuning import Tuned
+    from ..lab.study.tuning import Tuned
 
 
 @click.command(
@@ -51,10 +51,10 @@ def tune(
     the study's runs. Trials are stored as they finish: the same command goes on with what is missing. Needs
     `pip install 'mmnn_pin[tune]'`.
     """
-    from ..study.plan import plan_of
-    from ..study.reading import load_study
-    from ..study.session import probe
-    from ..study.tuning import imported, result, search, tuned_part
+    from ..lab.study.plan import plan_of
+    from ..lab.study.reading import load_study
+    from ..lab.study.session import probe
+    from ..lab.study.tuning import imported, result, search, tuned_part
 
     imported()
     study = load_study(file, settings)
@@ -109,7 +109,7 @@ def bar(total: int) -> Iterator[Callable[[int, float], None]]:
 
 def words(value: float | None) -> str:
     """A value in words: also that too many runs were lost, or that the gains are refused."""
-    from ..study.objective import LOST, REFUSED
+    from ..lab.study.objective import LOST, REFUSED
 
     if value is None:
         return "outside the bounds"

@@ -15,11 +15,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.model.base import Base
 from mmnn_pin.model.mimic import Slave, slaves_of
-from mmnn_pin.model.overrides import Overrides
-from mmnn_pin.model.shapes import AtRest
-from mmnn_pin.model.urdf import Joint
+
+from .base.base import Base
+from .base.overrides import Overrides
+from .urdf.parsing import Joint
+from .urdf.shapes import AtRest
 
 SHORT = 1 / 3  # a branch is short below this fraction of the longest chain's reach
 HEAD_JOINTS, ARM_JOINTS = 4, 3  # a head has fewer joints than the first, fingers have at least the second before them

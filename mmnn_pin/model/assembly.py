@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ..signals import Array, Layout
 from .arm import Arm
-from .base import Base
-from .maps import constraint_rows, is_pushed, motion_map, motor_map, root_size
+from .base.base import Base
+from .base.maps import constraint_rows, is_pushed, motion_map, motor_map, root_size
 from .robot import Robot, read_only
-from .urdf import Document
+from .urdf.parsing import Document
 
 ROOT_NAMES = ("root_vx", "root_vy", "root_w")
 PUSHES = ("base_x", "base_y", "base_turn")  # motors of a base without wheels

@@ -20,7 +20,8 @@ import pinocchio as pin
 from lxml import etree
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model.document import Document
+
+from .urdf.document import Document
 
 _stderr_lock = threading.Lock()
 

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model.base import Base, Reading, Undecided, Unsupported
-from mmnn_pin.model.overrides import Overrides, folders_of, said_of
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.model.urdf import AuditError, Finding, audit_file
+
+from .base.base import Base, Reading, Undecided, Unsupported
+from .base.overrides import Overrides, folders_of, said_of
+from .urdf.parsing import AuditError, Finding, audit_file
 
 
 def inspection_of(robot: Robot) -> dict[str, Any]:

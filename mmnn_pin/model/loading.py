@@ -8,15 +8,15 @@ from pathlib import Path
 
 from .arm import choose_arm
 from .assembly import assemble
+from .base.overrides import Overrides, folders_of, said_of
+from .base.remarks import arm_notes, printed_notes, settled, weld_notes
+from .base.understanding import find_base
 from .build import pinocchio_model, welded
-from .overrides import Overrides, folders_of, said_of
-from .remarks import arm_notes, printed_notes, settled, weld_notes
 from .robot import Robot
 from .robots import find
 from .sanity import require_finite, require_sane
-from .shapes import AtRest
-from .understanding import find_base
-from .urdf import Document, read
+from .urdf.parsing import Document, read
+from .urdf.shapes import AtRest
 
 
 def load(

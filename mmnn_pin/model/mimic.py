@@ -9,7 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model.urdf import Document, number
+
+from .urdf.parsing import Document, number
 
 
 @dataclass(frozen=True)

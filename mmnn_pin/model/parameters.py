@@ -7,7 +7,7 @@ import numpy as np
 from ..signals import Array
 from .regressor import inertial_parameters, moving_joints
 from .robot import Robot
-from .tree import flatten
+from .tree.tree import flatten
 
 
 def parameters(robot: Robot) -> Array:

@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.reduction import COULOMB_SPEED
-from mmnn_pin.model.tree import flatten
-from mmnn_pin.model.tree_check import TOLERANCE, configuration
-from mmnn_pin.model.tree_motion import AT, BASE, NUMBER, Array, Tree, new_scratch
-from mmnn_pin.model.tree_regressor import BODY, Massless, regress
+
+from .checks.tree import TOLERANCE, configuration
+from .tree.motion import AT, BASE, NUMBER, Array, Tree, new_scratch
+from .tree.regressor import BODY, Massless, regress
+from .tree.tree import flatten
 
 if TYPE_CHECKING:
     from mmnn_pin.model.robot import Robot

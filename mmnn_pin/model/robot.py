@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import ConfigError, UnknownName
 from ..signals import Array, Layout
 from .arm import Arm
-from .base import Base
+from .base.base import Base
+from .base.overrides import Overrides
 from .bodies import bodies_of, scale_body
 from .coefficients import one_or_each
-from .overrides import Overrides
-from .urdf import Finding
+from .urdf.parsing import Finding
 
 
 @dataclass(frozen=True, eq=False)

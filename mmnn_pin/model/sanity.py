@@ -12,8 +12,9 @@ import numpy as np
 import pinocchio as pin
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model.document import Document
 from mmnn_pin.signals import Array
+
+from .urdf.document import Document
 
 if TYPE_CHECKING:
     from mmnn_pin.model.robot import Robot

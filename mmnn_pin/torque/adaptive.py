@@ -15,7 +15,7 @@ from scipy.linalg import eigh, solve_triangular
 
 from ..errors import ConfigError
 from ..model.regressor import Regressor
-from ..model.tree_regressor import BODY
+from ..model.tree.regressor import BODY
 from ..settings import plain
 from ..signals import Array, Layout
 from . import law

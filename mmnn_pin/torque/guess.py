@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..model.regressor import Regressor
-from ..model.tree_regressor import BODY
+from ..model.tree.regressor import BODY
 from ..signals import Array, Layout
 from .controller import Feedback
 

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.precompile import precompile
-from mmnn_pin.show.figure import save
+from mmnn_pin.lab.show.figure import save
+from mmnn_pin.loop.precompile import precompile
 
 from .calibration import Budget as Searches
 from .calibration import Trials, calibrate

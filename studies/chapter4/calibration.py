@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.experiments.figure_ranges import figure_intervals
+from mmnn_pin.lab.experiments.figure_ranges import figure_intervals
 from mmnn_pin.signals import Array
 
 from .search import search

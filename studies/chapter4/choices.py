@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace as with_settings
 from scipy.special import erf
 
-from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.signals import Array
 
 from .unstated import Number, at

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.experiments.controllers import EFFECTIVE
+from mmnn_pin.lab.experiments.controllers import EFFECTIVE
 
 from ..document import DOCS, environment, filled, kept, renew_figures
 from .unstated import LEARNERS

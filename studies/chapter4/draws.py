@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace as with_settings
 
 from mmnn_pin import Circle, Eight, Hold, Line, Loop, Robot, Sine, Trajectory, load
-from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.torque.controller import CompiledController
 
 from .rollouts import with_centre_of_mass, with_mount

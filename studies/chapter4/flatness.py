@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.experiments.figure_ranges import figure_intervals
+from mmnn_pin.lab.experiments.figure_ranges import figure_intervals
 from mmnn_pin.signals import Array
 
 from .calibration import Budget, Trials, trials_of

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmnn_pin.show.figure import Look, add_legend, new_figure, styled
+from mmnn_pin.lab.show.figure import Look, add_legend, new_figure, styled
 
 from .claim import Row
 from .draws import REFERENCES

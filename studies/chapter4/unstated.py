@@ -10,8 +10,8 @@ import numpy as np
 from msgspec.structs import replace as with_settings
 
 from mmnn_pin import Loop, Robot, load_experiment
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.figure_ranges import figure_intervals
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.figure_ranges import figure_intervals
 from mmnn_pin.signals import Array
 
 from .rollouts import Rollout, roll_out, with_mount

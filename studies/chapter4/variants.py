@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from mmnn_pin import load_experiment, run_experiment
-from mmnn_pin.experiments.files import find, variants
-from mmnn_pin.experiments.readings import readings, told
-from mmnn_pin.experiments.runner import Result
-from mmnn_pin.show.gallery import write_pictures
+from mmnn_pin.lab.experiments.files import find, variants
+from mmnn_pin.lab.experiments.readings import readings, told
+from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.show.gallery import write_pictures
 
 PICTURES = ("figure-4.2", "figure-4.3", "figure-4.4", "psi", "gains")
 

@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from mmnn_pin import run_experiment
-from mmnn_pin.precompile import precompile
-from mmnn_pin.show.figure import save
-from mmnn_pin.show.gallery import write_pictures
+from mmnn_pin.lab.show.figure import save
+from mmnn_pin.lab.show.gallery import write_pictures
+from mmnn_pin.loop.precompile import precompile
 
 from .calibration import CASES, Budget, calibrate, deviation, largest, taken
 from .compare import SETTLED, Row, accuracy, ranking

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.largest_errors import THESIS
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.largest_errors import THESIS
 from mmnn_pin.signals import Array
 
 from ..chapter4.rollouts import roll_out

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec.structs import replace as with_settings
 
 from mmnn_pin import PD, ScheduledPD
-from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.torque.controller import CompiledController
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mmnn_pin.show.figure import STYLES, Look, add_legend, new_figure, styled
+from mmnn_pin.lab.show.figure import STYLES, Look, add_legend, new_figure, styled
 
 from .compare import MEASURES, NAMES
 from .repeats import MOVED, SCALE

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec.structs import replace as with_settings
 
 from mmnn_pin import Loop, Robot, load_experiment
-from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.torque.controller import CompiledController
 
 from ..chapter4.unstated import Number

@@ -10,7 +10,7 @@ from msgspec.structs import replace as with_settings
 from scipy.special import expit
 
 from mmnn_pin import Recording
-from mmnn_pin.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.signals import Array
 
 from .rigs import chapter5, loop_of, robot_of

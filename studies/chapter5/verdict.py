@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.experiments.largest_errors import mean_ratio, thesis_ratios
+from mmnn_pin.lab.experiments.largest_errors import mean_ratio, thesis_ratios
 from mmnn_pin.signals import Array
 
 from ..chapter4.crossed import middle, share

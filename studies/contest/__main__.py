@@ -14,11 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.contest.contest import Standing, run_contest
-from mmnn_pin.experiments.cases import chosen_cases
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.precompile import precompile
-from mmnn_pin.show.contest.figures import write_figures
+from mmnn_pin.lab.contest.contest import Standing, run_contest
+from mmnn_pin.lab.experiments.cases import chosen_cases
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.show.contest.figures import write_figures
+from mmnn_pin.loop.precompile import precompile
 
 from .document import publish, render
 from .search import SOON, Bench, Say, search

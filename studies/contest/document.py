@@ -6,7 +6,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.show.table import number
+from mmnn_pin.lab.show.table import number
 
 from ..document import DOCS, environment, filled, kept, renew_figures
 

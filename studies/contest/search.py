@@ -16,16 +16,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mmnn_pin.contest.heat import heat
-from mmnn_pin.contest.row import Row, nan
-from mmnn_pin.contest.task import Task, tasks_of
 from mmnn_pin.errors import InputError
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.experiments.experiment import Experiment
-from mmnn_pin.experiments.files import override
-from mmnn_pin.study.factors import Factor
-from mmnn_pin.study.objective import settings_of
-from mmnn_pin.study.tuning import imported, own_gains, suggested
+from mmnn_pin.lab.contest.heat import heat
+from mmnn_pin.lab.contest.row import Row, nan
+from mmnn_pin.lab.contest.task import Task, tasks_of
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.lab.experiments.files import override
+from mmnn_pin.lab.study.factors import Factor
+from mmnn_pin.lab.study.objective import settings_of
+from mmnn_pin.lab.study.tuning import imported, own_gains, suggested
 
 from .tunings import tuning_file
 

@@ -6,10 +6,10 @@ import math
 from statistics import median
 from typing import Any
 
-from mmnn_pin.contest.contest import Standing
-from mmnn_pin.contest.demand import held_out_torque
-from mmnn_pin.contest.task import tasks_of
-from mmnn_pin.show.contest.columns import KNOWLEDGE, TRAINING
+from mmnn_pin.lab.contest.contest import Standing
+from mmnn_pin.lab.contest.demand import held_out_torque
+from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.show.contest.columns import KNOWLEDGE, TRAINING
 
 Cell = list[float | str | None] | None
 

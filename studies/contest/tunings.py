@@ -13,10 +13,10 @@ from typing import Any
 
 import msgspec
 
-from mmnn_pin.experiments.cases import with_case
-from mmnn_pin.experiments.config import load_experiment
-from mmnn_pin.study.factors import Factor
-from mmnn_pin.study.keys import at
+from mmnn_pin.lab.experiments.cases import with_case
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.study.factors import Factor
+from mmnn_pin.lab.study.keys import at
 
 HERE = Path(__file__).parent
 SPACES, TUNED = HERE / "spaces.toml", HERE / "tuned.json"

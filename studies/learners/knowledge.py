@@ -17,8 +17,8 @@ from time import process_time
 import numpy as np
 
 from mmnn_pin import Loop, Memory, Recording, load_experiment
-from mmnn_pin.contest.frozen import frozen, said
-from mmnn_pin.proof.fvu import fvu
+from mmnn_pin.lab.contest.frozen import frozen, said
+from mmnn_pin.lab.proof.fvu import fvu
 from mmnn_pin.signals import Array, Layout
 
 

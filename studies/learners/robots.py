@@ -14,11 +14,11 @@ import sys
 import numpy as np
 
 from mmnn_pin import load_experiment
-from mmnn_pin.batch import Run, simulate_many
 from mmnn_pin.errors import InputError
-from mmnn_pin.experiments.controllers import CONTROLLERS, EFFECTIVE
-from mmnn_pin.metrics import as_columns
+from mmnn_pin.lab.experiments.controllers import CONTROLLERS, EFFECTIVE
+from mmnn_pin.loop.batch import Run, simulate_many
 from mmnn_pin.model.robots import bundled, extra
+from mmnn_pin.recording.metrics import as_columns
 from mmnn_pin.signals import Array
 
 LATE = (2.0, 10.0)  # [s]

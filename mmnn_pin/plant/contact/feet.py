@@ -14,10 +14,10 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import RobotError
-from ...model.overrides import folders_of
+from ...model.base.overrides import folders_of
 from ...model.robot import Robot
-from ...model.shapes import AtRest, Shape
-from ...model.urdf import parse
+from ...model.urdf.parsing import parse
+from ...model.urdf.shapes import AtRest, Shape
 from ...signals import Array
 
 NEAR = 0.1  # a caster's lowest point may be off the floor by this fraction of a wheel's radius

@@ -1,0 +1,207 @@
+"""One controller on one task: training with every seed, then the held-out trajectories, frozen and learning."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ...loop.batch import Run, simulate_many
+from ...loop.loop import Loop
+from ...loop.memory import findings_of
+from ...recording.recording import Recording
+from ...signals import Array
+from ...torque.controller import Memory
+from ..proof.fvu import START, fvu
+from ..proof.learner import Learner
+from ..proof.subject import finite_rows
+from ..proof.unknown import not_excited, signals_for, unknown
+from .frozen import frozen, said
+from .row import ERRORS, KEPT, Row, Tracking, known, summary, tracking, training_numbers
+from .task import Task
+
+STEPS, REPEATS = 2000, 3  # control samples that are timed, and how often
+Progress = Callable[[float], None]
+
+
+class Stopped(Exception):
+    """Ctrl-C: what was under way is dropped."""
+
+
+def heat(
+    task: Task, name: str, file: Path | None, workers: int | None, progress: Progress, knowledge: bool = True
+) -> tuple[list[Row], float]:
+    """All rows of one controller on one task, and the processor time of its step [s].
+
+    Args:
+        task: The task.
+        name: The controller.
+        file: For the recording of the first seed; None keeps none.
+        workers: Threads; None for one per core.
+        progress: Called with the fraction done.
+        knowledge: Whether the FVU with fixed weights and the time of the step are wanted; they cost half of the time.
+
+    Raises:
+        Stopped: Ctrl-C.
+        RecordingError: The recording cannot be written.
+    """
+    controller = task.controller(name)
+    first, runs = trained(task, controller, file, workers, lambda f: progress(0.5 * f))
+    memories = [memory_of(task, controller, seed, run) for seed, run in zip(task.seeds, runs, strict=True)]
+    trials = tried(task, controller, memories, workers, lambda f: progress(0.5 + 0.4 * f))
+    rows = []
+    for i, (seed, run) in enumerate(zip(task.seeds, runs, strict=True)):
+        rows.append(row_of(task, name, controller, seed, run, memories[i], trials[i], knowledge))
+        progress(0.9 + 0.1 * (i + 1) / len(runs))
+    return rows, step_time(task.training(controller, task.seeds[0]), first) if knowledge else math.nan
+
+
+def trained(
+    task: Task, controller: Any, file: Path | None, workers: int | None, progress: Progress
+) -> tuple[Recording, list[Run]]:
+    """Training runs of all seeds; that of the first is recorded whole."""
+    config = msgspec.structs.replace(task.experiment, overrides=task.robot.said, cases={}).to_json()
+    one, *others = (task.training(controller, seed) for seed in task.seeds)
+    duration, share = one.timing.duration, 1 / len(task.seeds)
+    recording = one.run(
+        file,
+        force=True,
+        meta={"experiment": f"contest/{task.name}", "config": config},
+        progress=lambda t: progress(share * t / duration),
+    )
+    require_going(recording.outcome.status)
+    runs = [Run(recording.outcome, {}, dict(recording.final), recording)]
+    if others:
+        show = lambda done, count: progress(share + (1 - share) * done / count)  # noqa: E731
+        keep = {*KEPT, *signals_for(controller)}
+        runs += simulate_many(others, keep=keep, workers=workers, progress=show)
+    for run in runs:
+        require_going(run.outcome.status)
+    return recording, runs
+
+
+def require_going(status: str) -> None:
+    """Stop where the user did.
+
+    Raises:
+        Stopped: He did.
+    """
+    if status == "interrupted":
+        raise Stopped
+
+
+def memory_of(task: Task, controller: Any, seed: int, run: Run) -> Any:
+    """The memory at the end of a training run; None where it was lost or is not kept as numbers."""
+    if run.outcome.status != "completed" or "memory" not in run.final:
+        return None
+    memory = controller.init(task.training(controller, seed).wiring())
+    if not isinstance(memory, Memory) or not np.isfinite(run.final["memory"]).all():
+        return None
+    memory.values[:] = run.final["memory"]
+    return memory
+
+
+def tried(
+    task: Task, controller: Any, memories: list[Any], workers: int | None, progress: Progress
+) -> list[dict[str, dict[str, Tracking]]]:
+    """How the held-out trajectories were followed with every memory, frozen and learning."""
+    found: list[dict[str, dict[str, Tracking]]] = [{name: {} for name in task.held_out} for _ in memories]
+    loops: list[Loop] = []
+    places = []
+    ways = ("learning",) if frozen(controller) is controller else ("frozen", "learning")
+    for i, (seed, memory) in enumerate(zip(task.seeds, memories, strict=True)):
+        for name, how in product(task.held_out if memory is not None else (), ways):
+            loop = task.trial(controller, seed, name, how == "learning")
+            if loop is not None:
+                loops.append(loop)
+                places.append((i, name, how))
+    if loops:
+        starts = [memories[i] for i, *_ in places]
+        show = lambda done, count: progress(done / count)  # noqa: E731
+        runs = simulate_many(loops, memories=starts, keep=ERRORS, workers=workers, progress=show)
+        for (i, name, how), run in zip(places, runs, strict=True):
+            require_going(run.outcome.status)
+            found[i][name][how] = tracking(run.recording, run.outcome.status)
+            if len(ways) == 1:  # nothing is learned, so both are one run
+                found[i][name]["frozen"] = found[i][name][how]
+    return found
+
+
+def row_of(
+    task: Task,
+    name: str,
+    controller: Any,
+    seed: int,
+    run: Run,
+    memory: Any,
+    trials: dict[str, dict[str, Tracking]],
+    knowledge: bool,
+) -> Row:
+    """The row of a run."""
+    assert run.recording is not None
+    contest, window = task.contest, task.experiment.windows[-1]
+    limits = np.array(task.robot.facts()["effort_limits"], float)
+    numbers = training_numbers(run.recording, limits, window, contest.window, contest.start)
+    judged = task.held_out if knowledge else ()
+    known_of = {held: frozen_fvu(task, controller, seed, memory, held) for held in judged}
+    mean, worst = (largest([values[k] for values in known_of.values()]) for k in (0, 1))
+    findings = found_in(task, name, controller, seed, run, memory) if memory is not None else []
+    return Row(
+        task=task.name,
+        controller=name,
+        seed=seed,
+        outcome=run.outcome.status,
+        ended=run.outcome.time,
+        frozen_fvu=known(mean),
+        frozen_worst=known(worst),
+        frozen_on={held: known(values[0]) for held, values in known_of.items()},
+        held_out=trials,
+        findings=tuple(findings),
+        since=task.since,
+        **numbers,
+    )
+
+
+def found_in(task: Task, name: str, controller: Any, seed: int, run: Run, memory: Any) -> list[str]:
+    """What the memory shows at the end of a run, and whether the run excited the learner."""
+    loop = task.training(controller, seed)
+    learner = Learner(controller, loop.wiring(), memory, memory, run.outcome.time, loop.believed)
+    assert run.recording is not None
+    rows = finite_rows(run.recording, loop.robot.layout)
+    return [*findings_of(controller, memory), *not_excited(name, unknown(learner, rows))]
+
+
+def largest(values: list[float]) -> float:
+    """Largest of some numbers; nan where one is missing, or all are."""
+    return max(values) if values and all(map(math.isfinite, values)) else math.nan
+
+
+def frozen_fvu(task: Task, controller: Any, seed: int, memory: Any, held: str) -> tuple[float, float]:
+    """FVU of fixed weights on a held-out trajectory, mean over the components and worst; nan where there is none."""
+    loop = None if memory is None else task.trial(controller, seed, held, False)
+    if loop is None:
+        return math.nan, math.nan
+    layout, rows = task.robot.layout, task.rows[held]
+    counts = rows[:, layout.where("time")][:, 0] >= START - 1e-9
+    psi_hat = said(loop, layout, memory.snapshot(), rows)
+    return summary(fvu(rows[counts][:, layout.where("psi")], psi_hat[counts]))
+
+
+def step_time(loop: Loop, recording: Recording) -> float:
+    """Processor time of a control step of the controller alone, called from Python, least of several tries [s]."""
+    rows: Array = finite_rows(recording, loop.robot.layout)[:STEPS]
+    if not len(rows):
+        return math.nan
+    took = []
+    for _ in range(REPEATS):
+        memory = loop.controller.init(loop.wiring())
+        begin = clock.thread_time()
+        said(loop, loop.robot.layout, memory, rows)
+        took.append(clock.thread_time() - begin)
+    return min(took) / len(rows)

@@ -1,0 +1,250 @@
+"""One experiment in many cases: each changes some of its keys, all controllers run in each, every run gets a verdict.
+
+A run has either tracked within its tolerance, or was stopped safely, or failed; there is nothing in between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from ...errors import ConfigError, InputError, UnknownName
+from ...recording.metrics import as_columns
+from ...recording.recording import Recording
+from .experiment import Experiment
+from .files import merged
+from .runner import Result, finite, require_free, require_runnable, run_experiment
+from .tolerance import Tolerance
+
+AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a run of a case went.
+
+    Attributes:
+        kind: `tracked` within its tolerance, `stopped` safely, or `failed`.
+        text: Why, in a few words.
+        pose: Largest true distance from the reference after settling [m]; nan for a fixed arm.
+        heading: Largest true heading error after settling [rad]; nan for a fixed arm.
+        joint: Largest true error of an arm joint after settling [rad or m]; nan without an arm.
+    """
+
+    kind: Literal["tracked", "stopped", "failed", "interrupted"]
+    text: str
+    pose: float
+    heading: float
+    joint: float
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """All cases of an experiment.
+
+    Attributes:
+        experiment: The experiment without its cases.
+        name: Its name.
+        results: Case to result.
+        verdicts: Case to controller to verdict.
+    """
+
+    experiment: Experiment
+    name: str
+    results: dict[str, Result]
+    verdicts: dict[str, dict[str, Verdict]]
+
+    @property
+    def completed(self) -> bool:
+        """Whether no run failed."""
+        return not self.count("failed") and not self.interrupted
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the user stopped it."""
+        return bool(self.count("interrupted"))
+
+    def count(self, kind: str) -> int:
+        """Number of runs with a verdict."""
+        return sum(verdict.kind == kind for row in self.verdicts.values() for verdict in row.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The matrix as the command line's JSON object."""
+        runs = {
+            f"{case}/{name}": about for case, result in self.results.items() for name, about in runs_of(result).items()
+        }
+        cells = {
+            case: {
+                name: msgspec.to_builtins(verdict)
+                | {k: finite(getattr(verdict, k)) for k in ("pose", "heading", "joint")}
+                for name, verdict in row.items()
+            }
+            for case, row in self.verdicts.items()
+        }
+        counts = {kind: self.count(kind) for kind in ("tracked", "stopped", "failed")}
+        comparison = {"cases": {c: self.experiment.cases[c].title for c in cells}, "verdicts": cells, "counts": counts}
+        return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
+
+
+def runs_of(result: Result) -> dict[str, Any]:
+    """The part of a result's JSON object that is about its runs."""
+    runs: dict[str, Any] = result.to_dict()["runs"]
+    return runs
+
+
+def with_case(experiment: Experiment, name: str) -> Experiment:
+    """The experiment as one of its cases changes it.
+
+    Raises:
+        ConfigError: The case sets an unknown key, or a value of the wrong type or range.
+    """
+    from .config import config_error, require_disturbances
+
+    case = experiment.cases[name]
+    table = case.set if case.experiment else merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
+    try:
+        require_disturbances(table.get("disturbances"))
+        return msgspec.convert(table, Experiment)
+    except msgspec.ValidationError as error:
+        found = config_error(error, None, table)
+        found.key = f"cases.{name}.set.{found.key or ''}".rstrip(".")
+        raise found from error
+    except InputError as error:
+        error.key = f"cases.{name}.set.{error.key or ''}".rstrip(".")
+        raise
+
+
+def chosen_cases(experiment: Experiment, names: Sequence[str]) -> Experiment:
+    """The experiment with some of its cases; with all where none are named.
+
+    Raises:
+        ConfigError: It has no cases.
+        UnknownName: It has no such case.
+    """
+    if not names:
+        return experiment
+    if not experiment.cases:
+        raise ConfigError("has no cases", fix="leave --case out", key="--case")
+    for name in names:
+        if name not in experiment.cases:
+            raise UnknownName("case", name, experiment.cases, key="--case")
+    return msgspec.structs.replace(experiment, cases={name: experiment.cases[name] for name in dict.fromkeys(names)})
+
+
+def run_cases(
+    experiment: Experiment,
+    name: str,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> Matrix:
+    """Run all controllers in every case of an experiment; arguments and errors as in `run_experiment`.
+
+    Recordings go to `out/CASE/CONTROLLER.h5`. All cases are read before the first is run.
+    """
+    cases = {case: with_case(experiment, case) for case in experiment.cases}
+    for case, changed in cases.items():
+        try:
+            require_settled(changed)
+            require_runnable(changed, changed.load_robot())
+        except InputError as error:
+            error.key = f"cases.{case}: {error.key or ''}".rstrip(": ")
+            raise
+    files = [out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else []
+    require_free(files, force)
+    results: dict[str, Result] = {}
+    verdicts: dict[str, dict[str, Verdict]] = {}
+    for i, (case, changed) in enumerate(cases.items()):
+
+        def show(controller: str, fraction: float, done: int = i) -> None:
+            if progress is not None:
+                progress(name, (done + fraction / len(experiment.controllers)) / len(cases))
+
+        folder = out / case if out else None
+        results[case] = run_experiment(changed, f"{name}/{case}", out=folder, force=force, progress=show)
+        verdicts[case] = {
+            controller: judge(recording, changed.tolerance)
+            for controller, recording in results[case].recordings.items()
+        }
+        if any(verdict.kind == "interrupted" for verdict in verdicts[case].values()):
+            break
+    return Matrix(experiment, name, results, verdicts)
+
+
+def require_settled(experiment: Experiment) -> None:
+    """Refuse a run that is over before its errors count: any would do.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    settle, end = experiment.tolerance.settle, experiment.time.duration
+    if settle >= end:
+        why, fix = f"errors count from then on, and the run is over after {end:g} s", "use a time within the run"
+        raise ConfigError(f"{settle:g} s", why=why, fix=fix, key="tolerance.settle")
+
+
+def judge(recording: Recording, tolerance: Tolerance) -> Verdict:
+    """Verdict on one run, by its true errors."""
+    time, outcome = recording["time"], recording.outcome
+    pose, heading, joint = (worst(error, time >= tolerance.settle) for error in true_errors(recording))
+
+    def verdict(kind: Literal["tracked", "stopped", "failed", "interrupted"], text: str) -> Verdict:
+        return Verdict(kind, text, pose, heading, joint)
+
+    if outcome.status == "interrupted":
+        return verdict("interrupted", outcome.message)
+    broken = [name for name in recording if not np.isfinite(recording[name]).all()]
+    if broken:
+        return verdict("failed", f"{', '.join(broken)} not finite")
+    if outcome.status == "tripped":
+        unsafe = dangers(recording, tolerance)
+        return verdict("failed", f"stopped, but {unsafe[0]}") if unsafe else verdict("stopped", outcome.message)
+    if outcome.status != "completed":
+        return verdict("failed", outcome.message)
+    limits = {"pose": tolerance.pose, "heading": tolerance.heading, "joint": tolerance.joint}
+    over = [
+        f"{what} {value:.3g} over {limit:g}"
+        for (what, limit), value in zip(limits.items(), (pose, heading, joint), strict=True)
+        if value > limit
+    ]
+    return verdict("failed", f"not stopped: {', '.join(over)}") if over else verdict("tracked", "within its tolerance")
+
+
+def true_errors(recording: Recording) -> tuple[Any, Any, Any]:
+    """Distance of the base from its reference, heading error, largest joint error, (N,) each or None."""
+    has_base = "true_pose_error" in recording and recording["true_pose_error"].size
+    error = recording["true_pose_error"] if has_base else None
+    has_arm = "true_e" in recording and recording["true_e"].size
+    joint = np.abs(as_columns(recording["true_e"])).max(axis=1) if has_arm else None
+    return (
+        None if error is None else np.hypot(error[:, 0], error[:, 1]),
+        None if error is None else np.abs(error[:, 2]),
+        joint,
+    )
+
+
+def worst(values: Any, inside: Any) -> float:
+    """Largest of the values that count; nan if there are none."""
+    return float(np.max(values[inside])) if values is not None and inside.any() else float("nan")
+
+
+def dangers(recording: Recording, tolerance: Tolerance) -> list[str]:
+    """What was not safe about a stop: still moving at its end, or too far from where it should have been."""
+    time, position = recording["time"], recording["position"]
+    base = len(recording.labels("z")) if "z" in recording else 0
+    last = np.abs(as_columns(recording["nu"])[time >= time[-1] - AT_END]).max(axis=0)
+    found = [f"the base moves at {v:.3g}" for v in last[:base] if v > tolerance.speed]
+    found += [f"the arm moves at {v:.3g}" for v in last[base:] if v > tolerance.joint_speed]
+    if base:
+        at = int(np.searchsorted(time, recording.outcome.time - 1e-9))
+        away = true_errors(recording)[0][at]
+        driven = float(np.hypot(*(position[at:, :2] - position[at, :2]).T).max())
+        found += [f"it was {away:.3g} m away when it tripped"] if away > tolerance.runaway else []
+        found += [f"it drove {driven:.3g} m after the trip"] if driven > tolerance.runaway else []
+    return found

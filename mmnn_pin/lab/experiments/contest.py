@@ -1,0 +1,90 @@
+"""What a contest asks: how many seeds, what counts as learned, what each learner is told, which targets it has."""
+
+from __future__ import annotations
+
+import msgspec
+
+from ...errors import ConfigError
+from ...settings import Settings, require_gains
+
+ONLY = "task"  # name of the task of a contest without cases
+# What a learner is told before it starts; all others learn something of their own.
+KNOWS = ("kinematics", "form", "nothing", "nominal")
+
+
+class Targets(Settings, frozen=True):
+    """What is asked of the learners, judged by medians over the seeds.
+
+    Args:
+        task: Task of an ordinary training motion; most targets are judged there.
+        printed: The same task for the thesis's networks with their printed settings.
+        rich: Task of a rich one, for learners that know nothing.
+        poor: Task of a poor one.
+        frozen_fvu: What a learner is told to the largest frozen FVU of the best that is told so.
+        better: Least ratio of the thesis's error to that of the best learner, on every axis.
+        near: Largest ratio of the error of the best learner that knows the kinematics to the oracle's.
+        kick: Largest torque of the start over the motors' limits.
+    """
+
+    task: str = ""
+    printed: str = ""
+    rich: str = ""
+    poor: str = ""
+    frozen_fvu: dict[str, float] = msgspec.field(default_factory=dict)
+    better: float = 3.0
+    near: float = 1.5
+    kick: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_gains(self, "contest.targets", "better", "near", "kick")
+        for name, value in self.frozen_fvu.items():
+            if name not in KNOWS or not 0 < value < float("inf"):
+                what = f"a target for '{name}'" if name not in KNOWS else f"{value}"
+                fix = f"give finite numbers > 0 for: {', '.join(KNOWS)}"
+                raise ConfigError(what, fix=fix, key=f"contest.targets.frozen_fvu.{name}")
+
+
+class Contest(Settings, frozen=True):
+    """A contest: every controller on every task with every seed; what it learned is judged on held-out trajectories.
+
+    Args:
+        seeds: How many, counted from the experiment's own.
+        beside: Controllers that run whatever else is chosen, because the others are measured by them: the feedback
+            alone, the thesis's law, the oracle. A case that names its own controllers runs those.
+        knows: What a learner is told before it starts ("kinematics", "form", "nothing", "nominal") to their names.
+        window: Length of the windows of the learning curves [s].
+        learned: Error over that of PD, in every later window, that counts as learned.
+        start: Length of the start in which a kick is looked for [s].
+        targets: What is asked.
+
+    Raises:
+        ConfigError: No seeds, a window or share out of range, a learner that is told two things.
+    """
+
+    seeds: int = 5
+    beside: tuple[str, ...] = ("pd", "two_layer", "computed_torque")
+    knows: dict[str, tuple[str, ...]] = msgspec.field(default_factory=dict)
+    window: float = 1.0
+    learned: float = 0.2
+    start: float = 0.1
+    targets: Targets = Targets()
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.seeds <= 1000:
+            raise ConfigError(f"{self.seeds} seeds", fix="use 1 to 1000", key="contest.seeds")
+        for name in ("window", "learned", "start"):
+            if not 0 < getattr(self, name) < float("inf"):
+                raise ConfigError(f"{getattr(self, name)}", fix="use a finite number > 0", key=f"contest.{name}")
+        told: dict[str, str] = {}
+        for name, controllers in self.knows.items():
+            if name not in KNOWS:
+                fix = f"there is: {', '.join(KNOWS)}"
+                raise ConfigError(f"unknown key '{name}'", fix=fix, key=f"contest.knows.{name}")
+            for one in controllers:
+                if told.setdefault(one, name) != name:
+                    fix = "name it once"
+                    raise ConfigError(f"'{one}' is in {told[one]}, too", fix=fix, key=f"contest.knows.{name}")
+
+    def told(self, controller: str) -> str:
+        """What a learner is told; empty for one that is not in the list."""
+        return next((what for what, names in self.knows.items() if controller in names), "")

@@ -1,0 +1,112 @@
+"""The thesis's figures as far as they survive: intervals read off their axes, twelve a chapter, and who meets them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from ...signals import Array
+
+FILE = Path(__file__).with_name("figure_ranges.csv")
+
+
+class Signals(Protocol):
+    """A run's signals by name, each (samples, size): a `Recording` or a dict of arrays."""
+
+    def __getitem__(self, name: str, /) -> Array: ...
+    def __contains__(self, name: object, /) -> bool: ...
+
+
+@dataclass(frozen=True)
+class FigureRange:
+    """Interval in which an extreme of a figure's curves lies.
+
+    Attributes:
+        figure: Figure of the thesis and which of its two plots.
+        curve: What it shows.
+        statistic: `max` or `min` of these curves over the run.
+        lower: Lower end of the last tick interval, in `unit`.
+        upper: Upper end.
+        unit: Unit.
+        signal: Signal of a recording.
+        column: Its column, from 0; None for all.
+        controllers: Controllers whose curves share the plot.
+    """
+
+    figure: str
+    curve: str
+    statistic: str
+    lower: float
+    upper: float
+    unit: str
+    signal: str
+    column: int | None
+    controllers: tuple[str, ...]
+
+    @property
+    def scale(self) -> float:
+        """What a signal in SI is multiplied with to be in `unit`."""
+        return 180.0 / math.pi if self.unit == "deg" else 1.0
+
+    def extreme(self, runs: Mapping[str, Signals]) -> float | None:
+        """The statistic over the plot's curves, in `unit`; None if a controller or the signal's column is missing."""
+        found = []
+        for controller in self.controllers:
+            run = runs.get(controller)
+            if run is None or self.signal not in run or not len(run[self.signal]):
+                return None
+            table = run[self.signal].reshape(len(run[self.signal]), -1)
+            if self.column is not None and self.column >= table.shape[1]:
+                return None
+            found.append(table if self.column is None else table[:, self.column])
+        return self.scale * float(
+            getattr(np, self.statistic)([getattr(np, self.statistic)(values) for values in found])
+        )
+
+
+@cache
+def figure_intervals(chapter: int = 4) -> tuple[FigureRange, ...]:
+    """The twelve intervals of a chapter, in the order of its figures."""
+    lines = [line for line in FILE.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    return tuple(interval(row) for row in csv.DictReader(lines) if row["figure"].startswith(f"{chapter}."))
+
+
+def interval(row: dict[str, str]) -> FigureRange:
+    """Interval from a row of the file."""
+    return FigureRange(
+        **{name: row[name] for name in ("figure", "curve", "statistic", "unit", "signal")},
+        lower=float(row["lower"]),
+        upper=float(row["upper"]),
+        column=None if row["column"] == "all" else int(row["column"]),
+        controllers=tuple(row["controllers"].split()),
+    )
+
+
+def figure_ranges(runs: Mapping[str, Signals]) -> list[dict[str, Any]]:
+    """The figures' intervals beside what runs give, for the intervals that these runs can be compared with.
+
+    Args:
+        runs: Controller to its recording, or to a dict of arrays `pose_error` (N, 3) [m, m, rad], `z` (N, 2)
+            [m/s, rad/s], `e` and `q` (N, 2) [rad]; `one_layer` counts, with `two_layer` for chapter 4 and with
+            `two_layer_zero` for chapter 5.
+
+    Returns:
+        Per interval `figure, curve, statistic, value, lower, upper, unit, inside`. The value of a run that is not
+        finite is None, and not inside.
+    """
+    found = []
+    for known in (*figure_intervals(4), *figure_intervals(5)):
+        value = known.extreme(runs)
+        if value is not None:
+            about = {name: text for name, text in asdict(known).items() if name in ("figure", "curve", "statistic")}
+            about["value"] = value if np.isfinite(value) else None
+            limits = {"lower": known.lower, "upper": known.upper, "unit": known.unit}
+            found.append(about | limits | {"inside": bool(known.lower <= value <= known.upper)})
+    return found

@@ -1,0 +1,237 @@
+"""Runs all controllers of an experiment from equal starts and compares them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ...errors import RecordingError
+from ...loop.before_run import require_stable_gains
+from ...model.robot import Robot
+from ...recording.metrics import as_columns, metrics
+from ...recording.recording import Recording
+from ...reference import warnings
+from ...torque.controller import TorqueController
+from .controllers import EFFECTIVE, effective
+from .experiment import Experiment
+from .fairness import unfair
+from .figure_ranges import figure_ranges
+from .improvement import Improvement, improvements
+from .largest_errors import beside_the_thesis
+from .windows import window_notes
+
+
+@dataclass(frozen=True)
+class Result:
+    """What an experiment gave.
+
+    Attributes:
+        experiment: The experiment.
+        name: Its name.
+        recordings: Controller to recording, in the order asked for.
+        metrics: Controller to numbers (see `metrics`).
+        notes: What the user should know.
+    """
+
+    experiment: Experiment
+    name: str
+    recordings: dict[str, Recording]
+    metrics: dict[str, dict[str, float]]
+    notes: tuple[str, ...]
+
+    @property
+    def completed(self) -> bool:
+        """Whether every run reached its end."""
+        return all(recording.outcome.status == "completed" for recording in self.recordings.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as the command line's JSON object."""
+        runs = {
+            name: {
+                "file": str(recording.path) if recording.path else None,
+                "outcome": recording.outcome.status,
+                "message": recording.outcome.message,
+                "metrics": {key: finite(value) for key, value in self.metrics[name].items()},
+            }
+            for name, recording in self.recordings.items()
+        }
+        comparison = {
+            "relative_to_pd": self.relative_to("pd"),
+            "torque_limits": self.torque_limits(),
+            "improvement": {
+                learner: {row: {key: finite(value) for key, value in i.to_dict().items()} for row, i in rows.items()}
+                for learner, rows in self.improvements().items()
+            },
+            "figure_ranges": self.figure_ranges(),
+            **self.largest_errors(),
+            "unfair": unfair(self.experiment, self.metrics),
+            "notes": list(self.notes),
+        }
+        about = {"experiment": self.name, "variant": self.experiment.variant, "robot": self.experiment.robot}
+        return about | {"runs": runs, "comparison": comparison}
+
+    def improvements(self) -> dict[str, dict[str, Improvement]]:
+        """What of each learner's improvement over PD is gain and what is learning, see `improvements`."""
+        return improvements(self.metrics, self.experiment.windows)
+
+    def figure_ranges(self) -> list[dict[str, Any]]:
+        """The runs beside the intervals of the thesis's figures that this experiment is compared with."""
+        figures = tuple(name.removeprefix("figure-") for name in self.experiment.plots if name.startswith("figure-"))
+        return [row for row in figure_ranges(self.recordings) if row["figure"].startswith(figures)]
+
+    def largest_errors(self) -> dict[str, Any]:
+        """The runs beside the largest errors that chapter 5 prints; empty for an experiment without its figure 5.5."""
+        return beside_the_thesis(self.recordings) if "figure-5.5" in self.experiment.plots else {}
+
+    def torque_limits(self) -> list[dict[str, Any]]:
+        """Per actuator its effort limit (None without one) and every controller's peak torque [N m or N].
+
+        The torque is the one that the motors gave, where they are simulated.
+        """
+        if not self.recordings:
+            return []
+        first = next(iter(self.recordings.values()))
+        limits = first.meta["effort_limits"]
+        given = {name: "applied" if "applied" in r else "motor_torque" for name, r in self.recordings.items()}
+        peaks = {name: as_columns(r[given[name]]) for name, r in self.recordings.items() if len(r)}
+        return [
+            {
+                "actuator": actuator,
+                "limit": finite(limit),
+                "peak": {name: finite(abs(torque[:, i]).max()) for name, torque in peaks.items()},
+            }
+            for i, (actuator, limit) in enumerate(zip(first.meta["actuator_names"], limits, strict=True))
+        ]
+
+    def relative_to(self, other: str) -> dict[str, dict[str, float | None]]:
+        """Every error metric of every controller divided by that of another one; empty without it."""
+        if other not in self.metrics:
+            return {}
+        base = self.metrics[other]
+        return {
+            name: {
+                key: finite(value / base[key]) if base.get(key) else None
+                for key, value in numbers.items()
+                if key.endswith("peak") or ".rms_" in key
+            }
+            for name, numbers in self.metrics.items()
+            if name != other
+        }
+
+
+def finite(value: float | None) -> float | None:
+    """Number for JSON: nothing where there is none."""
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
+    """What to know of the reference, such as stretches without stabilisation."""
+    path = experiment.trajectory_of(robot).base
+    times = np.arange(experiment.time.samples) * experiment.time.control_period
+    return warnings(path.sample(times)) if path is not None else []
+
+
+def in_order(wanted: Sequence[str]) -> list[str]:
+    """Controllers in the order to run them: a learner before the PD that takes its effective gain."""
+    learners = [learner for name, learner in effective(wanted).items() if name in wanted]
+    first = [name for name in wanted if name not in EFFECTIVE]
+    missing = [name for name in dict.fromkeys(learners) if name not in first]
+    return [*first, *missing, *(name for name in wanted if name in EFFECTIVE)]
+
+
+def require_free(files: Sequence[Path], force: bool) -> None:
+    """Refuse to write where recordings are, before anything is written; folders are made with their first recording.
+
+    Raises:
+        RecordingError: A file exists and `force` is off, or the folder cannot be made or written to.
+    """
+    for file in files:
+        if file.exists() and not force:
+            raise RecordingError(
+                "the recording exists", fix="choose another folder with --out, or replace it with --force", file=file
+            )
+    for folder in {file.parent for file in files}:
+        existing = next(place for place in (folder, *folder.parents) if place.exists())
+        if not existing.is_dir():
+            raise RecordingError("the folder cannot be made", why="there is a file of that name", file=existing)
+        if not os.access(existing, os.W_OK):
+            raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=existing)
+
+
+def has_rig(experiment: Experiment) -> bool:
+    """Whether there is more between controller and robot than wires, see `rig`."""
+    perfect = experiment.sensor.exact and experiment.actuator.perfect
+    return not perfect or experiment.safety is not None or bool(experiment.disturbances)
+
+
+def require_runnable(experiment: Experiment, robot: Robot) -> None:
+    """Refuse what cannot run, before anything is written.
+
+    Raises:
+        InputError: Bad reference, gains or blocks.
+    """
+    for controller in in_order(experiment.controllers):
+        if controller not in EFFECTIVE:
+            loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
+            require_stable_gains(loop)
+            loop.start.state(robot, loop.table()[0])
+            if isinstance(loop.controller, TorqueController):
+                loop.rehearse()
+            if experiment.plant == "contact" or loop.robot.layout.rig or not loop.sensor.exact:
+                loop.engine_at()
+
+
+def run_experiment(
+    experiment: Experiment,
+    name: str,
+    *,
+    out: Path | None = None,
+    force: bool = False,
+    progress: Callable[[str, float], None] | None = None,
+) -> Result:
+    """Run every controller of an experiment; a diverged run is part of the result.
+
+    Args:
+        experiment: The experiment.
+        name: Its name, for the recordings.
+        out: Folder for the recordings, one HDF5 file per controller; None keeps them in memory.
+        force: Replace existing recordings.
+        progress: Called now and then with the controller and the fraction done.
+
+    Raises:
+        InputError: Bad robot, reference or gains, or recordings that exist; nothing has been written then.
+    """
+    wanted = experiment.controllers
+    files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}
+    robot = experiment.load_robot()
+    config = msgspec.structs.replace(experiment, overrides=robot.said).to_json()
+    require_runnable(experiment, robot)
+    require_free([file for file in files.values() if file], force)
+    runs: dict[str, Recording] = {}
+    notes = [*window_notes(experiment), *reference_notes(experiment, robot)]
+    duration, learners = experiment.time.duration, effective(wanted)
+    for controller in in_order(wanted):
+        learner = runs.get(learners.get(controller, ""))
+        if learner is not None and not len(learner):
+            notes.append(f"{controller} was not run: {learners[controller]} ended before its first sample")
+            continue
+        gains = None if learner is None else as_columns(learner["effective_gain"])
+        loop = experiment.loop(robot, experiment.controller(controller, gains, robot))
+        notes += [note for note in loop.controller.notes if note not in notes]
+        runs[controller] = loop.run(
+            files.get(controller),
+            force=force,
+            meta={"experiment": name, "config": config},
+            progress=None if progress is None else lambda t, c=controller: progress(c, t / duration),  # type: ignore[misc]
+        )
+        if runs[controller].outcome.status == "interrupted":
+            break
+    kept = {controller: runs[controller] for controller in wanted if controller in runs}
+    numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
+    return Result(experiment, name, kept, numbers, tuple(notes))

@@ -1,0 +1,161 @@
+"""The weights' part of a linear learner with a covariance, `sum_i W~_i' P^-1 W~_i / (2 tau_i)`, and what changes it.
+
+With the ideal weights W* and P as it was at every sample (`torque.linear`). Once in an interval the weights move by
+`eta interval tau_i P Phi' s`, which takes `eta interval s' Phi W~` out: pull and cut. Then each equation `y = phi' W`
+of filtered torque is one Kalman update with the variance R. Let `e = y - phi' W*` be what it has wrong, `u = phi' W~`
+and `alpha = R + phi' P phi`. As the cost of least squares is the same before and after,
+
+    W~' P^-1 W~ + e^2 / R = W~+' P+^-1 W~+ + (u + e)^2 / alpha,
+
+it changes `W~' P^-1 W~` by
+
+    prediction  -u^2 / alpha <= 0                               what filtered torque says
+    noise       (-2 u e + e^2 phi' P phi / R) / alpha           what it has wrong: sensors, motors, what Phi cannot say
+
+Variance q that comes back at a place j takes `q (P^-1 W~)_j^2 / (1 + q (P^-1)_jj)` out: the term `memory`, never
+positive, as errors count less where less is known. (Continuous: the two sums of V' in docs/learners.md.) The rest, the
+second order of the first move and the projection onto the bound, is `step`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from ...errors import RecordingError
+from ...signals import Array, IntArray
+from ...torque.controller import Memory
+from ...torque.covariance import measure
+from ...torque.least_squares import predict, track
+from ...torque.linear import Linear, Parts
+from .learner import Learner
+from .subject import Subject
+from .together import Row, copies, together
+from .weights_part import WITHOUT, WeightsPart, part_of
+
+
+def covariance_part(
+    subject: Subject, learner: Learner, ideal: Array, at: IntArray, progress: Callable[[float], None] | None = None
+) -> WeightsPart:
+    """The part at some rows of a run, (k,) ascending, for ideal weights (k, m).
+
+    Raises:
+        RecordingError: `tracking` is 0, so that nothing takes the pull out.
+    """
+    a = learner.controller.law(learner.wiring).linear
+    assert a is not None
+    if not (a.answer > 0).all():
+        raise RecordingError(WITHOUT, why="the weights do not follow s: tracking is 0")
+    ledger = Ledger(learner, a, ideal, len(subject.rows))
+    missed = together(learner, subject.rows, ledger.keep, ledger.take, progress)
+    value, pull, *rest = ledger.found[:, at]
+    return part_of(
+        subject, at, value, pull, dict(zip(("cut", "prediction", "noise", "memory"), rest, strict=True)), missed
+    )
+
+
+PARTS = ("W", "U", "D", "prior", "counts")
+FILTER = ("clock", "held", "filtered_torque", "states", "Phi_f", "Y_f")  # they follow
+
+
+class Ledger:
+    """What every update does to the part.
+
+    Args:
+        learner: The learner.
+        a: The numbers of its law, with a memory of their own to work in.
+        ideal: (k, m) ideal weights.
+        rows: How many rows there are.
+
+    Attributes:
+        found: (6, rows) value, pull, cut, prediction, noise, memory.
+        value: The part as it is now.
+    """
+
+    def __init__(self, learner: Learner, a: Linear, ideal: Array, rows: int) -> None:
+        self.a, self.ideal, self.found = a, np.ascontiguousarray(ideal.T), np.zeros((6, rows))
+        self.at, self.h = learner.wiring.layout.offsets, learner.wiring.control_period
+        self.matters = learner.start["prior"] > 0.0
+        self.value = self.energy(views(learner.start))
+
+    def keep(self, memory: Memory) -> dict[str, Array]:
+        """The memory before an update; of other samples the weights."""
+        now = int(memory["counts"][0]) % self.a.every == 0
+        return copies(memory, *PARTS) if now else copies(memory, "W")
+
+    def take(self, row: Row) -> None:
+        """Value, pull and terms of one row."""
+        along = row.Phi @ (self.ideal - row.before["W"]).T  # (rows, m)
+        pull = float(row.s @ along.ravel())
+        self.found[:2, row.number] = self.value, pull
+        if "U" in row.before:
+            o = parts_of(row.before, np.zeros(0))
+            self.found[2:, row.number] = np.array(self.update(row, o, pull)) / self.h
+            self.value = self.energy(views(row.memory))
+
+    def update(self, row: Row, o: Parts, pull: float) -> tuple[float, float, float, float]:
+        """Cut, prediction, noise and memory of one update, over the whole of it; changes o."""
+        a, before, weighed = self.a, o.W.copy(), self.weighed(o)
+        a.Phi[:] = row.Phi
+        track(row.values, self.at, a, o)
+        cut = a.interval * pull - float((weighed * (o.W - before)).sum())
+        if row.memory["counts"][1] == o.counts[1]:  # no control period to learn from
+            return cut, 0.0, 0.0, 0.0
+        after = views(row.memory)
+        prediction, noise, known = self.measured(row, o)
+        predict(a, o._replace(filter=after.filter))
+        return cut, prediction, noise, self.energy(o) - known
+
+    def measured(self, row: Row, o: Parts) -> tuple[float, float, float]:
+        """Prediction and noise of the equations of an update, and the part after them; o stays."""
+        a, m = self.a, len(self.ideal)
+        W, U, D = o.W.copy(), o.U.copy(), o.D.copy()
+        Phi_f, Y_f, f, b = row.memory["Phi_f"], row.memory["Y_f"], np.zeros(D.size), np.zeros(D.size)
+        prediction = noise = 0.0
+        for i, features in enumerate(Phi_f):
+            phi, y = (features / a.gain[i], Y_f[i : i + 1] / a.gain[i]) if m == 1 else (features.copy(), Y_f)
+            alpha = measure(U, D, phi, a.noise, f, b)
+            if alpha == 0.0:
+                continue
+            u, e = (self.ideal - W) @ phi, y - self.ideal @ phi
+            prediction -= float((u**2 / (2 * a.answer)).sum()) / alpha
+            noise += float(((e**2 * (alpha / a.noise - 1.0) - 2 * u * e) / (2 * a.answer)).sum()) / alpha
+            W += np.outer((y - W @ phi) / alpha, b)
+        return prediction, noise, self.energy(o._replace(W=W, U=U, D=D))
+
+    def energy(self, o: Parts) -> float:
+        """The part."""
+        z, D = self.rooted(o)
+        return float(((z**2 / D[:, None]).sum(axis=0) / (2 * self.a.answer)).sum())
+
+    def weighed(self, o: Parts) -> Array:
+        """`P^-1 W~_i / tau_i`, (m, k)."""
+        (z, D), found = self.rooted(o), np.zeros_like(self.ideal)
+        back = solve_triangular(self.chosen(o.U), z / D[:, None], lower=True, unit_diagonal=True)
+        found[:, self.matters] = back.T / self.a.answer[:, None]
+        return found
+
+    def rooted(self, o: Parts) -> tuple[Array, Array]:
+        """`U^-1 W~` (k, m) and D, of the weights that the prior lets be."""
+        error = (self.ideal - o.W)[:, self.matters].T
+        found = solve_triangular(self.chosen(o.U), error, lower=True, trans="T", unit_diagonal=True)
+        return np.asarray(found), o.D[self.matters]
+
+    def chosen(self, U: Array) -> Array:
+        """Rows and columns of U' that the prior lets be."""
+        return U if self.matters.all() else U[np.ix_(self.matters, self.matters)]
+
+
+def views(memory: Memory) -> Parts:
+    """The parts of a memory that an update reads and writes."""
+    first = sum(memory[name].size for name in PARTS)
+    size = sum(memory[name].size for name in FILTER)
+    return parts_of({name: memory[name] for name in PARTS}, memory.values[first : first + size])
+
+
+def parts_of(arrays: dict[str, Array], filtered: Array) -> Parts:
+    """The parts by name, with what the filter remembers."""
+    W, U, D, prior, counts = (arrays[name] for name in PARTS)
+    return Parts(W, U, D, prior, counts, filtered, np.zeros(0))

@@ -1,0 +1,131 @@
+"""A strict Lyapunov function of Kanayama's loop, and how strongly it holds the pose (docs/theory.md, section 2).
+
+With `eta = sin(ephi) / sqrt(ky)` [m] and a number `0 < eps < 1`
+
+    Vk = (ex^2 + ey^2)/2 + (1 - cos ephi)/ky + eps ey eta
+    Vkdot = -xi' Q xi + ex z1 + (eta + eps cos(ephi) ey) z2 / sqrt(ky),        xi = (ex, ey, eta)
+
+where Q of `decay_matrix` is positive definite for `vr >= vmin > 0`, small eps and |ephi| < pi/2. What follows speaks of
+the *size* `a = sqrt(2 Vk)` [m], along which `adot <= -decay(a) a + |(z1, g z2)|`, g of `yaw_gain`.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...kinematic import Kinematic
+from ...signals import Array
+
+TRIED = np.linspace(0.02, 0.98, 49)  # eps
+
+
+@dataclass(frozen=True)
+class PoseSet:
+    """What a size of the pose error allows, |ephi| < pi/2.
+
+    Attributes:
+        ex: Largest |ex| [m].
+        ey: Largest |ey| [m].
+        sine: Largest |sin ephi|.
+        cosine: Smallest cos ephi.
+        turn: Largest |ky ey + kth sin ephi| [1/m]: yaw rate over vr.
+    """
+
+    ex: float
+    ey: float
+    sine: float
+    cosine: float
+    turn: float
+
+    @property
+    def heading(self) -> float:
+        """Largest |ephi| [rad]."""
+        return math.acos(self.cosine)
+
+
+@dataclass(frozen=True)
+class PoseBound:
+    """The function for one set of gains and one reference.
+
+    Args:
+        kx: Gain [1/s], > 0.
+        ky: Gain [1/m^2], > 0.
+        kth: Gain [1/m], > 0.
+        slowest: Smallest vr [m/s], > 0.
+        fastest: Largest vr [m/s].
+        turning: Largest |wr| [rad/s].
+        eps: Weight of the term in ey eta, 0 < eps < 1.
+    """
+
+    kx: float
+    ky: float
+    kth: float
+    slowest: float
+    fastest: float
+    turning: float
+    eps: float
+
+    @classmethod
+    def of(cls, kinematic: Kinematic, v_ref: Array) -> PoseBound:
+        """The one whose eps gives the smallest lateral error near the reference for a given z; v_ref (N, 2)."""
+        speeds = float(v_ref[:, 0].min()), float(v_ref[:, 0].max()), float(np.abs(v_ref[:, 1]).max())
+        tried = [cls(kinematic.kx, kinematic.ky, kinematic.kth, *speeds, float(eps)) for eps in TRIED]
+        return max(tried, key=lambda bound: bound.decay(0.0, 0.0) * math.sqrt(1 - bound.eps**2))
+
+    @property
+    def largest(self) -> float:
+        """Size at which a heading error of pi/2 can no longer be excluded [m]."""
+        return math.sqrt((2 - self.eps**2) / self.ky)
+
+    def reach(self, size: float) -> PoseSet:
+        """The pose errors of a size below `largest`."""
+        rest, square = 1 - self.eps**2, self.eps**2
+        u = (math.sqrt(rest**2 + square * self.ky * size**2) - rest) / square  # 1 - cos ephi at most
+        cosine = max(1 - u, 0.0)
+        across = size / math.sqrt(rest)
+        sine = min(math.sqrt(max(1 - cosine**2, 0.0)), math.sqrt(self.ky) * across)
+        k1, k2 = self.ky, self.kth * math.sqrt(self.ky)
+        turn = size * math.sqrt((k1**2 - 2 * self.eps * k1 * k2 + k2**2) / rest)
+        return PoseSet(size, across, sine, cosine, turn)
+
+    def metric(self, cosine: float) -> Array:
+        """P with `2 Vk <= xi' P xi` where cos ephi >= cosine; for 1 it is `2 Vk >= xi' P xi`; (3, 3)."""
+        return np.array([[1.0, 0, 0], [0, 1, self.eps], [0, self.eps, 2 / (1 + cosine)]])
+
+    def decay_matrix(self, vr: float, w: float, cosine: float) -> Array:
+        """Q (3, 3) at a reference speed, a yaw rate of the base and cos ephi."""
+        lateral = self.eps * vr * math.sqrt(self.ky)
+        cross = self.eps * vr * self.kth * cosine / 2
+        turn = self.eps * w / 2
+        return np.array([[self.kx, 0, turn], [0, lateral * cosine, cross], [turn, cross, vr * self.kth - lateral]])
+
+    def decay(self, size: float, yaw_error: float) -> float:
+        """Rate at which the pose error decays up to a size [1/s], for |z2| up to `yaw_error`; negative: it may grow.
+
+        The smallest of `xi' Q xi / xi' P xi` over vr, w and cos ephi. Q is affine in each of them, its smallest
+        eigenvalue relative to P concave, so that the corners of their intervals have the smallest.
+        """
+        reach = self.reach(size)
+        if reach.cosine <= 0:
+            return -math.inf
+        w = self.turning + self.fastest * reach.turn + yaw_error
+        L_inv = np.linalg.inv(np.linalg.cholesky(self.metric(reach.cosine)))
+        corners = itertools.product((self.slowest, self.fastest), (-w, w), (reach.cosine, 1.0))
+        Q = np.array([self.decay_matrix(*corner) for corner in corners])
+        return float(np.linalg.eigvalsh(L_inv @ Q @ L_inv.T).min())
+
+    def yaw_gain(self, cosine: float) -> float:
+        """G [m]: how strongly z2 drives the size, with z1 counting as 1, where cos ephi >= cosine."""
+        square = self.eps**2
+        return math.sqrt((1 - square * (2 - cosine) * cosine) / (self.ky * (1 - square)))
+
+    def size(self, error: Array) -> Array:
+        """The size a of pose errors (k, 3), (k,) [m]."""
+        ex, ey, ephi = error.T
+        eta = np.sin(ephi) / math.sqrt(self.ky)
+        value = (ex**2 + ey**2) / 2 + (1 - np.cos(ephi)) / self.ky + self.eps * ey * eta
+        return np.sqrt(2 * np.maximum(value, 0.0))

@@ -1,0 +1,213 @@
+"""Psi_hat against the Psi of Pinocchio: online while it learns, and with the weights held as they were at the end.
+
+A learner that adapts fast follows Psi without knowing it: its error online is small, and the weights of any instant
+say little about the next. Held fixed they tell what it knows: along the same trajectory, along one that it never saw,
+and after a change of the robot that it was not told of (see docs/proof.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...errors import InputError, RecordingError
+from ...model.dynamics import Dynamics
+from ...model.robot import Robot
+from ...recording.metrics import halves
+from ...signals import Array, Layout
+from ...torque.origin import origin_of
+from ..experiments.controllers import CONTROLLERS
+from ..experiments.laws import GIVEN
+from . import held_out as held
+from .features import Network, features_of
+from .fvu import START, error_in, fvu, fvu_in, windows
+from .learner import Learner, said
+from .payload import loaded, usual_payload
+from .shares import shares, sizes
+from .subject import Subject
+
+WINDOWS = 5
+MOST = 20_000  # rows of a run along which frozen weights are evaluated, evenly spread
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Frozen:
+    """What the final weights, held fixed, say along some rows.
+
+    Attributes:
+        about: Which rows, in words.
+        time: (N,) [s].
+        psi: (N, p) the truth [N, N m].
+        psi_hat: (N, p) what they say.
+    """
+
+    about: str
+    time: Array
+    psi: Array
+    psi_hat: Array
+
+    @property
+    def fvu(self) -> Array:
+        """FVU of every component after the first 0.5 s, (p,)."""
+        counts = self.time >= START - 1e-9
+        return fvu(self.psi[counts], self.psi_hat[counts])
+
+
+@dataclass(frozen=True, eq=False)
+class Psi:
+    """What of Psi a run followed, and what its learner knows of it.
+
+    Attributes:
+        labels: Names of the p components.
+        halves: Components of the base and of the arm.
+        online: FVU online after the first 0.5 s, (p,).
+        edges: Edges of the windows, (n + 1,) [s].
+        windows: FVU online in each of them, (n, p), with the variance that Psi has there.
+        errors: Error online in each of them over the variance of the whole run, (n, p); their mean is `online`.
+        shares: Part of the torque to its share, (p,) each.
+        sizes: Part of the torque to its RMS over that of the torque, (p,) each.
+        frozen: Final weights held fixed, by name: `same`, `held_out`, `payload`; empty for a controller that learns
+            nothing.
+        networks: Its networks, or its regressor; empty likewise, and where it does not tell.
+        weights_time: When the weights were taken [s].
+        remarks: What could not be told, and why.
+    """
+
+    labels: tuple[str, ...]
+    halves: dict[str, slice]
+    online: Array
+    edges: Array
+    windows: Array
+    errors: Array
+    shares: dict[str, Array]
+    sizes: dict[str, Array]
+    frozen: dict[str, Frozen]
+    networks: list[Network]
+    weights_time: float
+    remarks: tuple[str, ...]
+
+
+def psi_of(
+    subject: Subject, payload: float | None = None, count: int = WINDOWS, progress: Progress | None = None
+) -> Psi:
+    """Psi_hat of a run against the truth.
+
+    Args:
+        subject: The run.
+        payload: Load put on the robot [kg]; None for `usual_payload`.
+        count: Number of windows of the online FVU.
+        progress: Called with what is being done and the fraction done.
+
+    Raises:
+        RecordingError: The controller gave no Psi_hat, or the run is not longer than 0.5 s.
+    """
+    psi, psi_hat, torque, robust = (subject.signal(name) for name in ("psi", "psi_hat", "torque", "robust"))
+    require_psi_hat(subject, psi_hat)
+    time = subject.signal("time")[:, 0]
+    edges = windows(time, count)
+    if not edges.size:
+        why = f"it ends at {time[-1]:.3g} s, and FVU counts from {START} s on"
+        raise RecordingError("too short for Psi", why=why, fix="run longer", file=subject.recording.path)
+    counts = time >= START - 1e-9
+    frozen: dict[str, Frozen] = {}
+    networks: list[Network] = []
+    remarks: list[str] = []
+    learner = subject.learner
+    if learner is not None:
+        frozen, networks, remarks = known(subject, learner, payload, progress)
+    remarks += remarks_on_law(subject)
+    return Psi(
+        labels=subject.robot.velocity_names,
+        halves=halves(subject.recording),
+        online=fvu(psi[counts], psi_hat[counts]),
+        edges=edges,
+        windows=fvu_in(edges, time, psi, psi_hat),
+        errors=error_in(edges, time, psi, psi_hat),
+        shares=shares(torque[counts], psi_hat[counts], robust[counts]),
+        sizes=sizes(torque[counts], psi_hat[counts], robust[counts]),
+        frozen=frozen,
+        networks=networks,
+        weights_time=learner.end_time if learner else float("nan"),
+        remarks=tuple(remarks),
+    )
+
+
+def require_psi_hat(subject: Subject, psi_hat: Array) -> None:
+    """Refuse a controller that says nothing of Psi.
+
+    Raises:
+        RecordingError: With the name of the controller.
+    """
+    if psi_hat.any():
+        return
+    own = "a controller of your own whose step returns a torque alone; let it return (torque, Psi_hat)"
+    why = own if subject.controller not in CONTROLLERS else "it estimates nothing"
+    raise RecordingError(f"{subject.controller} gives no Psi_hat", why=why, file=subject.recording.path)
+
+
+def remarks_on_law(subject: Subject) -> list[str]:
+    """How to hear more of a learning law of a user, or that another file than the run's was used for it."""
+    if how := how_to_know(subject):
+        return [how]
+    about = subject.recording.meta.get("law")
+    if about is None or subject.learner is None:
+        return []
+    used = origin_of(type(subject.learner.controller))
+    if used["sha256"] == about["sha256"]:
+        return []
+    return [f"{used['file'] or used['class']} is not what it was in the run: its SHA-256 differs"]
+
+
+def how_to_know(subject: Subject) -> str:
+    """How to hear what the weights of a user's law know, where its class is not at hand; else empty."""
+    about = subject.recording.meta.get("law")
+    if about is None or subject.learner is not None:
+        return ""
+    if not set(GIVEN) <= (subject.recording.meta.get("controller_settings") or {}).keys():
+        return ""
+    file = about["file"] or "FILE.py"
+    return f"what the weights of {subject.controller} know is told with --law {file}, which runs that file"
+
+
+def known(
+    subject: Subject, learner: Learner, payload: float | None, progress: Progress | None
+) -> tuple[dict[str, Frozen], list[Network], list[str]]:
+    """What the final weights say; the networks; what could not be told."""
+    show = progress or (lambda what, fraction: None)
+    robot, remarks, where = subject.robot, list[str](), subject.layout.where
+    every = -(-len(subject.rows) // MOST)
+    rows = subject.rows[::every]
+    time = rows[:, where("time")][:, 0]
+    show("frozen weights", 0.1)
+    visited = said(learner, learner.end, subject.rows, every)
+    frozen = {"same": Frozen("the run's own trajectory", time, rows[:, where("psi")], visited)}
+    show("frozen weights", 0.3)
+    try:
+        wanted = held.held_out(subject)
+        seen = held.recorded_under_computed_torque(robot, wanted, learner.feedback, subject.kinematic, subject.timing)
+        show("frozen weights", 0.7)
+        told = said(learner, learner.end, seen)
+        frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], told)
+    except InputError as error:
+        remarks.append(f"no held-out trajectory: {' '.join(str(error).split())}")
+    mass = usual_payload(robot) if payload is None else payload
+    place = "at the arm's tip" if robot.joint_names else "on the base"
+    truth = psi_along(loaded(robot, mass), rows, subject.layout)
+    frozen["payload"] = Frozen(f"the same with {mass:.3g} kg {place}", time, truth, visited)
+    show("frozen weights", 1.0)
+    return frozen, features_of(learner, rows), remarks
+
+
+def psi_along(robot: Robot, rows: Array, layout: Layout) -> Array:
+    """Psi of a robot at the states and commands of rows, (N, p) [N, N m]."""
+    dynamics, found = Dynamics(robot), np.zeros((len(rows), layout.dof))
+    names = ("position", "nu", "nu_ref", "nudot_ref")
+    for psi, position, nu, nu_ref, nudot_ref in zip(
+        found, *(np.ascontiguousarray(rows[:, layout.where(name)]) for name in names), strict=True
+    ):
+        dynamics.refresh(position, nu)
+        dynamics.refresh_psi(nu_ref, nudot_ref, psi)
+    return found

@@ -1,0 +1,234 @@
+"""What all figures share: one look per controller, marks, limits, legend, and files written whole.
+
+Colours are from Okabe and Ito's palette, which colour-blind eyes tell apart; the dashes survive a print in grey.
+matplotlib is imported when the first figure is made, and never its state machine pyplot: no display is needed.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ParamSpec
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording.recording import Recording
+from ...signals import Array
+from .whole import whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+P = ParamSpec("P")
+Dash = tuple[float, tuple[float, ...] | None]
+Look = Mapping[str, Any]  # keywords of matplotlib's `plot`
+
+FORMATS = ("png", "svg", "pdf")
+RC: Any = {
+    "font.size": 9,
+    "axes.titlesize": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.limits": (-4, 5),
+    "grid.color": "0.9",
+    "grid.linewidth": 0.6,
+    "svg.hashsalt": "mmnn_pin",
+}
+TOUCHED = ("axes.", "font.", "grid.", "legend.", "lines.", "mathtext.", "text.", "xtick.", "ytick.", "figure.")
+
+
+@dataclass(frozen=True)
+class Style:
+    """How the curves of one controller look: an RGB hex colour, a dash pattern, a width in points."""
+
+    color: str
+    dash: Dash
+    width: float = 1.4
+
+    @property
+    def line(self) -> Look:
+        """The same as keywords of matplotlib's `plot`; a solid line lies under the dashed ones and hides none."""
+        depth = 2.0 if self.dash[1] is None else 2.1
+        return {"color": self.color, "linestyle": self.dash, "linewidth": self.width, "zorder": depth}
+
+
+STYLES = {
+    "two_layer": Style("#0072B2", (0, None), 1.8),
+    "two_layer_zero": Style("#0072B2", (0, None), 1.8),
+    "two_layer_random": Style("#CC79A7", (0, (9, 1.5)), 1.6),
+    "one_layer": Style("#D55E00", (0, (5, 1.6))),
+    "two_layer_composite": Style("#8E44AD", (0, (11, 1.5))),
+    "two_layer_residual": Style("#5DADE2", (0, (4, 1))),
+    "kalman_features": Style("#E84393", (0, (3, 1.5, 1, 1.5))),
+    "kalman_bilinear": Style("#E0A800", (0, (7, 1.5))),
+    "kalman_residual": Style("#FF7F50", (0, (6, 1.5, 2, 1.5))),
+    "kalman_regressor": Style("#C0392B", (0, (2, 1))),
+    "adaptive": Style("#7F4F24", (0, (3, 1))),
+    "adaptive_composite": Style("#B7950B", (0, (8, 1.5, 3, 1.2))),
+    "concurrent": Style("#2E7D32", (0, (5, 1))),
+    "nominal": Style("#7F8C8D", (0, (1, 1))),
+    "pd": Style("#000000", (0, (1, 1.4))),
+    "pd_effective": Style("#56B4E9", (0, (6, 1.5, 1, 1.5)), 1.6),
+    "pd_effective_one_layer": Style("#E69F00", (0, (5, 1.2, 1, 1.2, 1, 1.2)), 1.6),
+    "computed_torque": Style("#009E73", (0, (10, 2.5))),
+}
+OTHERS = tuple(
+    Style(color, dash)
+    for color in ("#CC79A7", "#666666")
+    for dash in ((0.0, (3, 1)), (0.0, (8, 1.5, 3, 1.5)), (0.0, (2, 1, 2, 3)), (0.0, (12, 2, 1, 2)), (0.0, (1, 3)))
+)
+TRUTH: Look = {"color": "0.65", "linewidth": 3.5, "solid_capstyle": "round", "zorder": 1.9}
+
+
+def styles_of(recordings: Mapping[str, Recording]) -> dict[str, Style]:
+    """Style of every recording: by its key, else by its controller, else the next that is free."""
+    styles = {name: STYLES[name] for name in recordings if name in STYLES}
+    others = iter(OTHERS * (1 + len(recordings) // len(OTHERS)))
+    for name, recording in recordings.items():
+        if name not in styles:
+            own = STYLES.get(str(recording.meta.get("controller")))
+            styles[name] = own if own is not None and own not in styles.values() else next(others)
+    return styles
+
+
+def styled(make: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Make a figure in our look, whatever the user's matplotlib settings are."""
+
+    @wraps(make)
+    def inner(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        from matplotlib import rc_context, rcParamsDefault
+
+        look: Any = {name: value for name, value in rcParamsDefault.items() if name.startswith(TOUCHED)} | RC
+        with rc_context(look):
+            return make(*args, **kwargs)
+
+    return inner
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """Empty figure, sizes in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def require_found(recordings: Mapping[str, Recording], found: Collection[object], what: str) -> None:
+    """Refuse to draw a figure in which nothing is.
+
+    Args:
+        recordings: What was to be plotted.
+        found: What of it the figure shows.
+        what: The figure's name.
+
+    Raises:
+        RecordingError: Nothing was found.
+    """
+    if not recordings:
+        raise RecordingError("nothing to plot", why="no recording was given")
+    if not found:
+        why = f"its signals are not in {', '.join(recordings)}"
+        raise RecordingError(f"nothing to plot for {what}", why=why, fix="choose another figure or recording")
+
+
+def add_legend(figure: Figure, title: str, looks: Sequence[tuple[str, Look]]) -> None:
+    """Title of a figure and its one legend, above the axes, from labels and looks."""
+    from matplotlib.lines import Line2D
+
+    longest = max(len(label) for label, _ in looks)
+    rows = -(-len(looks) // max(1, int(figure.get_figwidth() / (0.065 * longest + 0.65))))
+    legend = figure.legend(
+        [Line2D([], [], **look) for _, look in looks],
+        [label for label, _ in looks],
+        loc="outside upper left",
+        ncols=-(-len(looks) // rows),
+        frameon=False,
+        handlelength=3.6,
+        title=title,
+        alignment="left",
+    )
+    legend.get_title().set(fontsize=12, fontweight="bold")
+
+
+def legend_label(name: str, recording: Recording) -> str:
+    """Name of a curve, with how it ended if it ended early."""
+    outcome = recording.outcome
+    return plain(name if outcome.status == "completed" else f"{name} ({outcome.status} at {outcome.time:.3g} s)")
+
+
+def plain(text: str) -> str:
+    """Text that matplotlib does not read as mathematics."""
+    return text.replace("$", r"\$")
+
+
+def scale_rows(recordings: Iterable[Recording]) -> list[tuple[Recording, slice]]:
+    """Recordings and their rows that may set the scale of an axes.
+
+    A diverged run sets no scale where another did not diverge; where all did, their last tenth does not.
+    """
+    every = [recording for recording in recordings if len(recording)]
+    calm = [(recording, slice(None)) for recording in every if recording.outcome.status != "diverged"]
+    return calm or [(recording, slice(max(1, int(0.9 * len(recording))))) for recording in every]
+
+
+def limits(curves: Iterable[Array]) -> tuple[float, float]:
+    """Limits of an axes that show the finite values of some curves, and zero, with a margin."""
+    values = np.concatenate([[0.0], *curves])
+    values = values[np.isfinite(values)]
+    lower, upper = float(values.min()), float(values.max())
+    margin = 0.07 * (upper - lower) or 1.0
+    return lower - margin, upper + margin
+
+
+def mark_end(axes: Axes, recording: Recording, style: Style, x: Array, y: Array) -> None:
+    """Cross where the curve of a run that ended early was last seen in the axes."""
+    if recording.outcome.status == "completed":
+        return
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    seen = np.flatnonzero((left <= x) & (x <= right) & (bottom <= y) & (y <= top))
+    if len(seen):
+        last = seen[-1]
+        axes.plot(x[last], y[last], "X", ms=8, color=style.color, mec="white", clip_on=False, zorder=5)
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure as PNG, SVG or PDF, by the suffix; the file appears whole or not at all.
+
+    Raises:
+        RecordingError: Another suffix, or a place that cannot be written.
+    """
+    from matplotlib import rc_context
+
+    path = Path(path)
+    if (suffix := path.suffix[1:].lower()) not in FORMATS:
+        fix = f"end its name in {', '.join(f'.{known}' for known in FORMATS)}"
+        raise RecordingError("cannot write the figure", why=f"unknown format '{path.suffix}'", fix=fix, file=path)
+    undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(suffix, {})
+    with whole(path, "figure") as part, rc_context(RC):
+        figure.savefig(part, format=suffix, dpi=160, metadata=undated)
+        if suffix == "png":
+            thin(part)
+    return path
+
+
+def svg(figure: Figure) -> str:
+    """A figure as an SVG element."""
+    file = io.StringIO()
+    figure.savefig(file, format="svg", metadata={"Date": None})
+    text = file.getvalue()
+    return text[text.index("<svg") :]
+
+
+def thin(path: Path) -> None:
+    """Keep 256 colours of a PNG, which no eye tells apart in a plot: a third of the bytes."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        few = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+    few.save(path, "png", optimize=True)

@@ -1,0 +1,147 @@
+"""What a robot looks like: the shapes of its links, each geometry once.
+
+A mesh that cannot be shown becomes a box of `STAND_IN` metres in a colour of its own, with a warning; so does every
+body of a robot whose file has no shapes at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from lxml import etree
+
+from ....model.base.overrides import folders_of
+from ....model.robot import Robot
+from ....model.urdf.document import placement
+from ....model.urdf.meshes import locate
+from ....model.urdf.parsing import number, vector
+from ....signals import Array
+from .blob import Blob
+from .bodies import Tree, columns
+from .meshes import BrokenMesh, Color, Part, read_mesh
+
+STAND_IN = 0.1  # edge of the box in the place of a mesh [m]
+STANDS_IN = f"a box of {STAND_IN:g} m stands in"
+MISSING: Color = (0.93, 0.36, 0.62, 1.0)
+PLAIN: Color = (0.72, 0.74, 0.77, 1.0)
+WHY = {"remote": "is remote and never fetched", "outside": "lies outside its package"}
+
+Placed = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
+
+
+class Shapes:
+    """The geometries of all robots of a page, and how they are placed.
+
+    Args:
+        blob: Takes the meshes.
+        package_dirs: Folders to look for meshes in before those that a robot knows.
+
+    Attributes:
+        geometries: As the page reads them.
+    """
+
+    def __init__(self, blob: Blob, package_dirs: Sequence[str | Path] = ()) -> None:
+        self.geometries: list[dict[str, Any]] = []
+        self._told: list[str] = []
+        self._missing: dict[str, None] = {}
+        self._blob, self._folders = blob, tuple(package_dirs)
+        self._files: dict[Path, list[Placed]] = {}
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """A line for everything that is not shown as the URDF says."""
+        told = dict.fromkeys(self._told)
+        if self._missing:
+            first, *others = self._missing
+            more = f" and {len(others)} more are" if others else " is"
+            fix = "give the folder of their packages (--package-dir), or put them there"
+            told[f"mesh '{first}'{more} missing: {STANDS_IN}: {fix}"] = None
+        return tuple(told)
+
+    def visuals(self, robot: Robot, tree: Tree) -> list[dict[str, Any]]:
+        """The shapes of a robot, as the page reads them: body, placement, geometry, colour."""
+        links, root = tree.document.links, tree.document.root
+        colors = {material.get("name"): rgba(material) for material in root.iterfind("material")}
+        tag = next((t for t in ("visual", "collision") if any(e.find(t) is not None for e in links.values())), "")
+        if tag != "visual":
+            shown = "its collision shapes are shown" if tag else "a box marks every body"
+            self._told.append(f"{robot.name} has no visual shapes: {shown}")
+        found = []
+        for link, element in links.items():
+            body, place = tree.places[link]
+            for holder in element.iterchildren(tag) if tag else ():
+                color = color_of(holder, colors)
+                for at, (geometry, own) in self._solids(robot, holder):
+                    found.append(visual(body, place @ at, geometry, color or own or PLAIN))
+        return found or [visual(body, np.eye(4), self._box(STAND_IN), MISSING) for body in range(len(tree.bodies))]
+
+    def _solids(self, robot: Robot, holder: etree._Element) -> Iterator[tuple[Array, Placed]]:
+        """Placement on the link, geometry and own colour of what is in a `<visual>` or `<collision>`."""
+        at = placement(holder.find("origin"))
+        for solid in holder.iterfind("geometry/*"):
+            if solid.tag == "mesh":
+                yield from self._mesh(robot, at, solid)
+            elif solid.tag == "box":
+                yield at, (self._box(*vector(solid, "size").tolist()), None)
+            elif solid.tag in ("cylinder", "sphere"):
+                sizes = [number(solid, "radius", 0.0), number(solid, "length", 0.0)]
+                yield at, (self._index({"kind": solid.tag, "size": sizes}), None)
+
+    def _mesh(self, robot: Robot, at: Array, solid: etree._Element) -> Iterator[tuple[Array, Placed]]:
+        name = solid.get("filename", "")
+        found = locate(name, robot.path, (*self._folders, *folders_of(robot.path, robot.said)))
+        try:
+            if found.file is None:
+                raise BrokenMesh(WHY.get(found.problem, ""))
+            if found.file not in self._files:
+                self._files[found.file] = [(self._index(self._packed(p)), p.color) for p in read_mesh(found.file)]
+        except BrokenMesh as error:
+            if found.problem == "missing":
+                self._missing[name] = None
+            else:
+                self._told.append(f"mesh '{name}' {error}: {STANDS_IN}")
+            yield at, (self._box(STAND_IN), MISSING)
+            return
+        scaled = at @ np.diag([*vector(solid, "scale", (1.0, 1.0, 1.0)), 1.0])
+        yield from ((scaled, placed) for placed in self._files[found.file])
+
+    def _packed(self, part: Part) -> dict[str, Any]:
+        indices = "u2" if len(part.grid) <= np.iinfo(np.uint16).max else "u4"
+        grid = {"corner": part.corner.tolist(), "step": part.step.tolist()}
+        return {
+            "kind": "mesh",
+            "points": self._blob.add(part.grid, "u2"),
+            "triangles": self._blob.add(part.triangles, indices),
+            **grid,
+        }
+
+    def _box(self, *edges: float) -> int:
+        return self._index({"kind": "box", "size": list(edges * 3)[:3]})
+
+    def _index(self, geometry: dict[str, Any]) -> int:
+        if geometry not in self.geometries:
+            self.geometries.append(geometry)
+        return self.geometries.index(geometry)
+
+
+def visual(body: int, place: Array, geometry: int, color: Color) -> dict[str, Any]:
+    """A shape on a body, as the page reads it."""
+    return {"body": body, "place": columns(place), "geometry": geometry, "color": [round(c, 4) for c in color]}
+
+
+def color_of(holder: etree._Element, named: dict[str, Color | None]) -> Color | None:
+    """Colour of a `<visual>`: its own, else the one that the robot gives that name."""
+    material = holder.find("material")
+    return None if material is None else rgba(material) or named.get(material.get("name"))
+
+
+def rgba(material: etree._Element) -> Color | None:
+    """Colour of a `<material>`, None for one without."""
+    words = (material.find("color").get("rgba", "") if material.find("color") is not None else "").split()
+    if len(words) != 4:
+        return None
+    red, green, blue, opacity = (min(max(float(word), 0.0), 1.0) for word in words)
+    return red, green, blue, opacity

@@ -1,0 +1,243 @@
+"""Figures 4.2 to 4.4 and 5.3 to 5.5 in the thesis's arrangement, over bands in which the extremes of its curves lie.
+
+The thesis's curves are lost; its axes leave an interval for each extreme (`experiments.figure_ranges`). A ring marks
+the largest and the smallest value drawn: it should lie in its band.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...errors import RecordingError
+from ...recording.recording import Recording
+from ...signals import Array
+from ..experiments.figure_ranges import FigureRange, figure_intervals
+from .figure import (
+    STYLES,
+    TRUTH,
+    Look,
+    add_legend,
+    legend_label,
+    limits,
+    mark_end,
+    new_figure,
+    scale_rows,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Recordings = Mapping[str, Recording]
+Curve = tuple[str, Recording, int, Look]  # controller, recording, column, look
+
+BAND: Look = {"facecolor": "0.87", "linewidth": 0, "zorder": 0.5}
+COMPONENTS: dict[str, Look] = {
+    "x": {"linestyle": "-", "linewidth": 1.8},
+    "y": {"linestyle": (0, (5, 1.6)), "linewidth": 1.4},
+    "heading": {"linestyle": (0, (1, 1.4)), "linewidth": 1.8},
+}
+
+
+@styled
+def pose_figure(recordings: Recordings) -> Figure:
+    """Figure 4.2: pose error (x, y, heading) with the one-layer network above, with the two-layer network below.
+
+    Raises:
+        RecordingError: Not one recording of each learner, or none of a robot with a base.
+    """
+    learners = learners_of(recordings, "pose_error")
+    panels = {
+        f"{name}: pose error\n[mm, mrad]": [
+            (name, recording, column, {**look, "color": STYLES[name].color, "zorder": 2 + 0.1 * column})
+            for column, look in enumerate(COMPONENTS.values())
+        ]
+        for name, recording in learners.items()
+    }
+    legend = [(label, {**look, "color": "0.2"}) for label, look in COMPONENTS.items()]
+    return _arranged("4.2", "pose error of the platform", learners, "pose_error", panels, legend)
+
+
+@styled
+def velocity_figure(recordings: Recordings) -> Figure:
+    """Figure 4.3: velocity error z1 above and z2 below, both learners in each; errors as in `pose_figure`."""
+    return _both("4.3", "velocity error of the platform", recordings, "z", ("z1 [mm/s]", "z2 [mrad/s]"))
+
+
+@styled
+def arm_figure(recordings: Recordings) -> Figure:
+    """Figure 4.4: arm error e1 above and e2 below, both learners in each; errors as in `pose_figure`."""
+    return _both("4.4", "error of the arm", recordings, "e", ("e1 [mrad]", "e2 [mrad]"))
+
+
+@styled
+def one_layer_figure(recordings: Recordings) -> Figure:
+    """Figure 5.3: measured angle of joint 1 above, of joint 2 below, over the reference, under the one-layer network.
+
+    Raises:
+        RecordingError: Not one recording of the one-layer controller.
+    """
+    return _angles("5.3", "the one-layer network's joints", recordings, ("one_layer",))
+
+
+@styled
+def two_layer_figure(recordings: Recordings) -> Figure:
+    """Figure 5.4: the same under the two-layer network, that with weights from zero where it was run, as the thesis's.
+
+    Raises:
+        RecordingError: Not one recording of a two-layer controller.
+    """
+    return _angles("5.4", "the two-layer network's joints", recordings, (two_layer_of(recordings),))
+
+
+@styled
+def joints_figure(recordings: Recordings) -> Figure:
+    """Figure 5.5: measured error of joint 1 above and of joint 2 below, both learners in each.
+
+    Raises:
+        RecordingError: Not one recording of each learner.
+    """
+    names = ("one_layer", two_layer_of(recordings))
+    return _both("5.5", "error of the joints", recordings, "e", ("joint 1 [deg]", "joint 2 [deg]"), names)
+
+
+THESIS_FIGURES: Mapping[str, Callable[[Recordings], Figure]] = {
+    "figure-4.2": pose_figure,
+    "figure-4.3": velocity_figure,
+    "figure-4.4": arm_figure,
+    "figure-5.3": one_layer_figure,
+    "figure-5.4": two_layer_figure,
+    "figure-5.5": joints_figure,
+}
+
+
+def two_layer_of(recordings: Recordings) -> str:
+    """Name of the two-layer controller that a figure of chapter 5 shows."""
+    run = {recording.meta.get("controller", name) for name, recording in recordings.items()}
+    return "two_layer_zero" if "two_layer_zero" in run else "two_layer"
+
+
+def learners_of(
+    recordings: Recordings, signal: str, learners: Sequence[str] = ("one_layer", "two_layer")
+) -> dict[str, Recording]:
+    """The recording of each learner, in this order; by default of the one-layer and of the two-layer controller.
+
+    Raises:
+        RecordingError: None or several of one, or one without the signal.
+    """
+    found = {}
+    for learner in learners:
+        runs = [rec for name, rec in recordings.items() if rec.meta.get("controller", name) == learner]
+        runs = [rec for rec in runs if signal in rec and len(rec)]
+        if len(runs) != 1:
+            why = f"the thesis's figures take one run of {learner} with the signal {signal}; there are {len(runs)}"
+            raise RecordingError("nothing to plot", why=why, fix="name the folder of one `mmnn run`")
+        found[learner] = runs[0]
+    return found
+
+
+def _both(
+    number: str,
+    what: str,
+    recordings: Recordings,
+    signal: str,
+    labels: Sequence[str],
+    names: Sequence[str] = ("one_layer", "two_layer"),
+) -> Figure:
+    """A plot per component, both learners in each."""
+    learners = learners_of(recordings, signal, names)
+    panels = {
+        label: [(name, recording, column, STYLES[name].line) for name, recording in learners.items()]
+        for column, label in enumerate(labels)
+    }
+    legend = [(legend_label(name, recording), STYLES[name].line) for name, recording in learners.items()]
+    return _arranged(number, what, learners, signal, panels, legend)
+
+
+def _angles(number: str, what: str, recordings: Recordings, names: Sequence[str]) -> Figure:
+    """A plot per joint, its measured angle over its reference."""
+    learners = learners_of(recordings, "q", names)
+    panels = {
+        f"joint {column + 1} [deg]": [(name, rec, column, STYLES[name].line) for name, rec in learners.items()]
+        for column in range(2)
+    }
+    legend = [("reference", TRUTH), *((legend_label(name, rec), STYLES[name].line) for name, rec in learners.items())]
+    return _arranged(number, what, learners, "q", panels, legend, "q_ref")
+
+
+def _arranged(
+    number: str,
+    what: str,
+    learners: Recordings,
+    signal: str,
+    panels: Mapping[str, Sequence[Curve]],
+    legend: Sequence[tuple[str, Look]],
+    reference: str = "",
+) -> Figure:
+    """Two plots above each other, as the thesis has them, on the bands of its axes; beneath it all a reference."""
+    figure = new_figure(7.2, 6.4)
+    stack = figure.subplots(2, 1, sharex=True)
+    stack[-1].set_xlabel("time [s]")
+    for axes, place, (label, curves) in zip(stack, ("top", "bottom"), panels.items(), strict=True):
+        ranges = [known for known in figure_intervals(int(number[0])) if known.figure == f"{number} {place}"]
+        axes.set_ylabel(label)
+        _draw_bands(axes, ranges)
+        for _, recording, column, _ in curves if reference else ():
+            axes.plot(recording.time, shown(recording[reference][:, column], ranges), **TRUTH)
+        _draw_curves(axes, signal, curves, ranges)
+    figure.align_ylabels(list(stack))
+    band = {"color": BAND["facecolor"], "linewidth": 7, "solid_capstyle": "butt"}
+    title = f"Figure {number}: {what}{variant_of(learners)}"
+    add_legend(figure, title, [*legend, ("thesis's extremes", band)])
+    return figure
+
+
+def _draw_bands(axes: Axes, ranges: Sequence[FigureRange]) -> None:
+    for known in ranges:
+        axes.axhspan(*(shown(np.array([known.lower, known.upper]) / known.scale, ranges)), **BAND)
+    axes.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
+
+
+def _draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange]) -> None:
+    """Curves, rings at their common extremes, crosses where a run ended early."""
+    seen = [rec[signal][rows, column] for _, each, column, _ in curves for rec, rows in scale_rows([each])]
+    edges = np.array([edge / known.scale for known in ranges for edge in (known.lower, known.upper)])
+    axes.set_ylim(limits([shown(values, ranges) for values in (*seen, edges)]))
+    for _, recording, column, look in curves:
+        axes.plot(recording.time, shown(recording[signal][:, column], ranges), **look)
+    for statistic in {known.statistic for known in ranges}:
+        _ring(axes, signal, curves, ranges, np.nanargmax if statistic == "max" else np.nanargmin)
+    for name, recording, column, _ in curves:
+        mark_end(axes, recording, STYLES[name], recording.time, shown(recording[signal][:, column], ranges))
+
+
+def shown(values: Array, ranges: Sequence[FigureRange]) -> Array:
+    """Values in SI in the unit of a plot: degrees where its intervals are in degrees, else thousandths."""
+    return (180.0 / np.pi if any(known.unit == "deg" for known in ranges) else 1e3) * values
+
+
+def _ring(
+    axes: Axes,
+    signal: str,
+    curves: Sequence[Curve],
+    ranges: Sequence[FigureRange],
+    place: Callable[[Array], np.intp],
+) -> None:
+    """Ring at the extreme of all curves of a plot."""
+    values = [shown(recording[signal][:, column], ranges) for _, recording, column, _ in curves]
+    which = int(place(np.array([each[place(each)] for each in values])))
+    k = int(place(values[which]))
+    ring: Look = {"marker": "o", "markersize": 7, "markerfacecolor": "none", "markeredgewidth": 1.3, "zorder": 5}
+    axes.plot(curves[which][1].time[k], values[which][k], color=curves[which][3]["color"], clip_on=False, **ring)
+
+
+def variant_of(recordings: Recordings) -> str:
+    """`, variant NAME` as the recordings' config says; nothing if it says none or they differ."""
+    configs = [recording.config_text for recording in recordings.values()]
+    names = {json.loads(text).get("variant", "") if text else "" for text in configs}
+    return f" (variant {names.pop()})" if len(names) == 1 and names != {""} else ""

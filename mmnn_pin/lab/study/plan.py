@@ -1,0 +1,258 @@
+"""The runs of a study: points of the factors, times seeds, times controllers; every run has a number and a fingerprint.
+
+A run is made from its number alone, so that any machine and any later session makes the same one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ...errors import ConfigError, InputError
+from ..experiments.experiment import Experiment
+from ..experiments.laws import LAW, digest_of, name_of
+from .base import COSMETIC, changed_base, paths_of, told
+from .bundle import Bundle
+from .factors import Factor, unit_cube
+from .keys import changed, deep, flat, require_path
+from .reading import StudyFile
+from .settings import MOST
+
+TRUTH = ("masses", "friction")  # of the true robot only, where the model is nominal
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run of a study.
+
+    Attributes:
+        id: Its number, from 0.
+        point: Number of its point of the factors.
+        controller: Its controller.
+        seed: Its seed.
+        parameters: Factor to its value.
+        experiment: The experiment, of this controller alone.
+        nominal: The experiment whose robot the controller is made for; None for the true one.
+        fingerprint: Hash of all that decides its numbers, but for the software.
+    """
+
+    id: int
+    point: int
+    controller: str
+    seed: int
+    parameters: dict[str, Any]
+    experiment: Experiment
+    nominal: Experiment | None
+    fingerprint: str
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All runs of a study.
+
+    Attributes:
+        study: The study.
+        base: Its experiment with the study's changes, without its factors.
+        table: The same as a table, with all defaults.
+        points: Factor to value, of every point.
+        controllers: Of every point.
+        seeds: Of every point; None where the seed is a factor.
+    """
+
+    study: StudyFile
+    base: Experiment
+    table: dict[str, Any] = field(repr=False)
+    points: tuple[dict[str, Any], ...] = field(repr=False)
+    controllers: tuple[str, ...]
+    seeds: tuple[int | None, ...]
+
+    def __len__(self) -> int:
+        return len(self.points) * len(self.seeds) * len(self.controllers)
+
+    def fingerprints(self) -> Iterator[str]:
+        """Fingerprint of every run, in order."""
+        for point in self.points:
+            for seed in self.seeds:
+                experiment, settings = self.experiment(point, seed)
+                yield from (self.fingerprint(experiment, settings, controller) for controller in self.controllers)
+
+    def row(self, i: int) -> Row:
+        """Run i.
+
+        Raises:
+            ConfigError: There is none of that number.
+        """
+        if not 0 <= i < len(self):
+            fix = f"use one from 0 to {len(self) - 1}"
+            raise ConfigError(f"there is no row {i}", fix=fix, file=self.study.path, key="--row")
+        point, rest = divmod(i, len(self.seeds) * len(self.controllers))
+        which_seed, which_controller = divmod(rest, len(self.controllers))
+        controller, parameters = self.controllers[which_controller], self.points[point]
+        whole, settings = self.experiment(parameters, self.seeds[which_seed])
+        experiment = msgspec.structs.replace(whole, controllers=(controller,))
+        return Row(
+            id=i,
+            point=point,
+            controller=controller,
+            seed=experiment.seed,
+            parameters=parameters,
+            experiment=experiment,
+            nominal=self.nominal(experiment),
+            fingerprint=self.fingerprint(whole, settings, controller),
+        )
+
+    def experiment(self, parameters: dict[str, Any], seed: int | None) -> tuple[Experiment, dict[str, Any]]:
+        """The experiment at values of the factors, and the settings that the factors gave it.
+
+        Raises:
+            InputError: The values make no experiment; with the factors' values.
+        """
+        settings: dict[str, Any] = {} if seed is None else {"seed": seed}
+        table = deep(self.table)
+        try:
+            for name, value in parameters.items():
+                factor = self.study.settings.factors[name]
+                for path in factor.keys or (name,):
+                    settings[path] = changed(table, path, value, factor.relative)
+            if seed is not None:
+                table["seed"] = seed
+            return msgspec.convert(table, Experiment), settings
+        except (msgspec.ValidationError, InputError) as error:
+            raise self.no_experiment(parameters, table, error) from None
+
+    def no_experiment(
+        self, parameters: dict[str, Any], table: dict[str, Any], error: InputError | msgspec.ValidationError
+    ) -> InputError:
+        """Why values of the factors make no experiment, told of the factor that is nearest to it."""
+        what, why, fix, key = told(error, table)
+        factors = self.study.settings.factors
+        blamed = [n for n in parameters for path in factors[n].keys or (n,) if touches(path, key)]
+        values = ", ".join(f"{name} = {short(value)}" for name, value in parameters.items())
+        found = ConfigError(
+            f"{key}: {what}" if key else what,
+            why="; ".join(part for part in (why, f"at {values}") if part),
+            fix=fix,
+            key=f"factors.{(blamed or list(parameters) or [''])[0]}",
+        )
+        return self.study.placed(found)
+
+    def blamed(self, error: InputError) -> InputError:
+        """An error of a run, told of the factor or the change of the study that it is about, if it is about one."""
+        if error.file is None and error.key:
+            names = [n for n, f in self.study.settings.factors.items() for p in f.keys or (n,) if touches(p, error.key)]
+            changes = [path for path, _ in flat(self.study.settings.set) if touches(path, error.key)]
+            error.key = [*(f"factors.{n}" for n in names), *(f"set.{path}" for path in changes), error.key][0]
+            return self.study.placed(error) if names or changes else error
+        return error
+
+    def nominal(self, experiment: Experiment) -> Experiment | None:
+        """The experiment whose robot a controller is made for; None for the true one."""
+        if self.study.settings.model == "true":
+            return None
+        believed = msgspec.structs.replace(experiment, **{key: getattr(self.base, key) for key in TRUTH})
+        return None if believed == experiment else believed
+
+    def fingerprint(self, experiment: Experiment, settings: dict[str, Any], controller: str) -> str:
+        """Hash of what decides a run's numbers."""
+        robot = self.bundle(experiment).digest
+        parts: list[Any] = [self._base_digest, self.study.settings.model, robot, controller, sorted(settings.items())]
+        parts += [digest_of(self.base.laws[controller][LAW])] if controller in self.base.laws else []
+        return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+
+    def bundle(self, experiment: Experiment) -> Bundle:
+        """Files of an experiment's robot."""
+        key = (experiment.robot, experiment.overrides)
+        if key not in self._bundles:
+            self._bundles[key] = Bundle.of(*key)
+        return self._bundles[key]
+
+    @property
+    def bundles(self) -> tuple[Bundle, ...]:
+        """Files of the robots met so far."""
+        return tuple(self._bundles.values())
+
+    @cached_property
+    def _bundles(self) -> dict[Any, Bundle]:
+        return {}
+
+    @cached_property
+    def _base_digest(self) -> str:
+        kept = {key: value for key, value in self.table.items() if key not in (*COSMETIC, "robot", "overrides", "seed")}
+        return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
+
+
+def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None) -> Plan:
+    """The runs of a study, every point judged.
+
+    Args:
+        study: The study.
+        sampling_seed: Seed of the draws in place of the study's.
+        points: Number of draws in place of the study's.
+
+    Raises:
+        InputError: A change or a factor names no setting, or a point makes no experiment; with the line.
+    """
+    settings = study.settings
+    table, base = changed_base(study)
+    known = {key: value for key, value in table.items() if key not in COSMETIC}
+    for name, factor in settings.factors.items():
+        for i, path in enumerate(factor.keys or (name,)):
+            key = f"factors.{name}.keys.{i}" if factor.keys else f"factors.{name}"
+            with study.placing():
+                require_path(known, path, key)
+    method, seed = settings.sampling.method, settings.sampling.seed if sampling_seed is None else sampling_seed
+    count = settings.sampling.points if points is None or not settings.sampling.points else points
+    plan = Plan(
+        study,
+        base,
+        table,
+        points_of(settings.factors, method, count, seed),
+        tuple(map(name_of, settings.controllers)) if settings.controllers else base.controllers,
+        seeds_of(settings.seeds, base.seed, settings.factors),
+    )
+    if len(plan) > MOST:
+        what, fix = f"{len(plan)} runs", f"at most {MOST} are taken"
+        raise study.placed(ConfigError(what, fix=fix, key="sampling.points"))
+    for point in plan.points:
+        plan.experiment(point, plan.seeds[0])
+    return plan
+
+
+def points_of(factors: dict[str, Factor], method: str, count: int, seed: int) -> tuple[dict[str, Any], ...]:
+    """Values of all factors at all points: every draw with every cell of the grid."""
+    drawn = [name for name, factor in factors.items() if factor.drawn]
+    grid = [name for name in factors if name not in drawn]
+    cells = list(itertools.product(*(factors[name].grid or () for name in grid)))
+    draws = unit_cube(method, max(count, 1), len(drawn), seed) if drawn else np.zeros((1, 0))
+    points = []
+    for draw in draws:
+        values = {name: factors[name].value(float(u)) for name, u in zip(drawn, draw, strict=True)}
+        for cell in cells:
+            both = values | dict(zip(grid, cell, strict=True))
+            points.append({name: both[name] for name in factors})
+    return tuple(points)
+
+
+def seeds_of(seeds: int | tuple[int, ...], first: int, factors: dict[str, Factor]) -> tuple[int | None, ...]:
+    """Seeds of every point."""
+    if "seed" in paths_of(factors):
+        return (None,)
+    return tuple(range(first, first + seeds)) if isinstance(seeds, int) else seeds
+
+
+def short(value: Any) -> str:
+    """A value in few digits."""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def touches(path: str, key: str) -> bool:
+    """Whether one of two key paths starts with the other."""
+    return f"{path}.".startswith(f"{key}.") or f"{key}.".startswith(f"{path}.")

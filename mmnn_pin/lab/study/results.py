@@ -1,0 +1,129 @@
+"""The rows of a study's database as arrays: outcomes, successes and metrics of every controller on equal draws."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import StudyError
+from ...signals import Array
+from .factors import Factor
+from .patterns import common_unit, value_of
+from .settings import StudySettings
+from .store import NAME, Stored, reading
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What a study gave so far.
+
+    Attributes:
+        path: The database.
+        name: The study's name.
+        settings: The study's settings.
+        planned: Number of its runs.
+        rows: The runs that are done, failed ones left out.
+        failed: Rows that failed for a fault and will be run again.
+        patterns: Metrics to show.
+        units: Metric to its unit.
+        meta: All facts in the database.
+    """
+
+    path: Path
+    name: str
+    settings: StudySettings
+    planned: int
+    rows: Sequence[Stored] = field(repr=False)
+    failed: Sequence[Stored] = field(repr=False)
+    patterns: tuple[str, ...]
+    units: Mapping[str, str]
+    meta: Mapping[str, Any] = field(repr=False)
+
+    @cached_property
+    def of(self) -> dict[str, list[Stored]]:
+        """Rows of every controller, in the same order of draws and seeds."""
+        table: dict[str, list[Stored]] = {name: [] for name in self.meta["controllers"]}
+        for row in self.rows:
+            table[row.controller].append(row)
+        return table
+
+    @property
+    def controllers(self) -> list[str]:
+        """Controllers that have rows."""
+        return [name for name, rows in self.of.items() if rows]
+
+    @property
+    def factors(self) -> dict[str, Factor]:
+        """Factors that a user can do something about: all but the seed."""
+        return {n: f for n, f in self.settings.factors.items() if (f.keys or (n,)) != ("seed",)}
+
+    def outcomes(self, controller: str) -> Counter[str]:
+        """How many runs ended how."""
+        return Counter(row.status for row in self.of[controller])
+
+    def metric(self, controller: str, pattern: str) -> Array:
+        """A metric of every run of a controller, (n,); inf for a run that did not complete, whatever it had so far."""
+        return np.array([worth(row.status, row.metrics, pattern) for row in self.of[controller]])
+
+    def succeeded(self, controller: str) -> NDArray[np.bool_]:
+        """Which runs of a controller are a success, (n,)."""
+        bounds = self.settings.success.at_most
+
+        def is_good(row: Stored) -> bool:
+            return row.completed and all(value_of(row.metrics, name) <= bound for name, bound in bounds.items())
+
+        return np.array([is_good(row) for row in self.of[controller]], dtype=bool)
+
+    def values(self, controller: str, factor: str) -> list[Any]:
+        """Value of a factor in every run of a controller."""
+        return [row.parameters[factor] for row in self.of[controller]]
+
+    def paired(self, one: str, other: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Places of the runs of two controllers that both have, draw by draw."""
+        places = {(row.point, row.seed): i for i, row in enumerate(self.of[other])}
+        both = [(i, places[key]) for i, row in enumerate(self.of[one]) if (key := (row.point, row.seed)) in places]
+        pairs = np.array(both, np.intp).reshape(-1, 2)
+        return pairs[:, 0], pairs[:, 1]
+
+    def unit(self, pattern: str) -> str:
+        """Unit of a metric; empty for a pure number, or where a pattern mixes them."""
+        return common_unit(self.units, pattern)
+
+
+def worth(status: str, metrics: Mapping[str, float], pattern: str) -> float:
+    """A metric of a run, inf where it did not complete."""
+    return value_of(metrics, pattern) if status == "completed" else math.inf
+
+
+def load_results(path: Path) -> Results:
+    """Results of a study's database, or of the folder that holds one.
+
+    Raises:
+        StudyError: There is none, it is of another version, or has no rows yet.
+    """
+    path = path / NAME if path.is_dir() else path
+    with reading(path) as store:
+        meta, rows = store.meta(), store.rows()
+    if "settings" not in meta or not rows:
+        raise StudyError("holds no rows yet", fix="let `mmnn study` run for a while", file=path)
+    done = [row for row in rows if row.status != "failed"]
+    return Results(
+        path=path,
+        name=meta["name"],
+        settings=msgspec.convert(meta["settings"], StudySettings),
+        planned=meta["rows"],
+        rows=done,
+        failed=[row for row in rows if row.status == "failed"],
+        patterns=tuple(meta["metrics"]),
+        units=meta["units"],
+        meta=meta,
+    )

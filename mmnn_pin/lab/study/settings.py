@@ -1,0 +1,161 @@
+"""The schema of a study's TOML."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import msgspec
+
+from ...errors import ConfigError
+from ...settings import Settings
+from ..experiments.controllers import CONTROLLERS
+from .factors import Factor
+
+MOST = 10_000_000  # runs of one study
+
+
+class Sampling(Settings, frozen=True):
+    """How the drawn factors are drawn.
+
+    Args:
+        method: "sobol", "lhs" (Latin hypercube) or "random".
+        points: Number of draws; each is run with every value of the grid, seed and controller.
+        seed: Of the draws.
+    """
+
+    method: Literal["sobol", "lhs", "random"] = "sobol"
+    points: int = 0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.seed < 2**63:
+            raise ConfigError(f"{self.seed}", fix="use an integer from 0 to 2^63 - 1", key="seed")
+        if not 0 <= self.points <= MOST:
+            raise ConfigError(f"{self.points} points", fix=f"use a number from 1 to {MOST}", key="points")
+
+
+class Success(Settings, frozen=True):
+    """When a run is a success: it completed, and every metric named is at most its bound.
+
+    Args:
+        at_most: Metric to bound; `*` in a name stands for anything, and the largest counts.
+        wanted: Share of successes that is asked of a region of the factors, for the verdict.
+    """
+
+    at_most: dict[str, float] = msgspec.field(default_factory=dict)
+    wanted: float = 0.95
+
+    def __post_init__(self) -> None:
+        for name, bound in self.at_most.items():
+            if not math.isfinite(bound):
+                raise ConfigError(f"{bound}", fix="use a finite number", key=f"at_most.{name}")
+        if not 0 < self.wanted < 1:
+            raise ConfigError(f"{self.wanted}", fix="use a share between 0 and 1", key="wanted")
+
+
+class Tune(Settings, frozen=True):
+    """What `mmnn tune` looks for.
+
+    Args:
+        controller: Whose gains.
+        gains: Key path of the experiment to its bounds, as a factor: `uniform`, `log_uniform`, `integer` or `choice`.
+        objective: Metric to make small, as in `metrics`.
+        quantile: Which quantile of it over the study's points; a run that did not complete counts as worst.
+        trials: Sets of gains to try, the experiment's own first.
+        check: Fresh points on which the best gains are compared with the experiment's own afterwards.
+        sampler: "tpe", "cmaes" or "random" of Optuna.
+        seed: Of the sampler.
+    """
+
+    controller: str
+    gains: dict[str, Factor]
+    objective: str
+    quantile: float = 0.9
+    trials: int = 100
+    check: int = 64
+    sampler: Literal["tpe", "cmaes", "random"] = "tpe"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not self.gains:
+            raise ConfigError("no gains to tune", fix="add [tune.gains] with bounds", key="gains")
+        for name, gain in self.gains.items():
+            if gain.kind not in ("uniform", "log_uniform", "integer", "choice"):
+                fix = "use uniform, log_uniform, integer or choice"
+                raise ConfigError(f"a gain has no {gain.kind}", fix=fix, key=f"gains.{name}")
+        if not 0 < self.quantile <= 1:
+            raise ConfigError(f"{self.quantile}", fix="use a number above 0, up to 1", key="quantile")
+        for key, least in (("trials", 1), ("check", 0), ("seed", 0)):
+            if getattr(self, key) < least:
+                raise ConfigError(f"{getattr(self, key)}", fix=f"use a number >= {least}", key=key)
+
+
+class StudySettings(Settings, frozen=True):
+    """Everything that defines a study; see docs/studies.md and examples/robustness.toml.
+
+    Args:
+        experiment: A bundled experiment, or the path of one from the study's folder.
+        title: One line for tables and pages.
+        variant: Variant of the experiment.
+        controllers: Which controllers: names, or `FILE.py:Class` for a class of a user; the experiment's by default.
+        seeds: Seeds, or how many, counted from the experiment's own.
+        model: What model-based controllers and gains scaled by inertia are made from: the "nominal" robot, with the
+            masses and friction of the experiment, or the "true" one of each run.
+        metrics: Metrics to show and to report; `*` and `[xy]` are as in a shell, and the largest that fits counts.
+            None for the peaks of the errors and the effort. All metrics are stored.
+        set: Changes of the experiment, key path to value.
+        factors: Name to what is varied; the name is the key path, unless the factor names `keys`.
+        sampling: How the drawn factors are drawn.
+        success: When a run is a success.
+        tune: What to tune.
+
+    Raises:
+        UnknownName: A controller that does not exist.
+        ConfigError: No seeds or one twice, no controllers; points without drawn factors, or the other way round.
+    """
+
+    experiment: str
+    title: str = ""
+    variant: str | None = None
+    controllers: tuple[str, ...] | None = None
+    seeds: int | tuple[int, ...] = 1
+    model: Literal["nominal", "true"] = "nominal"
+    metrics: tuple[str, ...] | None = None
+    set: dict[str, Any] = msgspec.field(default_factory=dict)
+    factors: dict[str, Factor] = msgspec.field(default_factory=dict)
+    sampling: Sampling = Sampling()
+    success: Success = Success()
+    tune: Tune | None = None
+
+    def __post_init__(self) -> None:
+        self._require_controllers()
+        self._require_seeds()
+        drawn = [name for name, factor in self.factors.items() if factor.drawn]
+        if drawn and not self.sampling.points:
+            what = "no points, so no runs"
+            raise ConfigError(what, why=f"{drawn[0]} is drawn", fix="say how many draws", key="sampling.points")
+        if self.sampling.points and not drawn:
+            what = f"{self.sampling.points} points of nothing"
+            fix = "leave them out, or give a factor a distribution"
+            raise ConfigError(what, why="no factor is drawn", fix=fix, key="sampling.points")
+
+    def _require_controllers(self) -> None:
+        if self.controllers is None:
+            return
+        if not self.controllers:
+            fix = f"choose from: {', '.join(CONTROLLERS)}"
+            raise ConfigError("no controllers, so no runs", fix=fix, key="controllers")
+        if len(set(self.controllers)) < len(self.controllers):
+            raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
+
+    def _require_seeds(self) -> None:
+        count = self.seeds if isinstance(self.seeds, int) else len(self.seeds)
+        if count < 1:
+            raise ConfigError("no seeds, so no runs", fix="give at least one", key="seeds")
+        if isinstance(self.seeds, tuple) and len(set(self.seeds)) < count:
+            raise ConfigError("a seed appears twice", fix="name each once", key="seeds")
+        for keys in ((factor.keys or (name,)) for name, factor in self.factors.items()):
+            if "seed" in keys and self.seeds != 1:
+                fix = "leave one of them out"
+                raise ConfigError("the seed is a factor, too", fix=fix, key="seeds")

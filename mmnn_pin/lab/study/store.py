@@ -1,0 +1,277 @@
+"""A study's rows in one SQLite file, each there as soon as its run has finished.
+
+Write-ahead logging: a process that is killed loses no row that was stored, and readers never wait. One process writes,
+held off from others by a lock on a file beside the database.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import math
+import os
+import socket
+import sqlite3
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from ...errors import StudyError
+from .worker import Done
+
+FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
+NAME = "study.sqlite"
+SCHEMA = """
+CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE rows (
+    id INTEGER PRIMARY KEY, fingerprint TEXT NOT NULL, point INTEGER NOT NULL, controller TEXT NOT NULL,
+    seed INTEGER NOT NULL, parameters TEXT NOT NULL, status TEXT NOT NULL, time REAL NOT NULL, signal TEXT NOT NULL,
+    message TEXT NOT NULL, metrics TEXT NOT NULL, seconds REAL NOT NULL, host TEXT NOT NULL, finished TEXT NOT NULL
+);
+"""
+COLUMNS = (
+    *("id", "fingerprint", "point", "controller", "seed", "parameters", "status", "time", "signal", "message"),
+    *("metrics", "seconds", "host", "finished"),
+)
+
+
+@dataclass(frozen=True)
+class Stored:
+    """A row of the database; see `plan.Row` and `worker.Done`."""
+
+    id: int
+    fingerprint: str
+    point: int
+    controller: str
+    seed: int
+    parameters: dict[str, Any]
+    status: str
+    time: float
+    signal: str
+    message: str
+    metrics: dict[str, float]
+    seconds: float
+    host: str
+    finished: str
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run reached its end."""
+        return self.status == "completed"
+
+
+class Store:
+    """An open database; made by `writing` or `reading`.
+
+    Args:
+        path: The file.
+        connection: To it.
+    """
+
+    def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
+        self.path, self._db = path, connection
+
+    def meta(self) -> dict[str, Any]:
+        """Facts about the study: format, versions, settings, experiment."""
+        with self._told("read"):
+            found = self._db.execute("SELECT key, value FROM meta").fetchall()
+        return {key: json.loads(value) for key, value in found}
+
+    def set_meta(self, facts: Mapping[str, Any]) -> None:
+        """Write facts, all or none."""
+        texts = [(key, json.dumps(value)) for key, value in facts.items()]
+        with self._told("write"), self._db:
+            self._db.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", texts)
+
+    def fingerprints(self) -> dict[str, tuple[int, str]]:
+        """Fingerprint of every row to its number and status."""
+        with self._told("read"):
+            found = self._db.execute("SELECT fingerprint, id, status FROM rows").fetchall()
+        return {fingerprint: (number, status) for fingerprint, number, status in found}
+
+    def rows(self) -> list[Stored]:
+        """All rows in order."""
+        with self._told("read"):
+            found = self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM rows ORDER BY id").fetchall()
+        return [stored(row) for row in found]
+
+    def row(self, number: int) -> Stored | None:
+        """One row; None if it is not there."""
+        with self._told("read"):
+            found = self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM rows WHERE id = ?", (number,)).fetchone()
+        return None if found is None else stored(found)
+
+    def add(self, fingerprint: str, point: int, controller: str, seed: int, parameters: Any, done: Done) -> None:
+        """Store a finished run; it is on disk, as far as a killed process matters, when this returns.
+
+        Raises:
+            StudyError: It cannot be written, for example on a full disk.
+        """
+        values = (
+            *(done.id, fingerprint, point, controller, seed, json.dumps(parameters), done.status, done.time),
+            *(done.signal, done.message, encoded(done.metrics), done.seconds, done.host),
+            datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+        marks = ", ".join("?" * len(values))
+        with self._told("write"), self._db:
+            self._db.execute(f"INSERT OR REPLACE INTO rows VALUES ({marks})", values)
+
+    def renumber(self, numbers: Mapping[str, int]) -> None:
+        """Give rows the numbers that they have in another plan, and drop those that are not in it.
+
+        Args:
+            numbers: Fingerprint to number.
+        """
+        kept = [(row, numbers[row.fingerprint]) for row in self.rows() if row.fingerprint in numbers]
+        with self._told("write"), self._db:
+            self._db.execute("UPDATE rows SET id = -1 - id")
+            for row, number in kept:
+                self._db.execute("UPDATE rows SET id = ? WHERE id = ?", (number, -1 - row.id))
+            self._db.execute("DELETE FROM rows WHERE id < 0")
+
+    def close(self) -> None:
+        """Close it, its log merged into it."""
+        with contextlib.suppress(sqlite3.Error):
+            self._db.close()
+
+    @contextmanager
+    def _told(self, verb: str) -> Iterator[None]:
+        with told(self.path, verb):
+            yield
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[Store]:
+    """The database for its one writer, made if it is not there.
+
+    Raises:
+        StudyError: Another process writes it, it is no study's, of another version, or it cannot be made.
+    """
+    with locked(path):
+        is_new = not path.exists() or not path.stat().st_size
+        store = Store(path, connect(path, "rwc"))
+        try:
+            with told(path, "write"):
+                if is_new:
+                    create(store._db)
+            require_ours(store)
+            yield store
+        finally:
+            store.close()
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[Store]:
+    """The database for reading, also while another process writes it.
+
+    Raises:
+        StudyError: It does not exist, is no study's, or of another version.
+    """
+    if not path.is_file():
+        raise StudyError("no such database", fix="name one that `mmnn study` wrote", file=path)
+    store = Store(path, connect(path, "ro" if os.access(path.parent, os.W_OK) else "ro&immutable=1"))
+    try:
+        require_ours(store)
+        yield store
+    finally:
+        store.close()
+
+
+def connect(path: Path, mode: str) -> sqlite3.Connection:
+    """A connection to a file."""
+    with told(path, "open"):
+        return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=30.0)
+
+
+def create(db: sqlite3.Connection) -> None:
+    """Make the tables of an empty database, all or none."""
+    db.execute("PRAGMA journal_mode = WAL")
+    facts = {"format": FORMAT, "format_version": FORMAT_VERSION}
+    db.executescript(
+        "BEGIN;" + SCHEMA + "".join(f"INSERT INTO meta VALUES ('{k}', '{json.dumps(v)}');" for k, v in facts.items())
+        + "COMMIT;"
+    )  # fmt: skip
+
+
+def require_ours(store: Store) -> None:
+    """Refuse a file that is no study's, or one of another version.
+
+    Raises:
+        StudyError: With both versions.
+    """
+    try:
+        meta = store.meta()
+    except StudyError as error:
+        if "no such table" in error.why or "not a database" in error.why:
+            fix = "name another folder with --out"
+            raise StudyError("not a study's database", why=error.why, fix=fix, file=store.path) from None
+        raise
+    if meta.get("format") != FORMAT:
+        raise StudyError("not a study's database", why="another program wrote it", file=store.path)
+    if (version := meta.get("format_version")) != FORMAT_VERSION:
+        why = f"its format version is {version}, this mmnn_pin reads {FORMAT_VERSION}"
+        fix = "use the mmnn_pin that wrote it, or another folder with --out"
+        raise StudyError("a database of another version", why=why, fix=fix, file=store.path)
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Keep other processes from writing a database; the lock ends with this process, however that ends.
+
+    Raises:
+        StudyError: Another process has it; with its number and machine.
+    """
+    lock = path.with_name(f"{path.name}.lock")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = lock.open("a+", encoding="utf-8")
+    except OSError as error:
+        fix = "choose another folder with --out"
+        raise StudyError("the folder cannot be written to", why=error.strerror or "", fix=fix, file=path) from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            why = f"process {file.read().strip() or 'unknown'} runs this study"
+            fix = "wait for it, or choose another folder with --out"
+            raise StudyError("the database is in use", why=why, fix=fix, file=path) from None
+        with contextlib.suppress(OSError):  # a full disk must not keep anyone from reading on
+            file.truncate(0)
+            file.write(f"{os.getpid()} on {socket.gethostname()}\n")
+            file.flush()
+        yield
+
+
+@contextmanager
+def told(path: Path, verb: str) -> Iterator[None]:
+    """Errors of SQLite as ours."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        why = str(error)
+        full = "full" in why or "disk I/O" in why
+        fix = "free some space; what is stored is kept, and the same command goes on from there" if full else ""
+        raise StudyError(f"cannot {verb} the database", why=why, fix=fix, file=path) from None
+
+
+def encoded(metrics: Mapping[str, float]) -> str:
+    """Metrics as JSON that every reader of JSON takes: null for nan, 1e999 for inf; finite numbers keep their bits."""
+    parts = []
+    for name, value in metrics.items():
+        number = "null" if math.isnan(value) else repr(float(value)).replace("inf", "1e999")
+        parts.append(f"{json.dumps(name)}: {number}")
+    return "{" + ", ".join(parts) + "}"
+
+
+def stored(row: tuple[Any, ...]) -> Stored:
+    """A row of SQL as ours."""
+    fields = dict(zip(COLUMNS, row, strict=True))
+    fields["parameters"] = json.loads(fields["parameters"])
+    metrics = json.loads(fields["metrics"])
+    fields["metrics"] = {name: math.nan if value is None else float(value) for name, value in metrics.items()}
+    return Stored(**fields)

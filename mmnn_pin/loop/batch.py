@@ -1,0 +1,211 @@
+"""Many runs on all cores: threads that share nothing but the compiled code, which runs without the interpreter lock."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from ..errors import ConfigError, InputError
+from ..one_thread import one_thread
+from ..recording.metrics import Reducer, Windows
+from ..recording.recorder import Recorder, known
+from ..recording.recording import Outcome, Recording
+from ..signals import Array
+from .loop import Loop
+from .memory import told_with
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run of a batch.
+
+    Attributes:
+        outcome: How it ended; `interrupted` at 0 s for a run that was not started before Ctrl-C.
+        metrics: Numbers of the run, see `Reducer.result`; empty if it was not started.
+        final: Position, nu and the controller's memory at the end.
+        recording: The signals, where they were asked for.
+    """
+
+    outcome: Outcome
+    metrics: dict[str, float]
+    final: dict[str, Array]
+    recording: Recording | None = None
+
+
+@one_thread
+def simulate_many(
+    loops: Sequence[Loop],
+    *,
+    memories: Sequence[Any] | None = None,
+    windows: Windows = ((0.0, 1.0), (1.0, 5.0)),
+    keep: bool | Collection[str] = False,
+    workers: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Run]:
+    """Run many loops, each with its own robot, gains, seed, reference or weights, on all cores.
+
+    Vary a loop with `dataclasses.replace(loop, seed=...)`, a robot with `robot.with_masses` and `robot.with_friction`.
+    Signals are reduced to metrics as they come. A run that diverges is a result; gains are not judged beforehand.
+    Ctrl-C ends the runs in flight and gives back what is done.
+
+    Args:
+        loops: What to run.
+        memories: Controllers' memories to start from, one per loop; None for new ones.
+        windows: Intervals for the RMS errors [s].
+        keep: Keep the signals of all runs in memory: True for all of them, or the names of some, as
+            `keep=("z", "e")`; `time` comes with them, and the weights at the start and the end.
+        workers: Threads; by default one per core.
+        progress: Called with the number of runs done and of all runs.
+
+    Raises:
+        ConfigError: No runs, not one memory per run or one of another controller, less than one worker, or more memory
+            needed than there is; before anything runs.
+        UnknownName: A signal to keep that does not exist.
+    """
+    if not loops:
+        raise ConfigError("no runs", fix="give at least one loop")
+    if memories is not None and len(memories) != len(loops):
+        raise ConfigError(f"{len(memories)} memories for {len(loops)} runs", fix="give one per run")
+    workers = (os.cpu_count() or 1) if workers is None else workers
+    if workers < 1:
+        raise ConfigError(f"{workers} workers", fix="use at least one")
+    keep = (keep,) if isinstance(keep, str) else keep
+    if not isinstance(keep, bool):
+        known(keep)
+    require_memory(needed_bytes(loops, keep, workers))
+    starts = memories if memories is not None else [None] * len(loops)
+    require_fit(loops, starts)
+    stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
+
+    def one(i: int) -> None:
+        if not stop.is_set():
+            try:
+                results[i] = simulate(loops[i], starts[i], windows, keep, stop.is_set)
+            except InputError as error:
+                error.key = ".".join(filter(None, (f"loops[{i}]", error.key)))
+                raise
+
+    # The first run compiles, or loads the compiled code, before threads compete for it.
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            one(0)
+            if results[0].outcome.status == "interrupted":
+                return results
+            pending, done = {pool.submit(one, i) for i in range(1, len(loops))}, 1
+            while True:
+                if progress is not None:
+                    progress(done, len(loops))
+                if not pending:
+                    return results
+                finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    future.result()
+                done += len(finished)
+        except KeyboardInterrupt:
+            return results
+        finally:
+            stop.set()
+
+
+def simulate(
+    loop: Loop, memory: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
+) -> Run:
+    """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
+    if keep is not True:
+        loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
+    engine, layout = loop.engine_at(memory), loop.robot.layout
+    facts = loop.facts() | {"loop": engine.name}
+    reducer = Reducer.of(layout, facts, windows)
+    if keep is False:
+        outcome = told_with(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.memory)
+        return Run(outcome, reducer.result(), loop.final(engine))
+    with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
+        outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
+        outcome = told_with(outcome, loop.controller, engine.memory)
+        recording = recorder.finish(outcome, loop.final(engine))
+    return Run(outcome, reducer.result(), loop.final(engine), recording)
+
+
+@dataclass(frozen=True)
+class Both:
+    """A sink that feeds two others."""
+
+    reducer: Reducer
+    recorder: Recorder
+
+    def append_block(self, rows: Array, step_times: Array) -> None:
+        """Rows to both."""
+        self.reducer.append_block(rows)
+        self.recorder.append_block(rows, step_times)
+
+    def weights(self, time: float, arrays: Any) -> None:
+        """Weights to the recorder."""
+        self.recorder.weights(time, arrays)
+
+
+def require_fit(loops: Sequence[Loop], memories: Sequence[Any]) -> None:
+    """Refuse memories that do not belong to their loop's controller.
+
+    Raises:
+        ConfigError: With the place of the memory.
+    """
+    for i, (loop, memory) in enumerate(zip(loops, memories, strict=True)):
+        if memory is not None:
+            try:
+                loop.memory_from(memory)
+            except ConfigError as error:
+                error.key = f"memories[{i}]"
+                raise
+
+
+def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:
+    """Memory that signals, weights and references take [bytes]; reading a recording's signals copies them once more."""
+    in_flight = sum(sorted(8 * loop.timing.samples * loop.robot.layout.width for loop in loops)[-workers:])
+    return in_flight + 8 * sum(kept_numbers(loop, keep) for loop in loops)
+
+
+def kept_numbers(loop: Loop, keep: bool | Collection[str]) -> int:
+    """How many numbers are kept of a run."""
+    layout = loop.robot.layout
+    if isinstance(keep, bool):
+        return (loop.timing.samples * layout.width + recorded_weights(loop)) if keep else 0
+    where = [layout.where(name) for name in {"time", *keep}]
+    return loop.timing.samples * sum(columns.stop - columns.start for columns in where)
+
+
+def recorded_weights(loop: Loop) -> int:
+    """Number of weights that a recording of a run holds, over all its snapshots."""
+    weights = loop.controller.weights(loop.controller.init(loop.wiring()))
+    return (2 + int(loop.timing.duration / loop.weights_interval)) * sum(np.size(array) for array in weights.values())
+
+
+def require_memory(needed: int) -> None:
+    """Refuse what does not fit into the machine's free memory.
+
+    Raises:
+        ConfigError: With both numbers.
+    """
+    free = free_bytes()
+    if needed > free:
+        raise ConfigError(
+            f"the runs need {needed / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free",
+            fix="run fewer at a time, shorten them, or do not keep their signals",
+        )
+
+
+def free_bytes() -> float:
+    """Memory that programs can have, caches included; all the machine has, or inf, where that is not known [bytes]."""
+    meminfo = Path("/proc/meminfo")
+    for line in meminfo.read_text().splitlines() if meminfo.exists() else ():
+        if line.startswith("MemAvailable:"):
+            return 1024.0 * int(line.split()[1])
+    if hasattr(os, "sysconf") and "SC_PHYS_PAGES" in os.sysconf_names:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    return float("inf")

@@ -1,0 +1,83 @@
+"""Compiles the blocks in two processes before a first run.
+
+numba holds a lock while it compiles, so threads do not help; two processes meet in the cache on disk. Each block is
+called once on a small robot: what is compiled depends on the types of its arguments only. Imperfect sensors and all
+else that stands behind a rig is left out: it is compiled by the first run that has it.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+from ..compiled import cache_folder, is_warm
+from ..model.loading import load
+from ..model.reduction import as_measured, quadratic
+from ..model.tree.body import body_of, evaluate, new_work
+from ..model.tree.dynamics import potential_energy, psi_again
+from ..plant.integrators import derivative, euler, rk4_stage
+from ..recording.metrics import accumulate
+from ..signals import INDEX, Layout
+from ..torque import law
+from ..torque.controller import Wiring
+from ..torque.neural import Neural
+from .sample import after_torque, before_torque
+
+
+def precompile() -> None:
+    """Compile the blocks on two cores, unless that was done, or cannot be kept.
+
+    What it leaves out, also where the second process fails, is compiled when it is first called.
+    """
+    if is_warm() or cache_folder() is None or (os.cpu_count() or 1) < 2:
+        return
+    quiet = subprocess.DEVNULL
+    other = subprocess.Popen([sys.executable, "-m", __name__], stdin=quiet, stdout=quiet, stderr=quiet)
+    try:
+        call_control_blocks()
+        other.wait()
+    finally:
+        other.kill()
+
+
+def call_control_blocks() -> None:
+    """Call reference, exact measurement, velocity command, torque and the integrators."""
+    layout = Layout(base=2, arm=1, full=4, motors=3)
+    row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
+    controller, wiring = Neural(), Wiring(layout, 0.001, 1)
+    numbers, memory = controller.law(wiring), controller.init(wiring)
+    reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
+    y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
+    before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
+    law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values, None)
+    T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
+    ydot, grip = y.copy(), np.zeros((nv, p + 2))
+    derivative(y, v, M, nu, nu, nu, 2, L, nu.copy(), ydot)
+    euler(
+        0, 0.001, T, v, M, nu, nu, v.copy(), np.zeros((nv, 3)), np.zeros(nv), nu, nu, 2, L, nu.copy(), grip, y, ydot,
+    )  # fmt: skip
+    rk4_stage(0, 0.001, y, ydot, y.copy(), y.copy())
+
+
+def call_plant_blocks() -> None:
+    """Call the dynamics, the guard and what sums up the rows."""
+    robot = load("platform_arm")
+    layout, body = robot.layout, body_of(robot)
+    work, nv, p = new_work(body), layout.full, layout.dof
+    row, y, nu = layout.new_row(), np.concatenate((robot.neutral_position(), np.zeros(p + 1))), np.zeros(p)
+    pose, velocity, q, qdot = (row[layout.where(name)] for name in ("pose", "velocity", "q", "qdot"))
+    as_measured(body.offset, body.columns, pose, velocity, q, qdot, y[:nv], y[nv : nv + p])
+    evaluate(body, work, y[:nv], y[nv : nv + p])
+    psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
+    potential_energy(body.tree, y[:nv], work.scratch)
+    quadratic(work.M, nu)
+    after_torque(row, layout.offsets, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
+    sums, windows = np.zeros(1), np.zeros((1, 2))
+    accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
+
+
+if __name__ == "__main__":
+    call_plant_blocks()

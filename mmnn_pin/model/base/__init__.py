@@ -1,0 +1,1 @@
+"""The mobile base: wheels found in the description, the decision which base they make, and the motions it permits."""

@@ -1,0 +1,192 @@
+"""What a file says about its base beside its geometry: rollers, contact friction, plugins, controllers, names.
+
+Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
+for one of `holonomic` and `skid-steer`, and says where it stands. Names and transmissions only confirm what another
+piece says.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from lxml import etree
+
+from mmnn_pin.signals import Array
+
+from ..urdf.parsing import number_problem
+from ..urdf.shapes import HORIZONTAL, AtRest
+from .wheels import Candidate
+
+Meaning = Literal["holonomic", "skid-steer"]
+WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
+    ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
+    ("skid-steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
+)
+NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One thing that speaks for a kind of base.
+
+    Attributes:
+        meaning: What it speaks for.
+        text: What it is, with its line in the file.
+        line: That line.
+        decides: Whether it can decide; names and transmissions only confirm.
+        wheel: Joint of the wheel that it is about, empty for all.
+        roller: Roller angle that it states of that wheel [rad], see `Wheel`; nan when it states none.
+    """
+
+    meaning: Meaning
+    text: str
+    line: int
+    decides: bool = True
+    wheel: str = ""
+    roller: float = math.nan
+
+
+def evidence(rest: AtRest, wheels: list[Candidate]) -> list[Evidence]:
+    """All evidence about parallel wheels, in the order of its weight."""
+    return [
+        *rollers(rest, wheels),
+        *plugins(rest),
+        *commands(rest, wheels),
+        *contact(rest, wheels),
+        *transmissions(rest, wheels),
+        *names(rest, wheels),
+    ]
+
+
+def verdict(found: list[Evidence]) -> Meaning | None:
+    """What the deciding pieces agree on, None when there is none or they disagree."""
+    meanings = {piece.meaning for piece in found if piece.decides}
+    return meanings.pop() if len(meanings) == 1 else None
+
+
+def stated_rollers(found: list[Evidence]) -> dict[str, float]:
+    """Roller angle of every wheel whose angle a piece states [rad]."""
+    return {piece.wheel: piece.roller for piece in found if not math.isnan(piece.roller)}
+
+
+def rollers(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Rollers modelled as joints on the wheels."""
+    for wheel in wheels:
+        if wheel.rollers:
+            name, line, angle = wheel.joint.name, wheel.joint.line, roller_angle(rest, wheel)
+            text = f"'{name}' carries {len(wheel.rollers)} rollers at {math.degrees(abs(angle)):.0f} degrees"
+            yield Evidence("holonomic", f"{text} (line {line})", line, wheel=name, roller=angle)
+
+
+def roller_angle(rest: AtRest, wheel: Candidate) -> float:
+    """Angle of the roller on the floor from the rolling direction, counterclockwise from above, in (-pi/2, pi/2]."""
+    joints = [rest.document.joints[name] for name in wheel.rollers]
+    return from_rolling(wheel, rest.axis(min(joints, key=lambda joint: rest.hub(joint)[2])))
+
+
+def from_rolling(wheel: Candidate, axis: Array) -> float:
+    """Angle of a line on the floor from a wheel's rolling direction, counterclockwise from above [rad]."""
+    forward = (wheel.axis[1], -wheel.axis[0])
+    angle = math.atan2(forward[0] * axis[1] - forward[1] * axis[0], forward[0] * axis[0] + forward[1] * axis[1])
+    return math.remainder(angle, math.pi)
+
+
+def plugins(rest: AtRest) -> Iterator[Evidence]:
+    """Simulator plugins and controllers that say how they move the base."""
+    for tag in ("gazebo", "ros2_control"):
+        for block in rest.document.root.iterchildren(tag):
+            for element in block.iter("plugin", "controller", "hardware"):
+                words = " ".join([element.get("filename", ""), element.get("name", ""), (element.text or "").strip()])
+                for meaning, pattern in WORDS:
+                    if hit := pattern.search(words):
+                        text = f"<{tag}> names '{hit[0]}' in <{element.tag}> (line {element.sourceline})"
+                        yield Evidence(meaning, text, element.sourceline)
+
+
+def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Wheels of which `ros2_control` commands some and only reads others: those roll along, so they must skid."""
+    states: dict[str, bool] = {}
+    lines: dict[str, int] = {}
+    for joint in rest.document.root.iterfind("ros2_control/joint"):
+        states[joint.get("name", "")] = joint.find("command_interface") is not None
+        lines[joint.get("name", "")] = joint.sourceline
+    told = {wheel.joint.name: states[wheel.joint.name] for wheel in wheels if wheel.joint.name in states}
+    driven = [name for name, commanded in told.items() if commanded]
+    if 0 < len(driven) < len(wheels):
+        text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
+        yield Evidence("skid-steer", text, lines[driven[0]])
+
+
+def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Contact friction that gazebo tags give the wheels: along one oblique direction, none, or all around."""
+    links = {link: wheel for wheel in wheels for link in rest.document.body(wheel.joint.child)}
+    for block in rest.document.root.iterchildren("gazebo"):
+        if block.get("reference") not in links:
+            continue
+        mu1, mu2 = coefficient(block, "mu1"), coefficient(block, "mu2")
+        where = f"of '{block.get('reference')}' (line {block.sourceline})"
+        wheel, along = links[block.get("reference")], friction_direction(rest, block)
+        if mu1 > GRIP and mu2 < NO_FRICTION and is_oblique(along, wheel):
+            text = f"contact friction holds only along an oblique direction {where}"
+            level = abs(along[2]) <= HORIZONTAL * np.linalg.norm(along)
+            roller = from_rolling(wheel, along) if level else math.nan
+            yield Evidence("holonomic", text, block.sourceline, wheel=wheel.joint.name, roller=roller)
+        elif mu1 < NO_FRICTION and mu2 < NO_FRICTION:
+            yield Evidence("holonomic", f"contact friction is 0 {where}", block.sourceline)
+        elif mu1 > GRIP and mu2 > GRIP:
+            text = f"contact friction {mu1:g}, {mu2:g} holds in all directions {where}"
+            yield Evidence("skid-steer", text, block.sourceline)
+
+
+def coefficient(block: etree._Element, tag: str) -> float:
+    """A friction coefficient, nan when it is not stated as a number."""
+    element = block.find(f".//{tag}")
+    text = None if element is None else element.text
+    return math.nan if number_problem(text or "", 1) else float(text or "nan")
+
+
+def friction_direction(rest: AtRest, block: etree._Element) -> Array:
+    """(3,) friction direction `fdir1` in the root frame at rest, zero when none is stated.
+
+    It is in the frame of the link, or of the link that an attribute `expressed_in` names.
+    """
+    element = block.find(".//fdir1")
+    text = None if element is None else element.text
+    if element is None or number_problem(text or "", 3):
+        return np.zeros(3)
+    named = [value for key, value in element.attrib.items() if key.endswith("expressed_in")]
+    frame = rest.placements.get([*named, block.get("reference", "")][0], np.eye(4))
+    return np.asarray(frame[:3, :3] @ [float(word) for word in (text or "").split()])
+
+
+def is_oblique(direction: Array, wheel: Candidate) -> bool:
+    """Whether a direction has a part along a wheel's axle and one across it."""
+    size = float(np.linalg.norm(direction))
+    return size > 0 and 0.1 < abs(float(direction @ wheel.axis)) / size < 0.995
+
+
+def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Transmissions of some of the wheels only: the others have no motor; they only confirm."""
+    named = {e.get("name"): e.sourceline for e in rest.document.root.iterfind("transmission/joint")}
+    driven = [wheel.joint.name for wheel in wheels if wheel.joint.name in named]
+    if 0 < len(driven) < len(wheels):
+        line = named[driven[0]]
+        yield Evidence("skid-steer", f"transmissions only of {', '.join(driven)} (line {line})", line, decides=False)
+
+
+def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Names of wheels and their meshes; they only confirm."""
+    for wheel in wheels:
+        element = rest.document.links[wheel.joint.child]
+        words = [wheel.joint.name, wheel.joint.child, *(mesh.get("filename", "") for mesh in element.iter("mesh"))]
+        for meaning, pattern in WORDS:
+            for word in words:
+                if hit := pattern.search(word):
+                    text = f"'{hit[0]}' in the names of wheel '{wheel.joint.name}' (line {wheel.joint.line})"
+                    yield Evidence(meaning, text, wheel.joint.line, decides=False)
+                    break

@@ -1,0 +1,178 @@
+"""What the user says about a robot: its base and its arm, in a call, on the command line or in a file beside the URDF.
+
+Beside `NAME.urdf` the file is `NAME.mmnn.toml`:
+
+    base = "differential_drive"          # or "holonomic", "fixed"
+    wheels = ["left_joint", "right_joint"]
+    radius = 0.1                         # m
+    track = 0.4                          # m
+    lock = ["head_1_joint", "gripper_joint=0.02"]
+    arm_tip = "tool0"
+    package_dirs = ["../meshes"]         # from the file's own folder
+
+What is said in a call, on the command line or in an experiment counts more than the file.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from ...errors import ConfigError, UnknownName
+from ...settings import Settings, wrong_type
+from ..robots import package_dirs_of
+from ..urdf.finding import Finding
+from .base import KINDS
+
+SMALLEST, LARGEST = 1e-4, 1e3  # [m] what a radius and a track can be
+
+
+class Overrides(Settings, frozen=True):
+    """What the user says about a robot; None and () leave it to the loader.
+
+    Args:
+        base: Kind of the base, one of `KINDS`.
+        wheels: Joints of the drive wheels; left, right for a differential drive.
+        radius: Radius of the drive wheels [m].
+        track: Lateral distance of the drive wheels [m].
+        roller: Angle of the rollers from the rolling direction [rad]: 0 for omni wheels; for mecanum wheels that of
+            the front right one on the floor, pi/4 by default, negative for wheels mounted the other way round.
+        lock: Joints that stand still, `joint` where it rests or `joint=position` [rad or m].
+        free: Joints that are not locked though they would be by default; `all` for all.
+        arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
+        package_dirs: Folders that hold the packages of `package://` meshes.
+        strict: Whether impossible inertias and implausible sizes are errors.
+    """
+
+    base: str | None = None
+    wheels: tuple[str, ...] | None = None
+    radius: float | None = None
+    track: float | None = None
+    roller: float | None = None
+    lock: tuple[str, ...] = ()
+    free: tuple[str, ...] = ()
+    arm_tip: str | None = None
+    package_dirs: tuple[str, ...] = ()
+    strict: bool = False
+
+    def __post_init__(self) -> None:
+        if self.base is not None and self.base not in KINDS:
+            raise UnknownName("base", self.base, KINDS, key="base")
+        for key in ("radius", "track"):
+            value = getattr(self, key)
+            if value is not None and not SMALLEST <= value <= LARGEST:
+                fix = f"give metres, from {SMALLEST:g} to {LARGEST:g}"
+                raise ConfigError(f"{value} cannot be a {key}", fix=fix, key=key)
+        if self.roller is not None and not abs(self.roller) < 1.4:
+            raise ConfigError(f"{self.roller} cannot be a roller angle", fix="give radians within +-1.4", key="roller")
+        if self.wheels is not None and len(set(self.wheels)) < max(len(self.wheels), 1):
+            raise ConfigError("wheels are named twice, or none is", fix="name each drive wheel once", key="wheels")
+        if len(self.locks) < len(self.lock) or set(self.locks) & set(self.free):
+            fix = "name each joint once, in lock or in free"
+            raise ConfigError("a joint is locked twice, or locked and freed", fix=fix, key="lock")
+        if self.base == "fixed" and self.wheels is not None:
+            raise ConfigError("drive wheels for a fixed base", fix="leave out one of the two", key="wheels")
+
+    @property
+    def locks(self) -> dict[str, float | None]:
+        """Position of every joint in `lock`, None where it rests.
+
+        Raises:
+            ConfigError: A position that is not a finite number.
+        """
+        table: dict[str, float | None] = {}
+        for text in self.lock:
+            name, equals, value = text.rpartition("=")
+            try:
+                table[name if equals else value] = finite(value) if equals else None
+            except ValueError:
+                fix = "write joint=position in rad or m"
+                raise ConfigError(f"'{value}' is no position to lock '{name}' at", fix=fix, key="lock") from None
+        return table
+
+    def over(self, other: Overrides) -> Overrides:
+        """These, and the other ones where these say nothing."""
+        return msgspec.structs.replace(other, **self.said())
+
+    def said(self) -> dict[str, Any]:
+        """What differs from the default: a key and a value for each thing said."""
+        default = Overrides()
+        return {f: getattr(self, f) for f in self.__struct_fields__ if getattr(self, f) != getattr(default, f)}
+
+
+def said_of(urdf: Path, said: Overrides) -> tuple[Overrides, tuple[Finding, ...]]:
+    """What is said about a file, in the call and in the file of overrides beside it, and the note that tells of it.
+
+    Raises:
+        ConfigError, UnknownName: As in `read_overrides`.
+    """
+    file = beside(urdf)
+    if not os.path.isfile(file):  # which has no opinion on names that no file system takes
+        return said, ()
+    text = "it says what the loader does not look for"
+    note = Finding("note", "overrides", str(file), 1, "", f"overrides of {urdf.name} are read from here", text)
+    return said.over(read_overrides(file)), (note,)
+
+
+def folders_of(urdf: Path, said: Overrides) -> tuple[Path, ...]:
+    """Folders that hold the packages of a file's meshes: those that are said, and that of example-robot-data.
+
+    Raises:
+        ConfigError: One that is said does not exist.
+    """
+    for folder in said.package_dirs:
+        if not os.path.isdir(folder):
+            fix = "name the folder that holds the packages"
+            raise ConfigError("no such folder", fix=fix, file=folder, key="package_dirs")
+    return (*map(Path, said.package_dirs), *package_dirs_of(urdf))
+
+
+def finite(text: str) -> float:
+    """A finite number.
+
+    Raises:
+        ValueError: It is none.
+    """
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
+
+
+def beside(urdf: Path) -> Path:
+    """The file of overrides that belongs to a URDF."""
+    return urdf.parent / f"{urdf.stem}.mmnn.toml"
+
+
+def read_overrides(path: Path) -> Overrides:
+    """Overrides of a TOML file; its package folders start from its own folder.
+
+    Raises:
+        ConfigError: The file cannot be read, is not TOML, or a value is of the wrong type or out of range.
+        UnknownName: A key or a kind of base that does not exist.
+    """
+    try:
+        found = msgspec.toml.decode(path.read_bytes(), type=Overrides)
+        folders = tuple(str(path.parent / folder) for folder in found.package_dirs)
+        return msgspec.structs.replace(found, package_dirs=folders)
+    except OSError as error:
+        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from None
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, ConfigError | UnknownName):
+            error.__cause__.file = path
+            raise error.__cause__ from None
+        message, _, where = str(error).partition(" - at ")
+        if unknown := re.search(r"unknown field `(.*)`", message):
+            raise UnknownName("key", unknown[1], Overrides.__struct_fields__, file=path) from None
+        what, fix = wrong_type(message)
+        raise ConfigError(what, fix=fix, file=path, key=where.strip("`").removeprefix("$.") or None) from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError("not valid TOML", why=str(error), file=path) from None
+    except (ConfigError, UnknownName) as error:
+        error.file = path
+        raise

@@ -1,0 +1,276 @@
+"""Wheels, found on the geometry of a robot at rest; names decide nothing.
+
+A wheel is a joint that turns freely about a horizontal axis, carries a round body around that axis and touches the
+floor. Its body is a cylinder, a sphere or a mesh; where nothing can be read, two joints that share an axis at the
+same height are wheels whose radius is the height of their hub.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from mmnn_pin.signals import Array
+
+from ..urdf.parsing import Joint
+from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, round_about
+
+TOUCHING = 0.2  # a wheel's lowest point may be off the floor by this fraction of the radius
+COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
+TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
+LUMPY = "not round"
+HUB, SAID = "hub height", "radius as you said"  # shapes of wheels whose body cannot be read
+ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
+ROLLERS = 4  # so many bodies that turn freely on a wheel are its rollers
+
+Mount = Literal["", "swivel", "steering", "leg"]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A joint that may be a wheel, in the root frame at rest.
+
+    Attributes:
+        joint: The joint.
+        axis: (3,) its axis.
+        centre: (3,) middle of the round body on the axis [m].
+        radius: [m], nan while unknown.
+        shape: `cylinder`, `sphere`, `mesh`, `unknown`, or where the radius is from instead, `HUB` or `SAID`.
+        mount: What it hangs on: a free `swivel`, a `steering` joint, a `leg`, or nothing that turns.
+        trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
+        rollers: Joints of the rollers on its rim.
+    """
+
+    joint: Joint
+    axis: Array
+    centre: Array
+    radius: float
+    shape: str
+    mount: Mount = ""
+    trail: float = math.inf
+    rollers: tuple[str, ...] = ()
+
+    @property
+    def bottom(self) -> float:
+        """Height of its lowest point [m]."""
+        return float(self.centre[2] - self.radius)
+
+    @property
+    def text(self) -> str:
+        """Itself in words."""
+        x, y, _ = self.centre
+        size = "radius unknown" if math.isnan(self.radius) else f"radius {self.radius:.4g} m"
+        tilt = math.degrees(math.asin(min(1.0, abs(self.axis[2]))))
+        plain = "" if abs(self.axis[2]) <= HORIZONTAL else f" (axle tilted by {tilt:.2g} degrees)"
+        how = {"": plain, "swivel": " (on a swivel)", "steering": " (steered)", "leg": " (on a leg)"}[self.mount]
+        return f"'{self.joint.name}' ({self.shape}, {size}, at x {x:.4g}, y {y:.4g} m){how}"
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What may be wheels, in the root frame at rest.
+
+    Attributes:
+        wheels: Those on the floor.
+        odd: When there are none, what could be wheels but for one thing: it hangs in the air, its axle is tilted, or
+            nothing tells its radius (nan).
+        floor: Height of the floor: the lowest that any link reaches as far as primitives, centres of mass and wheels
+            tell [m].
+        footing: Height of the floor where something tells that it is the floor, else nan [m].
+        limited: What could be wheels on the floor but for the limits of their joints.
+    """
+
+    wheels: list[Candidate]
+    odd: list[Candidate]
+    floor: float
+    footing: float
+    limited: list[Candidate] = field(default_factory=list)
+
+
+def wheel_candidates(rest: AtRest, radius: float | None = None) -> Seen:
+    """What may be wheels.
+
+    Args:
+        rest: The robot at rest.
+        radius: What the user says of their radius [m].
+    """
+    found = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
+    rollers = {name for c in found for name in c.rollers}
+    found = [c for c in found if c.joint.name not in rollers]
+    upright = [c for c in found if rest.is_vertical(c.joint)]
+    tilted = [c for c in found if not rest.is_horizontal(c.joint) and c not in upright]
+    found = [c for c in found if rest.is_horizontal(c.joint)]
+    unknown, lumpy = ([c for c in found if c.shape == shape] for shape in ("unknown", LUMPY))
+    known = [c for c in found if c not in unknown and c not in lumpy]
+    shapes = [shape for link in rest.document.links for shape in rest.primitives[link]]
+    footing = footing_of(rest, known, shapes)
+    known += on_floor(unknown, known, footing, radius)
+    lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
+    floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
+    touching = [c for c in known if c.shape == SAID or abs(c.bottom - floor) <= TOUCHING * c.radius]
+    limited = limited_wheels(rest, known, floor)
+    if touching:
+        return Seen(touching, [], floor, footing, limited)
+    known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
+    standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
+    hanging = [c for c in known if is_axle(rest, c, known)]
+    lying = [c for c in upright if c.shape not in ("unknown", LUMPY) and is_axle(rest, c, upright)]
+    turning = [c for c in lumpy if is_axle(rest, c, lumpy)]
+    return Seen([], hanging or standing or lying or turning, floor, footing, limited)
+
+
+def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[Candidate]:
+    """Round bodies on the floor whose revolute joints have limits and share an axis with each other or a wheel."""
+    joints = [j for j in rest.document.joints.values() if j.type == "revolute" and not j.turns_freely]
+    joints = [j for j in joints if rest.is_horizontal(j) and not rest.document.moving_children(j.child)]
+    found = [c for c in (wheel_of(rest, j) for j in joints) if not math.isnan(c.radius) and not moving_above(rest, c)]
+    ground = min([floor, *(c.bottom for c in found)])
+    low = [c for c in found if abs(c.bottom - ground) <= TOUCHING * c.radius]
+    return [c for c in low if any(coaxial(c, o) for o in known + low if o is not c)]
+
+
+def footing_of(rest: AtRest, known: list[Candidate], shapes: list[Shape]) -> float:
+    """Height of the floor, as wheels, casters or a footprint frame tell it; nan where nothing does [m].
+
+    A chassis is above the floor, nobody knows how far: the lowest shape must be a ball or a lying cylinder.
+    """
+    lowest = min([shape.lowest for shape in shapes] + [c.bottom for c in known], default=math.inf)
+    if rest.is_footprint:
+        return min(0.0, lowest)
+    rolling = [shape.lowest for shape in shapes if shape.rolls] + [c.bottom for c in known]
+    return lowest if rolling and min(rolling) <= lowest else math.nan
+
+
+def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
+    """The joint as a wheel whose floor is not yet known, None when it cannot be one."""
+    if not joint.turns_freely or TILTED < abs(rest.axis(joint)[2]) < VERTICAL:
+        return None
+    carried = rest.document.moving_children(joint.child)
+    rollers = tuple(j.name for j in carried if is_roller(rest, j))
+    if len(rollers) != len(carried) or 0 < len(rollers) < ROLLERS:
+        return None
+    candidate = wheel_of(rest, joint)
+    mount, trail = hangs_on(rest, joint, candidate)
+    return replace(candidate, mount=mount, trail=trail, rollers=rollers)
+
+
+def wheel_of(rest: AtRest, joint: Joint) -> Candidate:
+    """The joint with its round body, of shape `unknown` when no body can be read, `LUMPY` when it is not round."""
+    axis, hub, links = rest.axis(joint), rest.hub(joint), rest.document.body(joint.child)
+    seen = False
+    for tag in ("collision", "visual"):
+        bodies = [s for link in links for s in rest.shapes(link, tag) if s.kind != "mesh" or len(s.points)]
+        seen = seen or bool(bodies)
+        rounds = [(*fit, s.kind) for s in bodies if (fit := round_about(s, hub, axis))]
+        if rounds:
+            radius, travel, kind = max(rounds)
+            return Candidate(joint, axis, hub + travel * axis, radius, kind)
+    return Candidate(joint, axis, hub, math.nan, LUMPY if seen else "unknown")
+
+
+def is_roller(rest: AtRest, joint: Joint) -> bool:
+    """Whether a joint turns freely and carries nothing that moves."""
+    return joint.turns_freely and not rest.document.moving_children(joint.child)
+
+
+def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
+    """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm."""
+    alike = any(coaxial(candidate, o) for o in others if o is not candidate)
+    return alike and not moving_above(rest, candidate)
+
+
+def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
+    """Joints that carry a wheel, but for slides."""
+    above = rest.document.moving_ancestors(candidate.joint.child)[1:]
+    return [joint for joint in above if joint.type != "prismatic"]
+
+
+def on_floor(unknown: list[Candidate], known: list[Candidate], footing: float, said: float | None) -> list[Candidate]:
+    """Bodies of unknown shape that have a coaxial partner: wheels of the radius that is said, else of the hub's height.
+
+    The radius is nan where nothing tells the floor.
+    """
+    wheels = []
+    for c in unknown:
+        partners = [o for o in known + unknown if o is not c and coaxial(c, o)]
+        radius = said if said is not None else float(c.centre[2] - footing)
+        if partners and not (radius <= 0 or radius >= np.linalg.norm(partners[0].centre - c.centre)):
+            blind = "unknown" if math.isnan(radius) else HUB
+            wheels.append(replace(c, radius=radius, shape=blind if said is None else SAID))
+    return wheels
+
+
+def parallel(a: Candidate, b: Candidate) -> bool:
+    """Whether two wheels roll in the same direction."""
+    return bool(abs(a.axis @ b.axis) > 1 - HORIZONTAL**2)
+
+
+def coaxial(a: Candidate, b: Candidate) -> bool:
+    """Whether two wheels turn about one line, at different places on it; seen from above when it is horizontal."""
+    seen = 2 if abs(a.axis[2]) <= TILTED else 3
+    between, axis = (b.centre - a.centre)[:seen], a.axis[:seen]
+    along = between @ axis
+    across = between - along * axis
+    return parallel(a, b) and bool(np.linalg.norm(across) < COAXIAL * abs(along))
+
+
+def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float]:
+    """What a wheel hangs on, and its trail if that is a joint about a vertical axis.
+
+    A swivel turns without end, or all the way round with the wheel trailing behind it; other such joints steer. More
+    than two joints are a leg, fewer without a vertical one a rocker or swing arm: a suspension.
+    """
+    above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
+    if len(above) > 2:
+        return "leg", math.inf
+    upright = next((j for j in above if rest.is_vertical(j)), None)
+    if upright is None:
+        return "", math.inf
+    trail = math.dist(rest.hub(upright)[:2], wheel.centre[:2])
+    all_round = upright.turns_freely or (upright.upper - upright.lower > ALL_ROUND and trail > TRAIL)
+    return ("swivel" if all_round else "steering"), trail
+
+
+def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:
+    """Swivels whose wheel is welded on: they turn freely about the vertical and reach down to the floor."""
+    for joint in rest.document.joints.values():
+        if joint.turns_freely and rest.is_vertical(joint) and not rest.document.moving_children(joint.child):
+            heights = [s.lowest for link in rest.document.body(joint.child) for s in rest.primitives[link]]
+            if min(heights, default=math.inf) < floor + TOUCHING * radius:
+                yield joint
+
+
+def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
+    """Fixed joints with wheels that cannot turn: those that keep their axis, and those with cylinders on the floor.
+
+    A file made for planning often has its casters and wheels welded so.
+    """
+    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor)]))
+
+
+def welded_cylinders(rest: AtRest, floor: float) -> list[Joint]:
+    """Fixed joints at the end of the root's body with a cylinder that lies on the floor on an axis shared by two."""
+    document, found = rest.document, []
+    for name in document.body(document.root_link)[1:]:
+        joint = document.carrier[name]
+        if not document.children[name]:
+            lying = [s for s in rest.primitives[name] if s.kind == "cylinder" and s.rolls]
+            touching = [s for s in lying if abs(s.lowest - floor) <= TOUCHING * s.radius]
+            found += [Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder") for s in touching]
+    return [c.joint for c in found if any(coaxial(c, o) for o in found if o.joint is not c.joint)]
+
+
+def welded_axles(rest: AtRest) -> list[Joint]:
+    """Fixed joints that keep a horizontal axis shared by two, on the lowest bodies."""
+    with_axis = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
+    ends = [j for j in rest.document.joints.values() if not j.moves and not rest.document.children[j.child]]
+    ends = [j for j in ends if j.name in with_axis and np.any(j.axis) and rest.mass(j.child) > 0]
+    stated = [j for j in ends if rest.is_horizontal(j) and not rest.document.moving_ancestors(j.child)]
+    hubs = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in stated]
+    pairs = [(a, b) for a in hubs for b in hubs if a is not b and coaxial(a, b)]
+    lowest = min((p[2, 3] for name, p in rest.placements.items() if rest.mass(name) > 0), default=math.inf)
+    return [a.joint for a, b in pairs if a.centre[2] - lowest < 0.5 * np.linalg.norm(a.centre - b.centre)]

@@ -1,0 +1,1 @@
+"""The robot as arrays: the compiled twin of its Pinocchio model."""

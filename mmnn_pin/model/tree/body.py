@@ -1,0 +1,115 @@
+"""A robot as arrays, and its terms at a state: what compiled loops have instead of Pinocchio.
+
+The flattened tree is checked against Pinocchio when it is built.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ...compiled import compiled
+from ...signals import Array, IntArray
+from ..dynamics import Dynamics
+from ..reduction import friction, quadratic, spread
+from ..robot import Robot
+from .dynamics import potential_energy, terms
+from .motion import Tree, new_scratch
+from .tree import flatten
+
+
+class Body(NamedTuple):
+    """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and base (p,), `Robot.arm_map`."""
+
+    tree: Tree
+    T: Array
+    damping: Array
+    dry: Array
+    viscous: Array
+    arm: IntArray
+    base: int
+    feels_gravity: bool
+    offset: Array
+    columns: Array
+
+
+class Work(NamedTuple):
+    """Scratch memory for one robot in one thread."""
+
+    scratch: Array
+    v: Array
+    M: Array
+    h: Array
+    F: Array
+    L: Array
+    rest: Array
+    grip: Array
+    hold: Array
+    ydot: Array
+    total: Array
+    trial: Array
+
+
+BODIES: WeakKeyDictionary[Robot, Body] = WeakKeyDictionary()
+
+
+def body_of(robot: Robot) -> Body:
+    """Robot as arrays, made once per robot.
+
+    Raises:
+        RobotError: It has a joint that cannot be flattened.
+    """
+    if robot not in BODIES:
+        BODIES[robot] = new_body(robot)
+    return BODIES[robot]
+
+
+def new_body(robot: Robot) -> Body:
+    """Robot as arrays; its tree is checked against Pinocchio.
+
+    Raises:
+        RobotError: It has a joint that cannot be flattened.
+    """
+    frame = robot.frame if robot.layout.base else np.zeros(3)
+    tree = flatten(robot.model, robot.T, robot.neutral_position(), tuple(frame))
+    offset, columns = robot.arm_map()
+    return Body(
+        tree=tree,
+        T=np.array(robot.T),
+        damping=np.array(robot.damping),
+        dry=robot.dry,
+        viscous=np.array(robot.viscous),
+        arm=np.array(robot.arm_index),
+        base=robot.layout.base,
+        feels_gravity=Dynamics(robot).feels_gravity,
+        offset=offset,
+        columns=columns,
+    )
+
+
+def new_work(body: Body) -> Work:
+    """Scratch memory for a robot."""
+    nv, p = body.T.shape
+    size = nv + p + 1
+    shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (nv,), (size,), (size,), (size,))
+    return Work(new_scratch(body.tree), *(np.zeros(shape) for shape in shapes))
+
+
+@compiled
+def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
+    """M, `h = C nu + gravity + friction`, friction F and `v = T nu` at a state."""
+    terms(body.tree, position, nu, work.scratch, work.M, work.h)
+    spread(body.T, nu, work.v)
+    friction(body.T, work.v, nu, body.damping, body.dry, body.viscous, work.F)
+    for i in range(nu.size):
+        work.h[i] += work.F[i]
+
+
+@compiled
+def energy_of(body: Body, work: Work, position: Array, nu: Array) -> float:
+    """Kinetic and potential energy at a state [J]; the work's terms become those of that state."""
+    evaluate(body, work, position, nu)
+    potential = potential_energy(body.tree, position, work.scratch) if body.feels_gravity else 0.0
+    return float(0.5 * quadratic(work.M, nu) + potential)

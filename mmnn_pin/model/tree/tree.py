@@ -1,0 +1,217 @@
+"""The Pinocchio model flattened to plain arrays for compiled loops, and checked against Pinocchio when it is built.
+
+`flatten` makes a `Tree` once per robot; `terms`, `psi` and `potential_energy` of `mmnn_pin.model.tree.dynamics` work
+on it without Pinocchio and without Python. Joints that stand still (zero rows of T) are lumped into the link that
+carries them, and so are wheels that are alike all around their axis: of these only a constant mass stays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike
+
+from mmnn_pin.errors import RobotError
+
+from ..checks.tree import verify
+from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, Tree
+
+PLANAR = "JointModelPlanar"
+UPPER = np.triu_indices(3)
+ONE_DOF = {f"JointModel{kind}{axis}" for kind in ("R", "RUB", "P") for axis in "XYZ"} | {
+    "JointModelRevoluteUnaligned",
+    "JointModelRevoluteUnboundedUnaligned",
+    "JointModelPrismaticUnaligned",
+}
+
+
+@dataclass
+class _Body:
+    """A link with all that stands still on it.
+
+    Placements are homogeneous, moments are `int (x, 1)(x, 1)' dm` in the frame of the body, both 4 x 4.
+    """
+
+    parent: _Body | None = None
+    kind: int = 0
+    velocity: int = -1
+    placement: Array = field(default_factory=lambda: np.eye(4))
+    moments: Array = field(default_factory=lambda: np.zeros((4, 4)))
+
+
+def flatten(
+    model: pin.Model,
+    T: ArrayLike,
+    position_rest: ArrayLike | None = None,
+    control_frame: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    samples: int = 5,
+    seed: int = 0,
+    absorb: bool = True,
+) -> Tree:
+    """Flatten a Pinocchio model and check the result against Pinocchio at random states.
+
+    Args:
+        model: Full model: a planar root joint or a fixed base, revolute and prismatic joints about any axes.
+        T: (nv, p) constant map from the independent velocities nu to all joint velocities.
+        position_rest: (nv,) where the joints with a zero row in T stand, default 0 [rad or m].
+        control_frame: Control frame in the root link, `(x, y, psi)` [m, m, rad].
+        samples: Number of random states of the check.
+        seed: Their seed.
+        absorb: Lump wheels that are alike all around their axis; off keeps a body for every joint that moves.
+
+    Raises:
+        RobotError: A joint of a type that cannot be flattened, values that are not finite, arrays of wrong shape,
+            or a result that differs from Pinocchio's.
+    """
+    T = _array("T", T, (model.nv, np.shape(T)[-1] if np.ndim(T) else 0))
+    rest = _array("position_rest", np.zeros(model.nv) if position_rest is None else position_rest, (model.nv,))
+    frame = _array("control_frame", control_frame, (3,))
+    _refuse(model)
+    bodies = _lump(model, T, rest)
+    rotors = T.T @ np.diag(model.armature) @ T
+    if absorb:
+        rotors = rotors + _absorb_wheels(bodies, T, _mobile(model))
+    tree = _tables(model, bodies, T, rotors, frame)
+    verify(tree, model, T, rest, samples, seed)
+    return tree
+
+
+def _array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
+    array = np.array(value, dtype=np.float64)
+    if array.shape != shape:
+        raise RobotError(f"{name} has shape {array.shape}", why=f"this robot needs {shape}", fix="give one that fits")
+    if not np.isfinite(array).all():
+        raise RobotError(f"{name} has an entry that is not finite", fix="give finite numbers")
+    return array
+
+
+def _mobile(model: pin.Model) -> bool:
+    """Whether the robot stands on a planar root joint."""
+    return model.njoints > 1 and model.joints[1].shortname() == PLANAR
+
+
+def _refuse(model: pin.Model) -> None:
+    """Refuse joints and values that a tree has no place for."""
+    for j in range(1, model.njoints):
+        name, kind = model.names[j], model.joints[j].shortname()
+        root = j == 1 and kind == PLANAR
+        if not (root or kind in ONE_DOF):
+            raise RobotError(
+                f"joint '{name}' of type {kind} cannot be compiled",
+                why="only revolute and prismatic joints and a planar root joint can",
+                fix="replace it by joints of these types",
+            )
+        if not root and _mobile(model) and model.parents[j] == 0:
+            raise RobotError(
+                f"joint '{name}' stands in the world beside the planar root joint",
+                why="all bodies of a mobile robot ride on its base",
+                fix="hang it on the base",
+            )
+        numbers = np.hstack((model.inertias[j].toDynamicParameters(), model.jointPlacements[j].homogeneous.ravel()))
+        armature = model.armature[model.idx_vs[j] : model.idx_vs[j] + model.nvs[j]]
+        if not np.isfinite(np.hstack((numbers, armature))).all():
+            raise RobotError(
+                f"mass, inertia, armature or placement at joint '{name}' is not finite", fix="give finite numbers"
+            )
+
+
+def _axis(joint: pin.JointModel) -> tuple[int, Array]:
+    """Kind of a joint of one degree of freedom and its axis, shape (3,)."""
+    data = joint.createData()
+    joint.calc(data, np.eye(joint.nq)[0])
+    linear, angular = np.ravel(data.S)[:3], np.ravel(data.S)[3:]
+    return (REVOLUTE, angular) if angular.any() else (PRISMATIC, linear)
+
+
+def _homogeneous(rotation: Array, translation: Array) -> Array:
+    return pin.SE3(rotation, translation).homogeneous
+
+
+@lru_cache(maxsize=1000)
+def _turned(axis: tuple[float, float, float]) -> Array:
+    """Rotation whose z is the axis, homogeneous; a permutation with signs where the axis is one of x, y, z."""
+    x = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
+    x /= np.linalg.norm(x)
+    return _homogeneous(np.column_stack((x, np.cross(axis, x), axis)), np.zeros(3))
+
+
+def _displaced(kind: int, axis: Array, q: float) -> Array:
+    """Placement of a body after its joint has moved by q."""
+    if kind == REVOLUTE:
+        return _homogeneous(pin.exp3(axis * q), np.zeros(3))
+    return _homogeneous(np.eye(3), axis * q)
+
+
+def _moments(inertia: pin.Inertia) -> Array:
+    """`int (x, 1)(x, 1)' dm` of a body, shape (4, 4)."""
+    m, c = inertia.mass, np.append(inertia.lever, 1.0)
+    moments = m * np.outer(c, c)
+    moments[:3, :3] += 0.5 * np.trace(inertia.inertia) * np.eye(3) - inertia.inertia
+    return moments
+
+
+def _lump(model: pin.Model, T: Array, rest: Array) -> list[_Body]:
+    """The bodies that move, the base first, each with what stands still on it."""
+    bodies = [_Body()]
+    where = [(bodies[0], np.eye(4))]  # body that carries each joint's link, and the link's placement in it
+    for j in range(1, model.njoints):
+        body, at = where[model.parents[j]]
+        joint, k = model.joints[j], model.idx_vs[j]
+        if joint.nv == 1:
+            at = at @ model.jointPlacements[j].homogeneous
+            kind, axis = _axis(joint)
+            if T[k].any():
+                turned = _turned(tuple(axis))
+                body, at = _Body(body, kind, k, at @ turned), turned.T
+                bodies.append(body)
+            else:
+                at = at @ _displaced(kind, axis, rest[k])
+        body.moments += at @ _moments(model.inertias[j]) @ at.T
+        where.append((body, at))
+    return bodies
+
+
+def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:
+    """Lump wheels that are alike all around their axis into the base; returns the mass (p, p) of their spinning."""
+    rotors, turn = np.zeros((T.shape[1], T.shape[1])), T[2] if mobile else np.zeros(T.shape[1])
+    for body in [b for b in bodies if b.parent is bodies[0] and all(other.parent is not b for other in bodies)]:
+        P = body.moments
+        off = np.abs([P[0, 0] - P[1, 1], P[0, 1], P[0, 2], P[1, 2], P[0, 3], P[1, 3]])
+        if body.kind != REVOLUTE or off.max() > 1e-15 * np.abs(P).max():
+            continue
+        bodies.remove(body)
+        bodies[0].moments += body.placement @ P @ body.placement.T
+        carried = body.placement[2, 2] * turn
+        spin = T[body.velocity] + carried
+        rotors += (P[0, 0] + P[1, 1]) * (np.outer(spin, spin) - np.outer(carried, carried))
+    return rotors
+
+
+def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, frame: Array) -> Tree:
+    """The arrays of a tree."""
+    mobile, weight = _mobile(model), sum(b.moments[3, 3] for b in bodies) * model.gravity.linear
+    root = model.jointPlacements[1] if mobile else pin.SE3.Identity()
+    gravity = root.rotation.T @ model.gravity.linear
+    rows = [_Body(), _Body(), *bodies]  # two more velocities of the base
+    row_of = {id(body): i for i, body in enumerate(rows)}
+    T_rows = [*(T[:3] if mobile else np.zeros((3, T.shape[1]))), *(T[b.velocity] for b in bodies[1:])]
+    spans = [(nonzero[0], nonzero[-1] + 1) if nonzero.size else (0, 0) for nonzero in map(np.flatnonzero, T_rows)]
+    numbers = np.zeros((len(rows), NUMBER.weight + max(stop - first for first, stop in spans)))
+    for row, body, T_row, (first, stop) in zip(numbers, rows, T_rows, spans, strict=True):
+        P, H = body.moments, body.placement
+        row[: NUMBER.weight] = *H[:3, :3].ravel(), *H[:3, 3], P[3, 3], *P[:3, 3], *P[UPPER]
+        row[NUMBER.weight : NUMBER.weight + stop - first] = T_row[first:stop]
+    return Tree(
+        links=np.array(
+            [(row_of.get(id(b.parent), BASE.w), b.kind, b.velocity, *s) for b, s in zip(rows, spans, strict=True)]
+        ),
+        numbers=numbers,
+        rotors=rotors,
+        gravity=(gravity[0], gravity[1], gravity[2]),
+        frame=(frame[0], frame[1], frame[2]),
+        level=int(not (mobile and gravity[:2].any())),
+        root_energy=-float(weight @ root.translation),
+    )

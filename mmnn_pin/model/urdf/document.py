@@ -1,0 +1,203 @@
+"""An audited URDF as links and joints: numbers, limits, placements, and who hangs on whom."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from mmnn_pin.signals import Array
+
+from .finding import Finding
+from .reading import number, numbers
+
+KEPT = ("links", "joints", "children", "carrier")  # properties of a tree that are read out once
+TEN_TURNS = 20 * math.pi  # a revolute joint with more travel than this [rad] counts as unlimited
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint as the file states it.
+
+    Attributes:
+        name: Its name.
+        type: One of `JOINT_TYPES`.
+        parent: Link it hangs on.
+        child: Link it carries.
+        origin: (4, 4) placement of the child's frame in the parent's, at position 0.
+        axis: (3,) unit axis in the child's frame (a fixed joint's may be zero).
+        lower: Lower limit [rad or m], -inf when unlimited.
+        upper: Upper limit [rad or m], inf when unlimited.
+        effort: Largest torque or force [N m or N]; inf when the file states none or 0.
+        damping: Viscous friction [N m s or N s/m].
+        friction: Coulomb friction [N m or N].
+        mimics: Joint that it follows, None for an ordinary joint.
+        line: Line in the file.
+    """
+
+    name: str
+    type: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+    lower: float
+    upper: float
+    effort: float
+    damping: float
+    friction: float
+    mimics: str | None
+    line: int
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is more than a weld."""
+        return self.type != "fixed"
+
+    @property
+    def turns_freely(self) -> bool:
+        """Whether it can turn without end."""
+        return self.type == "continuous" or (self.type == "revolute" and self.upper - self.lower >= TEN_TURNS)
+
+    @property
+    def rest(self) -> float:
+        """Position at rest: 0 clipped into the limits [rad or m]."""
+        return min(max(0.0, self.lower), self.upper)
+
+    @classmethod
+    def of(cls, element: etree._Element) -> Joint:
+        """Joint of an audited `<joint>` element."""
+        parts = {part.tag: part for part in reversed(element)}  # of several the first one counts
+        kind, limit, dynamics, mimic = element.get("type"), *map(parts.get, ("limit", "dynamics", "mimic"))
+        limited = kind in ("revolute", "prismatic")
+        axis = numbers(parts.get("axis"), "xyz", (1.0, 0.0, 0.0))
+        return cls(
+            name=element.get("name"),
+            type=kind,
+            parent=parts["parent"].get("link"),
+            child=parts["child"].get("link"),
+            origin=placement(parts.get("origin")),
+            axis=np.array(axis) / (math.hypot(*axis) or 1.0),
+            lower=number(limit, "lower", 0.0) if limited else -math.inf,
+            upper=number(limit, "upper", 0.0) if limited else math.inf,
+            effort=number(limit, "effort", 0.0) or math.inf,
+            damping=number(dynamics, "damping", 0.0),
+            friction=number(dynamics, "friction", 0.0),
+            mimics=None if mimic is None else mimic.get("joint"),
+            line=element.sourceline,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """Links and joints of a `<robot>` element whose names and ends are sound.
+
+    Attributes:
+        root: The element.
+    """
+
+    root: etree._Element
+
+    @cached_property
+    def links(self) -> dict[str, etree._Element]:
+        """Links by name, in the order of the file."""
+        return {link.get("name"): link for link in self.root.iterchildren("link")}
+
+    @cached_property
+    def joints(self) -> dict[str, Joint]:
+        """Joints by name, in the order of the file."""
+        return {joint.get("name"): Joint.of(joint) for joint in self.root.iterchildren("joint")}
+
+    @cached_property
+    def children(self) -> dict[str, list[Joint]]:
+        """For every link the joints that hang on it."""
+        table: dict[str, list[Joint]] = {link: [] for link in self.links}
+        for joint in self.joints.values():
+            table[joint.parent].append(joint)
+        return table
+
+    @cached_property
+    def carrier(self) -> dict[str, Joint]:
+        """For every link but the root the joint that carries it."""
+        return {joint.child: joint for joint in self.joints.values()}
+
+    @property
+    def root_link(self) -> str:
+        """The link that no joint carries."""
+        return next(link for link in self.links if link not in self.carrier)
+
+    @property
+    def mass(self) -> float:
+        """Mass of all links [kg]."""
+        return math.fsum(number(link.find("inertial/mass"), "value", 0.0) for link in self.links.values())
+
+    def body(self, link: str) -> list[str]:
+        """Links of the moving body that starts at a link: itself and everything fixed to it."""
+        links = [link]
+        for name in links:
+            links.extend(joint.child for joint in self.children[name] if not joint.moves)
+        return links
+
+    def moving_children(self, link: str) -> list[Joint]:
+        """Moving joints that hang on the body of a link."""
+        return [joint for name in self.body(link) for joint in self.children[name] if joint.moves]
+
+    def moving_ancestors(self, link: str) -> list[Joint]:
+        """Moving joints between a link and the root, from the link up; the joint that carries the link included."""
+        joints = []
+        while link in self.carrier:
+            joint = self.carrier[link]
+            joints += [joint] if joint.moves else []
+            link = joint.parent
+        return joints
+
+
+@dataclass(frozen=True, eq=False)
+class Document(Tree):
+    """A URDF that passed the audit.
+
+    Attributes:
+        path: File it came from.
+        text: The XML that Pinocchio reads.
+        sha256: Hash of the file's bytes.
+        findings: What the audit has to say about it, warnings and notes.
+    """
+
+    path: Path
+    text: str
+    sha256: str
+    findings: tuple[Finding, ...] = field(default=())
+
+    @classmethod
+    def of(cls, tree: Tree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:
+        """Document of an audited tree, which keeps what has been read out of it."""
+        document = cls(tree.root, path, etree.tostring(tree.root, encoding="unicode"), sha256, findings)
+        vars(document).update({name: value for name, value in vars(tree).items() if name in KEPT})
+        return document
+
+
+def placement(origin: etree._Element | None) -> Array:
+    """(4, 4) transform of an `<origin>`: roll, pitch, yaw about fixed axes, then the offset."""
+    return transform(numbers(origin, "xyz"), numbers(origin, "rpy"))
+
+
+@lru_cache(maxsize=8192)
+def transform(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Array:
+    """(4, 4) transform of an offset and angles, read-only: the same origins are asked for again and again."""
+    (x, y, z), (roll, pitch, yaw) = xyz, rpy
+    cr, cp, cy = math.cos(roll), math.cos(pitch), math.cos(yaw)
+    sr, sp, sy = math.sin(roll), math.sin(pitch), math.sin(yaw)
+    matrix = np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, x],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr, y],
+            [-sp, cp * sr, cp * cr, z],
+            [0.0, 0.0, 0.0, 1.0],
+        ]
+    )
+    matrix.flags.writeable = False
+    return matrix

@@ -1,0 +1,171 @@
+"""What the audit says about a file: `file:line: severity: element: what: why: fix [code]`, one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from lxml import etree
+
+from mmnn_pin.errors import RobotError
+
+from .reading import label
+
+# Severity by code; docs/urdf-audit.md tells each with its reason. `strict`: a warning that strictness makes an error.
+CODES = {
+    # the file
+    "file": "error",
+    "not-xml": "error",
+    "truncated": "error",
+    "encoding": "error",
+    "doctype": "error",
+    "not-urdf": "error",
+    "xacro": "error",
+    "namespace": "warning",
+    "version": "error",
+    "too-many": "error",
+    # tags
+    "misspelt-tag": "error",
+    "misspelt-attribute": "error",
+    "misplaced-tag": "warning",
+    "repeated-tag": "warning",
+    "duplicate-material": "error",
+    # numbers
+    "number": "error",
+    "vector-length": "error",
+    "missing-value": "error",
+    "negative-size": "error",
+    "zero-size": "warning",
+    "no-shape": "warning",
+    # names and tree
+    "empty-name": "error",
+    "duplicate-name": "error",
+    "no-links": "error",
+    "missing-link": "error",
+    "two-parents": "error",
+    "two-roots": "error",
+    "loop": "error",
+    # joints
+    "joint-type": "error",
+    "zero-axis": "error",
+    "axis-not-unit": "warning",
+    "no-axis": "note",
+    "no-limit": "error",
+    "limit-order": "error",
+    "limit-negative": "error",
+    "limit-empty": "warning",
+    "zero-effort": "warning",
+    "negative-friction": "error",
+    "mimic-ghost": "error",
+    "mimic-self": "error",
+    "mimic-circle": "error",
+    # bodies
+    "negative-mass": "error",
+    "zero-mass": "error",
+    "inertia-not-positive": "error",
+    "inertia-triangle": "strict",
+    "no-inertial": "warning",
+    # plausibility
+    "millimetres": "strict",
+    "limit-degrees": "strict",
+    "rpy-degrees": "strict",
+    "odd-mass": "strict",
+    "odd-inertia": "strict",
+    # meshes
+    "mesh-missing": "warning",
+    "mesh-remote": "warning",
+    "mesh-corrupt": "warning",
+    "mesh-outside": "warning",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing to know about a file.
+
+    Attributes:
+        severity: `error`, `warning` or `note`.
+        code: Stable name of the check, a key of `CODES`.
+        file: The file.
+        line: Line in the file, counted from 1.
+        element: Link, joint or tag it is about, in words; empty for the file as a whole.
+        message: What is wrong.
+        why: What it would lead to, or what was assumed.
+        fix: What to do.
+    """
+
+    severity: str
+    code: str
+    file: str
+    line: int
+    element: str
+    message: str
+    why: str = ""
+    fix: str = ""
+
+    @property
+    def what(self) -> str:
+        """Element and message."""
+        return f"{self.element}: {self.message}" if self.element else self.message
+
+    def __str__(self) -> str:
+        text = ": ".join(part for part in (self.what, self.why, self.fix) if part)
+        return f"{self.file}:{self.line}: {self.severity}: {text} [{self.code}]"
+
+
+def finding(
+    code: str, at: etree._Element | int, message: str, why: str = "", fix: str = "", of: str | None = None
+) -> Finding:
+    """A finding of a check; the file is filled in at the end.
+
+    Args:
+        code: A key of `CODES`.
+        at: The element it is about, or a line.
+        message: What is wrong.
+        why: What it would lead to, or what was assumed.
+        fix: What to do.
+        of: What it is about, in words; from the element when None.
+    """
+    severity = "warning" if CODES[code] == "strict" else CODES[code]
+    line, about = (at, "") if isinstance(at, int) else (at.sourceline, label(at))
+    return Finding(severity, code, "", line, one_line(about if of is None else of), one_line(message), why, fix)
+
+
+def one_line(text: str) -> str:
+    """Text without line breaks and control characters, which names may hold."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else " " for c in text)
+
+
+def settle(findings: Sequence[Finding], path: Path, strict: bool) -> tuple[Finding, ...]:
+    """Findings in the order of the file, with its name; strictness makes errors of implausible things."""
+    placed = [
+        replace(f, file=str(path), severity="error" if strict and CODES[f.code] == "strict" else f.severity)
+        for f in findings
+    ]
+    return tuple(sorted(placed, key=lambda f: f.line))
+
+
+class AuditError(RobotError):
+    """A URDF that the audit refuses.
+
+    Args:
+        findings: Everything found; what, why, fix, file and line are those of the first error.
+
+    Attributes:
+        findings: Everything found.
+    """
+
+    def __init__(self, findings: Sequence[Finding]) -> None:
+        self.findings = tuple(findings)
+        first = self.errors[0]
+        super().__init__(first.what, why=first.why, fix=first.fix, file=Path(first.file), line=first.line)
+
+    @property
+    def errors(self) -> list[Finding]:
+        """The errors among the findings."""
+        return [f for f in self.findings if f.severity == "error"]
+
+    def __str__(self) -> str:
+        others = [f for f in self.findings if f.severity != "error"]
+        return "\n".join(str(f) for f in [*self.errors, *others])

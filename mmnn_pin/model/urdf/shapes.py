@@ -1,0 +1,219 @@
+"""A robot at rest, in the root link's frame: where its links are, the shapes on them, and how low they reach.
+
+Everything that is concluded about the base starts from this geometry. Meshes are read only when they are asked for
+(that takes long), and never from outside their package or over the network.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from lxml import etree
+
+from mmnn_pin.signals import Array
+
+from .meshes import damage_of, locate
+from .parsing import Document, Joint, number, placement, vector
+from .reading import numbers
+
+PRIMITIVES = ("cylinder", "sphere", "box")
+SHAPES = (*PRIMITIVES, "capsule", "mesh")
+AROUND = 0.05  # a wheel's shape may be off its axis by this fraction of the radius
+HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
+VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A collision or visual shape in the root frame at rest.
+
+    Attributes:
+        kind: `cylinder`, `sphere`, `box` or `mesh`.
+        pose: (4, 4) its placement.
+        radius: Of a cylinder or sphere [m].
+        half: (3,) half its extents along its own axes, for a cylinder the z one is its half length [m].
+        points: (k, 3) vertices of a mesh in the root frame; (0, 3) when it cannot be read.
+    """
+
+    kind: str
+    pose: Array
+    radius: float
+    half: Array
+    points: Array
+
+    @property
+    def rolls(self) -> bool:
+        """Whether it can stand on a floor and roll: a ball, or a cylinder that lies."""
+        return self.kind == "sphere" or (self.kind == "cylinder" and abs(self.pose[2, 2]) <= HORIZONTAL)
+
+    @cached_property
+    def lowest(self) -> float:
+        """Height of a primitive's lowest point [m]."""
+        x, y, z, height = self.pose[2].tolist()  # the vertical in the shape's axes
+        if self.kind == "sphere":
+            return float(height - self.radius)
+        if self.kind == "cylinder":
+            return float(height - self.radius * math.hypot(x, y) - self.half[2] * abs(z))
+        a, b, c = self.half.tolist()
+        return float(height - a * abs(x) - b * abs(y) - c * abs(z))
+
+
+@dataclass(frozen=True, eq=False)
+class AtRest:
+    """A robot with all joints at rest.
+
+    Attributes:
+        document: The audited URDF.
+        package_dirs: Folders that `package://` is looked for in, before the folders above the URDF.
+    """
+
+    document: Document
+    package_dirs: Sequence[str | Path] = ()
+
+    @cached_property
+    def placements(self) -> dict[str, Array]:
+        """(4, 4) placement of every link in the root link's frame."""
+        placements = {self.document.root_link: np.eye(4)}
+        pending = [self.document.root_link]
+        while pending:
+            link = pending.pop()
+            for joint in self.document.children[link]:
+                at_zero = placements[link] @ joint.origin
+                placements[joint.child] = at_zero @ motion(joint, joint.rest) if joint.rest else at_zero
+                pending.append(joint.child)
+        return placements
+
+    def axis(self, joint: Joint) -> Array:
+        """(3,) axis of a joint."""
+        return self.placements[joint.child][:3, :3] @ joint.axis
+
+    def hub(self, joint: Joint) -> Array:
+        """(3,) origin of a joint's child link [m]."""
+        return self.placements[joint.child][:3, 3]
+
+    def is_vertical(self, joint: Joint) -> bool:
+        """Whether a joint's axis is vertical."""
+        return bool(abs(self.axis(joint)[2]) > VERTICAL)
+
+    def is_horizontal(self, joint: Joint) -> bool:
+        """Whether a joint's axis is horizontal."""
+        return bool(abs(self.axis(joint)[2]) <= HORIZONTAL)
+
+    @cached_property
+    def primitives(self) -> dict[str, list[Shape]]:
+        """Cylinders, spheres and boxes of every link, of its collisions if it has any, else of its visuals."""
+        table = {}
+        for name, link in self.document.links.items():
+            tag = "visual" if link.find("collision") is None else "collision"
+            table[name] = list(self.shapes(name, tag, PRIMITIVES))
+        return table
+
+    def shapes(self, link: str, tag: str, kinds: Sequence[str] = (*PRIMITIVES, "mesh")) -> Iterator[Shape]:
+        """Shapes of one link.
+
+        Args:
+            link: Name of the link.
+            tag: `collision` or `visual`.
+            kinds: Which shapes.
+        """
+        for holder in self.document.links[link].iterchildren(tag):
+            body = next((body for body in holder.iterfind("geometry/*") if body.tag in SHAPES), None)
+            if body is not None and body.tag in kinds:
+                pose = self.placements[link] @ placement(holder.find("origin"))
+                yield self.mesh(body, pose) if body.tag == "mesh" else primitive(body, pose)
+
+    def mesh(self, body: etree._Element, pose: Array) -> Shape:
+        """Shape of a `<mesh>`."""
+        points = mesh_points(self.document.path, body.get("filename", ""), self.package_dirs)
+        with np.errstate(over="ignore", invalid="ignore"):
+            points = points * vector(body, "scale", (1.0, 1.0, 1.0)) @ pose[:3, :3].T + pose[:3, 3]
+        return Shape("mesh", pose, 0.0, np.zeros(3), points if np.isfinite(points).all() else np.zeros((0, 3)))
+
+    @property
+    def is_footprint(self) -> bool:
+        """Whether the root link has no mass of its own: a frame, by custom on the floor."""
+        return self.mass(self.document.root_link) == 0
+
+    @cached_property
+    def masses(self) -> dict[str, float]:
+        """Mass of every link [kg], 0 where none is stated."""
+        return {name: number(link.find("inertial/mass"), "value", 0.0) for name, link in self.document.links.items()}
+
+    def mass(self, link: str) -> float:
+        """Mass of a link [kg], 0 where none is stated."""
+        return self.masses[link]
+
+    def centre(self, link: str) -> Array:
+        """(3,) centre of mass of a link [m]."""
+        origin, at = self.document.links[link].find("inertial/origin"), self.placements[link]
+        return at[:3, :3] @ numbers(origin, "xyz") + at[:3, 3]
+
+    def bottom(self, link: str) -> float:
+        """How low a link reaches, as far as primitives tell, else its centre of mass; inf for an empty one [m]."""
+        heights = [shape.lowest for shape in self.primitives[link]]
+        if not heights and self.mass(link) > 0:
+            heights = [float(self.centre(link)[2])]
+        return min(heights, default=math.inf)
+
+
+def primitive(body: etree._Element, pose: Array) -> Shape:
+    """Shape of a `<cylinder>`, `<sphere>` or `<box>`."""
+    radius, half = number(body, "radius", 0.0), vector(body, "size") / 2
+    if body.tag == "cylinder":
+        half = np.array([radius, radius, number(body, "length", 0.0) / 2])
+    return Shape(body.tag, pose, radius, half, np.zeros((0, 3)))
+
+
+def motion(joint: Joint, position: float) -> Array:
+    """(4, 4) motion of a joint's child at a position [rad or m]."""
+    result = np.eye(4)
+    if joint.type == "prismatic":
+        result[:3, 3] = position * joint.axis
+    elif joint.type in ("revolute", "continuous"):
+        x, y, z = joint.axis
+        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        result[:3, :3] += math.sin(position) * K + (1 - math.cos(position)) * K @ K  # Rodrigues
+    return result
+
+
+def round_about(shape: Shape, hub: Array, axis: Array) -> tuple[float, float] | None:
+    """Radius of a shape that is round about an axis, and where its middle lies along it from the hub; else None."""
+    if shape.kind == "mesh":
+        return mesh_round_about(shape.points - hub, axis)
+    offset = shape.pose[:3, 3] - hub
+    travel = float(offset @ axis)
+    centred = np.linalg.norm(offset - travel * axis) <= AROUND * shape.radius
+    aligned = shape.kind == "sphere" or abs(shape.pose[:3, 2] @ axis) > 1 - HORIZONTAL**2
+    return (shape.radius, travel) if shape.kind in ("sphere", "cylinder") and centred and aligned else None
+
+
+def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
+    """The same for vertices: they must reach equally far in all directions across the axis."""
+    along = points @ axis
+    across = points - np.outer(along, axis)
+    radius = float(np.linalg.norm(across, axis=1).max())
+    side = np.cross(axis, [0.0, 0.0, 1.0])  # the axis is horizontal
+    reach = [(across @ direction).max() for direction in (side, -side, np.cross(axis, side), np.cross(side, axis))]
+    if radius <= 0 or min(reach) < (1 - 2 * AROUND) * radius:
+        return None
+    return radius, float(along.min() + along.max()) / 2
+
+
+def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) -> Array:
+    """(k, 3) vertices of a mesh file, unscaled; (0, 3) when it is missing, remote, outside or cannot be read."""
+    file = locate(name, urdf, package_dirs).file
+    if file is None or damage_of(file):
+        return np.zeros((0, 3))
+    import trimesh  # comes with yourdfpy; slow to import
+
+    try:
+        with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
+            return np.array(trimesh.load_mesh(file).vertices, dtype=np.float64).reshape(-1, 3)
+    except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
+        return np.zeros((0, 3))

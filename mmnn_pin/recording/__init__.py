@@ -1,0 +1,1 @@
+"""One run, written as it happens and read afterwards."""

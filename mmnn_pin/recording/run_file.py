@@ -1,0 +1,297 @@
+"""The HDF5 file of one run: written as it happens, readable whatever ends the run.
+
+    /                   attributes: format, complete, outcome, robot, controller, seed, versions, created, ...
+    /config, /urdf      texts
+    /signals/<name>     (N, size), or (N,) for scalars; attributes `unit` and `labels` (one per column)
+    /weights/<name>     (k, ...) snapshots of the networks' weights, taken at /weights/time (k,) [s]
+    /final/<name>       the controller's memory and the plant's state at the end
+    /timing/step_time   (N,) wall-clock seconds per step: the one dataset that two equal runs do not share
+
+The file is in HDF5's default format and flushed with every write: that is what a kill leaves readable. Before the
+file grows its space is reserved, so a full disk is found before HDF5 is half way through a write.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import RecordingError
+from ..signals import Array, Layout
+
+FORMAT = "mmnn_pin recording"
+FORMAT_VERSION = 1
+CHUNK_ROWS = 1024
+SLACK_BYTES = 1 << 16  # what HDF5 keeps beside the numbers themselves
+
+Arrays = dict[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Columns:
+    """The columns of one signal: their unit and one label each."""
+
+    unit: str
+    labels: tuple[str, ...]
+
+
+class RunFile:
+    """A file that is being written.
+
+    Args:
+        path: Where it goes; missing folders are made.
+        force: Replace an existing file.
+        layout: Where the signals stand in a row.
+        columns: Unit and labels of the signals to write.
+        meta: Facts for the root's attributes.
+        texts: Texts for the root's datasets.
+
+    Raises:
+        RecordingError: The file exists (without `force`), another run writes it, or it cannot be created.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        force: bool,
+        layout: Layout,
+        columns: Mapping[str, Columns],
+        meta: Mapping[str, Any],
+        texts: Mapping[str, str],
+    ) -> None:
+        self.path, self.rows, self.is_open = path, 0, True
+        self._file = _create(path, force, lambda file: _write_header(file, layout, columns, meta, texts))
+        self._tables = [(self._file[f"signals/{name}"], layout.where(name)) for name in columns]
+        self._weights: dict[str, h5py.Dataset] = {}
+        self._row_bytes = 8 * (layout.width + 1)
+
+    def write(self, rows: Array, step_times: Array) -> None:
+        """Add rows (k, width) and the wall-clock times (k,) they took [s], and flush.
+
+        Raises:
+            RecordingError: The disk is full or gone; the file is closed and holds the rows before these.
+        """
+        chunks = -(-(self.rows + len(rows)) // CHUNK_ROWS) - -(-self.rows // CHUNK_ROWS)
+        try:
+            self._reserve(chunks * CHUNK_ROWS * self._row_bytes)
+            for table, where in self._tables:
+                _extend(table, rows, where, self.rows)
+            _extend(self._file["timing/step_time"], step_times[:, None], slice(0, 1), self.rows)
+            self._file.flush()
+        except (OSError, RuntimeError) as error:
+            raise self._failed(error) from error
+        self.rows += len(rows)
+
+    def weights(self, snapshots: Mapping[str, NDArray[Any]]) -> None:
+        """Add snapshots of the weights, (k, ...) each.
+
+        Raises:
+            RecordingError: As for `write`.
+        """
+        try:
+            self._reserve(sum(max(array.nbytes, 8192) for array in snapshots.values()))
+            for name, array in snapshots.items():
+                if name not in self._weights:
+                    rows = max(1, 8192 // max(array[0].nbytes, 1))
+                    self._weights[name] = _table(self._file, f"weights/{name}", array.shape[1:], rows, array.dtype)
+                table = self._weights[name]
+                count = len(table)
+                table.resize(count + len(array), axis=0)
+                table[count:] = array
+        except (OSError, RuntimeError) as error:
+            raise self._failed(error) from error
+
+    def finish(self, outcome: Mapping[str, Any], final: Mapping[str, NDArray[Any]]) -> None:
+        """Write how the run ended, mark the file complete and close it.
+
+        Raises:
+            RecordingError: As for `write`.
+        """
+        try:
+            self._reserve(sum(array.nbytes for array in final.values()))
+            for name, array in final.items():
+                self._file[f"final/{name}"] = array
+            self._file.attrs["outcome"] = outcome["status"]
+            for field in ("time", "signal", "message"):
+                self._file.attrs[f"outcome_{field}"] = outcome[field]
+            self._file.flush()
+            self._file.attrs["complete"] = True
+            self.close()
+        except (OSError, RuntimeError) as error:
+            raise self._failed(error) from error
+
+    def close(self) -> None:
+        """Close the file as it is; unless `finish` came before, it reads as incomplete."""
+        self.is_open = False
+        self._file.close()
+
+    def _reserve(self, size: int) -> None:
+        """Take room on the disk for what HDF5 is about to add."""
+        if size and sys.platform == "linux":
+            with open(self.path, "r+b") as raw:
+                os.posix_fallocate(raw.fileno(), self._file.id.get_filesize(), size + SLACK_BYTES)
+
+    def _failed(self, error: Exception) -> RecordingError:
+        with suppress(OSError, RuntimeError):
+            self.close()
+        fix = f"make room on the disk; the first {self.rows:,} rows can be read"
+        return RecordingError("cannot write the recording", why=_reason(error), fix=fix, file=self.path)
+
+
+def open_run(path: Path) -> h5py.File:
+    """Open a recording for reading, also while its run is still going on elsewhere.
+
+    Raises:
+        RecordingError: No such file, not HDF5, not a recording, or written by a newer mmnn_pin.
+    """
+    if not path.is_file():
+        raise RecordingError("no such recording", fix="name a file that `mmnn run` wrote", file=path)
+    try:
+        file = h5py.File(path, "r", locking=False)
+    except OSError as error:
+        why = _reason(error) if h5py.is_hdf5(path) else "it is not an HDF5 file"
+        raise RecordingError("cannot read the recording", why=why, file=path) from error
+    try:
+        _require_ours(file, path)
+    except RecordingError:
+        file.close()
+        raise
+    return file
+
+
+def read_arrays(path: Path, where: str, rows: int | None = None) -> Arrays:
+    """Arrays of a group, or one dataset, by name; empty if there is none.
+
+    Args:
+        path: The recording.
+        where: Group or dataset, e.g. `signals/z`.
+        rows: Length to read. A kill can leave the datasets of a group at unequal lengths: None reads whole
+            arrays and `-1` as many rows as all of them have.
+
+    Raises:
+        RecordingError: What is there cannot be read.
+    """
+    with open_run(path) as file:
+        if where not in file:
+            return {}
+        item = file[where]
+        found = {where.rpartition("/")[2]: item} if isinstance(item, h5py.Dataset) else dict(item.items())
+        rows = min(map(len, found.values())) if rows == -1 else rows
+        try:
+            return {name: table[()] if rows is None else table[:rows] for name, table in found.items()}
+        except OSError as error:
+            raise RecordingError(f"cannot read {where}", why=_reason(error), file=path) from error
+
+
+def encode(value: Any) -> Any:
+    """Value as an HDF5 attribute: texts, numbers and lists of texts as they are, the rest as JSON."""
+    value = value.item() if isinstance(value, np.generic) else value
+    if isinstance(value, bool | int | float) or (isinstance(value, str) and not value.startswith("json:")):
+        return value
+    if isinstance(value, list | tuple) and value and all(isinstance(item, str) for item in value):
+        return np.array(value, dtype=h5py.string_dtype())
+    return f"json:{json.dumps(value, default=lambda array: np.asarray(array).tolist())}"
+
+
+def decode(value: Any) -> Any:
+    """Inverse of `encode`; lists of texts come back as tuples."""
+    if isinstance(value, np.ndarray):
+        return tuple(map(str, value))
+    if isinstance(value, np.generic):
+        return value.item()
+    return json.loads(value[5:]) if isinstance(value, str) and value.startswith("json:") else value
+
+
+def _require_ours(file: h5py.File, path: Path) -> None:
+    if file.attrs.get("format") != FORMAT or "complete" not in file.attrs:
+        raise RecordingError("not a recording", why="an HDF5 file, but mmnn_pin did not write it", file=path)
+    if (version := int(file.attrs["format_version"])) > FORMAT_VERSION:
+        why = f"its format version is {version}, this mmnn_pin reads up to {FORMAT_VERSION}"
+        raise RecordingError("cannot read the recording", why=why, fix="upgrade mmnn_pin", file=path)
+
+
+def _create(path: Path, force: bool, fill: Callable[[h5py.File], None]) -> h5py.File:
+    """Make the file, whole or not at all: one that is replaced stays until its successor has a header."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        _require_free(path, force)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = h5py.File(part, "w", locking=True)
+    except OSError as error:
+        raise RecordingError("cannot create the recording", why=_reason(error), file=path) from error
+    try:
+        fill(file)
+        file.flush()
+        os.replace(part, path)
+    except BaseException as error:
+        with suppress(OSError, RuntimeError):
+            file.close()
+        part.unlink(missing_ok=True)
+        if isinstance(error, OSError | RuntimeError):
+            raise RecordingError("cannot create the recording", why=_reason(error), file=path) from error
+        raise
+    return file
+
+
+def _require_free(path: Path, force: bool) -> None:
+    if path.is_dir():
+        raise RecordingError("cannot create the recording", why="there is a folder of that name", file=path)
+    if not path.exists():
+        return
+    if not force:
+        fix = "choose another name, or replace it with --force (force=True)"
+        raise RecordingError("the file exists", why="a recording is not overwritten unasked", fix=fix, file=path)
+    with open(path, "rb") as old:
+        try:
+            fcntl.flock(old, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            why = "another run is writing it"
+            raise RecordingError("the file is in use", why=why, fix="choose another name", file=path) from error
+
+
+def _write_header(
+    file: h5py.File, layout: Layout, columns: Mapping[str, Columns], meta: Mapping[str, Any], texts: Mapping[str, str]
+) -> None:
+    file.attrs["format"], file.attrs["format_version"], file.attrs["complete"] = FORMAT, FORMAT_VERSION, False
+    for name, value in meta.items():
+        file.attrs[name] = encode(value)
+    for name, text in texts.items():
+        file.create_dataset(name, data=text, dtype=h5py.string_dtype())
+    for name, about in columns.items():
+        size = len(about.labels)
+        table = _table(file, f"signals/{name}", (size,) if size > 1 else (), CHUNK_ROWS)
+        table.attrs["unit"], table.attrs["labels"] = about.unit, list(about.labels)
+    _table(file, "timing/step_time", (), CHUNK_ROWS).attrs["unit"] = "s"
+
+
+def _table(group: h5py.Group, name: str, shape: tuple[int, ...], rows: int, dtype: Any = "f8") -> h5py.Dataset:
+    """Dataset without rows yet, each of a shape, that grows by chunks of so many rows."""
+    return group.create_dataset(name, (0, *shape), dtype, maxshape=(None, *shape), chunks=(rows, *shape))
+
+
+def _extend(table: h5py.Dataset, rows: Array, where: slice, start: int) -> None:
+    """Append some columns of rows to a table; HDF5 itself gathers them, h5py's slices are several times slower."""
+    shape = (start + len(rows), *table.shape[1:])
+    table.id.set_extent(shape)
+    target = h5py.h5s.create_simple(shape)
+    target.select_hyperslab((start, 0)[: len(shape)], (len(rows), *shape[1:]))
+    source = h5py.h5s.create_simple(rows.shape)
+    source.select_hyperslab((0, where.start), (len(rows), where.stop - where.start))
+    table.id.write(source, target, rows)
+
+
+def _reason(error: Exception) -> str:
+    """Cause of a failed file operation, without HDF5's own stack of phrases where the system has a name for it."""
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number else str(error)
