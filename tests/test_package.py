@@ -13,10 +13,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 import mmnn_pin
 
-ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mmnn_pin"
 README = (ROOT / "README.md").read_text()
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -128,7 +128,7 @@ def test_the_quickstart_prints_what_the_readme_says(tmp_path: Path) -> None:
 
 
 def test_every_example_is_run_by_a_test() -> None:
-    tests = "".join(file.read_text() for file in Path(__file__).parent.glob("test_*.py"))
+    tests = "".join(file.read_text() for file in Path(__file__).parent.rglob("test_*.py"))
     assert [file.name for file in EXAMPLES if file.name not in tests] == []
 
 

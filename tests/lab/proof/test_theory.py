@@ -14,6 +14,7 @@ import sympy as sp
 from certified import learner_loop
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 from scipy.linalg import eigh
 from scipy.special import expit
 
@@ -30,7 +31,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.network import one_layer_update, two_layer_update
 
-DOCUMENT = Path(__file__).parents[1] / "docs" / "theory.md"
+DOCUMENT = ROOT / "docs" / "theory.md"
 ex, ey, ephi, vr, wr, z1, z2, w = sp.symbols("ex ey ephi vr wr z1 z2 w", real=True)
 kx, ky, kth = sp.symbols("kx ky kth", positive=True)
 eps = sp.Symbol("eps", positive=True)

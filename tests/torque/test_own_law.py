@@ -13,6 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from places import ROOT
 from test_prove import compiled_only
 
 from mmnn_pin import LearningLaw, Recording, load_experiment, run_experiment
@@ -23,7 +24,6 @@ from mmnn_pin.lab.experiments.laws import load_class
 from mmnn_pin.lab.proof.fvu import worst
 from mmnn_pin.lab.proof.proof import Proof
 
-ROOT = Path(__file__).resolve().parents[1]
 EXAMPLE = ROOT / "examples/own_law.py"
 SPEC = f"{EXAMPLE}:LeastSquares"
 SHORT = ("--set", "time.duration=0.6", "--set", "time.control_period=0.002", "--set", "time.plant_step=0.002")

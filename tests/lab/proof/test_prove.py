@@ -13,6 +13,7 @@ import h5py
 import msgspec
 import numpy as np
 import pytest
+from places import ROOT
 from proofs import SLOW, learner, loop_of
 from test_report import Page
 
@@ -309,7 +310,6 @@ def judgement_number(proof: Proof) -> str:
 
 # -- the documents --
 
-ROOT = Path(__file__).resolve().parents[1]
 DOCUMENT = (ROOT / "docs/proof.md").read_text()
 
 

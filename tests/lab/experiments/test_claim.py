@@ -3,16 +3,15 @@
 import json
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
+from places import ROOT
 from scipy.stats import binomtest
 
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
-ROOT = Path(__file__).parents[1]
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of five seconds, uncompiled")
 
 

@@ -10,17 +10,17 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 
 from mmnn_pin import Recording
 from mmnn_pin.errors import InputError, RecordingError
 
-EXAMPLE = Path(__file__).parents[1] / "examples/realtime"
+EXAMPLE = ROOT / "examples/realtime"
 DEADLINE = 240.0  # [s] of any process here, however busy the machine is
 # A busy machine must not trip what is to run to its end.
 PATIENT = [

@@ -6,12 +6,12 @@ import os
 import re
 import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 from scipy.linalg import expm, sqrtm
 
 from mmnn_pin import PD, Circle, Eight, Loop, Sine, Start, Timing, Trajectory, load, load_experiment
@@ -318,7 +318,7 @@ def test_a_poor_motion_is_told_and_harmless():
 
 @pytest.mark.skipif(PLAIN, reason="needs a long run")
 def test_the_example_knows_more_after_the_richer_motion(capsys):
-    runpy.run_path(str(Path(__file__).parents[1] / "examples" / "adaptive.py"), run_name="__main__")
+    runpy.run_path(str(ROOT / "examples" / "adaptive.py"), run_name="__main__")
     rich, poor = ([float(x) for x in re.findall(r"0[.]\d{4}", line)] for line in capsys.readouterr().out.splitlines())
     assert rich[0] < 0.1 and all(a < b for a, b in zip(rich, poor, strict=True))
 

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numba import config
+from places import ROOT
 from replays import TYPES, unpacked
 from replays import recorded as recorded_without_period
 
@@ -34,7 +35,7 @@ from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import INDEX
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+EXAMPLES = ROOT / "examples"
 DURATION = 0.04 if config.DISABLE_JIT else 2.0
 SETTINGS = (
     f"time.duration={DURATION}",

@@ -9,6 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import config
+from tests.test_composite import EIGHT
+from tests.test_concurrent import CIRCLE
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.control import Torque
@@ -16,8 +18,6 @@ from mmnn_pin.torque.composite import Replaying
 from mmnn_pin.torque.inputs import MEASURED, Inputs
 from mmnn_pin.torque.replay import descend, keep_sample, recollect, replay
 from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
-from tests.test_composite import EIGHT
-from tests.test_concurrent import CIRCLE
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -1,13 +1,13 @@
 """The calibration of chapter 4: its search repeats itself, its robots are what they say, its saved result holds."""
 
 import json
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import ROOT
 
 from mmnn_pin import Loop, load, load_experiment
 from mmnn_pin.lab.experiments.figure_ranges import figure_intervals, figure_ranges
@@ -15,7 +15,6 @@ from mmnn_pin.model.dynamics import Dynamics
 
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
-ROOT = Path(__file__).parents[1]
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of five seconds, uncompiled")
 
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 import runpy
-from pathlib import Path
 
 import pytest
 from numba import config
+from places import ROOT
 
-STUDY = Path(__file__).parents[1] / "studies" / "learners" / "knowledge.py"
+STUDY = ROOT / "studies" / "learners" / "knowledge.py"
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")

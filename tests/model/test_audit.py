@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from drives import robot_of
+from places import ROOT
 from test_urdf_bad import BAD, DYNAMICS, GOOD, HINGE, LIMIT, LINK, SHAPE, end, joint, of
 
 from mmnn_pin.errors import RobotError
@@ -20,7 +21,7 @@ from mmnn_pin.model.urdf.finding import CODES, Finding
 from mmnn_pin.model.urdf.meshes import damage_of, locate
 from mmnn_pin.model.urdf.parsing import audit_file, parse
 
-DOCUMENT = Path(__file__).parent.parent / "docs" / "urdf-audit.md"
+DOCUMENT = ROOT / "docs" / "urdf-audit.md"
 TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"
 
 # What is replaced by what, then the severity, the line, the code and the words.

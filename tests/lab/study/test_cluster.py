@@ -20,6 +20,7 @@ import msgspec
 import pytest
 import trimesh
 from numba import config
+from places import ROOT
 from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
@@ -39,7 +40,6 @@ import cloudpickle
 
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 
-ROOT = Path(__file__).parents[1]
 NETWORK = f"mmnn{os.getpid()}"
 # Four addresses of its own for every process, so that runs at the same time do not take each other's way.
 OUTSIDE, INSIDE = (str(IPv4Address("10.213.0.0") + 4 * (os.getpid() % 2**14) + i) for i in (1, 2))

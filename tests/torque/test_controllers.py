@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from places import ROOT
 from scipy.special import expit
 
 import mmnn_pin
@@ -566,7 +567,7 @@ def test_a_controller_in_plain_python_resumes() -> None:
 
 @pytest.mark.skipif(PLAIN, reason="runs compiled")
 def test_the_example_runs_and_its_controller_is_the_better_one() -> None:
-    example = Path(__file__).parents[1] / "examples" / "own_controller.py"
+    example = ROOT / "examples" / "own_controller.py"
     assert len(example.read_text().splitlines()) < 40
     done = subprocess.run([sys.executable, example], capture_output=True, text=True, timeout=300, check=True)
     rows = {line.split()[0]: [float(n) for n in re.findall(r"\d+[.]\d+", line)] for line in done.stdout.splitlines()}

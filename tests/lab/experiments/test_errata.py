@@ -12,6 +12,7 @@ import pytest
 import sympy as sp
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 from scipy.special import expit
 
 from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
@@ -23,7 +24,7 @@ from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.network import numerical_rank, two_layer_update
 
 HERE = Path(__file__)
-DOCUMENT = HERE.parent.parent / "docs" / "errata.md"
+DOCUMENT = ROOT / "docs" / "errata.md"
 SECONDS = 0.04 if numba.config.DISABLE_JIT else 1.0
 compiled_only = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="slow in plain Python")
 

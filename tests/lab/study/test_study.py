@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 from numba import config
+from places import ROOT
 from study_files import SHORT, numbers, planned, run_here, stored, told, written
 
 from mmnn_pin import Recording, load
@@ -33,7 +34,6 @@ from mmnn_pin.lab.study.worker import Task, loop_of
 from mmnn_pin.loop.batch import simulate
 
 compiled_only = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
-ROOT = Path(__file__).parents[1]
 BASE = ["time.duration=0.04", "windows=[[0.0,0.02],[0.02,0.04]]"]  # what the short study changes
 
 

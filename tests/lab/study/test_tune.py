@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import config
+from places import ROOT
 from study_files import SHORT, planned, run_here, written
 
 from mmnn_pin.cli import main
@@ -23,7 +24,7 @@ from mmnn_pin.lab.study.tuning import NAME
 optuna = pytest.importorskip("optuna")
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
 
-EXAMPLE = Path(__file__).parent.parent / "examples" / "tuning.toml"
+EXAMPLE = ROOT / "examples" / "tuning.toml"
 TUNE = (
     SHORT
     + """

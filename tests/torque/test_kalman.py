@@ -7,12 +7,12 @@ import os
 import re
 import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from places import ROOT
 from robots import fixed_arm, mobile_arm
 from scipy.signal import lfilter
 
@@ -554,7 +554,7 @@ def test_a_poor_motion_is_told_and_harmless(kind):
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_a_rich_motion_brings_the_knowledge_that_is_asked_for(kind, capsys):
     """48 s of an eight with the arm shaken: FVU frozen on three motions that it has not seen, by what it was told."""
-    study = runpy.run_path(str(Path(__file__).parents[1] / "studies" / "learners" / "knowledge.py"))
+    study = runpy.run_path(str(ROOT / "studies" / "learners" / "knowledge.py"))
     study["main"]([f"kalman_{kind}", "only=rich"])
     line = capsys.readouterr().out.splitlines()[0]
     known = [float(found) for found in re.findall(r"(?:eight3|eight2|circle) (\d[.]\d{5})", line)]

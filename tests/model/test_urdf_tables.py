@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import ROOT
 
-URDF = Path(__file__).parents[1] / "urdf"
+URDF = ROOT / "urdf"
 B, R, MC, MW, IC, IW, IM = 0.171, 0.075, 94.0, 5.0, 6.609, 0.010, 0.135  # Table 4.1
 LENGTH, MASS, CENTRE, INERTIA = 0.4, 4.0, 0.2, 0.0533  # Table 4.2, both links
 WHEELS, LINKS = ("wheel_left_joint", "wheel_right_joint"), ("arm_1_joint", "arm_2_joint")

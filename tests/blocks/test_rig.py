@@ -7,13 +7,13 @@ import re
 import shlex
 import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 from msgspec import structs
 from numba import config
+from places import ROOT
 from robots import fixed_arm, mobile_arm
 
 from mmnn_pin import (
@@ -300,7 +300,7 @@ def test_the_exact_sensor_is_the_state():
 
 def test_the_tables_and_commands_of_the_page_load():
     """docs/rig.md: every TOML block fits chapter 4, every `--set` of its commands, too."""
-    page = (Path(__file__).parent.parent / "docs/rig.md").read_text()
+    page = (ROOT / "docs/rig.md").read_text()
     blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
     plain = msgspec.to_builtins(load_experiment("chapter4"))
     for block in blocks:

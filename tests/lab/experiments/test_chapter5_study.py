@@ -2,15 +2,14 @@
 
 import json
 import re
-from pathlib import Path
 
 import numba
 import numpy as np
 import pytest
+from places import ROOT
 
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
-ROOT = Path(__file__).parents[1]
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of eight seconds, uncompiled")
 
 
