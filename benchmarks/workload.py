@@ -109,13 +109,13 @@ def peer_work(duration: float) -> dict[str, Array]:
     loop = thesis_loop(duration, engine="compiled")
     controller, layout = loop.controller, loop.robot.layout
     assert isinstance(controller, Neural) and isinstance(controller.network, TwoLayer) and controller.robust
-    memory, network, nb = controller.init(loop.wiring()), controller.network, layout.base
+    state, network, nb = controller.init(loop.context()), controller.network, layout.base
     run = loop.run()
     position = run.final["position"]
     end = np.concatenate((position[:3], position[loop.robot.arm_index]))
     references = ("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref")
     measured = {"pose": run["pose"], "q": run["q"], "nu": run["nu"], "torque": run["torque"], "end": end}
-    weights = {name: memory[name] for name in ("W1", "V1", "W2", "V2")}
+    weights = {name: state[name] for name in ("W1", "V1", "W2", "V2")}
     robust = np.array([controller.robust.base] * nb + [controller.robust.arm] * layout.arm, float)
     numbers = {
         "period": PERIOD,

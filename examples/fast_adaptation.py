@@ -14,15 +14,15 @@ class PI(TorqueController):
     def __init__(self, k, ki):
         self.k, self.ki = k, ki
 
-    def init(self, wiring):
+    def init(self, context):
         """The integral."""
-        return np.zeros(wiring.layout.dof)
+        return np.zeros(context.layout.dof)
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         """Torque of one control sample; the integral moves on after it, as the network's weights do."""
         s = np.concatenate((command.z, command.r))
-        torque = self.k * s + memory
-        memory += self.ki * s
+        torque = self.k * s + state
+        state += self.ki * s
         return torque
 
 

@@ -13,16 +13,16 @@ class PID(TorqueController):
     def __init__(self, feedback, ki):
         self.feedback, self.ki = feedback, ki
 
-    def init(self, wiring):
+    def init(self, context):
         """Memory of a new run: gains and period of this robot, and the integral."""
-        integral = np.zeros(wiring.layout.dof)
-        return {"k": self.feedback.vector(wiring.layout), "h": wiring.control_period, "integral": integral}
+        integral = np.zeros(context.layout.dof)
+        return {"k": self.feedback.vector(context.layout), "h": context.control_period, "integral": integral}
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         """Torque of one control sample."""
         s = np.concatenate((command.z, command.r))
-        memory["integral"] += memory["h"] * s
-        return memory["k"] * (s + self.ki * memory["integral"])
+        state["integral"] += state["h"] * s
+        return state["k"] * (s + self.ki * state["integral"])
 
 
 robot = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])  # [N s/m, N m s, N m s, N m s]

@@ -6,7 +6,7 @@ mmnn prove runs/track/LeastSquares.h5 --law examples/own_law.py
 
 import numpy as np
 
-from mmnn_pin import LearningLaw, Memory
+from mmnn_pin import ControllerState, LearningLaw
 
 
 class LeastSquares(LearningLaw):
@@ -19,40 +19,40 @@ class LeastSquares(LearningLaw):
     knows_motion = True  # asks for the regressor Y
     learned = ("theta",)  # the weights among the parts of the memory
 
-    def init(self, wiring):
+    def init(self, context):
         """Everything from zero; P, the covariance of theta, as large as the prior says."""
-        n, p, k = wiring.layout.arm, wiring.layout.dof, wiring.regressor.size
-        memory = Memory.of(theta=(k,), P=(k, k), Y=(p, k), torque=(p,), R=(p,), last=(n + p,))
-        memory["P"] = self.prior**2 * np.eye(k)
-        memory["R"] = (self.noise * self.feedback.vector(wiring.layout)) ** 2 / (self.pole * wiring.control_period)
-        return memory
+        n, p, k = context.layout.arm, context.layout.dof, context.regressor.size
+        state = ControllerState.of(theta=(k,), P=(k, k), Y=(p, k), torque=(p,), R=(p,), last=(n + p,))
+        state["P"] = self.prior**2 * np.eye(k)
+        state["R"] = (self.noise * self.feedback.vector(context.layout)) ** 2 / (self.pole * context.control_period)
+        return state
 
-    def features(self, now, memory):
+    def features(self, now, state):
         """What the weights are multiplied with; the monitors look at its excitation."""
         return now.regressor
 
-    def gain(self, memory):
+    def gain(self, state):
         """Gamma of `theta' = Gamma Y' s + ...`: the Lyapunov monitor weighs the error of theta with it."""
-        return memory["P"]
+        return state["P"]
 
-    def estimate(self, now, memory):
+    def estimate(self, now, state):
         """Psi_hat of this sample."""
-        return now.regressor @ memory["theta"]
+        return now.regressor @ state["theta"]
 
-    def learn(self, now, memory):
+    def learn(self, now, state):
         """From the tracking error, then from the torque of the period that has just ended."""
-        theta, P, n = memory["theta"], memory["P"], now.q.size
+        theta, P, n = state["theta"], state["P"], now.q.size
         theta += now.period * P @ (now.regressor.T @ now.s)
-        state, before = np.concatenate((now.q, now.nu)), memory["last"].copy()
-        memory["last"] = state
+        point, before = np.concatenate((now.q, now.nu)), state["last"].copy()
+        state["last"] = point
         if now.first:
             return
-        mean, rate = (state + before) / 2, (state - before) / now.period
+        mean, rate = (point + before) / 2, (point - before) / now.period
         fresh = 1 - np.exp(-self.pole * now.period)
-        memory["Y"] += fresh * (now.regressor_at(mean[:n], mean[n:], mean[n:], rate[n:]) - memory["Y"])
-        memory["torque"] += fresh * (now.sent - memory["torque"])
-        Y, seen = memory["Y"], P @ memory["Y"].T
-        gain = np.linalg.solve(Y @ seen + np.diag(memory["R"]), seen.T).T
-        theta += gain @ (memory["torque"] - Y @ theta)
+        state["Y"] += fresh * (now.regressor_at(mean[:n], mean[n:], mean[n:], rate[n:]) - state["Y"])
+        state["torque"] += fresh * (now.sent - state["torque"])
+        Y, seen = state["Y"], P @ state["Y"].T
+        gain = np.linalg.solve(Y @ seen + np.diag(state["R"]), seen.T).T
+        theta += gain @ (state["torque"] - Y @ theta)
         rest = np.eye(theta.size) - gain @ Y
-        memory["P"] = rest @ P @ rest.T + (gain * memory["R"]) @ gain.T  # Joseph's form: positive in spite of rounding
+        state["P"] = rest @ P @ rest.T + (gain * state["R"]) @ gain.T  # Joseph's form: positive in spite of rounding

@@ -35,7 +35,7 @@ _HOME = {
     "torque.kalman": ("KalmanLearner",),
     "torque.kalman_settings": ("KalmanBilinear", "KalmanFeatures", "KalmanRegressor", "KalmanResidual"),
     "lab.experiments.kalman": ("machine_of",),
-    "torque.controller": ("Feedback", "Memory", "TorqueController", "Wiring"),
+    "torque.controller": ("Context", "Feedback", "ControllerState", "TorqueController"),
     "torque.learning_law": ("LearningLaw",),
     "torque.now": ("Now",),
     "torque.model_based": ("PD", "ComputedTorque", "ScheduledPD"),

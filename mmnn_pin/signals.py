@@ -83,7 +83,7 @@ class Layout:
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
         wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
-        rig: 1 where motors, disturbances or a supervisor are simulated, else 0.
+        hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
     """
 
     base: int
@@ -91,7 +91,7 @@ class Layout:
     full: int
     motors: int
     wheels: int = 0
-    rig: int = 0
+    hardware: int = 0
 
     @property
     def pose(self) -> int:
@@ -108,7 +108,7 @@ class Layout:
         """Start of every signal in the order of `SIGNALS`, and the width of the row, shape (len(SIGNALS) + 1,)."""
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
-        size |= {"rig": self.rig, "rig motor": self.rig * self.motors, "rig all": self.rig * self.dof}
+        size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
         return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
 
     @property

@@ -12,7 +12,7 @@ from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
 from mmnn_pin.lab.proof.motion_samples import Along
 from mmnn_pin.lab.proof.networks import Networks
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.torque.controller import Wiring
+from mmnn_pin.torque.controller import Context
 
 PERIOD = 2e-4
 DIAGONAL = np.array([115.0, 9.9, 1.7, 0.21])  # of the mass matrix, about
@@ -58,14 +58,14 @@ def learner_loop(
     layout = robot.layout
     table = TRAJECTORY.table(np.arange(600) * 0.01, layout)
     pose, v, a, q, qdot, qddot = np.split(table, np.cumsum([3, 2, 2, 2, 2]), axis=1)
-    wiring = Wiring(layout, period, 10, np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0]))
-    memory = control.init(wiring)
+    context = Context(layout, period, 10, np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0]))
+    state = control.init(context)
     return CertifiedLoop(
         robot=robot,
         kinematic=kinematic(K),
         along=Along(v, a, q, qdot, qddot, pose),
         period=period,
         gain=control.feedback.vector(layout),
-        learner=Networks(control, wiring, memory, memory.snapshot(), 0.0, robot),
+        learner=Networks(control, context, state, state.snapshot(), 0.0, robot),
         disturbance=np.zeros(layout.dof) if disturbance is None else disturbance,
     )

@@ -39,12 +39,12 @@ def assert_it_resumes(whole, half):
     """A run to the end against one that stops at `half` seconds and goes on from its memory."""
     first = replace(whole, timing=msgspec.structs.replace(whole.timing, duration=half))
     straight, begun = whole.run(), first.run()
-    memory = first.controller.init(first.wiring())
-    memory.values[:] = begun.final["memory"]
+    state = first.controller.init(first.context())
+    state.values[:] = begun.final["memory"]
     resumed = whole.run(
-        memory=memory,
-        state=(begun.final["position"], begun.final["nu"]),
-        rig_memory=begun.final["rig_memory"] if begun.final["rig_memory"].size else None,
+        state=state,
+        plant_state=(begun.final["position"], begun.final["nu"]),
+        hardware_state=begun.final["rig_memory"] if begun.final["rig_memory"].size else None,
         first=round(half / whole.timing.control_period),
     )
     np.testing.assert_array_equal(resumed.final["memory"], straight.final["memory"])

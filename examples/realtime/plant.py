@@ -45,7 +45,7 @@ class Motors(TorqueController):
         self.take(kind, 0.0)
         self.start = clock.monotonic()
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         """Torque of one sample."""
         clock.sleep(max(0.0, self.start + time - clock.monotonic()))
         m = measurement

@@ -37,11 +37,11 @@ def warn(text: str) -> None:
     click.echo(f"warning: {text}", err=True)
 
 
-def compile_if_cold(rig: bool = False) -> None:
+def compile_if_cold(hardware: bool = False) -> None:
     """Compile what a run needs, unless that was done, and tell so on standard error.
 
     Args:
-        rig: Whether the run has sensors, motors, a supervisor or disturbances, for which the loop is compiled again.
+        hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
     """
     from ..compiled import cache_folder, is_warm
 
@@ -51,7 +51,7 @@ def compile_if_cold(rig: bool = False) -> None:
 
         precompile()
     folder = cache_folder()
-    if rig and folder is not None and not (told := folder / "told of the rig").exists():
+    if hardware and folder is not None and not (told := folder / "told of the rig").exists():
         parts = "sensors, motors, a supervisor or disturbances"
         click.echo(f"first run with {parts}: their part of the loop is compiled, about half a minute more", err=True)
         told.touch()

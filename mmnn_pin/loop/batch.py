@@ -18,8 +18,8 @@ from ..recording.metrics import Reducer, Windows
 from ..recording.recorder import Recorder, known
 from ..recording.recording import Outcome, Recording
 from ..signals import Array
+from .controller_state import told_with
 from .loop import Loop
-from .memory import told_with
 
 
 @dataclass(frozen=True)
@@ -115,20 +115,20 @@ def simulate_many(
 
 
 def simulate(
-    loop: Loop, memory: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
+    loop: Loop, state: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
 ) -> Run:
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
     if keep is not True:
         loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
-    engine, layout = loop.engine_at(memory), loop.robot.layout
+    engine, layout = loop.engine_at(state), loop.robot.layout
     facts = loop.facts() | {"loop": engine.name}
     reducer = Reducer.of(layout, facts, windows)
     if keep is False:
-        outcome = told_with(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.memory)
+        outcome = told_with(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.state)
         return Run(outcome, reducer.result(), loop.final(engine))
     with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
         outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
-        outcome = told_with(outcome, loop.controller, engine.memory)
+        outcome = told_with(outcome, loop.controller, engine.state)
         recording = recorder.finish(outcome, loop.final(engine))
     return Run(outcome, reducer.result(), loop.final(engine), recording)
 
@@ -156,10 +156,10 @@ def require_fit(loops: Sequence[Loop], memories: Sequence[Any]) -> None:
     Raises:
         ConfigError: With the place of the memory.
     """
-    for i, (loop, memory) in enumerate(zip(loops, memories, strict=True)):
-        if memory is not None:
+    for i, (loop, state) in enumerate(zip(loops, memories, strict=True)):
+        if state is not None:
             try:
-                loop.memory_from(memory)
+                loop.state_from(state)
             except ConfigError as error:
                 error.key = f"memories[{i}]"
                 raise
@@ -182,7 +182,7 @@ def kept_numbers(loop: Loop, keep: bool | Collection[str]) -> int:
 
 def recorded_weights(loop: Loop) -> int:
     """Number of weights that a recording of a run holds, over all its snapshots."""
-    weights = loop.controller.weights(loop.controller.init(loop.wiring()))
+    weights = loop.controller.weights(loop.controller.init(loop.context()))
     return (2 + int(loop.timing.duration / loop.weights_interval)) * sum(np.size(array) for array in weights.values())
 
 

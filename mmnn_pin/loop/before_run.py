@@ -51,7 +51,7 @@ def require_nominal(loop: Loop) -> None:
         ConfigError: It has another base or other joints.
     """
     own = loop.robot.layout
-    believed = replace(loop.believed.layout, wheels=own.wheels, rig=own.rig)
+    believed = replace(loop.believed.layout, wheels=own.wheels, hardware=own.hardware)
     if believed != own:
         raise ConfigError(
             f"the nominal robot has {believed}, the robot {own}",

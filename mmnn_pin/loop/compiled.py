@@ -18,7 +18,7 @@ from ..signals import Array
 from ..torque.controller import CompiledController
 from ..torque.learners import learners_of
 from .compiled_steps import Blocks, Plan, advance
-from .hardware import new_rig
+from .hardware import new_hardware
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -34,12 +34,12 @@ class CompiledLoop:
     name = "compiled"
 
     def __init__(
-        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, rig_memory: Array | None, block: int
+        self, loop: Loop, table: Array, position: Array, nu: Array, state: Any, hardware_state: Array | None, block: int
     ) -> None:
         assert isinstance(loop.controller, CompiledController)
         robot, layout, timing = loop.robot, loop.robot.layout, loop.timing
         self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
-        self.counter, self.memory = np.zeros(1, np.int64), memory
+        self.counter, self.state = np.zeros(1, np.int64), state
         self.y = np.concatenate((position, nu, [0.0]))
         self.body = body_of(robot)
         self.work = new_work(self.body)
@@ -48,10 +48,10 @@ class CompiledLoop:
         self.nominal = body_of(nominal) if uses_model else self.body
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
-        wiring = loop.wiring()
-        numbers = loop.controller.law(wiring)
-        self.learners, self.limits = learners_of(numbers), wiring.limits
-        self.rig, loaded = new_rig(loop, nu, memory, rig_memory), loop.loaded()
+        context = loop.context()
+        numbers = loop.controller.law(context)
+        self.learners, self.limits = learners_of(numbers), context.limits
+        self.hardware, loaded = new_hardware(loop, nu, state, hardware_state), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
             at=layout.offsets,
@@ -75,15 +75,15 @@ class CompiledLoop:
         )
 
     @property
-    def rig_memory(self) -> Array:
+    def hardware_state(self) -> Array:
         """What sensors, motors and supervisor remember."""
-        return np.zeros(0) if self.rig is None else self.rig.memory
+        return np.zeros(0) if self.hardware is None else self.hardware.state
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`."""
         return advance(
-            first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.memory.values, self.body,
-            self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.rig,
+            first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.state.values, self.body,
+            self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.hardware,
             self.learners, self.limits,
         )  # fmt: skip
 

@@ -16,7 +16,7 @@ from ..signals import INDEX, Array, IntArray
 from ..torque import law
 from ..torque.learners import Learners, estimate, settle
 from ..torque.motor_limits import MotorLimits
-from .hardware import Rig, act, is_stopped, note, rotate, send, sense
+from .hardware import Hardware, act, is_stopped, note, rotate, send, sense
 from .sample import after_torque, before_torque
 
 NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi", "psi_hat", "torque"))
@@ -58,7 +58,7 @@ def advance(
     row: Array,
     blocks: Blocks,
     plan: Plan,
-    memory: Array,
+    state: Array,
     body: Body,
     loaded: Body,
     work: Work,
@@ -66,7 +66,7 @@ def advance(
     nominal_work: Work,
     nominal_y: Array,
     y: Array,
-    rig: Rig | None,
+    hardware: Hardware | None,
     learners: Learners | None,
     limits: MotorLimits | None,
 ) -> int:
@@ -82,15 +82,15 @@ def advance(
     tau, start_energy = row[at[TORQUE] : at[TORQUE + 1]], plan.start_energy
     for k in range(first, last):
         now, asked = k * plan.steps % plan.per_measurement == 0, True
-        if rig is not None:
-            if k * plan.h + EARLY >= rig.pick:
-                if rig.shift[1] == 0.0:
+        if hardware is not None:
+            if k * plan.h + EARLY >= hardware.pick:
+                if hardware.shift[1] == 0.0:
                     before = energy_of(body, work, position, nu)
-                    rig.shift[0], rig.shift[1] = energy_of(loaded, work, position, nu) - before, 1.0
-                body, start_energy = loaded, plan.start_energy + rig.shift[0]
+                    hardware.shift[0], hardware.shift[1] = energy_of(loaded, work, position, nu) - before, 1.0
+                body, start_energy = loaded, plan.start_energy + hardware.shift[0]
             if now:
-                sense(k * plan.steps // plan.per_measurement, k * plan.h, row, at, position, nu, body.arm, rig)
-            now, asked = False, not is_stopped(rig)
+                sense(k * plan.steps // plan.per_measurement, k * plan.h, row, at, position, nu, body.arm, hardware)
+            now, asked = False, not is_stopped(hardware)
         before_torque(row, at, k * plan.h, y, blocks.table[k], now, body.arm, blocks.gains, blocks.K)
         if asked and plan.uses_model:
             as_measured(
@@ -102,13 +102,13 @@ def advance(
             for i in range(p):
                 psi_hat[i] += nominal_work.F[i]
         if learners is not None and asked:
-            estimate(row, at, learners, memory)
+            estimate(row, at, learners, state)
         if asked:
-            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, memory, limits)
-        if rig is not None:
-            send(k, k * plan.h, row, at, memory, rig)
+            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, state, limits)
+        if hardware is not None:
+            send(k, k * plan.h, row, at, state, hardware)
         if learners is not None and asked:
-            settle(row, at, learners, memory)
+            settle(row, at, learners, state)
         evaluate(body, work, position, nu)
         psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
         for i in range(p):
@@ -123,15 +123,15 @@ def advance(
         for i in range(plan.steps):
             n = k * plan.steps + i
             if i > 0 and n % plan.per_measurement == 0:
-                if rig is not None:
-                    sense(n // plan.per_measurement, n * plan.dt, row, at, position, nu, body.arm, rig)
+                if hardware is not None:
+                    sense(n // plan.per_measurement, n * plan.dt, row, at, position, nu, body.arm, hardware)
                 else:
                     exact(row, at, position, nu, body.arm)
-            if rig is not None:
-                rotate(nu, rig)
-                act(k, n * plan.dt, plan.dt, row, at, rig)
-                mark(n * plan.dt, rig.blocked, work.hold, BRAKE)
-                tau = rig.tau
+            if hardware is not None:
+                rotate(nu, hardware)
+                act(k, n * plan.dt, plan.dt, row, at, hardware)
+                mark(n * plan.dt, hardware.blocked, work.hold, BRAKE)
+                tau = hardware.tau
             if plan.method != RK4:
                 if i > 0:
                     evaluate(body, work, position, nu)
@@ -147,8 +147,8 @@ def advance(
                 derivative(work.trial, work.v, work.M, work.h, work.F, tau, body.base, work.L, work.rest, work.ydot)
                 rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
             copy_to(work.trial, y)
-        if rig is not None:
-            note(plan.steps, rows[k - first], at, rig)
-            if rig.supervised and has_ended(k * plan.h, rig.limits, rig.guard):
+        if hardware is not None:
+            note(plan.steps, rows[k - first], at, hardware)
+            if hardware.supervised and has_ended(k * plan.h, hardware.limits, hardware.guard):
                 return TRIPPED
     return -1

@@ -15,13 +15,13 @@ from ..model.regressor import Regressor
 from ..model.robot import Robot
 from ..signals import Array, Measurement, Reference, VelocityCommand
 from ..torque import law
-from ..torque.controller import CompiledController, Memory, TorqueController, Wiring
+from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.learners import Learners, estimate, learners_of, settle
 from ..torque.learning_law import LearningLaw, norms
 from ..torque.motor_limits import limit, motor_limits
 from ..torque.now import Now
 from ..torque.origin import blamed
-from .hardware import Rig, is_stopped, send
+from .hardware import Hardware, is_stopped, send
 from .sample import before_torque
 
 if TYPE_CHECKING:
@@ -30,14 +30,14 @@ if TYPE_CHECKING:
 REGRESSORS: WeakKeyDictionary[Robot, Regressor] = WeakKeyDictionary()
 
 
-def wiring_of(
+def context_of(
     controller: CompiledController | TorqueController,
     robot: Robot,
     period: float,
     samples: int,
     rng: Generator,
     within_limits: bool | None = None,
-) -> Wiring:
+) -> Context:
     """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
 
     Args:
@@ -51,7 +51,7 @@ def wiring_of(
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
-    return Wiring(robot.layout, period, samples, rng, regressor_of(robot) if told else None, limits)
+    return Context(robot.layout, period, samples, rng, regressor_of(robot) if told else None, limits)
 
 
 def regressor_of(robot: Robot) -> Regressor:
@@ -71,16 +71,16 @@ class Control:
     Args:
         loop: The closed loop.
         row: The row that they read and write.
-        memory: The controller's memory.
-        rig: With the supervisor, or None.
+        state: The controller's memory.
+        hardware: With the supervisor, or None.
     """
 
-    def __init__(self, loop: Loop, row: Array, memory: Any, rig: Rig | None) -> None:
+    def __init__(self, loop: Loop, row: Array, state: Any, hardware: Hardware | None) -> None:
         layout = loop.robot.layout
-        self.row, self.at, self.rig, self.arm = row, layout.offsets, rig, loop.robot.arm_index
-        self.torque = Torque(loop.controller, loop.wiring(), row, loop.believed, memory)
+        self.row, self.at, self.hardware, self.arm = row, layout.offsets, hardware, loop.robot.arm_index
+        self.torque = Torque(loop.controller, loop.context(), row, loop.believed, state)
         self.gains, self.K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
-        self.weights = memory.values if isinstance(memory, Memory) else np.zeros(0)
+        self.weights = state.values if isinstance(state, ControllerState) else np.zeros(0)
 
     def step(self, k: int, time: float, y: Array, reference: Array, measure_exactly: bool) -> None:
         """Write everything of control sample k up to the torque into the row.
@@ -93,11 +93,11 @@ class Control:
             measure_exactly: Measure that state, else the row already has the measurement.
         """
         before_torque(self.row, self.at, time, y, reference, measure_exactly, self.arm, self.gains, self.K)
-        asked = self.rig is None or not is_stopped(self.rig)
+        asked = self.hardware is None or not is_stopped(self.hardware)
         if asked:
             self.torque.step(time)
-        if self.rig is not None:
-            send(k, time, self.row, self.at, self.weights, self.rig)
+        if self.hardware is not None:
+            send(k, time, self.row, self.at, self.weights, self.hardware)
             if asked:
                 self.torque.keep()
 
@@ -107,23 +107,23 @@ class Torque:
 
     Args:
         controller: The controller.
-        wiring: What it is told before the run.
+        context: What it is told before the run.
         row: The row it reads and writes.
         nominal: The robot that a controller believes in which uses a model and brings none.
-        memory: Its memory.
+        state: Its memory.
     """
 
     def __init__(
         self,
         controller: TorqueController | CompiledController,
-        wiring: Wiring,
+        context: Context,
         row: Array,
         nominal: Robot,
-        memory: Any,
+        state: Any,
     ) -> None:
-        layout = wiring.layout
-        self.controller, self.memory, self.row, self.at = controller, memory, row, layout.offsets
-        self.limits = wiring.limits
+        layout = context.layout
+        self.controller, self.state, self.row, self.at = controller, state, row, layout.offsets
+        self.limits = context.limits
         self.reference, self.measurement = Reference.of(row, layout), Measurement.of(row, layout)
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
@@ -132,9 +132,9 @@ class Torque:
         self.learners: Learners | None = None
         self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, LearningLaw):
-            self.layout, self.now, self.K = layout, Now.of(row, wiring), controller.feedback_gain(layout)
+            self.layout, self.now, self.K = layout, Now.of(row, context), controller.feedback_gain(layout)
         if isinstance(controller, CompiledController):
-            self.law = controller.law(wiring)
+            self.law = controller.law(context)
             self.learners = learners_of(self.law)
             if controller.uses_model:
                 believed: Robot = controller.model or nominal
@@ -157,26 +157,26 @@ class Torque:
         if self.model is not None:
             self._model_psi(self.model)
         if self.learners is not None:
-            estimate(self.row, self.at, self.learners, self.memory.values)
-        law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.memory.values, self.limits)
+            estimate(self.row, self.at, self.learners, self.state.values)
+        law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.state.values, self.limits)
         self.keep()
 
     def keep(self) -> None:
         """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
         if self.learners is not None:
-            settle(self.row, self.at, self.learners, self.memory.values)
+            settle(self.row, self.at, self.learners, self.state.values)
 
     def features(self) -> Array | None:
         """What the weights were multiplied with at the last step, (rows, k) or (k,); None where it is not told."""
         if isinstance(self.controller, LearningLaw):
-            return self.controller.features(self.now, self.memory)
+            return self.controller.features(self.now, self.state)
         if isinstance(self.controller, CompiledController):
-            return self.controller.features(self.law, self.memory)
+            return self.controller.features(self.law, self.state)
         return None
 
     def _python(self, time: float, controller: TorqueController) -> None:
         """Torque of a controller in plain Python, and its Psi_hat if it tells one."""
-        answer = controller.step(time, self.reference, self.measurement, self.command, self.memory)
+        answer = controller.step(time, self.reference, self.measurement, self.command, self.state)
         torque, psi_hat = answer if isinstance(answer, tuple) and len(answer) == 2 else (answer, None)
         self.torque[:] = self._of_shape("torque", torque)
         if psi_hat is not None:
@@ -187,12 +187,12 @@ class Torque:
     def _learning_law(self, time: float, controller: LearningLaw) -> None:
         """`tau = K s + Psi_hat` of a law in plain Python, and what it learns."""
         self.now.refresh(time)
-        self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.now, self.memory))
+        self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.now, self.state))
         self.gain[:] = self.K
-        self.weight_norm[:] = norms(controller.weights(self.memory), self.layout)
+        self.weight_norm[:] = norms(controller.weights(self.state), self.layout)
         self._answer(self.K * self.now.s)
         if controller.learning:
-            controller.learn(self.now, self.memory)
+            controller.learn(self.now, self.state)
 
     def _answer(self, feedback: Array) -> None:
         """The torque: a feedback (p,) and Psi_hat, this within the motors' limits where it is to be."""

@@ -24,13 +24,13 @@ from ..safety import HAS_TRIPPED, accept, has_ended, remarks, trip_of
 from ..safety.supervisor import GOOD, HEARD
 from ..sensing import Sensor
 from ..signals import SIGNALS, Array, Measurement
-from ..torque.controller import CompiledController, Memory
+from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
 from .before_run import require_nominal, require_stable_gains
 from .control import Control
-from .hardware import new_rig
+from .controller_state import told_with
+from .hardware import new_hardware
 from .loop import Loop
-from .memory import told_with
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -59,7 +59,7 @@ class Cycle:
         path: File for the recording; None keeps it in memory.
         force: Replace an existing file.
         meta: More facts for the recording.
-        memory: A controller's memory to start from (it is copied); None for a new one.
+        state: A controller's memory to start from (it is copied); None for a new one.
 
     Attributes:
         samples: How many control samples the reference has.
@@ -67,7 +67,7 @@ class Cycle:
         torque: (p,) generalized torque of the last sample [N, N m for the base; N m or N for the arm].
         motor_torque: (motors,) the same at the motors [N m or N].
         row: (width,) all signals of the last sample; those of `UNKNOWN` mean nothing.
-        memory: The controller's memory.
+        state: The controller's memory.
         step_time: Wall-clock time that the last step took [s].
 
     Raises:
@@ -83,7 +83,7 @@ class Cycle:
         *,
         force: bool = False,
         meta: Mapping[str, Any] | None = None,
-        memory: Any = None,
+        state: Any = None,
     ) -> None:
         if loop.safety is None:
             why, fix = "the motors are real: something must stand before them", "give the loop safety=Safety()"
@@ -92,12 +92,12 @@ class Cycle:
         require_stable_gains(self.loop)
         require_nominal(self.loop)
         layout, timing = self.loop.robot.layout, self.loop.timing
-        self.table, self.memory = self.loop.table(), self.loop.memory_from(memory)
+        self.table, self.state = self.loop.table(), self.loop.state_from(state)
         self.samples, self.period = timing.samples, timing.control_period
-        rig = new_rig(self.loop, np.zeros(layout.dof), self.memory)
-        assert rig is not None
-        self.rig, self.row, self.at = rig, layout.new_row(), layout.offsets
-        self.control = Control(self.loop, self.row, self.memory, self.rig)
+        hardware = new_hardware(self.loop, np.zeros(layout.dof), self.state)
+        assert hardware is not None
+        self.hardware, self.row, self.at = hardware, layout.new_row(), layout.offsets
+        self.control = Control(self.loop, self.row, self.state, self.hardware)
         self.torque, self.motor_torque = self.row[layout.where("torque")], self.row[layout.where("motor_torque")]
         self.received = self.row[layout.where("pose").start : layout.where("qdot").stop]
         self.measured = Measurement.of(self.row, layout)
@@ -131,7 +131,7 @@ class Cycle:
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
         self.control.step(k, time, self.nothing, self.table[k], False)
-        self.motor_torque[:] = self.rig.command
+        self.motor_torque[:] = self.hardware.command
         self.time, self.k = time, k
         self.step_time = perf_counter() - began
         return self.torque
@@ -149,12 +149,12 @@ class Cycle:
     @property
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the run."""
-        return bool(self.rig.guard[HAS_TRIPPED])
+        return bool(self.hardware.guard[HAS_TRIPPED])
 
     @property
     def is_over(self) -> bool:
         """Whether the supervisor has stopped the run and shown its stop for `safety.stop_time`."""
-        return bool(has_ended(self.time, self.rig.limits, self.rig.guard))
+        return bool(has_ended(self.time, self.hardware.limits, self.hardware.guard))
 
     def finish(
         self, status: Status = "completed", message: str = "", extra: Mapping[str, ArrayLike] | None = None
@@ -171,14 +171,14 @@ class Cycle:
         """
         outcome = Outcome(status, (self.k + 1) * self.period)
         if self.tripped:
-            outcome = Outcome("tripped", *trip_of(self.rig.guard, self.loop.robot))
-        found = remarks(self.rig.guard, self.loop.robot, outcome.status)
+            outcome = Outcome("tripped", *trip_of(self.hardware.guard, self.loop.robot))
+        found = remarks(self.hardware.guard, self.loop.robot, outcome.status)
         outcome = replace(outcome, message="; ".join(text for text in (outcome.message, *found, message) if text))
         if self.weighed < self.k + 1:
             self._weigh(self.k + 1)
-        final = {"rig_memory": self.rig.memory, **(extra or {})}
-        final |= {"memory": self.memory.values} if isinstance(self.memory, Memory) else {}
-        return self.recorder.finish(told_with(outcome, self.loop.controller, self.memory), final)
+        final = {"rig_memory": self.hardware.state, **(extra or {})}
+        final |= {"memory": self.state.values} if isinstance(self.state, ControllerState) else {}
+        return self.recorder.finish(told_with(outcome, self.loop.controller, self.state), final)
 
     def __enter__(self) -> Cycle:
         return self
@@ -198,7 +198,7 @@ class Cycle:
 
     def _take(self, measurement: Measurement, time: float, measured: float) -> None:
         """Put a measurement into the row and before the supervisor."""
-        old = self.rig.guard[GOOD] > 0.0 and measured < self.rig.guard[HEARD]
+        old = self.hardware.guard[GOOD] > 0.0 and measured < self.hardware.guard[HEARD]
         if old:
             return
         for name in MEASURED:
@@ -211,19 +211,19 @@ class Cycle:
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
-        accept(self.row, self.at, when, when, True, self.rig.guard)
+        accept(self.row, self.at, when, when, True, self.hardware.guard)
 
     def _weigh(self, k: int) -> None:
         """Record the weights as they are before control sample k."""
         self.weighed = k
-        if weights := self.loop.controller.weights(self.memory):
+        if weights := self.loop.controller.weights(self.state):
             self.recorder.weights(k * self.period, weights)
 
     def _rehearse(self) -> None:
         """Compile all that a step calls, and forget it."""
-        kept = self.rig.memory.copy(), self.control.weights.copy()
-        accept(self.row, self.at, 0.0, 0.0, True, self.rig.guard)
+        kept = self.hardware.state.copy(), self.control.weights.copy()
+        accept(self.row, self.at, 0.0, 0.0, True, self.hardware.guard)
         if isinstance(self.loop.controller, CompiledController | LearningLaw):
             self.control.step(0, 0.0, self.nothing, self.table[0], False)
-        has_ended(0.0, self.rig.limits, self.rig.guard)
-        self.rig.memory[:], self.control.weights[:], self.row[:] = *kept, 0.0
+        has_ended(0.0, self.hardware.limits, self.hardware.guard)
+        self.hardware.state[:], self.control.weights[:], self.row[:] = *kept, 0.0

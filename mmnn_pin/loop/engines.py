@@ -21,7 +21,7 @@ BLOCK = 250  # most samples that an engine hands over at a time
 
 
 def new_engine(
-    loop: Loop, table: Array, position: Array, nu: Array, memory: Any, rig_memory: Array | None = None
+    loop: Loop, table: Array, position: Array, nu: Array, state: Any, hardware_state: Array | None = None
 ) -> Engine:
     """The engine that a loop asks for; arguments as in `OrdinaryLoop`.
 
@@ -30,7 +30,7 @@ def new_engine(
         RobotError: It is asked for and the robot cannot be flattened.
     """
     block = max(1, min(BLOCK, round(loop.weights_interval / loop.timing.control_period)))
-    arguments = (loop, table, position, nu, memory, rig_memory, block)
+    arguments = (loop, table, position, nu, state, hardware_state, block)
     if loop.engine == "compiled":
         require_compilable(loop)
         return CompiledLoop(*arguments)

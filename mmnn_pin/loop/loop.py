@@ -30,12 +30,12 @@ from ..sensing import Sensor
 from ..settings import plain
 from ..signals import Array, Layout
 from ..timing import Timing
-from ..torque.controller import CompiledController, Memory, TorqueController, Wiring
+from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.origin import origin_of
 from .before_run import require_first, require_nominal, require_stable_gains
-from .control import wiring_of
+from .control import context_of
+from .controller_state import state_from, told_with
 from .engines import Engine, new_engine
-from .memory import memory_from, told_with
 from .ordinary import OrdinaryLoop
 from .start import Bounds, Start
 from .streaming import Sink, run_to_end, with_remarks
@@ -95,11 +95,13 @@ class Loop:
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
-        rig = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances))
+        hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances))
         for name in ("robot", "nominal"):
             robot = getattr(self, name)
-            if robot is not None and (robot.layout.wheels, robot.layout.rig) != (wheels, rig):
-                object.__setattr__(self, name, replace(robot, layout=replace(robot.layout, wheels=wheels, rig=rig)))
+            if robot is not None and (robot.layout.wheels, robot.layout.hardware) != (wheels, hardware):
+                object.__setattr__(
+                    self, name, replace(robot, layout=replace(robot.layout, wheels=wheels, hardware=hardware))
+                )
 
     @one_thread
     def run(
@@ -108,9 +110,9 @@ class Loop:
         *,
         force: bool = False,
         meta: Mapping[str, Any] | None = None,
-        memory: Any = None,
-        state: tuple[Array, Array] | None = None,
-        rig_memory: Array | None = None,
+        state: Any = None,
+        plant_state: tuple[Array, Array] | None = None,
+        hardware_state: Array | None = None,
         first: int = 0,
         progress: Callable[[float], None] | None = None,
     ) -> Recording:
@@ -120,9 +122,9 @@ class Loop:
             path: File for the recording; None keeps it in memory.
             force: Replace an existing file.
             meta: More facts for the recording.
-            memory: A controller's memory to start from (it is copied); None for a new one.
-            state: Position (nv,) and nu (p,) to start from instead of `start`.
-            rig_memory: What sensors, motors and supervisor remember (it is copied); None for a new one.
+            state: A controller's memory to start from (it is copied); None for a new one.
+            plant_state: Position (nv,) and nu (p,) to start from instead of `start`.
+            hardware_state: What sensors, motors and supervisor remember (it is copied); None for a new one.
             first: Control sample to start at, one with a measurement; with the memories and state of an earlier run at
                 that sample, the run resumes.
             progress: Called now and then with the simulated time [s].
@@ -134,18 +136,18 @@ class Loop:
             RecordingError: The recording cannot be written.
         """
         require_stable_gains(self)
-        engine = self.engine_at(memory, state, first, rig_memory)
+        engine = self.engine_at(state, plant_state, first, hardware_state)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
         with Recorder(self.robot.layout, facts, path, force) as recorder:
             outcome = self.stream(engine, recorder, first=first, progress=progress)
-            return recorder.finish(told_with(outcome, self.controller, engine.memory), self.final(engine))
+            return recorder.finish(told_with(outcome, self.controller, engine.state), self.final(engine))
 
     def engine_at(
         self,
-        memory: Any = None,
-        state: tuple[Array, Array] | None = None,
+        state: Any = None,
+        plant_state: tuple[Array, Array] | None = None,
         first: int = 0,
-        rig_memory: Array | None = None,
+        hardware_state: Array | None = None,
     ) -> Engine:
         """The engine that steps this loop, at its start; arguments as in `run`.
 
@@ -158,10 +160,10 @@ class Loop:
         """
         require_first(self.timing, first)
         require_nominal(self)
-        table, layout, memory = self.table(), self.robot.layout, self.memory_from(memory)
-        position, nu = self.start.state(self.robot, table[first]) if state is None else state
+        table, layout, state = self.table(), self.robot.layout, self.state_from(state)
+        position, nu = self.start.state(self.robot, table[first]) if plant_state is None else plant_state
         position, nu = given_array("state", position, (layout.full,)), given_array("state", nu, (layout.dof,))
-        return new_engine(self, table, position, nu, memory, rig_memory)
+        return new_engine(self, table, position, nu, state, hardware_state)
 
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a memory that is dropped: what fails, fails now.
@@ -171,21 +173,21 @@ class Loop:
         """
         engine = self.engine_at()
         assert isinstance(engine, OrdinaryLoop)
-        engine.control.rig = None
+        engine.control.hardware = None
         for k in range(min(2, self.timing.samples)):
             engine.control.step(k, k * self.timing.control_period, engine.plant.y, engine.table[k], True)
 
     def final(self, engine: Engine) -> dict[str, Array]:
         """Position, nu, the rig's and the controller's memory where an engine stands."""
         nv, p = self.robot.layout.full, self.robot.layout.dof
-        state = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p], "rig_memory": engine.rig_memory}
-        return state | ({"memory": engine.memory.values} if isinstance(engine.memory, Memory) else {})
+        final = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p], "rig_memory": engine.hardware_state}
+        return final | ({"memory": engine.state.values} if isinstance(engine.state, ControllerState) else {})
 
-    def wiring(self) -> Wiring:
+    def context(self) -> Context:
         """What the controller is told before the run."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
         period, samples = self.timing.control_period, self.timing.samples
-        return wiring_of(self.controller, self.robot, period, samples, rng, self.within_limits)
+        return context_of(self.controller, self.robot, period, samples, rng, self.within_limits)
 
     def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
         """Random generators of the sensors and of the disturbances, split from the run's seed."""
@@ -223,15 +225,15 @@ class Loop:
         """What a recording should know of this run."""
         own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
         own |= {"kinematic": plain(self.kinematic), "time": plain(self.timing)}
-        own |= {"controller_settings": self.controller.facts(), "within_limits": self.wiring().limits is not None}
+        own |= {"controller_settings": self.controller.facts(), "within_limits": self.context().limits is not None}
         own |= {"law": origin_of(type(self.controller))} if isinstance(self.controller, TorqueController) else {}
         believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
-        rig = {} if self.sensor.exact else {"sensor": plain(self.sensor)}
-        rig |= {} if self.actuator.perfect else {"actuator": plain(self.actuator)}
-        rig |= {} if self.safety is None else {"safety": plain(self.safety)}
-        rig |= {"disturbances": plain(self.disturbances)} if self.disturbances else {}
+        hardware = {} if self.sensor.exact else {"sensor": plain(self.sensor)}
+        hardware |= {} if self.actuator.perfect else {"actuator": plain(self.actuator)}
+        hardware |= {} if self.safety is None else {"safety": plain(self.safety)}
+        hardware |= {"disturbances": plain(self.disturbances)} if self.disturbances else {}
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
-        return self.robot.facts() | own | believed | rig | {"plant": self.plant} | floor
+        return self.robot.facts() | own | believed | hardware | {"plant": self.plant} | floor
 
     @property
     def believed(self) -> Robot:
@@ -239,13 +241,13 @@ class Loop:
         own: Robot | None = self.controller.model if isinstance(self.controller, CompiledController) else None
         return own or self.nominal or self.robot
 
-    def memory_from(self, given: Any = None) -> Any:
+    def state_from(self, given: Any = None) -> Any:
         """A copy of a controller's memory that fits this loop; a new one for None.
 
         Raises:
             ConfigError: It is of another controller or of other settings, or not finite.
         """
-        return memory_from(self.controller, self.wiring(), given)
+        return state_from(self.controller, self.context(), given)
 
     def stream(
         self,

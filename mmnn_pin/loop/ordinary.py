@@ -14,7 +14,7 @@ from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import Array
 from .control import Control
-from .hardware import Rig, act, new_rig, note, sense
+from .hardware import Hardware, act, new_hardware, note, sense
 from .sample import after_torque
 
 if TYPE_CHECKING:
@@ -31,8 +31,8 @@ class OrdinaryLoop:
         table: Reference at every control sample.
         position: Where to start, (nv,).
         nu: With which velocity, (p,).
-        memory: The controller's memory.
-        rig_memory: The memory of sensors, motors and supervisor; None for a new one.
+        state: The controller's memory.
+        hardware_state: The memory of sensors, motors and supervisor; None for a new one.
         block: Samples handed over at a time.
 
     Attributes:
@@ -46,32 +46,32 @@ class OrdinaryLoop:
     name = "ordinary"
 
     def __init__(
-        self, loop: Loop, table: Array, position: Array, nu: Array, memory: Any, rig_memory: Array | None, block: int
+        self, loop: Loop, table: Array, position: Array, nu: Array, state: Any, hardware_state: Array | None, block: int
     ) -> None:
         layout = loop.robot.layout
         self.loop, self.table, self.at = loop, table, layout.offsets
         self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
         self.counter = np.zeros(1, np.int64)
-        self.memory = memory
+        self.state = state
         self.plant = plant_of(loop)
         self.plant.start(position, nu)
         self.y, self.loaded = self.plant.y, loop.loaded()
-        self.rig = new_rig(loop, nu, memory, rig_memory)
-        self.control = Control(loop, self.row, memory, self.rig)
+        self.hardware = new_hardware(loop, nu, state, hardware_state)
+        self.control = Control(loop, self.row, state, self.hardware)
         self.bounds, self.E_inv = loop.bounds.vector(layout), np.ascontiguousarray(np.linalg.pinv(loop.robot.E))
         self.start_energy = self.energy()
         names = ("torque", "nu_ref", "nudot_ref", "psi")
         self.tau, self.nu_ref, self.nudot_ref, self.psi = (self.row[layout.where(name)] for name in names)
 
     @property
-    def rig_memory(self) -> Array:
+    def hardware_state(self) -> Array:
         """What sensors, motors and supervisor remember."""
-        return np.zeros(0) if self.rig is None else self.rig.memory
+        return np.zeros(0) if self.hardware is None else self.hardware.state
 
-    def measure(self, number: int, rig: Rig) -> None:
+    def measure(self, number: int, hardware: Hardware) -> None:
         """Take the measurement of this number."""
         position, nu, arm = self.plant.position, self.plant.nu, self.loop.robot.arm_index
-        sense(number, number * self.loop.timing.measurement_period, self.row, self.at, position, nu, arm, rig)
+        sense(number, number * self.loop.timing.measurement_period, self.row, self.at, position, nu, arm, hardware)
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1, or fewer when that takes long.
@@ -79,7 +79,7 @@ class OrdinaryLoop:
         Returns:
             -1, or the column of `row` that went bad; the samples before are in `rows`.
         """
-        loop, row, plant, rig = self.loop, self.row, self.plant, self.rig
+        loop, row, plant, hardware = self.loop, self.row, self.plant, self.hardware
         timing, arm, h = loop.timing, loop.robot.arm_index, loop.timing.control_period
         steps, per_measurement = timing.steps_per_control, timing.steps_per_measurement
         at, table, E_inv = self.at, self.table, self.E_inv
@@ -87,17 +87,17 @@ class OrdinaryLoop:
         for k in range(first, last):
             began = clock.perf_counter()
             now = k * steps % per_measurement == 0
-            if rig is not None:
-                self.pick_up(k * h, rig)
+            if hardware is not None:
+                self.pick_up(k * h, hardware)
                 if now:
-                    self.measure(k * steps // per_measurement, rig)
-            self.control.step(k, k * h, plant.y, table[k], now and rig is None)
+                    self.measure(k * steps // per_measurement, hardware)
+            self.control.step(k, k * h, plant.y, table[k], now and hardware is None)
             step_time = clock.perf_counter() - began
             plant.observe(row)
             dynamics = plant.dynamics
             dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
             potential, work = dynamics.potential(), plant.y[-1]
-            start_energy = self.start_energy if rig is None else self.start_energy + rig.shift[0]
+            start_energy = self.start_energy if hardware is None else self.start_energy + hardware.shift[0]
             bad = after_torque(row, at, dynamics.M, E_inv, potential, work, start_energy, self.bounds)
             if bad >= 0:
                 return bad
@@ -106,40 +106,40 @@ class OrdinaryLoop:
             for i in range(steps):
                 n = k * steps + i
                 if i > 0 and n % per_measurement == 0:
-                    if rig is None:
+                    if hardware is None:
                         exact(row, at, plant.position, plant.nu, arm)
                     else:
-                        self.measure(n // per_measurement, rig)
-                if rig is None:
+                        self.measure(n // per_measurement, hardware)
+                if hardware is None:
                     plant.step(self.tau)
                 else:
-                    self.act(k, n * timing.plant_step, rig)
+                    self.act(k, n * timing.plant_step, hardware)
                 plant.refresh()
-            if rig is not None:
-                note(steps, self.rows[done], at, rig)
-                if rig.supervised and has_ended(k * h, rig.limits, rig.guard):
+            if hardware is not None:
+                note(steps, self.rows[done], at, hardware)
+                if hardware.supervised and has_ended(k * h, hardware.limits, hardware.guard):
                     return TRIPPED
             if began - started > PATIENCE:
                 break
         return -1
 
-    def act(self, k: int, time: float, rig: Rig) -> None:
+    def act(self, k: int, time: float, hardware: Hardware) -> None:
         """One step of the plant with imperfect motors, pushes and blocked joints."""
         plant, dt = self.plant, self.loop.timing.plant_step
-        plant.motor_speeds(rig.speed)
-        act(k, time, dt, self.row, self.at, rig)
-        mark(time, rig.blocked, plant.hold, BRAKE)
-        plant.step(rig.tau, rig.force)
+        plant.motor_speeds(hardware.speed)
+        act(k, time, dt, self.row, self.at, hardware)
+        mark(time, hardware.blocked, plant.hold, BRAKE)
+        plant.step(hardware.tau, hardware.force)
 
-    def pick_up(self, time: float, rig: Rig) -> None:
+    def pick_up(self, time: float, hardware: Hardware) -> None:
         """Carry the payload once its time has come; what energy comes with it is no error of the balance."""
-        if self.loaded is None or time + EARLY < rig.pick:
+        if self.loaded is None or time + EARLY < hardware.pick:
             return
         plant, before = self.plant, self.energy()
         plant.carry(self.loaded)
         self.loaded = None
-        if rig.shift[1] == 0.0:
-            rig.shift[0], rig.shift[1] = self.energy() - before, 1.0
+        if hardware.shift[1] == 0.0:
+            hardware.shift[0], hardware.shift[1] = self.energy() - before, 1.0
 
     def energy(self) -> float:
         """Kinetic and potential energy at the plant's state [J]."""

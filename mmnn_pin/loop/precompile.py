@@ -22,7 +22,7 @@ from ..plant.integrators import derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
 from ..signals import INDEX, Layout
 from ..torque import law
-from ..torque.controller import Wiring
+from ..torque.controller import Context
 from ..torque.neural import Neural
 from .sample import after_torque, before_torque
 
@@ -47,12 +47,12 @@ def call_control_blocks() -> None:
     """Call reference, exact measurement, velocity command, torque and the integrators."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
-    controller, wiring = Neural(), Wiring(layout, 0.001, 1)
-    numbers, memory = controller.law(wiring), controller.init(wiring)
+    controller, context = Neural(), Context(layout, 0.001, 1)
+    numbers, state = controller.law(context), controller.init(context)
     reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
     before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
-    law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, memory.values, None)
+    law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, state.values, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
     derivative(y, v, M, nu, nu, nu, 2, L, nu.copy(), ydot)

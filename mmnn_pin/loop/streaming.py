@@ -38,11 +38,11 @@ def run_to_end(
     cancelled: Callable[[], bool],
 ) -> Outcome:
     """Run to the end, to divergence, to a trip or to an interruption; arguments as in `Loop.stream`."""
-    memory, k, h, samples = engine.memory, first, loop.timing.control_period, loop.timing.samples
+    state, k, h, samples = engine.state, first, loop.timing.control_period, loop.timing.samples
     every = max(1, round(loop.weights_interval / h))
     try:
         while k < samples:
-            if k % every == 0 and (weights := loop.controller.weights(memory)):
+            if k % every == 0 and (weights := loop.controller.weights(state)):
                 sink.weights(k * h, weights)
             engine.counter[0] = 0
             try:
@@ -61,18 +61,18 @@ def run_to_end(
                 return Outcome("interrupted", k * h, message=f"stopped at t = {k * h:g} s")
     except KeyboardInterrupt:
         return Outcome("interrupted", k * h, message="stopped by Ctrl-C")
-    if weights := loop.controller.weights(memory):
+    if weights := loop.controller.weights(state):
         sink.weights(k * h, weights)
-    if engine.rig is not None and engine.rig.supervised and engine.rig.guard[HAS_TRIPPED]:
-        return Outcome("tripped", *trip_of(engine.rig.guard, loop.robot))
+    if engine.hardware is not None and engine.hardware.supervised and engine.hardware.guard[HAS_TRIPPED]:
+        return Outcome("tripped", *trip_of(engine.hardware.guard, loop.robot))
     return Outcome("completed", samples * h)
 
 
 def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
     """An outcome whose message also tells what supervisor and plant saw."""
     found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
-    if engine.rig is not None and engine.rig.supervised:
-        found = remarks(engine.rig.guard, robot, outcome.status) + found
+    if engine.hardware is not None and engine.hardware.supervised:
+        found = remarks(engine.hardware.guard, robot, outcome.status) + found
     return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
 
 

@@ -7,12 +7,12 @@ with an integral against gravity. Without fresh measurements the torque ramps to
 are shorted where they brake (`actuator.brake`); so it is where feedback does not bring the robot to rest in time. Where
 the drive motors have such a brake the base is braked by it at once, for which nothing has to be measured.
 
-A program of your own makes `Safety.numbers` and `new_memory` once, calls `accept` at every measurement, `supervise` at
+A program of your own makes `Safety.numbers` and `new_state` once, calls `accept` at every measurement, `supervise` at
 every control sample, and asks `may_learn` whether the controller is still to be asked.
 """
 
 from .outcome import remarks, trip_of
-from .settings import Safety, new_memory
+from .settings import Safety, new_state
 from .supervisor import (
     HAS_TRIPPED,
     RAMPING,
@@ -39,7 +39,7 @@ __all__ = [
     "accept",
     "has_ended",
     "may_learn",
-    "new_memory",
+    "new_state",
     "remarks",
     "supervise",
     "trip_of",

@@ -32,15 +32,15 @@ UNIT |= {DEAF: " s", LOST: " s"}
 SLIDING = {OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m"}
 
 
-def trip_of(memory: Array, robot: Robot) -> tuple[float, str, str]:
+def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
     """When a run tripped [s], the signal that passed its limit, and a line that says by how much."""
-    code, i, time = int(memory[CODE]), int(memory[PLACE]), float(memory[TIME])
+    code, i, time = int(state[CODE]), int(state[PLACE]), float(state[TIME])
     if code == BAD_WEIGHTS:
         return time, f"weights[{i}]", f"tripped at t = {time:g} s: weights are not finite"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
-    value, limit, nb = memory[VALUE], memory[LIMIT], robot.layout.base
+    value, limit, nb = state[VALUE], state[LIMIT], robot.layout.base
     of, over = f" of {name}" if name else "", f"{value - limit:.3g}{unit} over its limit of {limit:.4g}{unit}"
     signal = f"{SIGNAL[code]}[{i}]" if code in SIGNAL else f"velocity[{i}]" if i < nb else f"qdot[{i - nb}]"
     return time, signal, f"tripped at t = {time:g} s: {WHAT[code]}{of} {value:.4g}{unit}, {over}"
@@ -54,10 +54,10 @@ def slides(robot: Robot, name: str) -> bool:
     return str(kind).startswith(("JointModelP", "JointModelMimicP"))
 
 
-def remarks(memory: Array, robot: Robot, status: str) -> list[str]:
+def remarks(state: Array, robot: Robot, status: str) -> list[str]:
     """What else is to be told of a run that ended so: what was refused, and that it had tripped before."""
-    told = [trip_of(memory, robot)[2]] if memory[HAS_TRIPPED] and status != "tripped" else []
+    told = [trip_of(state, robot)[2]] if state[HAS_TRIPPED] and status != "tripped" else []
     for place, kind in ((BAD, "measurement"), (REFUSED, "command")):
-        if count := int(memory[place]):
+        if count := int(state[place]):
             told.append(f"refused {count} {kind}{'s' if count > 1 else ''} with numbers that are not finite")
     return told

@@ -109,10 +109,10 @@ def some(value: float | None) -> float:
     return math.inf if value is None else value
 
 
-def new_memory(layout: Layout, start: float = 0.0) -> Array:
+def new_state(layout: Layout, start: float = 0.0) -> Array:
     """What the supervisor remembers, before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm
-    memory = np.zeros(MEMORY + message + 2 * layout.dof + layout.motors + 2 * layout.arm)
-    memory[HEARD] = memory[COMMANDED] = start
-    memory[BLIND] = -1.0
-    return memory
+    state = np.zeros(MEMORY + message + 2 * layout.dof + layout.motors + 2 * layout.arm)
+    state[HEARD] = state[COMMANDED] = start
+    state[BLIND] = -1.0
+    return state

@@ -29,7 +29,7 @@ NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, 
 
 
 @compiled
-def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, memory: Array) -> None:
+def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, state: Array) -> None:
     """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
 
     Args:
@@ -38,38 +38,38 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, memo
         time: When it was measured [s].
         now: When it came [s].
         is_new: Whether it is another one than last time.
-        memory: The supervisor's memory.
+        state: The supervisor's memory.
     """
     first, size, fine = at[POSE], at[QDOT + 1] - at[POSE], True
     for i in range(size):
         fine = fine and math.isfinite(row[first + i])
-    memory[HELD] = 0.0 if fine else 1.0
+    state[HELD] = 0.0 if fine else 1.0
     if fine and is_new:
-        copy_to(row[first : first + size], memory[MEMORY : MEMORY + size])
-        memory[HEARD], memory[ARRIVED], memory[GOOD] = time, now, memory[GOOD] + 1.0
+        copy_to(row[first : first + size], state[MEMORY : MEMORY + size])
+        state[HEARD], state[ARRIVED], state[GOOD] = time, now, state[GOOD] + 1.0
     elif not fine:
-        memory[BAD] += is_new
-        copy_to(memory[MEMORY : MEMORY + size], row[first : first + size])
+        state[BAD] += is_new
+        copy_to(state[MEMORY : MEMORY + size], row[first : first + size])
 
 
 @compiled
-def has_ended(time: float, numbers: Array, memory: Array) -> bool:
+def has_ended(time: float, numbers: Array, state: Array) -> bool:
     """Whether a tripped run has shown its stop for long enough."""
-    return memory[HAS_TRIPPED] > 0.0 and time - memory[TIME] >= numbers[STOP_TIME] - EARLY
+    return state[HAS_TRIPPED] > 0.0 and time - state[TIME] >= numbers[STOP_TIME] - EARLY
 
 
 @compiled
-def may_learn(memory: Array) -> bool:
+def may_learn(state: Array) -> bool:
     """Whether the controller is to be asked: there is a measurement, and nothing has tripped."""
-    return memory[HAS_TRIPPED] == 0.0 and memory[GOOD] > 0.0
+    return state[HAS_TRIPPED] == 0.0 and state[GOOD] > 0.0
 
 
 @compiled
-def trip(time: float, code: int, place: int, value: float, limit: float, memory: Array) -> None:
+def trip(time: float, code: int, place: int, value: float, limit: float, state: Array) -> None:
     """Stop, for the first reason that comes up."""
-    if memory[HAS_TRIPPED] == 0.0:
-        memory[HAS_TRIPPED], memory[TIME], memory[CODE], memory[PLACE] = 1.0, time, float(code), float(place)
-        memory[VALUE], memory[LIMIT] = value, limit
+    if state[HAS_TRIPPED] == 0.0:
+        state[HAS_TRIPPED], state[TIME], state[CODE], state[PLACE] = 1.0, time, float(code), float(place)
+        state[VALUE], state[LIMIT] = value, limit
 
 
 @compiled
@@ -81,7 +81,7 @@ def supervise(
     E: Array,
     E_inv: Array,
     numbers: Array,
-    memory: Array,
+    state: Array,
     places: IntArray,
     weights: Array,
 ) -> None:
@@ -95,45 +95,45 @@ def supervise(
         E: (p, motors) torque on nu from motor torques.
         E_inv: (motors, p) its inverse.
         numbers: Settings.
-        memory: The supervisor's memory.
+        state: The supervisor's memory.
         places: (k, 2) start and stop of every array of weights.
         weights: The controller's memory.
     """
     p, motors = E.shape
     n, tau = at[JOINT_ERROR + 1] - at[JOINT_ERROR], row[at[TORQUE] : at[TORQUE + 1]]
-    last = memory[MEMORY + at[QDOT + 1] - at[POSE] :]
-    step_in = bound_weights(time, numbers, memory, places, weights) or memory[HELD] > 0.0 or memory[GOOD] == 0.0
-    if memory[GOOD] > 0.0:
-        check_motion(row, at, time, numbers, memory, motors)
+    last = state[MEMORY + at[QDOT + 1] - at[POSE] :]
+    step_in = bound_weights(time, numbers, state, places, weights) or state[HELD] > 0.0 or state[GOOD] == 0.0
+    if state[GOOD] > 0.0:
+        check_motion(row, at, time, numbers, state, motors)
     fine = arrived
     for i in range(p):
         fine = fine and math.isfinite(tau[i])
     for i in range(at[PSI_HAT], at[TORQUE]):  # what else came with a broken command is no number either
         row[i] = row[i] if math.isfinite(row[i]) else 0.0
-    if memory[HAS_TRIPPED] == 0.0:
+    if state[HAS_TRIPPED] == 0.0:
         if fine:
-            memory[COMMANDED] = time
+            state[COMMANDED] = time
         else:
-            memory[REFUSED] += arrived
+            state[REFUSED] += arrived
             step_in = True
             copy_to(last[:p], tau)
-        if memory[GOOD] == 0.0:
+        if state[GOOD] == 0.0:
             tau[:] = 0.0
-        if time - memory[HEARD] > numbers[TIMEOUT] + EARLY:
-            trip(time, DEAF, 0, time - memory[HEARD], numbers[TIMEOUT], memory)
-        elif time - memory[COMMANDED] > numbers[TIMEOUT] + EARLY:
-            trip(time, LOST, 0, time - memory[COMMANDED], numbers[TIMEOUT], memory)
+        if time - state[HEARD] > numbers[TIMEOUT] + EARLY:
+            trip(time, DEAF, 0, time - state[HEARD], numbers[TIMEOUT], state)
+        elif time - state[COMMANDED] > numbers[TIMEOUT] + EARLY:
+            trip(time, LOST, 0, time - state[COMMANDED], numbers[TIMEOUT], state)
     row[at[STATE]] = STEPPED_IN if step_in else RUNNING
-    if memory[HAS_TRIPPED] > 0.0:
-        stop(row, at, time, numbers, memory, n, motors)
-    clipped = clip(time, tau, E, E_inv, numbers, memory, last[p : p + motors])
+    if state[HAS_TRIPPED] > 0.0:
+        stop(row, at, time, numbers, state, n, motors)
+    clipped = clip(time, tau, E, E_inv, numbers, state, last[p : p + motors])
     if clipped and row[at[STATE]] == RUNNING:
         row[at[STATE]] = STEPPED_IN
     copy_to(tau, last[:p])
 
 
 @compiled
-def bound_weights(time: float, numbers: Array, memory: Array, places: IntArray, weights: Array) -> bool:
+def bound_weights(time: float, numbers: Array, state: Array, places: IntArray, weights: Array) -> bool:
     """Scale weights back onto their bound; true if some were beyond it."""
     beyond = False
     for k in range(places.shape[0]):
@@ -141,7 +141,7 @@ def bound_weights(time: float, numbers: Array, memory: Array, places: IntArray, 
         for i in range(W.size):
             squares += W[i] * W[i]
         if not math.isfinite(squares):
-            trip(time, BAD_WEIGHTS, k, squares, numbers[WEIGHTS], memory)
+            trip(time, BAD_WEIGHTS, k, squares, numbers[WEIGHTS], state)
         elif squares > numbers[WEIGHTS] * numbers[WEIGHTS]:
             beyond, scale = True, numbers[WEIGHTS] / math.sqrt(squares)
             for i in range(W.size):
@@ -150,7 +150,7 @@ def bound_weights(time: float, numbers: Array, memory: Array, places: IntArray, 
 
 
 @compiled
-def check_motion(row: Array, at: IntArray, time: float, numbers: Array, memory: Array, motors: int) -> None:
+def check_motion(row: Array, at: IntArray, time: float, numbers: Array, state: Array, motors: int) -> None:
     """Trip on measured speeds and tracking errors beyond their limits."""
     nb, n = at[ALPHA + 1] - at[ALPHA], at[JOINT_ERROR + 1] - at[JOINT_ERROR]
     speeds = numbers[NUMBERS + motors :]
@@ -160,44 +160,44 @@ def check_motion(row: Array, at: IntArray, time: float, numbers: Array, memory: 
         if nb == 3 and i < 2:  # the speed of a base that moves sideways, too
             speed = math.hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
-            trip(time, OVER_SPEED, i, speed, speeds[i], memory)
+            trip(time, OVER_SPEED, i, speed, speeds[i], state)
     if at[POSE_ERROR + 1] > at[POSE_ERROR]:
         away = math.hypot(row[at[POSE_ERROR]], row[at[POSE_ERROR] + 1])
         turned = abs(row[at[POSE_ERROR] + 2])
         if away > numbers[POSITION]:
-            trip(time, OFF_PATH, 0, away, numbers[POSITION], memory)
+            trip(time, OFF_PATH, 0, away, numbers[POSITION], state)
         if turned > numbers[HEADING]:
-            trip(time, OFF_HEADING, 2, turned, numbers[HEADING], memory)
+            trip(time, OFF_HEADING, 2, turned, numbers[HEADING], state)
     for i in range(n):
         if abs(row[at[JOINT_ERROR] + i]) > errors[i]:
-            trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], memory)
+            trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], state)
 
 
 @compiled
-def stop(row: Array, at: IntArray, time: float, numbers: Array, memory: Array, n: int, motors: int) -> None:
+def stop(row: Array, at: IntArray, time: float, numbers: Array, state: Array, n: int, motors: int) -> None:
     """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
     p = at[TORQUE + 1] - at[TORQUE]
-    tau, last = row[at[TORQUE] : at[TORQUE + 1]], memory[MEMORY + at[QDOT + 1] - at[POSE] :]
+    tau, last = row[at[TORQUE] : at[TORQUE + 1]], state[MEMORY + at[QDOT + 1] - at[POSE] :]
     gains = numbers[NUMBERS + motors + p :]
     K, hold = gains[p + n :], last[p + motors :]
     stale = hold[2 * n :]
-    if time - memory[TIME] > numbers[SETTLE] and moves(row, at, p, n, numbers[REST]):
-        memory[GIVEN_UP] = 1.0
-    if memory[GIVEN_UP] > 0.0 or memory[GOOD] == 0.0 or time - memory[ARRIVED] > numbers[FRESH]:
-        if memory[BLIND] < 0.0:
-            memory[BLIND], memory[ACTED] = time, 0.0
-        row[at[STATE]], left = RAMPING, numbers[RAMP] - (time - memory[BLIND])
+    if time - state[TIME] > numbers[SETTLE] and moves(row, at, p, n, numbers[REST]):
+        state[GIVEN_UP] = 1.0
+    if state[GIVEN_UP] > 0.0 or state[GOOD] == 0.0 or time - state[ARRIVED] > numbers[FRESH]:
+        if state[BLIND] < 0.0:
+            state[BLIND], state[ACTED] = time, 0.0
+        row[at[STATE]], left = RAMPING, numbers[RAMP] - (time - state[BLIND])
         for i in range(p):  # these factors multiply to a straight line
             tau[i] = last[i] * left / (left + numbers[H]) if left > 0.0 else 0.0
         return
-    row[at[STATE]], memory[BLIND] = STOPPING, -1.0
-    if memory[ACTED] == 0.0:  # hold the arm where it is now
-        memory[ACTED] = 1.0
+    row[at[STATE]], state[BLIND] = STOPPING, -1.0
+    if state[ACTED] == 0.0:  # hold the arm where it is now
+        state[ACTED] = 1.0
         for i in range(n):
             hold[i], hold[n + i] = row[at[Q] + i], 0.0
         for i in range(p):
-            stale[i] = last[i] if memory[CODE] == LOST and time == memory[TIME] else 0.0
-    fade = max(0.0, numbers[RAMP] - (time - memory[TIME])) / (numbers[RAMP] + numbers[H])
+            stale[i] = last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
+    fade = max(0.0, numbers[RAMP] - (time - state[TIME])) / (numbers[RAMP] + numbers[H])
     for i in range(p - n):
         feedback = 0.0 if numbers[SHORT] > 0.0 else -gains[i] * row[at[VELOCITY] + i]
         tau[i] = fade * stale[i] + feedback
@@ -217,7 +217,7 @@ def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
 
 
 @compiled
-def clip(time: float, tau: Array, E: Array, E_inv: Array, numbers: Array, memory: Array, above: Array) -> bool:
+def clip(time: float, tau: Array, E: Array, E_inv: Array, numbers: Array, state: Array, above: Array) -> bool:
     """Clip the motor torques, and trip when a motor has asked for too much for too long."""
     clipped, p = False, tau.size
     for j in range(above.size):
@@ -228,7 +228,7 @@ def clip(time: float, tau: Array, E: Array, E_inv: Array, numbers: Array, memory
         clipped = clipped or over
         above[j] = above[j] + numbers[H] if over else 0.0
         if above[j] > numbers[TORQUE_TIME] + EARLY:
-            trip(time, OVER_TORQUE, j, abs(u), limit, memory)
+            trip(time, OVER_TORQUE, j, abs(u), limit, state)
     if clipped:
         within(tau, E, E_inv, numbers)
     return clipped

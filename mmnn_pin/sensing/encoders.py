@@ -38,7 +38,7 @@ def measure(
     W: Array,
     numbers: Array,
     noise: Array,
-    memory: Array,
+    state: Array,
 ) -> None:
     """Take a measurement and write the one received last to the row: pose, velocity, q, qdot.
 
@@ -53,17 +53,17 @@ def measure(
         noise: (nw + n + nb + n + pose + 4,) standard normal numbers for encoders, velocities and pose, two uniform ones
             for jitter and loss, then how many measurements later still the message is (negative: lost), and what is
             added to all its numbers.
-        memory: See above; all zero before the first measurement.
+        state: See above; all zero before the first measurement.
     """
-    first, count = memory[COUNT] == 0.0, int(memory[COUNT])
+    first, count = state[COUNT] == 0.0, int(state[COUNT])
     for i in range(encoders.size):
-        read(i, position[encoders[i]], first, encoders.size, numbers, noise, memory)
+        read(i, position[encoders[i]], first, encoders.size, numbers, noise, state)
     size = at[QDOT + 1] - at[POSE]
     sent = STATES + 4 * encoders.size + at[POSE + 1] - at[POSE]
     lines = sent + size
     depth = int(numbers[DEPTH])
     slot = lines + (count % depth) * size
-    compose(memory[slot : slot + size], at, position, nu, encoders.size, W, numbers, noise, memory, first)
+    compose(state[slot : slot + size], at, position, nu, encoders.size, W, numbers, noise, state, first)
     jitter, chance, late, added = (
         noise[noise.size - 4],
         noise[noise.size - 3],
@@ -72,20 +72,20 @@ def measure(
     )
     if added != 0.0:  # or not a number
         for i in range(size):
-            memory[slot + i] += added
+            state[slot + i] += added
     arrived = count - int(numbers[DELAY]) - int(jitter * (numbers[JITTER] + 1.0)) - int(late)
-    memory[COUNT] = count + 1.0
-    if first or (chance >= numbers[LOSS] and late >= 0.0 and arrived > memory[RECEIVED]):
-        memory[RECEIVED] = max(arrived, 0)
+    state[COUNT] = count + 1.0
+    if first or (chance >= numbers[LOSS] and late >= 0.0 and arrived > state[RECEIVED]):
+        state[RECEIVED] = max(arrived, 0)
         slot = lines + (max(arrived, 0) % depth) * size
         for i in range(size):
-            memory[sent + i] = memory[slot + i]
+            state[sent + i] = state[slot + i]
     for i in range(size):
-        row[at[POSE] + i] = memory[sent + i]
+        row[at[POSE] + i] = state[sent + i]
 
 
 @compiled
-def read(i: int, angle: float, first: bool, size: int, numbers: Array, noise: Array, memory: Array) -> None:
+def read(i: int, angle: float, first: bool, size: int, numbers: Array, noise: Array, state: Array) -> None:
     """Reading of encoder i, its increment, and the rate made from it."""
     step = numbers[PER_ENCODER + i]
     angle += numbers[PER_ENCODER + size + i] + numbers[PER_ENCODER + 2 * size + i] * noise[i]
@@ -93,16 +93,16 @@ def read(i: int, angle: float, first: bool, size: int, numbers: Array, noise: Ar
         angle = step * math.floor(angle / step + 0.5)
     at = STATES + 4 * i
     if first:
-        memory[at + READING], memory[at + MOVED], memory[at + ESTIMATE], memory[at + RATE] = angle, 0.0, angle, 0.0
+        state[at + READING], state[at + MOVED], state[at + ESTIMATE], state[at + RATE] = angle, 0.0, angle, 0.0
         return
-    memory[at + MOVED] = angle - memory[at + READING]
-    memory[at + READING] = angle
+    state[at + MOVED] = angle - state[at + READING]
+    state[at + READING] = angle
     if int(numbers[MODE]) == OBSERVER:
-        predicted = memory[at + ESTIMATE] + numbers[PERIOD] * memory[at + RATE]
-        memory[at + ESTIMATE] = predicted + numbers[ALPHA] * (angle - predicted)
-        memory[at + RATE] += numbers[BETA] * (angle - predicted)
+        predicted = state[at + ESTIMATE] + numbers[PERIOD] * state[at + RATE]
+        state[at + ESTIMATE] = predicted + numbers[ALPHA] * (angle - predicted)
+        state[at + RATE] += numbers[BETA] * (angle - predicted)
     else:  # plain differences with ALPHA = 1
-        memory[at + RATE] += numbers[ALPHA] * (memory[at + MOVED] / numbers[PERIOD] - memory[at + RATE])
+        state[at + RATE] += numbers[ALPHA] * (state[at + MOVED] / numbers[PERIOD] - state[at + RATE])
 
 
 @compiled
@@ -115,50 +115,50 @@ def compose(
     W: Array,
     numbers: Array,
     noise: Array,
-    memory: Array,
+    state: Array,
     first: bool,
 ) -> None:
     """Pose, velocity, q and qdot from what the encoders have read, written to out; arguments as in `measure`."""
     nb, nw = W.shape
     pose, exact = at[POSE + 1] - at[POSE], int(numbers[MODE]) == TRUE
-    spread, state = PER_ENCODER + 3 * size, STATES + 4 * size
+    spread, pose_at = PER_ENCODER + 3 * size, STATES + 4 * size
     for i in range(nb + size - nw):
         rate = nu[i]
         if not exact and i < nb:
             rate = 0.0
             for j in range(nw):
-                rate += W[i, j] * memory[STATES + 4 * j + RATE]
+                rate += W[i, j] * state[STATES + 4 * j + RATE]
         elif not exact:
-            rate = memory[STATES + 4 * (nw + i - nb) + RATE]
+            rate = state[STATES + 4 * (nw + i - nb) + RATE]
         out[pose + i + (0 if i < nb else size - nw)] = rate + numbers[spread + i] * noise[size + i]
     for i in range(size - nw):
-        out[pose + nb + i] = memory[STATES + 4 * (nw + i) + READING]
+        out[pose + nb + i] = state[STATES + 4 * (nw + i) + READING]
     spread, shift = spread + nb + size - nw, size + nb + size - nw
     if pose:
         if first or numbers[ODOMETRY] == 0.0:
             for i in range(3):
-                memory[state + i] = position[i]
+                state[pose_at + i] = position[i]
         else:
-            drive(W, memory, state)
+            drive(W, state, pose_at)
         for i in range(3):
-            out[i] = memory[state + i] + numbers[spread + i] * noise[shift + i]
+            out[i] = state[pose_at + i] + numbers[spread + i] * noise[shift + i]
 
 
 @compiled
-def drive(W: Array, memory: Array, state: int) -> None:
+def drive(W: Array, state: Array, pose_at: int) -> None:
     """Move the odometry's pose on by what the wheels have turned, along the chord of the arc (its middle heading)."""
     ahead = aside = turn = 0.0
     for j in range(W.shape[1]):
-        moved = memory[STATES + 4 * j + MOVED]
+        moved = state[STATES + 4 * j + MOVED]
         ahead += W[0, j] * moved
         turn += W[W.shape[0] - 1, j] * moved
         if W.shape[0] == 3:
             aside += W[1, j] * moved
-    heading = memory[state + 2] + 0.5 * turn
+    heading = state[pose_at + 2] + 0.5 * turn
     c, s = math.cos(heading), math.sin(heading)
-    memory[state] += c * ahead - s * aside
-    memory[state + 1] += s * ahead + c * aside
-    memory[state + 2] += turn
+    state[pose_at] += c * ahead - s * aside
+    state[pose_at + 1] += s * ahead + c * aside
+    state[pose_at + 2] += turn
 
 
 def noise_columns(encoders: int, velocities: int, pose: int) -> int:

@@ -110,18 +110,18 @@ class Adaptation(NamedTuple):
 
 
 @compiled
-def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
+def adapt(row: Array, at: IntArray, a: Adaptation, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of theta.
 
     Args:
         row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
         at: Offsets of the signals.
         a: The numbers of the law.
-        memory: theta (k,), the number of samples, the sum of `Y' Y` (k, k).
+        state: theta (k,), the number of samples, the sum of `Y' Y` (k, k).
     """
     Y, g = a.known.Y, a.gradient
     p, k = Y.shape
-    theta, z, r = memory[:k], row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    theta, z, r = state[:k], row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     square, feedback, first = 0.0, 0.0, BODY * len(a.roots)
     for j in range(k):
         g[j] = 0.0
@@ -142,15 +142,15 @@ def adapt(row: Array, at: IntArray, a: Adaptation, memory: Array) -> None:
     if eta * answer > a.share * feedback:
         eta = a.share * feedback / answer
     move(theta, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a)
-    follow(a.prediction, a, memory)
-    if int(memory[k]) % a.stride == 0:
-        gram = memory[k + 1 : k + 1 + k * k].reshape((k, k))
+    follow(a.prediction, a, state)
+    if int(state[k]) % a.stride == 0:
+        gram = state[k + 1 : k + 1 + k * k].reshape((k, k))
         for i in range(p):
             for j in range(k):
                 if Y[i, j] != 0.0:
                     for c in range(k):
                         gram[j, c] += Y[i, j] * Y[i, c]
-    memory[k] += 1.0
+    state[k] += 1.0
 
 
 @compiled
@@ -182,15 +182,15 @@ def move(theta: Array, eta: float, sigma: float, a: Adaptation) -> None:
 
 
 @compiled
-def follow(prediction: Prediction | None, a: Adaptation, memory: Array) -> None:
+def follow(prediction: Prediction | None, a: Adaptation, state: Array) -> None:
     """One step down the prediction error, where there is one and it is time for it."""
     if prediction is not None:
         k = a.gradient.size
-        if int(memory[k]) % prediction.every == 0:
-            theta = memory[:k]
+        if int(state[k]) % prediction.every == 0:
+            theta = state[:k]
             for b in range(len(a.roots)):
                 factor(theta[BODY * b : BODY * b + BODY], a, b)
-            descend(prediction, a, memory)
+            descend(prediction, a, state)
             move(theta, shortened(prediction.step, a), 0.0, a)
 
 

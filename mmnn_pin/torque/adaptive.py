@@ -21,7 +21,7 @@ from ..signals import Array, Layout
 from . import law
 from .adaptation import Adaptation
 from .adaptive_settings import Adapting, Predicting
-from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .controller import CompiledController, Context, ControllerState, Feedback, Law
 from .filtered import new_filter, parts
 from .guess import gains_of, guess_of, scales, tempo
 from .prediction import Prediction
@@ -77,25 +77,25 @@ class Adaptive(CompiledController):
         known = self.unit.shape[1]
         return [f"{self.name}: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The numbers of the law, with a memory of its own to work in.
 
         Raises:
             ConfigError: A gain of 0: the bound on s then does not hold.
         """
-        K, start, own = self.feedback.vector(wiring.layout), self.start(), self.adapting
+        K, start, own = self.feedback.vector(context.layout), self.start(), self.adapting
         if not (K > 0).all():
             raise ConfigError(f"gains {K.tolist()}", why="adaptation needs all > 0", fix="raise them", key="feedback")
         scale, first = scales(self.regressor, K), self.regressor.inertial
         matrices = pseudo_inertias(start[:first])
         roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
-        faster = tempo(K, wiring.layout.base)
+        faster = tempo(K, context.layout.base)
         rates = faster * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         adaptation = Adaptation(
             known=self.regressor.workspace(),
             gain=K,
             learning=self.learning,
-            h=float(wiring.control_period),
+            h=float(context.control_period),
             tracking=1.0 if self.predicting is None else float(self.predicting.tracking),
             gamma=faster * float(own.rate),
             sigma=float(own.leakage),
@@ -107,25 +107,25 @@ class Adaptive(CompiledController):
             start=start[first:].copy(),
             top=np.maximum(own.friction_bound * scale, start[first:]),
             share=float(own.share),
-            stride=max(1, round(TAKEN / wiring.control_period)),
+            stride=max(1, round(TAKEN / context.control_period)),
             gradient=np.zeros(start.size),
             steps=np.zeros(roots.shape),
             rest=np.zeros(rates.size),
             factors=np.zeros(roots.shape),
             work=np.zeros((3, 4, 4)),
-            prediction=self.prediction(wiring, K),
+            prediction=self.prediction(context, K),
         )
         return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, adaptation)
 
-    def prediction(self, wiring: Wiring, K: Array) -> Prediction | None:
+    def prediction(self, context: Context, K: Array) -> Prediction | None:
         """The numbers of the prediction error's term."""
-        own, k, h = self.predicting, self.regressor.size, float(wiring.control_period)
+        own, k, h = self.predicting, self.regressor.size, float(context.control_period)
         if own is None or not self.learning:
             return None
         every = max(1, round(own.every / h))
         size = 16 * len(self.regressor.bodies) + k - self.regressor.inertial
         return Prediction(
-            filter=new_filter(wiring.layout, h, own.pole),
+            filter=new_filter(context.layout, h, own.pole),
             first=k + 1 + k * k,
             trust=1.0 / K,
             weight=float(own.weight) * every * h,
@@ -137,22 +137,22 @@ class Adaptive(CompiledController):
             work=np.zeros((3, size)),
         )
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """The estimate at its start, and nothing seen yet."""
         k, seen = self.regressor.size, dict[str, tuple[int, ...]]()
         if self.predicting is not None:
-            seen = {**parts(wiring.layout, wiring.layout.dof, k), "Q": (k, k), "b": (k,)}
-        memory = Memory.of(theta=(k,), samples=(1,), gram=(k, k), **seen)
-        memory["theta"] = self.start()
-        return memory
+            seen = {**parts(context.layout, context.layout.dof, k), "Q": (k, k), "b": (k,)}
+        state = ControllerState.of(theta=(k,), samples=(1,), gram=(k, k), **seen)
+        state["theta"] = self.start()
+        return state
 
     def feedback_gain(self, layout: Layout) -> Array:
         """K, (p,)."""
         return self.feedback.vector(layout)
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """The estimate, (k,)."""
-        return {"theta": memory["theta"]}
+        return {"theta": state["theta"]}
 
     def facts(self) -> dict[str, Any]:
         """Gains, settings and start, with the names of the parameters."""
@@ -160,14 +160,14 @@ class Adaptive(CompiledController):
         own = {} if self.predicting is None else {"predicting": plain(self.predicting)}
         return {"feedback": plain(self.feedback), "adapting": plain(self.adapting), **own} | named
 
-    def features(self, law: Law, memory: Memory) -> Array | None:
+    def features(self, law: Law, state: ControllerState) -> Array | None:
         """Y, (p, k)."""
         return None if law.adaptation is None else law.adaptation.known.Y
 
-    def findings(self, memory: Memory) -> list[str]:
+    def findings(self, state: ControllerState) -> list[str]:
         """Says when the run did not excite all that matters: then the estimate tracks, but is no knowledge."""
-        gram, unit = memory["gram"], self.unit
-        if not self.learning or not np.isfinite(gram).all() or memory["samples"][0] == 0:
+        gram, unit = state["gram"], self.unit
+        if not self.learning or not np.isfinite(gram).all() or state["samples"][0] == 0:
             return []
         values = np.linalg.eigvalsh(unit.T @ gram @ unit)
         excited, known = int(np.sum(values > EXCITED * values[-1])), unit.shape[1]

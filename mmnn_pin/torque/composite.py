@@ -12,7 +12,7 @@ from scipy.special import expit
 from ..errors import ConfigError
 from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, IntArray, Layout
-from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .controller import CompiledController, Context, ControllerState, Feedback, Law
 from .filtered import new_filter, parts
 from .inputs import Inputs
 from .neural import Neural, layout_of
@@ -116,14 +116,14 @@ class CompositeNetwork(CompiledController):
             called=self.name,
         )
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The network's numbers and those of the prediction error.
 
         Raises:
             ConfigError: A gain of 0: torques are measured by the gains.
         """
-        numbers, layout, own = self.learner.law(wiring), wiring.layout, self.replaying
-        K, h = self.feedback.vector(layout), float(wiring.control_period)
+        numbers, layout, own = self.learner.law(context), context.layout, self.replaying
+        K, h = self.feedback.vector(layout), float(context.control_period)
         if not (K > 0).all():
             raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
         if not self.learning:
@@ -131,7 +131,7 @@ class CompositeNetwork(CompiledController):
         (scale, offset), scale_out = self.inputs.affine(layout), self.learner.network_scales(layout)[1]
         replay = Replay(
             filter=new_filter(layout, h, 0.0, own.pole),
-            first=self.learner.init(wiring).values.size,
+            first=self.learner.init(context).values.size,
             sizes=numbers.sizes,
             source=self.followed(layout),
             scale=scale,
@@ -164,24 +164,24 @@ class CompositeNetwork(CompiledController):
             found += places[FOLLOWED[name]] if name in FOLLOWED else [-1] * (where.stop - where.start)
         return np.array(found + [-1] * bool(self.inputs.bias), np.int64)
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """Initial weights, and nothing seen yet."""
-        network, layout = self.learner.init(wiring), wiring.layout
+        network, layout = self.learner.init(context), context.layout
         nx = network["x"].size
         entries = 2 * -(-self.replaying.entries // 2)
         more = {"counts": (3,), **parts(layout, 0, 0), "kept": (entries, nx + layout.dof)}
-        memory = Memory.of(**network.shapes, **more)
-        memory.values[: network.values.size] = network.values
-        memory["counts"][2] = 1.0
-        return memory
+        state = ControllerState.of(**network.shapes, **more)
+        state.values[: network.values.size] = network.values
+        state["counts"][2] = 1.0
+        return state
 
     def feedback_gain(self, layout: Layout) -> Array:
         """K, (p,)."""
         return self.feedback.vector(layout)
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """W1, V1 (base) and W2, V2 (arm)."""
-        return self.learner.weights(memory)
+        return self.learner.weights(state)
 
     def facts(self) -> dict[str, Any]:
         """All settings."""
@@ -189,13 +189,13 @@ class CompositeNetwork(CompiledController):
         more = {"rates": self.rates, "learning": self.learning, "inertia": self.inertia}
         return {name: plain(value) for name, value in own.items()} | plain(more)
 
-    def unknown(self, memory: Memory) -> Array:
+    def unknown(self, state: ControllerState) -> Array:
         """Share of the variance of the output that is left on random motion of unit speed, per network.
 
         The output weights are taken as unknown with a deviation of one unit, the hidden units as they are now, and the
         kept samples as measured to `NOISE` units.
         """
-        rng, filled, layout = np.random.default_rng(0), int(memory["counts"][1]), layout_of(memory)
+        rng, filled, layout = np.random.default_rng(0), int(state["counts"][1]), layout_of(state)
         n, p = layout.arm, layout.dof
         scale, offset = self.inputs.affine(layout)
         seen = np.hstack(
@@ -204,18 +204,18 @@ class CompositeNetwork(CompiledController):
         source = self.followed(layout)
         x = offset + scale * np.where(source >= 0, seen[:, source], 0.0)
         found = []
-        for i in (name[1:] for name in memory.shapes if name[0] == "W"):
-            hidden, kept = (expit(points @ memory[f"V{i}"]) for points in (x, memory["kept"][:filled, : x.shape[1]]))
+        for i in (name[1:] for name in state.shapes if name[0] == "W"):
+            hidden, kept = (expit(points @ state[f"V{i}"]) for points in (x, state["kept"][:filled, : x.shape[1]]))
             P = np.linalg.inv(np.eye(hidden.shape[1]) + kept.T @ kept / NOISE**2)
             found.append(np.einsum("ni,ij,nj->", hidden, P, hidden) / np.sum(hidden**2))
         return np.array(found)
 
-    def findings(self, memory: Memory) -> list[str]:
+    def findings(self, state: ControllerState) -> list[str]:
         """What the weights show, and whether the run excited what they would have to know of other motions."""
-        found = self.learner.findings(memory)
-        if not self.learning or not np.isfinite(memory.values).all() or memory["counts"][1] == 0:
+        found = self.learner.findings(state)
+        if not self.learning or not np.isfinite(state.values).all() or state["counts"][1] == 0:
             return found
-        unknown = float(self.unknown(memory).max())
+        unknown = float(self.unknown(state).max())
         if unknown <= UNKNOWN:
             return found
         why = "the samples that it kept do not determine its output on random motion"

@@ -17,7 +17,7 @@ from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, Layout
 from . import law
 from .adaptive_settings import Adapting
-from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .controller import CompiledController, Context, ControllerState, Feedback, Law
 from .filtered import new_filter, parts
 from .guess import gains_of, guess_of, scales, sizes_of
 from .history import scratch, shapes
@@ -112,19 +112,19 @@ class ConcurrentLearner(CompiledController):
         """Number of combinations that matter, k."""
         return self._typical[1].shape[1]
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The numbers of the law, with a memory of its own to work in.
 
         Raises:
             ConfigError: A gain of 0: noise is measured by the gains.
         """
-        K, own, h = self._gains, self.settings, float(wiring.control_period)
+        K, own, h = self._gains, self.settings, float(context.control_period)
         p, k = K.size, self.dimension
         history = History(
             known=self.regressor.workspace(),
             basis=self.basis,
             theta0=self.start(),
-            filter=new_filter(wiring.layout, h, own.pole),
+            filter=new_filter(context.layout, h, own.pole),
             gain=K,
             precision=1.0 / (own.noise * K),
             learning=self.learning,
@@ -146,14 +146,14 @@ class ConcurrentLearner(CompiledController):
         )
         return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, history=history)
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """The estimate at its start, and an empty stack."""
-        p, k = wiring.layout.dof, self.dimension
+        p, k = context.layout.dof, self.dimension
         stack = shapes(self.settings.entries, p, k)
-        memory = Memory.of(w=(k,), samples=(1,), **parts(wiring.layout, p, k), **stack)
-        memory["L"] = memory["P"] = np.eye(k)
-        memory["born"] = -1.0
-        return memory
+        state = ControllerState.of(w=(k,), samples=(1,), **parts(context.layout, p, k), **stack)
+        state["L"] = state["P"] = np.eye(k)
+        state["born"] = -1.0
+        return state
 
     @property
     def basis(self) -> Array:
@@ -178,38 +178,38 @@ class ConcurrentLearner(CompiledController):
         own = Adapting()
         return guess_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
 
-    def theta(self, memory: Memory) -> Array:
+    def theta(self, state: ControllerState) -> Array:
         """The estimate as parameters of the robot, (k0,)."""
-        return np.asarray(self.start() + self.basis @ memory["w"])
+        return np.asarray(self.start() + self.basis @ state["w"])
 
     def feedback_gain(self, layout: Layout) -> Array:
         """K, (p,)."""
         return self.feedback.vector(layout)
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """The estimate, (k,)."""
-        return {"w": memory["w"]}
+        return {"w": state["w"]}
 
     def facts(self) -> dict[str, Any]:
         """Gains, settings and start, with the names of the parameters."""
         own = {"feedback": plain(self.feedback), "settings": plain(self.settings), "learning": self.learning}
         return own | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
 
-    def features(self, law: Law, memory: Memory) -> Array | None:
+    def features(self, law: Law, state: ControllerState) -> Array | None:
         """Phi, (p, k); while it learns, that of the last control period."""
         return None if law.history is None else law.history.Phi
 
-    def unknown(self, memory: Memory) -> Array:
+    def unknown(self, state: ControllerState) -> Array:
         """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
         Phi = self.random_motion() @ self.basis
-        left = np.einsum("nij,jk,nik->i", Phi, memory["P"], Phi)
+        left = np.einsum("nij,jk,nik->i", Phi, state["P"], Phi)
         return np.asarray(left / np.einsum("nij,nij->i", Phi, Phi))
 
-    def findings(self, memory: Memory) -> list[str]:
+    def findings(self, state: ControllerState) -> list[str]:
         """Says when the run did not excite what the learner would have to know of other motions."""
-        if not self.learning or not np.isfinite(memory.values).all():
+        if not self.learning or not np.isfinite(state.values).all():
             return []
-        unknown = float(self.unknown(memory).max())
+        unknown = float(self.unknown(state).max())
         if unknown <= UNKNOWN:
             return []
         return [

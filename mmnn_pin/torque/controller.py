@@ -1,7 +1,7 @@
 """The interface of a torque controller: velocity command and measurement in, generalized torque out.
 
-A controller's settings are frozen; what it remembers is a `Memory` made by `init` and updated in place, so that a
-run can be frozen, resumed, or started twice from equal weights. Controllers of this package are a `Law`: numbers
+A controller's settings are frozen; what it remembers is a `ControllerState` made by `init` and updated in place, so
+that a run can be frozen, resumed, or started twice from equal weights. Controllers of this package are a `Law`: numbers
 for a compiled step. A user's own controller is a subclass of `TorqueController` in plain Python.
 """
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Wiring:
+class Context:
     """What a controller is told before a run.
 
     Args:
@@ -50,7 +50,7 @@ class Wiring:
 
 
 @dataclass
-class Memory:
+class ControllerState:
     """What a controller remembers between samples: one flat array, and named views into it.
 
     Attributes:
@@ -62,7 +62,7 @@ class Memory:
     shapes: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, **shapes: tuple[int, ...]) -> Memory:
+    def of(cls, **shapes: tuple[int, ...]) -> ControllerState:
         """Zero memory with these parts."""
         return cls(np.zeros(sum(math.prod(shape) for shape in shapes.values())), shapes)
 
@@ -80,7 +80,7 @@ class Memory:
         """Write one part in place."""
         self[name][...] = value
 
-    def snapshot(self) -> Memory:
+    def snapshot(self) -> ControllerState:
         """Copy that later steps do not touch; hand it to a run to resume from here."""
         return copy.deepcopy(self)
 
@@ -129,21 +129,21 @@ class TorqueController(ABC):
         """What a user should know about these settings."""
         return []
 
-    def init(self, wiring: Wiring) -> Any:
+    def init(self, context: Context) -> Any:
         """Memory for a new run; None if there is nothing to remember."""
         return None
 
     @abstractmethod
     def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, memory: Any
+        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
     ) -> Array | tuple[Array, Array]:
         """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
 
         Or the torque and what of it is an estimate of Psi, (p,), which is recorded, so that it can be judged. The
-        records are views that change at the next sample: copy what you keep. `memory` is what `init` returned.
+        records are views that change at the next sample: copy what you keep. `state` is what `init` returned.
         """
 
-    def weights(self, memory: Any) -> dict[str, Array]:
+    def weights(self, state: Any) -> dict[str, Array]:
         """Named arrays to be recorded at intervals."""
         return {}
 
@@ -151,13 +151,13 @@ class TorqueController(ABC):
         """Settings that a recording should hold."""
         return {}
 
-    def findings(self, memory: Any) -> list[str]:
+    def findings(self, state: Any) -> list[str]:
         """What the memory shows after a run that the user should be told, such as "not excited"."""
         return []
 
 
 class CompiledController(ABC):
-    """A controller of this package: a `Law` and a `Memory` for the compiled step.
+    """A controller of this package: a `Law` and a `ControllerState` for the compiled step.
 
     Attributes:
         name: Name in tables, plots and recordings.
@@ -184,18 +184,18 @@ class CompiledController(ABC):
         return []
 
     @abstractmethod
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The settings as numbers."""
 
     @abstractmethod
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """Memory for a new run."""
 
     @abstractmethod
     def feedback_gain(self, layout: Layout) -> Array:
         """Constant gain on `[z; r]`, (p,), used to judge the sampled loop before the run."""
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """Named views of what is learned, to be recorded at intervals."""
         return {}
 
@@ -203,14 +203,14 @@ class CompiledController(ABC):
         """Settings that a recording should hold; of a learner enough for `recorded_learner` to build it again."""
         return {}
 
-    def features(self, law: Law, memory: Memory) -> Array | None:
+    def features(self, law: Law, state: ControllerState) -> Array | None:
         """What the weights were multiplied with at the last step of a law, `Psi_hat = (Phi W).ravel()`.
 
         (rows, k), a view, with rows times the columns of W equal to p; None where Psi_hat is not linear in the weights.
         """
         return None
 
-    def findings(self, memory: Memory) -> list[str]:
+    def findings(self, state: ControllerState) -> list[str]:
         """What the memory shows after a run that the user should be told."""
         return []
 

@@ -98,7 +98,7 @@ def new_filter(layout: Layout, h: float, pole: float, state_pole: float = 0.0) -
 
 
 def parts(layout: Layout, rows: int, k: int) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of what a filter remembers, to be parts of a `Memory` that follow one another.
+    """Names and shapes of what a filter remembers, to be parts of a `ControllerState` that follow one another.
 
     Args:
         layout: Sizes.
@@ -111,16 +111,16 @@ def parts(layout: Layout, rows: int, k: int) -> dict[str, tuple[int, ...]]:
 
 
 @compiled
-def remember(row: Array, at: IntArray, memory: Array) -> None:
+def remember(row: Array, at: IntArray, state: Array) -> None:
     """Keep the torque that is held from this sample on; call it when nothing changes it any more.
 
     Args:
         row: (width,) row of signals.
         at: Offsets of the signals.
-        memory: What the filter remembers, from its first part on.
+        state: What the filter remembers, from its first part on.
     """
     for i in range(at[TORQUE + 1] - at[TORQUE]):
-        memory[2 + i] = row[at[TORQUE] + i]
+        state[2 + i] = row[at[TORQUE] + i]
 
 
 @compiled
@@ -133,28 +133,28 @@ def is_usable(values: Array) -> bool:
 
 
 @compiled
-def period(row: Array, at: IntArray, f: Filter, memory: Array) -> bool:
+def period(row: Array, at: IntArray, f: Filter, state: Array) -> bool:
     """Take a sample in; the means over the period that ends with it into f.q, f.nu, f.nudot and f.torque.
 
     Args:
         row: (width,) row of signals with the measurement of this sample.
         at: Offsets of the signals.
         f: The filter.
-        memory: What it remembers, from its first part on.
+        state: What it remembers, from its first part on.
 
     Returns:
         Whether there is such a period, and the filter has settled.
     """
     n, p, nb = f.q.size, f.nu.size, f.nu.size - f.q.size
-    held, drive = memory[2 : 2 + p], memory[2 + p : 2 + 2 * p]
-    last = memory[2 + 2 * p : 2 + 2 * p + n + p]
-    smooth = memory[2 + 2 * p + n + p : 2 + 2 * p + 2 * (n + p)]
+    held, drive = state[2 : 2 + p], state[2 + p : 2 + 2 * p]
+    last = state[2 + 2 * p : 2 + 2 * p + n + p]
+    smooth = state[2 + 2 * p + n + p : 2 + 2 * p + 2 * (n + p)]
     time = row[at[TIME]]
-    follows = memory[1] > 0.0 and abs(time - memory[0] - f.h) < 0.5 * f.h
+    follows = state[1] > 0.0 and abs(time - state[0] - f.h) < 0.5 * f.h
     usable = is_usable(row[at[VELOCITY] : at[QDOT + 1]])
     follows = follows and usable and is_usable(held)
-    memory[0] = time
-    memory[1] = memory[1] + 1.0 if follows else 1.0 if usable else 0.0
+    state[0] = time
+    state[1] = state[1] + 1.0 if follows else 1.0 if usable else 0.0
     for i in range(f.pose.size):
         f.pose[i] = row[at[POSE] + i]
     for i in range(n + p):
@@ -175,21 +175,21 @@ def period(row: Array, at: IntArray, f: Filter, memory: Array) -> bool:
         before = drive[i] if follows else 0.0
         drive[i] = f.keep * before + (1.0 - f.keep) * held[i] if follows else 0.0
         f.torque[i] = held[i] - f.lag * (drive[i] - before)
-    return follows and memory[1] > f.wait + 1.0
+    return follows and state[1] > f.wait + 1.0
 
 
 @compiled
-def low_pass(f: Filter, Phi: Array, memory: Array) -> None:
+def low_pass(f: Filter, Phi: Array, state: Array) -> None:
     """Features and torque of the last period through the low-pass, into the parts `Phi_f` and `Y_f`.
 
     Args:
         f: The filter, with f.torque.
         Phi: (rows, k) features at the means of the period.
-        memory: What the filter remembers, from its first part on.
+        state: What the filter remembers, from its first part on.
     """
     rows, k = Phi.shape
     start = 2 + 4 * f.nu.size + 2 * f.q.size
-    Phi_f, Y_f = memory[start : start + rows * k].reshape((rows, k)), memory[start + rows * k :]
+    Phi_f, Y_f = state[start : start + rows * k].reshape((rows, k)), state[start + rows * k :]
     for i in range(rows):
         for j in range(k):
             Phi_f[i, j] = f.hold * Phi_f[i, j] + (1.0 - f.hold) * Phi[i, j]

@@ -67,7 +67,7 @@ class Scratch(NamedTuple):
 
 
 def shapes(entries: int, p: int, k: int) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of what a stack remembers, to be parts of a `Memory` that follow one another."""
+    """Names and shapes of what a stack remembers, to be parts of a `ControllerState` that follow one another."""
     return {
         "Phi": (entries, p, k), "y": (entries, p), "born": (entries,), "L": (k, k), "P": (k, k), "G": (entries, p, p),
         "b": (k,), "used": (2,),
@@ -80,7 +80,7 @@ def scratch(p: int, k: int) -> Scratch:
 
 
 @compiled
-def views(memory: Array, N: int, p: int, k: int) -> Stack:
+def views(state: Array, N: int, p: int, k: int) -> Stack:
     """The stack that lies in a memory, from its first part on."""
     a = N * p * k
     b = a + N * p
@@ -89,14 +89,14 @@ def views(memory: Array, N: int, p: int, k: int) -> Stack:
     e = d + k * k
     f = e + N * p * p
     return Stack(
-        memory[:a].reshape((N, p, k)),
-        memory[a:b].reshape((N, p)),
-        memory[b:c],
-        memory[c:d].reshape((k, k)),
-        memory[d:e].reshape((k, k)),
-        memory[e:f].reshape((N, p, p)),
-        memory[f : f + k],
-        memory[f + k : f + k + 2],
+        state[:a].reshape((N, p, k)),
+        state[a:b].reshape((N, p)),
+        state[b:c],
+        state[c:d].reshape((k, k)),
+        state[d:e].reshape((k, k)),
+        state[e:f].reshape((N, p, p)),
+        state[f : f + k],
+        state[f + k : f + k + 2],
     )
 
 

@@ -17,7 +17,7 @@ from ..model.regressor import Regressor
 from ..settings import plain
 from ..signals import Array, Layout
 from . import law
-from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .controller import CompiledController, Context, ControllerState, Feedback, Law
 from .features import BILINEAR, GENERIC, Random, fill, paired, size, terms
 from .filtered import new_filter, parts
 from .kalman_settings import Kalman, KalmanBilinear, KalmanFeatures, RandomFeatures
@@ -142,13 +142,13 @@ class KalmanLearner(CompiledController):
             t=np.zeros(terms(kind, p)),
         )
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The numbers of the law, with a memory of its own to work in.
 
         Raises:
             ConfigError: A gain of 0: noise and prior are measured by the gains.
         """
-        K, h, own = self.feedback.vector(wiring.layout), float(wiring.control_period), self.settings
+        K, h, own = self.feedback.vector(context.layout), float(context.control_period), self.settings
         if not (K > 0).all():
             raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
         rows, k, m = self.shape
@@ -156,7 +156,7 @@ class KalmanLearner(CompiledController):
         linear = Linear(
             known=None if self.regressor is None else self.regressor.workspace(),
             random=self.random(),
-            filter=new_filter(wiring.layout, h, own.pole, own.state_pole),
+            filter=new_filter(context.layout, h, own.pole, own.state_pole),
             gain=K,
             learning=self.learning,
             every=every,
@@ -173,20 +173,20 @@ class KalmanLearner(CompiledController):
         )
         return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, linear=linear)
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """No weights yet, the prior, and the random functions, drawn from the run's seed."""
         (rows, k, m), random = self.shape, self.random()
         shapes = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (2,)}
-        memory = Memory.of(
+        state = ControllerState.of(
             **shapes,
-            **parts(wiring.layout, rows, k),
+            **parts(context.layout, rows, k),
             a=(0 if random is None else random.units, 0 if random is None else random.inputs),
             b=(0 if random is None else random.units,),
         )
         if self.drawn is not None:
-            memory["a"] = self.drawn.weights * wiring.rng.standard_normal(memory["a"].shape)
-            memory["b"] = wiring.rng.uniform(-1.0, 1.0, memory["b"].shape)
-        Phi, K = self.typical(memory), self.feedback.vector(wiring.layout)
+            state["a"] = self.drawn.weights * context.rng.standard_normal(state["a"].shape)
+            state["b"] = context.rng.uniform(-1.0, 1.0, state["b"].shape)
+        Phi, K = self.typical(state), self.feedback.vector(context.layout)
         scaled = Phi / K[:, None] if m == 1 else Phi
         square = (scaled**2).mean(axis=(0, 1))
         matters = square > NEGLIGIBLE * square.max()
@@ -199,17 +199,17 @@ class KalmanLearner(CompiledController):
             rest = at_rest(random, k)
             wide = (self.drawn.gravity * self.machine.strength(K) / self.settings.prior) ** 2
             share[rest] *= max(1.0, wide / share[rest].sum())
-        memory["prior"] = self.settings.prior**2 * share / np.where(matters, square, 1.0)
-        memory["D"] = memory["prior"]
-        return memory
+        state["prior"] = self.settings.prior**2 * share / np.where(matters, square, 1.0)
+        state["D"] = state["prior"]
+        return state
 
-    def typical(self, memory: Memory, seed: int = 0) -> Array:
+    def typical(self, state: ControllerState, seed: int = 0) -> Array:
         """Features of random motion at 1 m/s, 1 rad/s, 1 m/s^2, 1 rad/s^2, (samples, rows, k)."""
         rng, random, p = np.random.default_rng(seed), self.random(), len(self.machine.velocities)
         (lower, upper), n = self.machine.ranges, self.machine.lower.size
         rows, k, _ = self.shape
         Phi = np.zeros((SAMPLES, rows, k))
-        drawn = np.concatenate((memory["a"].ravel(), memory["b"]))
+        drawn = np.concatenate((state["a"].ravel(), state["b"]))
         for one in Phi:
             q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), rng.standard_normal((3, p))
             if random is not None:
@@ -224,9 +224,9 @@ class KalmanLearner(CompiledController):
         """K, (p,)."""
         return self.feedback.vector(layout)
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """The weights, transposed, (m, k)."""
-        return {"W": memory["W"]}
+        return {"W": state["W"]}
 
     def facts(self) -> dict[str, Any]:
         """Gains and settings, and what it was told of a nominal robot."""
@@ -234,32 +234,32 @@ class KalmanLearner(CompiledController):
         labels = {} if self.drawn or self.regressor is None else {"labels": list(self.regressor.labels)}
         return own | labels | ({} if self.theta0 is None else {"theta0": self.theta0.tolist()})
 
-    def features(self, law: Law, memory: Memory) -> Array | None:
+    def features(self, law: Law, state: ControllerState) -> Array | None:
         """Phi, (rows, k); while it learns, that of the last control period."""
         return None if law.linear is None else law.linear.Phi
 
-    def unknown(self, memory: Memory) -> Array:
+    def unknown(self, state: ControllerState) -> Array:
         """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known.
 
         Of random features the larger share of two: of what is there at rest, whose prior is so much wider that it
         would hide the other, and of the rest.
         """
-        Phi, (rows, k, _), random = self.typical(memory), self.shape, self.random()
+        Phi, (rows, k, _), random = self.typical(state), self.shape, self.random()
         rest = np.zeros(k, bool) if random is None else at_rest(random, k)
         groups = [~rest] if random is None else [~rest, rest]
         nothing, f = np.zeros((k, k)), np.zeros(k)
 
         def share(part: Array) -> float:
-            return left(part, memory["U"], memory["D"], f) / left(part, nothing, memory["prior"], f)
+            return left(part, state["U"], state["D"], f) / left(part, nothing, state["prior"], f)
 
         per_row = [max(share(Phi[:, i] * group) for group in groups) for i in range(rows)]
         return np.broadcast_to(np.array(per_row), (len(self.machine.velocities),))
 
-    def findings(self, memory: Memory) -> list[str]:
+    def findings(self, state: ControllerState) -> list[str]:
         """Says when the run did not excite what the learner would have to know of other motions."""
-        if not self.learning or not np.isfinite(memory.values).all():
+        if not self.learning or not np.isfinite(state.values).all():
             return []
-        unknown = self.unknown(memory)
+        unknown = self.unknown(state)
         worst = int(np.argmax(unknown))
         if unknown[worst] <= self.settings.excited:
             return []

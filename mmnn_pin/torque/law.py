@@ -35,7 +35,7 @@ DT, RATES, PER_NETWORK, GAINS = 0, 1, 6, 13
 
 @compiled
 def step(
-    kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, memory: Array, limits: MotorLimits | None
+    kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, state: Array, limits: MotorLimits | None
 ) -> None:
     """Torque of one sample, `tau = (k + Kz (|Z| + ZB)) s + Psi_hat` (3.39), (3.50), and the update of the weights.
 
@@ -45,7 +45,7 @@ def step(
         at: Offsets of the signals.
         sizes: int64 numbers of the law.
         settings: float64 numbers of the law.
-        memory: The controller's memory, updated in place.
+        state: The controller's memory, updated in place.
         limits: What robust term and Psi_hat are kept within; None for nothing, and then nothing is compiled for it.
     """
     gain, psi_hat, robust, torque = (
@@ -57,14 +57,14 @@ def step(
     if kind == CONSTANT_GAIN:
         copy_to(settings, gain)
     elif kind == SCHEDULED_GAIN:
-        last = (memory.size - 1) // gain.size - 1
-        start = 1 + min(int(memory[0]), last) * gain.size
-        copy_to(memory[start:], gain)
-        memory[0] += 1.0
+        last = (state.size - 1) // gain.size - 1
+        start = 1 + min(int(state[0]), last) * gain.size
+        copy_to(state[start:], gain)
+        state[0] += 1.0
     else:
         if sizes[MODEL] == 1:
             copy_to(psi_hat, torque)
-        networks(kind, row, at, sizes, settings, memory)
+        networks(kind, row, at, sizes, settings, state)
         for i in range(torque.size if sizes[MODEL] == 1 else 0):
             psi_hat[i] += torque[i]
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
@@ -95,10 +95,10 @@ def soften(gain: Array, k: Array, robust: Array, feedback: Array, limits: MotorL
 
 
 @compiled
-def networks(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, memory: Array) -> None:
+def networks(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, state: Array) -> None:
     """Outputs, effective gain and updates of the base's and the arm's network; arguments as in `step`."""
     nx, p = sizes[NX], row[at[PSI_HAT] : at[PSI_HAT + 1]].size
-    x = memory[:nx]
+    x = state[:nx]
     scales, inputs = settings[GAINS + 2 * p :], settings[GAINS + 4 * p :]
     for i in range(nx):
         x[i] = inputs[i] * row[sizes[ROWS + i]] + inputs[nx + i]
@@ -109,11 +109,11 @@ def networks(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Arr
             continue
         h, m = sizes[HIDDEN + which], error.size
         rates = settings[RATES + which * PER_NETWORK : RATES + (which + 1) * PER_NETWORK]
-        W = memory[start : start + h * m].reshape((h, m))
-        V = memory[start + h * m : start + h * (m + nx)].reshape((nx, h))
-        sigma = memory[start + h * (m + nx) : start + h * (m + nx + 1)]
-        net = memory[start + h * (m + nx + 1) : start + h * (m + nx + 2)]
-        s = memory[start + h * (m + nx + 2) : start + h * (m + nx + 2) + m]
+        W = state[start : start + h * m].reshape((h, m))
+        V = state[start + h * m : start + h * (m + nx)].reshape((nx, h))
+        sigma = state[start + h * (m + nx) : start + h * (m + nx + 1)]
+        net = state[start + h * (m + nx + 1) : start + h * (m + nx + 2)]
+        s = state[start + h * (m + nx + 2) : start + h * (m + nx + 2) + m]
         start += h * (m + nx + 2) + m
         for i in range(m):
             s[i] = scales[first + i] * error[i]

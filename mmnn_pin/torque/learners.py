@@ -44,100 +44,100 @@ def learners_of(law: Law) -> Learners | None:
 
 
 @compiled
-def estimate(row: Array, at: IntArray, learners: Learners, memory: Array) -> None:
+def estimate(row: Array, at: IntArray, learners: Learners, state: Array) -> None:
     """Psi_hat at the measured state and the update of what it comes from."""
-    by_adaptation(row, at, learners.adaptation, memory)
-    by_linear(row, at, learners.linear, memory)
-    by_history(row, at, learners.history, memory)
-    by_replay(row, at, learners.replay, memory)
+    by_adaptation(row, at, learners.adaptation, state)
+    by_linear(row, at, learners.linear, state)
+    by_history(row, at, learners.history, state)
+    by_replay(row, at, learners.replay, state)
 
 
 @compiled
-def settle(row: Array, at: IntArray, learners: Learners, memory: Array) -> None:
+def settle(row: Array, at: IntArray, learners: Learners, state: Array) -> None:
     """The torque in the row is the one that is held from here on: keep it, to look back at it."""
-    kept_by_adaptation(row, at, learners.adaptation, memory)
-    kept_by_linear(row, at, learners.linear, memory)
-    kept_by_history(row, at, learners.history, memory)
-    kept_by_replay(row, at, learners.replay, memory)
+    kept_by_adaptation(row, at, learners.adaptation, state)
+    kept_by_linear(row, at, learners.linear, state)
+    kept_by_history(row, at, learners.history, state)
+    kept_by_replay(row, at, learners.replay, state)
 
 
 @compiled
-def by_adaptation(row: Array, at: IntArray, adaptation: Adaptation | None, memory: Array) -> None:
+def by_adaptation(row: Array, at: IntArray, adaptation: Adaptation | None, state: Array) -> None:
     """`estimate` of an adaptive controller."""
     if adaptation is not None:
         known = adaptation.known
-        look_back(row, at, known, adaptation.prediction, memory)
+        look_back(row, at, known, adaptation.prediction, state)
         velocity, q = row[at[VELOCITY] : at[Q]], row[at[Q] : at[QDOT]]
         measured(known, row[at[POSE] : at[POSE + 1]], velocity, q, row[at[QDOT] : at[QDOT + 1]])
         regress(known, row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]])
-        adapt(row, at, adaptation, memory)
+        adapt(row, at, adaptation, state)
 
 
 @compiled
-def look_back(row: Array, at: IntArray, known: Massless, prediction: Prediction | None, memory: Array) -> None:
+def look_back(row: Array, at: IntArray, known: Massless, prediction: Prediction | None, state: Array) -> None:
     """What the control period before this sample says of the dynamics, into the memory."""
     if prediction is not None:
         f, nb = prediction.filter, known.base
-        seen = memory[prediction.first :]
+        seen = state[prediction.first :]
         if period(row, at, f, seen):
             measured(known, f.pose, f.nu[:nb], f.q, f.nu[nb:])
             regress(known, f.nu, f.nudot)
             low_pass(f, known.Y, seen)
-            if int(memory[prediction.gradient.size]) % prediction.every == 0:
-                gather(prediction, memory)
+            if int(state[prediction.gradient.size]) % prediction.every == 0:
+                gather(prediction, state)
 
 
 @compiled
-def by_linear(row: Array, at: IntArray, linear: Linear | None, memory: Array) -> None:
+def by_linear(row: Array, at: IntArray, linear: Linear | None, state: Array) -> None:
     """`estimate` of a linear learner."""
     if linear is not None:
-        learn(row, at, linear, linear.known, linear.random, memory)
+        learn(row, at, linear, linear.known, linear.random, state)
 
 
 @compiled
-def by_history(row: Array, at: IntArray, history: History | None, memory: Array) -> None:
+def by_history(row: Array, at: IntArray, history: History | None, state: Array) -> None:
     """`estimate` of a concurrent learner."""
     if history is not None:
-        recall(row, at, history, memory)
+        recall(row, at, history, state)
 
 
 @compiled
-def kept_by_adaptation(row: Array, at: IntArray, adaptation: Adaptation | None, memory: Array) -> None:
+def kept_by_adaptation(row: Array, at: IntArray, adaptation: Adaptation | None, state: Array) -> None:
     """`settle` of an adaptive controller."""
     if adaptation is not None:
-        kept_by_prediction(row, at, adaptation.prediction, memory)
+        kept_by_prediction(row, at, adaptation.prediction, state)
 
 
 @compiled
-def kept_by_prediction(row: Array, at: IntArray, prediction: Prediction | None, memory: Array) -> None:
+def kept_by_prediction(row: Array, at: IntArray, prediction: Prediction | None, state: Array) -> None:
     """Likewise of its prediction error."""
     if prediction is not None:
-        remember(row, at, memory[prediction.first :])
+        remember(row, at, state[prediction.first :])
 
 
 @compiled
-def kept_by_linear(row: Array, at: IntArray, linear: Linear | None, memory: Array) -> None:
+def kept_by_linear(row: Array, at: IntArray, linear: Linear | None, state: Array) -> None:
     """`settle` of a linear learner."""
     if linear is not None:
-        keep_torque(row, at, linear, memory)
+        keep_torque(row, at, linear, state)
 
 
 @compiled
-def kept_by_history(row: Array, at: IntArray, history: History | None, memory: Array) -> None:
+def kept_by_history(row: Array, at: IntArray, history: History | None, state: Array) -> None:
     """`settle` of a concurrent learner."""
     if history is not None:
-        keep(row, at, history, memory)
+        keep(row, at, history, state)
 
 
 @compiled
-def by_replay(row: Array, at: IntArray, numbers: Replay | None, memory: Array) -> None:
+def by_replay(row: Array, at: IntArray, numbers: Replay | None, state: Array) -> None:
     """A network's prediction error; its output is the network's own step."""
     if numbers is not None:
-        replay(row, at, numbers, memory)
+        replay(row, at, numbers, state)
 
 
 @compiled
-def kept_by_replay(row: Array, at: IntArray, numbers: Replay | None, memory: Array) -> None:
+def kept_by_replay(row: Array, at: IntArray, numbers: Replay | None, state: Array) -> None:
     """`settle` of a network's prediction error."""
     if numbers is not None:
-        keep_held(row, at, numbers, memory)
+        keep_held(row, at, numbers, state)

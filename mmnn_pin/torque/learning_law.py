@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 from ..errors import ConfigError, UnknownName
 from ..settings import plain
 from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
-from .controller import Feedback, Memory, TorqueController, Wiring
+from .controller import Context, ControllerState, Feedback, TorqueController
 from .now import Now
 
 
@@ -38,7 +38,8 @@ class LearningLaw(TorqueController):
     """`tau = K s + Psi_hat` with `init`, `estimate` and `learn` of your own.
 
     Annotated attributes of a child are settings: keyword arguments, and keys of a table `[laws.NAME]` of an experiment.
-    A child is frozen; all that changes during a run is in its `Memory`, so that it can be frozen, resumed and recorded.
+    A child is frozen; all that changes during a run is in its `ControllerState`, so that it can be frozen, resumed and
+    recorded.
 
     Attributes:
         name: Name in tables and recordings; that of the class unless it says.
@@ -68,25 +69,25 @@ class LearningLaw(TorqueController):
         dataclass(frozen=True, kw_only=True, eq=False)(cls)
 
     @abstractmethod
-    def init(self, wiring: Wiring) -> Memory:
-        """Memory for a new run: `Memory.of(name=shape, ...)`, zeros to be filled."""
+    def init(self, context: Context) -> ControllerState:
+        """Memory for a new run: `ControllerState.of(name=shape, ...)`, zeros to be filled."""
 
     @abstractmethod
-    def estimate(self, now: Now, memory: Memory) -> Array:
+    def estimate(self, now: Now, state: ControllerState) -> Array:
         """What is taken for Psi at this sample, (p,) [N, N m]: `M nudot_ref + C nu_ref + gravity + friction`."""
 
     @abstractmethod
-    def learn(self, now: Now, memory: Memory) -> None:
+    def learn(self, now: Now, state: ControllerState) -> None:
         """Change the memory in place; called after `estimate` of the same sample."""
 
-    def features(self, now: Now, memory: Memory) -> Array | None:
+    def features(self, now: Now, state: ControllerState) -> Array | None:
         """What the weights are multiplied with, if Psi_hat is linear in them: `mmnn prove` then tells their excitation.
 
         (p, k) where all components share the k weights, (k,) where each has its own; None for none of these.
         """
         return None
 
-    def gain(self, memory: Memory) -> ArrayLike | None:
+    def gain(self, state: ControllerState) -> ArrayLike | None:
         """Gamma where the law follows s by `W' = Gamma Phi' s + ...`, if it has `features` Phi.
 
         One number, (k,) for a diagonal or (k, k), positive definite; a sample changes W by the control period times W'.
@@ -94,16 +95,16 @@ class LearningLaw(TorqueController):
         """
         return None
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """The parts of the memory that are `learned`.
 
         Raises:
             UnknownName: It has no part of that name.
         """
         for part in self.learned:
-            if part not in memory.shapes:
-                raise UnknownName(f"part of the memory of {self.name}", part, memory.shapes, key="learned")
-        return {part: memory[part] for part in self.learned or memory.shapes}
+            if part not in state.shapes:
+                raise UnknownName(f"part of the memory of {self.name}", part, state.shapes, key="learned")
+        return {part: state[part] for part in self.learned or state.shapes}
 
     def feedback_gain(self, layout: Layout) -> Array:
         """K, (p,)."""
@@ -114,7 +115,7 @@ class LearningLaw(TorqueController):
         return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 
     def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, memory: Any
+        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
     ) -> Array:
         """Not for this kind of controller: the loop calls `estimate` and `learn`.
 

@@ -104,18 +104,18 @@ class Parts(NamedTuple):
 
 
 @compiled
-def parts_of(memory: Array, m: int, k: int, filtered: int) -> Parts:
+def parts_of(state: Array, m: int, k: int, filtered: int) -> Parts:
     """Views of a memory; m columns of weights, k features, `filtered` numbers of the filter."""
     a, b = m * k, m * k + k * k
     c = b + 2 * k + 2
     return Parts(
-        memory[:a].reshape((m, k)),
-        memory[a:b].reshape((k, k)),
-        memory[b : b + k],
-        memory[b + k : b + 2 * k],
-        memory[c - 2 : c],
-        memory[c : c + filtered],
-        memory[c + filtered :],
+        state[:a].reshape((m, k)),
+        state[a:b].reshape((k, k)),
+        state[b : b + k],
+        state[b + k : b + 2 * k],
+        state[c - 2 : c],
+        state[c : c + filtered],
+        state[c + filtered :],
     )
 
 
@@ -126,14 +126,14 @@ def filtered_size(p: int, n: int, rows: int, k: int) -> int:
 
 
 @compiled
-def keep_torque(row: Array, at: IntArray, a: Linear, memory: Array) -> None:
+def keep_torque(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     """Remember the torque that is held from this sample on, once nothing changes it any more."""
     m, k = a.radius.size, a.Phi.shape[1]
-    remember(row, at, memory[m * k + k * k + 2 * k + 2 :])
+    remember(row, at, state[m * k + k * k + 2 * k + 2 :])
 
 
 @compiled
-def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, memory: Array) -> None:
+def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of the weights.
 
     Args:
@@ -142,11 +142,11 @@ def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: R
         a: The numbers of the law.
         known: `a.known`, as an argument: what a run does not have is not compiled for it.
         random: `a.random`, likewise.
-        memory: See `Parts`.
+        state: See `Parts`.
     """
     p, m = a.gain.size, a.radius.size
     rows, k = a.Phi.shape
-    o = parts_of(memory, m, k, filtered_size(p, a.filter.q.size, rows, k))
+    o = parts_of(state, m, k, filtered_size(p, a.filter.q.size, rows, k))
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
     features(a, known, random, o.drawn, row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], velocity, qdot, nu_ref,

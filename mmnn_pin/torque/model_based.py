@@ -13,7 +13,7 @@ import numpy as np
 from ..errors import ConfigError
 from ..signals import Array, Layout
 from . import law
-from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .controller import CompiledController, Context, ControllerState, Feedback, Law
 
 if TYPE_CHECKING:
     from ..model.robot import Robot
@@ -29,13 +29,13 @@ class ConstantGain(CompiledController):
 
     feedback: Feedback = field(default_factory=Feedback)
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The gains; for one that uses a model the loop writes its Psi into psi_hat."""
-        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), self.feedback.vector(wiring.layout))
+        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), self.feedback.vector(context.layout))
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """Nothing to remember."""
-        return Memory.of()
+        return ControllerState.of()
 
     def feedback_gain(self, layout: Layout) -> Array:
         """Gain on `[z; r]`, (p,)."""
@@ -92,22 +92,22 @@ class ScheduledPD(CompiledController):
     gains: Array
     name: str = "pd_effective"
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """No numbers: the gains are in the memory."""
         return Law(law.SCHEDULED_GAIN, np.zeros(0, np.int64), np.zeros(0))
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """The counter and the gains; after the end of a table (of a run that ended early) its last gain stays.
 
         Raises:
             ConfigError: The table has no rows or not p columns.
         """
-        p = wiring.layout.dof
+        p = context.layout.dof
         if self.gains.ndim != 2 or self.gains.shape[1] != p or not len(self.gains):
             raise ConfigError(f"gains of shape {self.gains.shape}", fix=f"give (samples, {p})", key="gains")
-        memory = Memory.of(counter=(1,), gains=self.gains.shape)
-        memory["gains"][:] = self.gains
-        return memory
+        state = ControllerState.of(counter=(1,), gains=self.gains.shape)
+        state["gains"][:] = self.gains
+        return state
 
     def feedback_gain(self, layout: Layout) -> Array:
         """Largest gain of the schedule, (p,)."""

@@ -15,7 +15,7 @@ from ..errors import ConfigError
 from ..settings import plain
 from ..signals import Array, Layout
 from . import law
-from .controller import CompiledController, Feedback, Law, Memory, Wiring, per_velocity
+from .controller import CompiledController, Context, ControllerState, Feedback, Law, per_velocity
 from .inputs import Inputs
 from .network import numerical_rank
 from .neural_settings import OneLayer, Robust, TwoLayer
@@ -70,13 +70,13 @@ class Neural(CompiledController):
             ]
         return []
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The settings as numbers, in the order given in `torque.law`."""
-        layout = wiring.layout
+        layout = context.layout
         order = law.UPDATE_FIRST if self.update == "before_output" else law.OUTPUT_FIRST
         rows = self.inputs.rows(layout)
         sizes = [rows.size, int(self.learning), order, self.network.hidden, self.network.hidden, 0, *rows]
-        dt = 1.0 if self.rates == "per_sample" else wiring.control_period
+        dt = 1.0 if self.rates == "per_sample" else context.control_period
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
         bounds = self.radii(layout)
         per_network = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
@@ -86,16 +86,16 @@ class Neural(CompiledController):
         settings = np.concatenate([np.asarray(part, float) for part in parts])
         return Law(self.network.kind, np.array(sizes, np.int64), settings)
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """Initial weights; x, hidden outputs and net inputs of the last call are part of the memory."""
-        nx, h = self.inputs.rows(wiring.layout).size, self.network.hidden
+        nx, h = self.inputs.rows(context.layout).size, self.network.hidden
         shapes: dict[str, tuple[int, ...]] = {"x": (nx,)}
-        for i, size in channels(wiring.layout):
+        for i, size in channels(context.layout):
             shapes |= {f"W{i}": (h, size), f"V{i}": (nx, h), f"sigma{i}": (h,), f"net{i}": (h,), f"s{i}": (size,)}
-        memory = Memory.of(**shapes)
-        for i, _ in channels(wiring.layout):
-            self.network.initialise(memory[f"W{i}"], memory[f"V{i}"], wiring.rng)
-        return memory
+        state = ControllerState.of(**shapes)
+        for i, _ in channels(context.layout):
+            self.network.initialise(state[f"W{i}"], state[f"V{i}"], context.rng)
+        return state
 
     def network_scales(self, layout: Layout) -> tuple[Array, Array]:
         """Factors on the s that a network sees and on the torque that it gives, (p,) each; ones without `inertia`.
@@ -148,20 +148,20 @@ class Neural(CompiledController):
         ZB = per_velocity(robust.ZB[0], robust.ZB[1], layout, "robust.ZB")
         return self.feedback.vector(layout) + per_velocity(robust.base, robust.arm, layout, "robust") * ZB
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """W1, V1 (base) and W2, V2 (arm); V holds the fixed centres of a one-layer network and is left out there."""
         letters = "WV" if isinstance(self.network, TwoLayer) else "W"
-        return {name: memory[name] for name in memory.shapes if name[0] in letters}
+        return {name: state[name] for name in state.shapes if name[0] in letters}
 
     def facts(self) -> dict[str, Any]:
         """All settings, as JSON has them."""
         return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 
-    def findings(self, memory: Memory) -> list[str]:
+    def findings(self, state: ControllerState) -> list[str]:
         """What the weights show after a run: layers that have collapsed to rank one, and those on their bound."""
-        layers = {name: W for name, W in self.weights(memory).items() if np.isfinite(W).all()}
+        layers = {name: W for name, W in self.weights(state).items() if np.isfinite(W).all()}
         collapsed = [name for name, W in layers.items() if min(W.shape) > 1 and numerical_rank(W) == 1]
-        held = [] if self.projection is None else self._held(layers, memory)
+        held = [] if self.projection is None else self._held(layers, state)
         told = []
         if collapsed:
             told.append(f"{self.name}: {', '.join(collapsed)} ended at rank one: the hidden units act as one")
@@ -169,9 +169,9 @@ class Neural(CompiledController):
             told.append(f"{self.name}: {', '.join(held)} ended on the bound of learning.projection")
         return told
 
-    def _held(self, layers: dict[str, Array], memory: Memory) -> list[str]:
+    def _held(self, layers: dict[str, Array], state: ControllerState) -> list[str]:
         """Which of the layers are on their bound."""
-        radii = self.radii(layout_of(memory))
+        radii = self.radii(layout_of(state))
         most = {f"{letter}{i}": (1 - 1e-9) * pair[k] for i, pair in radii.items() for k, letter in enumerate("WV")}
         return [name for name, W in layers.items() if np.linalg.norm(W) >= most[name]]
 
@@ -181,7 +181,7 @@ def channels(layout: Layout) -> list[tuple[int, int]]:
     return [(i, size) for i, size in ((1, layout.base), (2, layout.arm)) if size]
 
 
-def layout_of(memory: Memory) -> Layout:
+def layout_of(state: ControllerState) -> Layout:
     """Base and arm of the robot that a memory with networks is for; other sizes as of one that is just that."""
-    base, arm = (memory[f"s{i}"].size if f"s{i}" in memory.shapes else 0 for i in (1, 2))
+    base, arm = (state[f"s{i}"].size if f"s{i}" in state.shapes else 0 for i in (1, 2))
     return Layout(base, arm, base + arm, base + arm)

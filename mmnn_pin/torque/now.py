@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import ConfigError
 from ..model.tree.regressor import measured, regress
 from ..signals import Array, Measurement, Reference, VelocityCommand
-from .controller import Wiring
+from .controller import Context
 
 if TYPE_CHECKING:
     from ..model.tree.regressor import Massless
@@ -48,12 +48,12 @@ class Now:
     _new: bool = True
 
     @classmethod
-    def of(cls, row: Array, wiring: Wiring) -> Now:
+    def of(cls, row: Array, context: Context) -> Now:
         """The samples of a row (width,)."""
-        layout, h = wiring.layout, wiring.control_period
+        layout, h = context.layout, context.control_period
         told = read_only(row)
         views = (Reference.of(told, layout), Measurement.of(told, layout), VelocityCommand.of(told, layout))
-        known = None if wiring.regressor is None else wiring.regressor.workspace()
+        known = None if context.regressor is None else context.regressor.workspace()
         written = np.zeros((3, layout.dof))
         s, nu, sent = read_only(written)
         return cls(0.0, h, True, s, nu, sent, *views, told[layout.where("torque")], known, written)

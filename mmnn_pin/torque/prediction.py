@@ -56,12 +56,12 @@ class Prediction(NamedTuple):
 
 
 @compiled
-def gather(p: Prediction, memory: Array) -> None:
+def gather(p: Prediction, state: Array) -> None:
     """Take the filtered regressor and torque into Q and b."""
     k, m = p.gradient.size, p.trust.size
     start = places(p)
-    Y, y = memory[start - m * (k + 1) : start - m].reshape((m, k)), memory[start - m : start]
-    Q, b = memory[start : start + k * k].reshape((k, k)), memory[start + k * k : start + k * k + k]
+    Y, y = state[start - m * (k + 1) : start - m].reshape((m, k)), state[start - m : start]
+    Q, b = state[start : start + k * k].reshape((k, k)), state[start + k * k : start + k * k + k]
     for j in range(k):
         b[j] *= p.keep
         for c in range(k):
@@ -83,7 +83,7 @@ def places(p: Prediction) -> int:
 
 
 @compiled
-def descend(p: Prediction, a: Adaptation, memory: Array) -> None:
+def descend(p: Prediction, a: Adaptation, state: Array) -> None:
     """One step down the prediction error, into p.step; `a.factors` belong to the theta in the memory.
 
     With `Gamma = S S'` it is the implicit Euler step of `theta' = c Gamma (b - Q theta)` over the time tau since the
@@ -93,8 +93,8 @@ def descend(p: Prediction, a: Adaptation, memory: Array) -> None:
     k, n = p.gradient.size, p.step.size
     y, residual, direction, image = p.step, p.work[0], p.work[1], p.work[2]
     start = places(p)
-    Q, b = memory[start : start + k * k].reshape((k, k)), memory[start + k * k : start + k * k + k]
-    times(Q, memory[:k], p.gradient)
+    Q, b = state[start : start + k * k].reshape((k, k)), state[start + k * k : start + k * k + k]
+    times(Q, state[:k], p.gradient)
     for j in range(k):
         p.gradient[j] = b[j] - p.gradient[j]
     pulled(p.gradient, a, residual)

@@ -86,27 +86,27 @@ class History(NamedTuple):
 
 
 @compiled
-def recall(row: Array, at: IntArray, a: History, memory: Array) -> None:
+def recall(row: Array, at: IntArray, a: History, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of w and of the stack.
 
     Args:
         row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
         at: Offsets of the signals.
         a: The numbers of the law.
-        memory: w (k,), the number of samples, what the filter remembers, the stack.
+        state: w (k,), the number of samples, what the filter remembers, the stack.
     """
     p, k = a.Phi.shape
-    w, f, nb = memory[:k], a.filter, p - a.filter.q.size
-    seen = memory[k + 1 :]
+    w, f, nb = state[:k], a.filter, p - a.filter.q.size
+    seen = state[k + 1 :]
     features(a, row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[VELOCITY] : at[Q]],
              row[at[QDOT] : at[QDOT + 1]], row[at[NU_REF] : at[NU_REF + 1]],
              row[at[NUDOT_REF] : at[NUDOT_REF + 1]])  # fmt: skip
     say(row, at, a, w)
     if not a.learning:
         return
-    answer(row, at, a, w, memory)
-    now = int(memory[k]) % a.every == 0
-    memory[k] += 1.0
+    answer(row, at, a, w, state)
+    now = int(state[k]) % a.every == 0
+    state[k] += 1.0
     if not period(row, at, f, seen):
         return
     features(a, f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot)
@@ -159,11 +159,11 @@ def say(row: Array, at: IntArray, a: History, w: Array) -> None:
 
 
 @compiled
-def answer(row: Array, at: IntArray, a: History, w: Array, memory: Array) -> None:
+def answer(row: Array, at: IntArray, a: History, w: Array, state: Array) -> None:
     """One sample of `w' = tracking P Phi' s`, its answer to s kept below a share of the feedback."""
     p, k = a.Phi.shape
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
-    P = views(memory[k + 1 + 2 + 4 * p + 2 * a.filter.q.size + p * k + p :], a.entries, p, k).P
+    P = views(state[k + 1 + 2 + 4 * p + 2 * a.filter.q.size + p * k + p :], a.entries, p, k).P
     feedback, late = 0.0, 0.0
     for j in range(k):
         a.gradient[j] = 0.0
@@ -197,7 +197,7 @@ def into_ball(w: Array, radius: float) -> None:
 
 
 @compiled
-def keep(row: Array, at: IntArray, a: History, memory: Array) -> None:
+def keep(row: Array, at: IntArray, a: History, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
     if a.learning:
-        remember(row, at, memory[a.Phi.shape[1] + 1 :])
+        remember(row, at, state[a.Phi.shape[1] + 1 :])

@@ -79,32 +79,32 @@ class Replay(NamedTuple):
 
 
 @compiled
-def replay(row: Array, at: IntArray, a: Replay, memory: Array) -> None:
+def replay(row: Array, at: IntArray, a: Replay, state: Array) -> None:
     """Learn from the last control period and from kept ones.
 
     Args:
         row: (width,) row of signals.
         at: Offsets of the signals.
         a: The numbers of the law.
-        memory: The networks' memory, then samples counted, samples kept and how many are skipped between two, what the
+        state: The networks' memory, then samples counted, samples kept and how many are skipped between two, what the
             filter remembers, and the kept samples.
     """
     f, p, nx = a.filter, a.unit.size, a.x.size
-    counts, width = memory[a.first : a.first + 3], nx + p
+    counts, width = state[a.first : a.first + 3], nx + p
     filtered = a.first + 3 + 2 + 4 * p + 2 * f.q.size + p
-    kept = memory[filtered:].reshape((-1, width))
-    if period(row, at, f, memory[a.first + 3 : filtered]):
+    kept = state[filtered:].reshape((-1, width))
+    if period(row, at, f, state[a.first + 3 : filtered]):
         recollect(a)
         for i in range(p):
             f.torque[i] /= a.scale_out[i]
-        teach(row, at, a, memory, a.x, f.torque)
+        teach(row, at, a, state, a.x, f.torque)
         if int(counts[0]) % (a.every * int(counts[2])) == 0:
             keep_sample(a, counts, kept)
     counts[0] += 1.0
     for i in range(a.replays if counts[1] > 0.0 else 0):
         place = GOLDEN * (counts[0] * a.replays + i)
         sample = kept[int((place - math.floor(place)) * counts[1])]
-        teach(row, at, a, memory, sample[:nx], sample[nx:])
+        teach(row, at, a, state, sample[:nx], sample[nx:])
 
 
 @compiled
@@ -137,7 +137,7 @@ def keep_sample(a: Replay, counts: Array, kept: Array) -> None:
 
 
 @compiled
-def teach(row: Array, at: IntArray, a: Replay, memory: Array, x: Array, torque: Array) -> None:
+def teach(row: Array, at: IntArray, a: Replay, state: Array, x: Array, torque: Array) -> None:
     """One normalised step of base's and arm's network towards a torque (p,) at an input (nx,)."""
     nx, start, first = x.size, x.size, 0
     for which in range(2):
@@ -145,8 +145,8 @@ def teach(row: Array, at: IntArray, a: Replay, memory: Array, x: Array, torque: 
         if m == 0:
             continue
         h = a.sizes[HIDDEN + which]
-        W = memory[start : start + h * m].reshape((h, m))
-        V = memory[start + h * m : start + h * (m + nx)].reshape((nx, h))
+        W = state[start : start + h * m].reshape((h, m))
+        V = state[start + h * m : start + h * (m + nx)].reshape((nx, h))
         start += h * (m + nx + 2) + m
         descend(a, W, V, x, torque[first : first + m], a.unit[first : first + m])
         first += m
@@ -193,6 +193,6 @@ def descend(a: Replay, W: Array, V: Array, x: Array, torque: Array, unit: Array)
 
 
 @compiled
-def keep_held(row: Array, at: IntArray, a: Replay, memory: Array) -> None:
+def keep_held(row: Array, at: IntArray, a: Replay, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
-    remember(row, at, memory[a.first + 3 :])
+    remember(row, at, state[a.first + 3 :])

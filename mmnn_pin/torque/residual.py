@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..signals import Array, Layout
 from . import law
-from .controller import CompiledController, Feedback, Law, Memory, Wiring
+from .controller import CompiledController, Context, ControllerState, Feedback, Law
 from .neural import Neural
 
 if TYPE_CHECKING:
@@ -58,23 +58,23 @@ class Residual(CompiledController):
         """What the network has to say."""
         return self.own.notes
 
-    def law(self, wiring: Wiring) -> Law:
+    def law(self, context: Context) -> Law:
         """The network's numbers; the loop writes the model's Psi into psi_hat."""
-        numbers = self.own.law(wiring)
+        numbers = self.own.law(context)
         numbers.sizes[law.MODEL] = 1
         return numbers
 
-    def init(self, wiring: Wiring) -> Memory:
+    def init(self, context: Context) -> ControllerState:
         """Initial weights of the network."""
-        return self.own.init(wiring)
+        return self.own.init(context)
 
     def feedback_gain(self, layout: Layout) -> Array:
         """The network's, (p,)."""
         return self.own.feedback_gain(layout)
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
+    def weights(self, state: ControllerState) -> dict[str, Array]:
         """The network's."""
-        return self.own.weights(memory)
+        return self.own.weights(state)
 
     def facts(self) -> dict[str, Any]:
         """The network's settings and what is told of the model."""
@@ -83,9 +83,9 @@ class Residual(CompiledController):
         told = self.model.facts()
         return self.own.facts() | {"model": {k: v for k, v in told.items() if k not in ("urdf", "urdf_sha256")}}
 
-    def findings(self, memory: Memory) -> list[str]:
+    def findings(self, state: ControllerState) -> list[str]:
         """What the network's weights show."""
-        return self.own.findings(memory)
+        return self.own.findings(state)
 
     @property
     def own(self) -> Neural:

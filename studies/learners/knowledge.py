@@ -16,7 +16,7 @@ from time import process_time
 
 import numpy as np
 
-from mmnn_pin import Loop, Memory, Recording, load_experiment
+from mmnn_pin import ControllerState, Loop, Recording, load_experiment
 from mmnn_pin.lab.contest.frozen import frozen, said
 from mmnn_pin.lab.proof.fvu import fvu
 from mmnn_pin.signals import Array, Layout
@@ -68,10 +68,10 @@ def rows_of(run: Recording, layout: Layout) -> Array:
     return rows
 
 
-def frozen_fvu(learned: Loop, memory: Memory, rows: Array) -> float:
+def frozen_fvu(learned: Loop, state: ControllerState, rows: Array) -> float:
     """FVU of a learner that no longer learns, mean of the components."""
     layout = learned.robot.layout
-    told = said(replace(learned, controller=frozen(learned.controller)), layout, memory.snapshot(), rows)
+    told = said(replace(learned, controller=frozen(learned.controller)), layout, state.snapshot(), rows)
     return float(fvu(rows[250:, layout.where("psi")], told[250:]).mean())
 
 
@@ -81,22 +81,22 @@ def errors(run: Recording) -> Array:
     return 1e3 * np.sqrt(np.mean(both**2, axis=0))
 
 
-def memory_after(learned: Loop, run: Recording) -> Memory:
+def memory_after(learned: Loop, run: Recording) -> ControllerState:
     """A controller's memory at the end of a run."""
-    memory: Memory = learned.controller.init(learned.wiring())
-    memory.values[:] = run.final["memory"]
-    return memory
+    state: ControllerState = learned.controller.init(learned.context())
+    state.values[:] = run.final["memory"]
+    return state
 
 
 def tell(name: str, settings: list[str], truth: dict[str, Array], motions: tuple[str, ...]) -> None:
     """Train a controller on motions, one after the other, and print what it reached."""
-    memory = None
+    state = None
     for motion in motions:
         learned = loop(name, motion, NOISE + settings)
-        run = learned.run(memory=memory)
-        memory, late = memory_after(learned, run), run.time > 0.5
+        run = learned.run(state=state)
+        state, late = memory_after(learned, run), run.time > 0.5
         online = fvu(run["psi"][late], run["psi_hat"][late]).mean()
-        frozen = "  ".join(f"{motion} {frozen_fvu(learned, memory, rows):.5f}" for motion, rows in truth.items())
+        frozen = "  ".join(f"{motion} {frozen_fvu(learned, state, rows):.5f}" for motion, rows in truth.items())
         numbers = " ".join(f"{value:.3g}" for value in errors(run))
         print(f"{name}, {motion}: errors {numbers}   FVU online {online:.5f}, frozen {frozen}", flush=True)
         if run.outcome.message:

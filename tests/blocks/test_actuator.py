@@ -281,7 +281,7 @@ class Given(TorqueController):
     def __init__(self, torque):
         self.torque = torque
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         return np.array([self.torque(time)])
 
 
@@ -318,7 +318,7 @@ def test_a_rotor_starts_with_its_joint():
     loop = Loop(
         robot, Trajectory(None, (Sine(0.3, 0.5),)), Given(lambda t: 0.0), timing=timing, actuator=Actuator(**GEAR)
     )
-    run = loop.run(state=(np.zeros(1), np.full(1, 2.0)))
+    run = loop.run(plant_state=(np.zeros(1), np.full(1, 2.0)))
     assert not run["applied"].any() and (column(run, "nu") == 2.0).all()  # both coast side by side
 
 

@@ -401,7 +401,7 @@ def test_the_same_run_gives_the_same_bits_and_resumes_near() -> None:
         np.testing.assert_array_equal(first[name], second[name])
     half = len(first) // 2
     state = first["position"][half], first["nu"][half]
-    again = loop(plant="contact").run(first=half, state=state)
+    again = loop(plant="contact").run(first=half, plant_state=state)
     np.testing.assert_allclose(again["position"], first["position"][half:], atol=1e-5)
 
 

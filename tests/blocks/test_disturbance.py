@@ -50,7 +50,7 @@ class Given(TorqueController):
     def __init__(self, torque):
         self.torque = np.array(torque, float)
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         return self.torque.copy()
 
 
@@ -180,7 +180,7 @@ def test_after_it_was_picked_up_the_run_is_that_of_the_heavier_robot():
     run = run_of(Payload(mass=2.0, start=start, at=at))
     k = round(start / H)
     heavy = replace(loop_of(), robot=carrying(ROBOT, 2.0, "", at))
-    rest = heavy.run(state=(run["position"][k], run["nu"][k]), first=k)
+    rest = heavy.run(plant_state=(run["position"][k], run["nu"][k]), first=k)
     light = run_of(duration=0.1)
     for name in ("position", "nu", "torque"):
         np.testing.assert_allclose(run[name][k:], rest[name], atol=1e-9)

@@ -19,11 +19,11 @@ from robots import fixed_arm, mobile_arm
 from mmnn_pin import (
     PD,
     ComputedTorque,
+    ControllerState,
     Feedback,
     Hold,
     Line,
     Loop,
-    Memory,
     Neural,
     OneLayer,
     Sine,
@@ -208,8 +208,8 @@ def test_a_resumed_run_is_the_whole_one_bit_for_bit(name, engine, sixths):
     if k >= len(straight):
         return  # it has stopped before
     end = replace(whole, timing=replace_duration(whole.timing, sixths * T)).run().final
-    memory = Memory(np.array(end["memory"]), whole.memory_from().shapes)
-    rest = whole.run(memory=memory, state=(end["position"], end["nu"]), rig_memory=end["rig_memory"], first=k)
+    state = ControllerState(np.array(end["memory"]), whole.state_from().shapes)
+    rest = whole.run(state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["rig_memory"], first=k)
     assert rest.outcome.status == straight.outcome.status and rest.outcome.message == straight.outcome.message
     for signal in straight.names:
         if signal not in ("energy", "work", "energy_residual"):  # counted from where a run begins
@@ -225,9 +225,9 @@ def replace_duration(timing, duration):
 def test_a_memory_that_does_not_fit_is_refused():
     loop = loop_of(CASES["actuator: backlash"])
     size = loop.run().final["rig_memory"].size
-    for memory, text in ((np.zeros(size + 1), "of shape"), (np.full(size, math.nan), "not finite")):
+    for state, text in ((np.zeros(size + 1), "of shape"), (np.full(size, math.nan), "not finite")):
         with pytest.raises(ConfigError, match=rf"rig_memory.*{text}"):
-            loop.run(rig_memory=memory)
+            loop.run(hardware_state=state)
 
 
 def test_many_runs_at_once_are_the_runs_one_by_one():
@@ -294,7 +294,7 @@ def test_the_exact_sensor_is_the_state():
     loop = loop_of({"safety": Safety()})
     engine = loop.engine_at()
     row, at, y = engine.row, loop.robot.layout.offsets, engine.y
-    sense(0, 0.0, row, at, y[:7], y[7:11], loop.robot.arm_index, engine.rig)
+    sense(0, 0.0, row, at, y[:7], y[7:11], loop.robot.arm_index, engine.hardware)
     np.testing.assert_array_equal(row[loop.robot.layout.where("pose")], y[:3])
 
 

@@ -12,11 +12,11 @@ from robots import dynamics, mobile_arm, robot_of
 
 from mmnn_pin import (
     PD,
+    ControllerState,
     Feedback,
     Hold,
     Line,
     Loop,
-    Memory,
     Neural,
     Outcome,
     Recording,
@@ -76,7 +76,7 @@ class Given(TorqueController):
     def __init__(self, torque):
         self.torque = torque
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         return np.array(self.torque(time), float)
 
 
@@ -196,23 +196,23 @@ def weights(run):
 
 def test_weights_of_a_controller_in_python_are_bounded_where_it_keeps_a_memory():
     class Learner(TorqueController):
-        def init(self, wiring):
-            return Memory.of(W=(2, 3))
+        def init(self, context):
+            return ControllerState.of(W=(2, 3))
 
-        def step(self, time, reference, measurement, command, memory):
-            memory["W"] += 1.0
+        def step(self, time, reference, measurement, command, state):
+            state["W"] += 1.0
             return np.zeros(4)
 
-        def weights(self, memory):
-            return {"W": memory["W"]}
+        def weights(self, state):
+            return {"W": state["W"]}
 
     class Hidden(Learner):
-        def init(self, wiring):
+        def init(self, context):
             return {"W": np.zeros((2, 3))}
 
     loop = loop_of(Safety(weights=2.0), controller=Learner())
-    memory = loop.run().final["memory"]
-    assert np.linalg.norm(memory) == pytest.approx(2.0)
+    state = loop.run().final["memory"]
+    assert np.linalg.norm(state) == pytest.approx(2.0)
     with pytest.raises(ConfigError, match=r"safety\.weights.*cannot be bounded"):
         run_of(Safety(weights=2.0), controller=Hidden())
 
@@ -220,9 +220,9 @@ def test_weights_of_a_controller_in_python_are_bounded_where_it_keeps_a_memory()
 def test_weights_that_are_not_finite_trip():
     controller = Neural(TwoLayer(), Feedback(200.0, 3.0), robust=None)
     loop = loop_of(Safety(stop_time=0.01), controller=controller)
-    memory = loop.memory_from()
-    engine = loop.engine_at(memory)
-    engine.memory["V1"][0, 0] = math.nan
+    state = loop.state_from()
+    engine = loop.engine_at(state)
+    engine.state["V1"][0, 0] = math.nan
     from mmnn_pin.recording.recorder import Recorder
 
     with Recorder(loop.robot.layout, loop.facts(), None, False) as recorder:
@@ -378,13 +378,13 @@ def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
     from mmnn_pin.safety.supervisor import NUMBERS, check_motion
     from mmnn_pin.signals import INDEX, Layout
 
-    layout = Layout(base=3, arm=0, full=3, motors=3, rig=1)
-    row, at, memory = layout.new_row(), layout.offsets, np.zeros(50)
+    layout = Layout(base=3, arm=0, full=3, motors=3, hardware=1)
+    row, at, state = layout.new_row(), layout.offsets, np.zeros(50)
     row[at[INDEX["velocity"]] : at[INDEX["velocity"]] + 3] = 0.3, 0.4, 0.0
     for limit, tripped in ((0.51, 0.0), (0.49, 1.0)):
         numbers = np.concatenate((np.full(NUMBERS + 3, np.inf), [limit, limit, np.inf], np.zeros(3)))
-        check_motion(row, at, 0.0, numbers, memory, 3)
-        assert memory[0] == tripped
+        check_motion(row, at, 0.0, numbers, state, 3)
+        assert state[0] == tripped
 
 
 def test_a_stop_works_under_a_controller_whose_gains_are_not_known():

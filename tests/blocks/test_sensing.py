@@ -15,11 +15,11 @@ from robots import fixed_arm, mobile_arm
 from mmnn_pin import (
     PD,
     ComputedTorque,
+    ControllerState,
     Feedback,
     Hold,
     Line,
     Loop,
-    Memory,
     Neural,
     OneLayer,
     Sine,
@@ -45,11 +45,11 @@ seeds = st.integers(0, 2**31)
 def measured(sensor, position, nu, robot=ROBOT, period=PERIOD, seed=0):
     """Measurements along a motion: positions (N, nv) and velocities (N, p)."""
     sensing, layout = sensor.on(robot, period), robot.layout
-    row, memory = layout.new_row(), sensing.init()
+    row, state = layout.new_row(), sensing.init()
     noise = sensing.noise(len(position), np.random.default_rng(seed))
     view, out = Measurement.of(row, layout), {name: [] for name in ("pose", "velocity", "q", "qdot")}
     for y, v, random in zip(position, nu, noise, strict=True):
-        measure(row, layout.offsets, y, v, sensing.encoders, sensing.W, sensing.numbers, random, memory)
+        measure(row, layout.offsets, y, v, sensing.encoders, sensing.W, sensing.numbers, random, state)
         for name, values in out.items():
             values.append(np.array(getattr(view, name)))
     return {name: np.array(values) for name, values in out.items()}
@@ -306,8 +306,8 @@ def test_a_run_resumes_with_its_sensors(engine):
     half = replace(whole, timing=Timing(duration=DURATION / 2))
     first = half.run()
     k, end = half.timing.samples, first.final
-    memory = Memory(np.array(end["memory"]), whole.memory_from().shapes)
-    rest = whole.run(memory=memory, state=(end["position"], end["nu"]), rig_memory=end["rig_memory"], first=k)
+    state = ControllerState(np.array(end["memory"]), whole.state_from().shapes)
+    rest = whole.run(state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["rig_memory"], first=k)
     straight = whole.run()
     for name in ("q", "pose", "velocity", "torque"):
         np.testing.assert_allclose(rest[name], straight[name][k:], rtol=1e-9, atol=1e-9)

@@ -18,12 +18,12 @@ from mmnn_pin import (
     Bounds,
     Circle,
     ComputedTorque,
+    ControllerState,
     Dynamics,
     Feedback,
     Hold,
     Line,
     Loop,
-    Memory,
     Neural,
     OneLayer,
     Robot,
@@ -56,25 +56,25 @@ class Mine(TorqueController):
 
     name = "mine"
 
-    def init(self, wiring):
+    def init(self, context):
         return {"count": np.zeros(1)}
 
-    def step(self, time, reference, measurement, command, memory):
-        memory["count"] += 1
+    def step(self, time, reference, measurement, command, state):
+        state["count"] += 1
         return GAINS.vector(ROBOT.layout) * np.concatenate((command.z, command.r))
 
-    def weights(self, memory):
-        return memory
+    def weights(self, state):
+        return state
 
 
-def trained(seed: int) -> Memory:
+def trained(seed: int) -> ControllerState:
     """Memory with weights as after some training."""
-    memory = BASIC.memory_from()
-    memory.values += np.random.default_rng(seed).normal(0.0, 0.1, memory.values.size)
-    return memory
+    state = BASIC.state_from()
+    state.values += np.random.default_rng(seed).normal(0.0, 0.1, state.values.size)
+    return state
 
 
-def different() -> tuple[list[Loop], list[Memory | None]]:
+def different() -> tuple[list[Loop], list[ControllerState | None]]:
     """Runs that differ in all that a run may differ in; the last two diverge and run in plain Python."""
     arm = Loop(
         load("two_axis_arm"), Trajectory(None, (Sine(0.3, 2.0), Hold(0.1))), PD(Feedback(arm=1.0)), timing=TIMING
@@ -94,17 +94,17 @@ def different() -> tuple[list[Loop], list[Memory | None]]:
         "diverges": (replace(BASIC, controller=PD(Feedback(arm=500.0)), bounds=Bounds(joint_speed=3.0)), None),
         "python": (replace(BASIC, controller=Mine()), None),
     }
-    return [loop for loop, _ in loops.values()], [memory for _, memory in loops.values()]
+    return [loop for loop, _ in loops.values()], [state for _, state in loops.values()]
 
 
-def alone(loop: Loop, memory: Memory | None) -> Run:
-    recording = replace(loop, check_gains=False).run(memory=memory)
+def alone(loop: Loop, state: ControllerState | None) -> Run:
+    recording = replace(loop, check_gains=False).run(state=state)
     return Run(recording.outcome, metrics(recording, WINDOWS), recording.final, recording)
 
 
 @pytest.fixture(scope="module")
 def singles() -> list[Run]:
-    return [alone(loop, memory) for loop, memory in zip(*different(), strict=True)]
+    return [alone(loop, state) for loop, state in zip(*different(), strict=True)]
 
 
 def assert_same_bits(run: Run, single: Run) -> None:
@@ -148,10 +148,10 @@ def test_order_and_workers_do_not_matter(singles, order, workers):
 
 
 def test_memories_given_are_not_touched():
-    memory = trained(2)
-    before = memory.values.copy()
-    simulate_many([BASIC, BASIC], memories=[memory, memory], workers=2)
-    np.testing.assert_array_equal(memory.values, before)
+    state = trained(2)
+    before = state.values.copy()
+    simulate_many([BASIC, BASIC], memories=[state, state], workers=2)
+    np.testing.assert_array_equal(state.values, before)
 
 
 def test_recordings_are_kept_where_asked_for(singles):
@@ -217,15 +217,15 @@ def nothing_runs(monkeypatch):
     monkeypatch.setattr(batch, "simulate", simulate)
 
 
-def wrong_size() -> Memory:
-    memory = BASIC.memory_from()
-    return Memory(memory.values[:-3], memory.shapes)
+def wrong_size() -> ControllerState:
+    state = BASIC.state_from()
+    return ControllerState(state.values[:-3], state.shapes)
 
 
-def not_finite() -> Memory:
-    memory = BASIC.memory_from()
-    memory.values[4] = np.nan
-    return memory
+def not_finite() -> ControllerState:
+    state = BASIC.state_from()
+    state.values[4] = np.nan
+    return state
 
 
 @pytest.mark.usefixtures("nothing_runs")
@@ -238,9 +238,9 @@ def not_finite() -> Memory:
         ({"memories": [None]}, "1 memories for 2 runs"),
         ({"memories": [None, wrong_size()]}, r"memories\[1\].*shape"),
         ({"memories": [not_finite(), None]}, r"memories\[0\].*not finite"),
-        ({"memories": [None, Neural(TwoLayer(hidden=3)).init(BASIC.wiring())]}, r"memories\[1\].*two_layer.*22.*3"),
+        ({"memories": [None, Neural(TwoLayer(hidden=3)).init(BASIC.context())]}, r"memories\[1\].*two_layer.*22.*3"),
         ({"memories": [None, np.zeros(5)]}, r"memories\[1\].*ndarray"),
-        ({"memories": [PD().init(BASIC.wiring()), None]}, r"memories\[0\].*two_layer"),
+        ({"memories": [PD().init(BASIC.context()), None]}, r"memories\[0\].*two_layer"),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_runs(arguments, text):
@@ -366,7 +366,7 @@ def test_ctrl_c_gives_back_what_is_done(limit):
 def test_ctrl_c_in_the_first_run_ends_the_batch(monkeypatch):
     calls = []
 
-    def interrupted(self, memory):
+    def interrupted(self, state):
         calls.append(0)
         raise KeyboardInterrupt
 

@@ -269,10 +269,10 @@ def test_one_engine_resumes_what_the_other_began(engines, name):
     whole = loop(CONTROLLERS[name], duration=0.072 if config.DISABLE_JIT else 0.72, nominal=HEAVY)
     half = replace(whole, timing=Timing(duration=whole.timing.duration / 2, **SLOW_SENSOR), engine=engines[0])
     begun, run = half.run(), replace(whole, engine="ordinary").run()
-    memory = whole.memory_from()
-    memory.values[:] = begun.final["memory"]
-    state = begun.final["position"], begun.final["nu"]
-    ended = replace(whole, engine=engines[1]).run(memory=memory, state=state, first=len(begun))
+    state = whole.state_from()
+    state.values[:] = begun.final["memory"]
+    plant_state = begun.final["position"], begun.final["nu"]
+    ended = replace(whole, engine=engines[1]).run(state=state, plant_state=plant_state, first=len(begun))
     assert ended.meta["loop"] == engines[1] and len(begun) + len(ended) == len(run)
     for signal_name in ("time", "position", "nu", "q", "torque", "psi", "psi_hat", "effective_gain"):
         joined = np.concatenate((begun[signal_name], ended[signal_name]))
@@ -288,7 +288,7 @@ class Mine(TorqueController):
 
     name = "mine"
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         return GAINS.vector(ROBOT.layout) * np.concatenate((command.z, command.r))
 
 

@@ -15,13 +15,13 @@ from numba import config
 from mmnn_pin import (
     PD,
     ComputedTorque,
+    ControllerState,
     Cycle,
     Eight,
     Feedback,
     LearningLaw,
     Line,
     Loop,
-    Memory,
     Neural,
     OneLayer,
     Recording,
@@ -56,13 +56,13 @@ class Integral(TorqueController):
 
     name = "integral"
 
-    def init(self, wiring):
-        return {"sum": np.zeros(wiring.layout.dof), "k": GAINS.vector(wiring.layout)}
+    def init(self, context):
+        return {"sum": np.zeros(context.layout.dof), "k": GAINS.vector(context.layout)}
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         s = np.concatenate((command.z, command.r))
-        memory["sum"] += H * s
-        return memory["k"] * (s + memory["sum"])
+        state["sum"] += H * s
+        return state["k"] * (s + state["sum"])
 
 
 def closed(controller=None, robot=ROBOT, duration=0.5, **changes):
@@ -134,16 +134,16 @@ QUICK = [  # so that all of them learn within 0.1 s
 class Follow(LearningLaw):
     """A law of a user that learns from both errors: `Psi_hat = W' [1, nu, nudot_ref]`."""
 
-    def init(self, wiring):
-        return Memory.of(W=(1 + 2 * wiring.layout.dof, wiring.layout.dof))
+    def init(self, context):
+        return ControllerState.of(W=(1 + 2 * context.layout.dof, context.layout.dof))
 
-    def estimate(self, now, memory):
-        return np.concatenate(([1.0], now.nu, now.nudot_ref)) @ memory["W"]
+    def estimate(self, now, state):
+        return np.concatenate(([1.0], now.nu, now.nudot_ref)) @ state["W"]
 
-    def learn(self, now, memory):
+    def learn(self, now, state):
         x = np.concatenate(([1.0], now.nu, now.nudot_ref))
-        error = 10.0 * now.s if now.first else 10.0 * now.s + 1e-3 * (now.sent - x @ memory["W"])
-        memory["W"] += now.period * np.outer(x, error)
+        error = 10.0 * now.s if now.first else 10.0 * now.s + 1e-3 * (now.sent - x @ state["W"])
+        state["W"] += now.period * np.outer(x, error)
 
 
 def learner(name, robot=ROBOT):
@@ -244,7 +244,7 @@ def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
         for k in range(loop.timing.samples):
             torques.append(cycle.step(k * H, measurement(run, k) if k < 100 else None).copy())
             cycle.record()
-            memories += [cycle.memory.values.copy()] if cycle.tripped else []
+            memories += [cycle.state.values.copy()] if cycle.tripped else []
             if cycle.is_over:
                 break
         found = cycle.finish("completed", "and more")
@@ -345,8 +345,8 @@ def test_nothing_is_compiled_in_a_step(controller):
 
 def test_the_rehearsal_leaves_no_trace():
     with Cycle(closed(CONTROLLERS["two_layer"])) as cycle:
-        fresh = cycle.loop.memory_from()
-        assert cycle.memory.values.tolist() == fresh.values.tolist()
+        fresh = cycle.loop.state_from()
+        assert cycle.state.values.tolist() == fresh.values.tolist()
         assert not cycle.row.any() and not cycle.tripped
 
 

@@ -67,7 +67,7 @@ class Mine(TorqueController):
     def torque(self, time, command):
         return self.gains * np.concatenate((command.z, command.r))
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         assert (type(reference), type(measurement), type(command)) == (Reference, Measurement, VelocityCommand)
         self.seen.append({f.name: getattr(measurement, f.name).copy() for f in fields(measurement)})
         return self.torque(time, command)
@@ -246,15 +246,15 @@ def test_engines_agree_on_every_signal():
 class Counter(Mine):
     """Remembers how often it was called, and calls that its weights."""
 
-    def init(self, wiring):
+    def init(self, context):
         return {"count": np.zeros(1)}
 
-    def step(self, time, reference, measurement, command, memory):
-        memory["count"] += 1
-        return super().step(time, reference, measurement, command, memory)
+    def step(self, time, reference, measurement, command, state):
+        state["count"] += 1
+        return super().step(time, reference, measurement, command, state)
 
-    def weights(self, memory):
-        return memory
+    def weights(self, state):
+        return state
 
 
 def test_python_controller_has_memory_and_weights_of_its_own():
@@ -338,16 +338,16 @@ def test_equal_seeds_are_equal_on_disk_and_others_are_not(tmp_path, engine):
 def test_run_in_two_halves_is_the_run(engine):
     whole = loop(Neural(), engine=engine)
     first = loop(Neural(), SHORT / 2, engine=engine).run()
-    memory = whole.controller.init(whole.wiring())
-    memory.values[:] = first.final["memory"]
-    before = memory.values.copy()
-    state = first.final["position"], first.final["nu"]
-    second, run = whole.run(memory=memory, state=state, first=len(first)), whole.run()
+    state = whole.controller.init(whole.context())
+    state.values[:] = first.final["memory"]
+    before = state.values.copy()
+    plant_state = first.final["position"], first.final["nu"]
+    second, run = whole.run(state=state, plant_state=plant_state, first=len(first)), whole.run()
     assert len(first) + len(second) == len(run)
     for name in ("time", "position", "nu", "torque", "psi_hat"):
         np.testing.assert_array_equal(np.concatenate((first[name], second[name])), run[name])
-    np.testing.assert_array_equal(memory.values, before)  # the caller's snapshot is left alone
-    fresh = whole.run(state=state, first=len(first))
+    np.testing.assert_array_equal(state.values, before)  # the caller's snapshot is left alone
+    fresh = whole.run(plant_state=plant_state, first=len(first))
     assert np.abs(fresh["psi_hat"] - second["psi_hat"]).max() > 1e-3
 
 
@@ -355,7 +355,7 @@ def test_run_in_two_halves_is_the_run(engine):
     ("nominal", ARM, {}),
     ("state", None, {"state": (np.full(7, np.nan), np.zeros(4))}),
     ("state", None, {"state": (np.zeros(7), np.zeros(5))}),
-    ("memory", None, {"memory": PD().init(loop().wiring())}),
+    ("memory", None, {"memory": PD().init(loop().context())}),
     ("first", None, {"first": 10_000}),
     ("first", None, {"first": 1}),
 ])  # fmt: skip
@@ -375,9 +375,9 @@ def test_weights_are_recorded_at_intervals_and_at_the_end(tmp_path, engine):
     assert not run.weights["W2"][0].any()
     steps = np.abs(np.diff(run.weights["W2"], axis=0)).max(axis=(1, 2))
     assert np.all(steps > 0)
-    memory = Neural().init(loop(Neural()).wiring())
-    memory.values[:] = run.final["memory"]
-    np.testing.assert_array_equal(run.weights["V2"][-1], memory["V2"])
+    state = Neural().init(loop(Neural()).context())
+    state.values[:] = run.final["memory"]
+    np.testing.assert_array_equal(run.weights["V2"][-1], state["V2"])
     norms = np.sqrt((run.weights["W2"][:-1] ** 2).sum((1, 2)) + (run.weights["V2"][:-1] ** 2).sum((1, 2)))
     at = np.round(run.weights["time"][:-1] / 0.002).astype(int)
     np.testing.assert_allclose(run["weight_norm"][at, 1], norms, rtol=1e-12)
@@ -529,7 +529,7 @@ def test_gains_are_judged_by_the_slower_of_control_and_sensor(tmp_path):
 @pytest.mark.parametrize("wrong", [0.0, [1.0, 2.0], np.zeros((1, 4))])
 def test_a_torque_of_wrong_shape_is_refused(wrong):
     class Wrong(TorqueController):
-        def step(self, time, reference, measurement, command, memory):
+        def step(self, time, reference, measurement, command, state):
             return wrong
 
     with pytest.raises(ConfigError, match=r"custom.*shape"):

@@ -22,7 +22,7 @@ from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.torque.adaptation import adapt
 from mmnn_pin.torque.adaptive import Adaptive, lifted, pseudo_inertias, vector_of
 from mmnn_pin.torque.adaptive_settings import Adapting
-from mmnn_pin.torque.controller import Feedback, Wiring
+from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, within
 from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes
 
@@ -56,15 +56,15 @@ class Bench:
         self.adapting = Adapting(**{"share": 1e9, "rotor": 0.5} | adapting)
         self.controller = Adaptive(regressor, K, self.adapting)
         self.layout, self.h = ROBOT.layout, h
-        wiring = Wiring(self.layout, h, 10)
-        self.a, self.memory = self.controller.law(wiring).adaptation, self.controller.init(wiring)
-        self.row, self.theta = self.layout.new_row(), self.memory["theta"]
+        context = Context(self.layout, h, 10)
+        self.a, self.state = self.controller.law(context).adaptation, self.controller.init(context)
+        self.row, self.theta = self.layout.new_row(), self.state["theta"]
 
     def step(self, Y, s):
         """Psi_hat of one sample, with theta from before it."""
         self.a.known.Y[:] = Y
         self.row[self.layout.where("z")], self.row[self.layout.where("r")] = s[:2], s[2:]
-        adapt(self.row, self.layout.offsets, self.a, self.memory.values)
+        adapt(self.row, self.layout.offsets, self.a, self.state.values)
         return self.row[self.layout.where("psi_hat")].copy()
 
     def distance(self, theta=TRUE):
@@ -357,7 +357,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ConfigError, match="give 64 finite ones"):
         Adaptive(REGRESSOR, K, nominal=np.ones(3))
     with pytest.raises(ConfigError, match="adaptation needs all > 0"):
-        Adaptive(REGRESSOR, Feedback(0.0, 1.0)).law(Wiring(ROBOT.layout, 0.001, 1))
+        Adaptive(REGRESSOR, Feedback(0.0, 1.0)).law(Context(ROBOT.layout, 0.001, 1))
 
 
 def test_an_experiment_makes_it():

@@ -30,10 +30,10 @@ class Follower(Bench):
 
         super().__init__(h=1e-3, rate=3.0, **(adapting or {}))
         self.controller = replace(self.controller, predicting=Predicting(**{"every": 1e-3} | predicting))
-        wiring = made("adaptive_composite").wiring()
-        self.wiring = type(wiring)(wiring.layout, self.h, 10)
-        self.a, self.memory = self.controller.law(self.wiring).adaptation, self.controller.init(self.wiring)
-        self.theta, self.p = self.memory["theta"], self.a.prediction
+        context = made("adaptive_composite").context()
+        self.context = type(context)(context.layout, self.h, 10)
+        self.a, self.state = self.controller.law(self.context).adaptation, self.controller.init(self.context)
+        self.theta, self.p = self.state["theta"], self.a.prediction
         self.theta[REGRESSOR.inertial :] += 0.1  # off the walls
 
     def factors(self):
@@ -65,22 +65,22 @@ class Follower(Bench):
 def told(rng, bench, rows=8, truth=TRUE):
     """Q and b of a few random equations that the truth obeys."""
     Y = rng.standard_normal((rows, REGRESSOR.size))
-    bench.memory["Q"] = Y.T @ Y
-    bench.memory["b"] = bench.memory["Q"] @ truth
+    bench.state["Q"] = Y.T @ Y
+    bench.state["b"] = bench.state["Q"] @ truth
 
 
 def test_q_and_b_are_kreisselmeiers_integrals():
-    bench, rng = Follower(memory=0.05), np.random.default_rng(0)
+    bench, rng = Follower(state=0.05), np.random.default_rng(0)
     k, p = REGRESSOR.size, ROBOT.layout.dof
     Q, b, keep = np.zeros((k, k)), np.zeros(k), np.exp(-1e-3 / 0.05)
     for _ in range(5):
         Y, y = rng.standard_normal((p, k)), rng.standard_normal(p)
-        bench.memory["Phi_f"], bench.memory["Y_f"] = Y, y
-        gather(bench.p, bench.memory.values)
+        bench.state["Phi_f"], bench.state["Y_f"] = Y, y
+        gather(bench.p, bench.state.values)
         R = np.diag(1 / bench.a.gain)
         Q, b = keep * Q + (1 - keep) * Y.T @ R @ Y, keep * b + (1 - keep) * Y.T @ R @ y
-    np.testing.assert_allclose(bench.memory["Q"], Q, atol=1e-12)
-    np.testing.assert_allclose(bench.memory["b"], b, atol=1e-12)
+    np.testing.assert_allclose(bench.state["Q"], Q, atol=1e-12)
+    np.testing.assert_allclose(bench.state["b"], b, atol=1e-12)
 
 
 def test_gamma_is_the_natural_metric():
@@ -99,10 +99,10 @@ def test_a_step_is_implicit_euler(seed, size):
     """Against numpy's solution of (1 + c tau S' Q S) y = c tau S' (b - Q theta)."""
     bench, rng = Follower(weight=10.0**size), np.random.default_rng(seed)
     told(rng, bench)
-    S, Q, b, tau = bench.S(), bench.memory["Q"], bench.memory["b"], bench.p.weight
+    S, Q, b, tau = bench.S(), bench.state["Q"], bench.state["b"], bench.p.weight
     assert tau == pytest.approx(10.0**size * 1e-3)
     A, g = np.eye(S.shape[1]) + tau * S.T @ Q @ S, tau * S.T @ (b - Q @ bench.theta)
-    descend(bench.p, bench.a, bench.memory.values)
+    descend(bench.p, bench.a, bench.state.values)
     found = bench.units() @ bench.p.step
     assert np.linalg.norm(A @ found - g) <= 1.1 * np.sqrt(prediction.ENOUGH) * np.linalg.norm(g)
     np.testing.assert_allclose(bench.S() @ found, S @ np.linalg.solve(A, g), atol=1e-2 * np.linalg.norm(S @ found))
@@ -119,7 +119,7 @@ def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
     told(rng, bench, truth=truth)
     for _ in range(20):
         before = bench.distance(truth)
-        follow(bench.p, bench.a, bench.memory.values)
+        follow(bench.p, bench.a, bench.state.values)
         assert bench.distance(truth) <= before * (1 + 1e-12)
 
 
@@ -132,8 +132,8 @@ def test_v_falls_by_the_square_of_the_prediction_error(seed):
     truth[REGRESSOR.inertial :] = 0.5
     told(rng, bench, truth=truth)
     before, error = bench.distance(truth), truth - bench.theta
-    follow(bench.p, bench.a, bench.memory.values)
-    expected = bench.p.weight * error @ bench.memory["Q"] @ error
+    follow(bench.p, bench.a, bench.state.values)
+    expected = bench.p.weight * error @ bench.state["Q"] @ error
     assert before - bench.distance(truth) == pytest.approx(expected, rel=0.02)
 
 
@@ -143,9 +143,9 @@ def test_the_estimate_stays_physical_and_bounded_whatever_was_filtered(seed, siz
     bench, rng = Follower(adapting={"bounds": 7.0}), np.random.default_rng(seed)
     starts = pseudo_inertias(bench.controller.start()[: REGRESSOR.inertial])
     for _ in range(5):
-        bench.memory["Q"] = 10.0**size * (A := rng.standard_normal((64, 64))) @ A.T
-        bench.memory["b"] = 10.0**size * rng.standard_normal(64)
-        follow(bench.p, bench.a, bench.memory.values)
+        bench.state["Q"] = 10.0**size * (A := rng.standard_normal((64, 64))) @ A.T
+        bench.state["b"] = 10.0**size * rng.standard_normal(64)
+        follow(bench.p, bench.a, bench.state.values)
         for P, P0 in zip(pseudo_inertias(bench.theta[: REGRESSOR.inertial]), starts, strict=True):
             ratios = np.linalg.eigvals(np.linalg.solve(P0, P)).real
             assert ratios.min() > 1 / 7.01 and ratios.max() < 7.01
@@ -157,7 +157,7 @@ def test_engines_batch_resumption_and_freezing():
     assert_engines_agree(loop)
     assert_it_resumes(loop, loop.timing.duration / 2)
     assert_frozen(loop)
-    assert not any(name in made("adaptive").controller.init(loop.wiring()).shapes for name in ("Q", "b"))
+    assert not any(name in made("adaptive").controller.init(loop.context()).shapes for name in ("Q", "b"))
 
 
 def error_of(run):

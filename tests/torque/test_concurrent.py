@@ -15,7 +15,7 @@ from mmnn_pin import Regressor
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.torque.concurrent import Concurrent
-from mmnn_pin.torque.controller import Memory
+from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.history import consider, estimate_of, scratch, shapes, views
 from mmnn_pin.torque.motor_limits import limit, motor_limits
 from mmnn_pin.torque.recall import into_ball, recall
@@ -33,10 +33,10 @@ class Book:
     """A stack alone."""
 
     def __init__(self, entries=N, growth=0.05, lifetime=np.inf):
-        memory = Memory.of(**shapes(entries, P, K))
-        memory["L"] = memory["P"] = np.eye(K)
-        memory["born"] = -1.0
-        self.s, self.w = getattr(views, "py_func", views)(memory.values, entries, P, K), scratch(P, K)
+        state = ControllerState.of(**shapes(entries, P, K))
+        state["L"] = state["P"] = np.eye(K)
+        state["born"] = -1.0
+        self.s, self.w = getattr(views, "py_func", views)(state.values, entries, P, K), scratch(P, K)
         self.growth, self.lifetime, self.time = growth, lifetime, 0.0
 
     def take(self, Phi, y):
@@ -127,15 +127,15 @@ def test_the_ball(numbers, radius):
 @given(seeds, st.floats(0, 8))
 def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
     loop, rng = made("concurrent"), np.random.default_rng(seed)
-    learner, wiring = loop.controller, loop.wiring()
+    learner, context = loop.controller, loop.context()
     limits = motor_limits(loop.robot.E, np.full(loop.robot.layout.motors, 20.0))
-    a, memory, row = learner.law(wiring).history, learner.init(wiring), wiring.layout.new_row()
+    a, state, row = learner.law(context).history, learner.init(context), context.layout.new_row()
     for k in range(30):
         row[:] = 10.0**size * rng.standard_normal(row.size)
         row[0] = k * a.h
-        recall(row, wiring.layout.offsets, a, memory.values)
-        assert np.linalg.norm(memory["w"]) <= a.radius * (1 + 1e-9)
-        psi_hat = row[wiring.layout.where("psi_hat")]
+        recall(row, context.layout.offsets, a, state.values)
+        assert np.linalg.norm(state["w"]) <= a.radius * (1 + 1e-9)
+        psi_hat = row[context.layout.where("psi_hat")]
         limit(psi_hat, 0.0 * psi_hat, limits)
         motors = np.linalg.pinv(loop.robot.E) @ psi_hat
         assert (np.abs(motors) <= 20.0 * (1 + 1e-9)).all()
@@ -145,24 +145,24 @@ def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
 def test_a_sample_is_the_law(tracking):
     """By numpy: Psi_hat, and w after the tracking term, below its share of the feedback and cut to it."""
     loop = made("concurrent", f"concurrent.tracking={tracking}")
-    learner, wiring = loop.controller, loop.wiring()
-    a, memory, row = learner.law(wiring).history, learner.init(wiring), wiring.layout.new_row()
+    learner, context = loop.controller, loop.context()
+    a, state, row = learner.law(context).history, learner.init(context), context.layout.new_row()
     rng, k = np.random.default_rng(0), learner.dimension
-    memory["w"] = w = 0.1 * rng.standard_normal(k)
+    state["w"] = w = 0.1 * rng.standard_normal(k)
     A = rng.standard_normal((k, k))
-    memory["P"] = P = A @ A.T / k
+    state["P"] = P = A @ A.T / k
     for name in ("z", "r"):
-        row[wiring.layout.where(name)] = 1e-3 * rng.standard_normal(2)
-    row[wiring.layout.where("nu_ref")] = nu_ref = rng.standard_normal(4)
+        row[context.layout.where(name)] = 1e-3 * rng.standard_normal(2)
+    row[context.layout.where("nu_ref")] = nu_ref = rng.standard_normal(4)
     Y = learner.regressor.matrix(learner.regressor.massless.offset, np.zeros(4), nu_ref, np.zeros(4))
-    Phi, s = Y @ learner.basis, np.concatenate([row[wiring.layout.where(n)] for n in ("z", "r")])
-    recall(row, wiring.layout.offsets, a, memory.values)
-    np.testing.assert_allclose(row[wiring.layout.where("psi_hat")], Y @ learner.start() + Phi @ w, rtol=1e-9)
+    Phi, s = Y @ learner.basis, np.concatenate([row[context.layout.where(n)] for n in ("z", "r")])
+    recall(row, context.layout.offsets, a, state.values)
+    np.testing.assert_allclose(row[context.layout.where("psi_hat")], Y @ learner.start() + Phi @ w, rtol=1e-9)
     step = a.h * a.tracking * P @ Phi.T @ s
     late = s @ Phi @ step
     eta = min(1.0, a.share * s @ (a.gain * s) / late)
     assert (eta < 1.0) == (tracking > 1.0)
-    np.testing.assert_allclose(memory["w"], w + eta * step, rtol=1e-9)
+    np.testing.assert_allclose(state["w"], w + eta * step, rtol=1e-9)
 
 
 def test_engines_batch_resumption_and_freezing():
@@ -192,12 +192,12 @@ def test_knowledge_outlasts_the_excitation():
     found = {}
     for name in ("concurrent", "adaptive"):
         rich, poor = made(name, *EIGHT, duration=24.0), made(name, *CIRCLE, duration=24.0)
-        truth, memory, errors = parameters(rich.robot), None, []
+        truth, state, errors = parameters(rich.robot), None, []
         for loop in (rich, poor):
-            run = loop.run(memory=memory)
-            memory = loop.controller.init(loop.wiring())
-            memory.values[:] = run.final["memory"]
-            theta = memory["theta"] if name == "adaptive" else loop.controller.theta(memory)
+            run = loop.run(state=state)
+            state = loop.controller.init(loop.context())
+            state.values[:] = run.final["memory"]
+            theta = state["theta"] if name == "adaptive" else loop.controller.theta(state)
             errors.append((theta - truth) @ gram @ (theta - truth) / (truth @ gram @ truth))
         found[name] = (*errors, run.outcome.message)
     assert found["concurrent"][0] < 3e-3 and found["concurrent"][1] < 1.5 * found["concurrent"][0]
@@ -221,7 +221,7 @@ def test_with_a_lifetime_a_payload_is_learned():
 
 def test_a_gain_of_0_is_refused_before_anything_is_computed_from_it():
     loop = made("concurrent", "feedback.arm=[60.0,0.0]")
-    for use in (lambda: loop.controller.notes, lambda: loop.controller.law(loop.wiring())):
+    for use in (lambda: loop.controller.notes, lambda: loop.controller.law(loop.context())):
         with pytest.raises(ConfigError, match="needs all > 0"):
             use()
 

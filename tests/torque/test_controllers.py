@@ -29,10 +29,10 @@ from mmnn_pin.timing import Timing
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import (
     CompiledController,
+    Context,
+    ControllerState,
     Feedback,
-    Memory,
     TorqueController,
-    Wiring,
     per_velocity,
 )
 from mmnn_pin.torque.inputs import MEASURED, Inputs
@@ -55,8 +55,8 @@ class Bench:
 
     def __init__(self, controller: CompiledController, layout: Layout = LAYOUT, seed: int = 1) -> None:
         self.layout, self.row = layout, layout.new_row()
-        wiring = Wiring(layout, H, SAMPLES, np.random.default_rng(seed))
-        self.law, self.memory = controller.law(wiring), controller.init(wiring)
+        context = Context(layout, H, SAMPLES, np.random.default_rng(seed))
+        self.law, self.state = controller.law(context), controller.init(context)
         self.integers: tuple[Any, Any] = (layout.offsets, self.law.sizes)
 
     def step(self, seed: int, **signals: Any) -> Bench:
@@ -64,7 +64,7 @@ class Bench:
         self.row[:] = np.random.default_rng(seed).uniform(-1, 1, self.row.size)
         for name, value in signals.items():
             self.row[self.layout.where(name)] = value
-        law.step(self.law.kind, self.row, *self.integers, self.law.settings, self.memory.values, None)
+        law.step(self.law.kind, self.row, *self.integers, self.law.settings, self.state.values, None)
         return self
 
     def __getitem__(self, name: str) -> Array:
@@ -75,7 +75,7 @@ class Bench:
         return np.concatenate((self["z"], self["r"]))
 
     def weights(self) -> dict[str, Array]:
-        return {name: self.memory[name].copy() for name in self.memory.shapes if name[0] in "WV"}
+        return {name: self.state[name].copy() for name in self.state.shapes if name[0] in "WV"}
 
 
 # --- the law
@@ -131,7 +131,7 @@ def test_network_law(network: TwoLayer | OneLayer, layout: Layout) -> None:
     outputs, norms, Kz, ZB = [], [], [], []
     for i, size in ((1, layout.base), (2, layout.arm)):
         if size:
-            x = bench.memory["x"]
+            x = bench.state["x"]
             psi_hat, norm = network_answer(network.name, old[f"W{i}"], old[f"V{i}"], x, getattr(network, "width", 0))
             outputs.append(psi_hat)
             norms += [norm] * size
@@ -172,21 +172,21 @@ def test_network_input_is_that_of_the_thesis() -> None:
         "qddot_ref": [21, 22],
     }
     bench = Bench(Neural(learning=False)).step(0, **codes)
-    np.testing.assert_array_equal(bench.memory["x"], np.arange(1, 23))
+    np.testing.assert_array_equal(bench.state["x"], np.arange(1, 23))
 
 
 def test_chosen_input_scaled() -> None:
     inputs = Inputs(("edot", "velocity", "e"), scale=180 / np.pi)
     bench = Bench(Neural(inputs=inputs)).step(0, edot=[1, 2], velocity=[3, 4], e=[5, 6])
-    np.testing.assert_allclose(bench.memory["x"], np.rad2deg([1, 2, 3, 4, 5, 6]))
+    np.testing.assert_allclose(bench.state["x"], np.rad2deg([1, 2, 3, 4, 5, 6]))
 
 
 def test_slip_of_appendix_b_puts_a_constant_for_the_yaw_rate() -> None:
     thesis, slip = Bench(Neural()).step(3), Bench(Neural(inputs=Inputs(constant_yaw_rate=5.0))).step(3)
-    expected = thesis.memory["x"].copy()
+    expected = thesis.state["x"].copy()
     expected[4] = 5.0
-    np.testing.assert_array_equal(slip.memory["x"], expected)
-    assert thesis.memory["x"][4] == thesis["alpha"][1]
+    np.testing.assert_array_equal(slip.state["x"], expected)
+    assert thesis.state["x"][4] == thesis["alpha"][1]
 
 
 @pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5)], ids=lambda n: n.name)
@@ -200,7 +200,7 @@ def test_networks_never_read_the_true_state(network: TwoLayer | OneLayer) -> Non
         for name in ("torque", "psi_hat", "robust", "effective_gain"):
             assert np.isfinite(blind[name]).all()
             np.testing.assert_array_equal(blind[name], sighted[name])
-    np.testing.assert_array_equal(blind.memory.values, sighted.memory.values)
+    np.testing.assert_array_equal(blind.state.values, sighted.state.values)
 
 
 @pytest.mark.parametrize("name", ["psi", "nu", "position", "torque", "energy", "nonsense"])
@@ -225,13 +225,13 @@ def test_sequence_of_updates(update: Any, rates: Any, dt: float) -> None:
     """Three samples by matrices. Appendix B's order moves the weights first, with the previous hidden outputs."""
     bench = Bench(replace(NEURAL, update=update, rates=rates))
     parts: dict[int, Any] = {1: (0.9, 0.7, 0.3), 2: (0.2, 0.1, 0.3)}
-    W, V = ({i: bench.memory[f"{letter}{i}"].copy() for i in parts} for letter in "WV")
+    W, V = ({i: bench.state[f"{letter}{i}"].copy() for i in parts} for letter in "WV")
     for i in parts:
-        W[i][:] = bench.memory[f"W{i}"][:] = np.random.default_rng(i).normal(size=W[i].shape)
+        W[i][:] = bench.state[f"W{i}"][:] = np.random.default_rng(i).normal(size=W[i].shape)
     sigma = {i: np.zeros(5) for i in parts}
     for k in range(3):
         bench.step(k)
-        x, outputs = bench.memory["x"], []
+        x, outputs = bench.state["x"], []
         for i, rates_of_it in parts.items():
             s = bench["z"] if i == 1 else bench["r"]
             if update == "after_output":
@@ -242,8 +242,8 @@ def test_sequence_of_updates(update: Any, rates: Any, dt: float) -> None:
             if update == "before_output":
                 sigma[i] = expit(V[i].T @ x)
                 outputs.append(W[i].T @ sigma[i])
-            np.testing.assert_allclose(bench.memory[f"W{i}"], W[i], atol=1e-12)
-            np.testing.assert_allclose(bench.memory[f"V{i}"], V[i], atol=1e-12)
+            np.testing.assert_allclose(bench.state[f"W{i}"], W[i], atol=1e-12)
+            np.testing.assert_allclose(bench.state[f"V{i}"], V[i], atol=1e-12)
         np.testing.assert_allclose(bench["psi_hat"], np.concatenate(outputs), atol=1e-12)
 
 
@@ -254,10 +254,10 @@ def test_sequence_of_one_layer_updates(update: Any) -> None:
     W, phi = {1: np.zeros((4, 2)), 2: np.zeros((4, 2))}, {1: np.zeros(4), 2: np.zeros(4)}
     for k in range(3):
         bench.step(k)
-        x, outputs = bench.memory["x"], []
+        x, outputs = bench.state["x"], []
         for i, beta in ((1, 0.5), (2, 0.2)):
             s = bench["z"] if i == 1 else bench["r"]
-            now = np.exp(-np.sum((x[:, None] - bench.memory[f"V{i}"]) ** 2, axis=0) / 18)
+            now = np.exp(-np.sum((x[:, None] - bench.state[f"V{i}"]) ** 2, axis=0) / 18)
             if update == "after_output":
                 outputs.append(W[i].T @ now)
             used = now if update == "after_output" else phi[i]
@@ -265,7 +265,7 @@ def test_sequence_of_one_layer_updates(update: Any) -> None:
             if update == "before_output":
                 outputs.append(W[i].T @ now)
             phi[i] = now
-            np.testing.assert_allclose(bench.memory[f"W{i}"], W[i], atol=1e-12)
+            np.testing.assert_allclose(bench.state[f"W{i}"], W[i], atol=1e-12)
         np.testing.assert_allclose(bench["psi_hat"], np.concatenate(outputs), atol=1e-12)
 
 
@@ -277,8 +277,8 @@ def test_learning_off_keeps_the_weights(network: TwoLayer | OneLayer, update: An
     for bench in (off, on):
         bench.step(1).step(2)
     for name, W in before.items():
-        np.testing.assert_array_equal(off.memory[name], W)
-    assert np.abs(on.memory["W1"]).max() > 0
+        np.testing.assert_array_equal(off.state[name], W)
+    assert np.abs(on.state["W1"]).max() > 0
 
 
 @pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5, mu=0.3)], ids=lambda n: n.name)
@@ -288,8 +288,8 @@ def test_leakage_off_is_zero_leakage(network: TwoLayer | OneLayer) -> None:
     for k in range(3):
         for bench in (off, zero, on):
             bench.step(k)
-    np.testing.assert_array_equal(off.memory.values, zero.memory.values)
-    assert np.abs(off.memory["W1"] - on.memory["W1"]).max() > 1e-3
+    np.testing.assert_array_equal(off.state.values, zero.state.values)
+    assert np.abs(off.state["W1"] - on.state["W1"]).max() > 1e-3
 
 
 def test_robust_term_off_leaves_the_constant_gain() -> None:
@@ -306,7 +306,7 @@ def test_each_network_learns_from_its_own_error(still: str, moves: str) -> None:
     before = bench.weights()
     bench.step(1, **{still: 0.0}).step(2, **{still: 0.0})
     for name, W in before.items():
-        assert np.array_equal(bench.memory[name], W) == (name[1] != moves)
+        assert np.array_equal(bench.state[name], W) == (name[1] != moves)
 
 
 # --- initial weights
@@ -316,20 +316,20 @@ def test_initial_weights() -> None:
     random, zero = Bench(NEURAL), Bench(Neural(TwoLayer(hidden=5, initial="zero")))
     assert all(not W.any() for W in zero.weights().values())
     for i in "12":
-        assert not random.memory[f"W{i}"].any()
-        assert random.memory[f"V{i}"].shape == (22, 5)
-        assert 0.5 < np.abs(random.memory[f"V{i}"]).max() <= 1.0
-    assert not np.array_equal(random.memory["V1"], random.memory["V2"])
+        assert not random.state[f"W{i}"].any()
+        assert random.state[f"V{i}"].shape == (22, 5)
+        assert 0.5 < np.abs(random.state[f"V{i}"]).max() <= 1.0
+    assert not np.array_equal(random.state["V1"], random.state["V2"])
     half = Bench(Neural(TwoLayer(hidden=5, v_range=0.5)))
-    np.testing.assert_allclose(half.memory["V1"], 0.5 * random.memory["V1"])
+    np.testing.assert_allclose(half.state["V1"], 0.5 * random.state["V1"])
 
 
 def test_centres_of_the_gaussians() -> None:
-    diagonal = Bench(Neural(OneLayer(hidden=3, centre_range=10.0))).memory["V1"]
+    diagonal = Bench(Neural(OneLayer(hidden=3, centre_range=10.0))).state["V1"]
     np.testing.assert_array_equal(diagonal, np.tile([-10.0, 0.0, 10.0], (22, 1)))
-    random = Bench(Neural(OneLayer(hidden=3, centre_range=10.0, centres="random"))).memory["V1"]
+    random = Bench(Neural(OneLayer(hidden=3, centre_range=10.0, centres="random"))).state["V1"]
     assert 5 < np.abs(random).max() <= 10
-    assert "V1" not in Neural(OneLayer()).weights(Bench(Neural(OneLayer())).memory)  # they are not learned
+    assert "V1" not in Neural(OneLayer()).weights(Bench(Neural(OneLayer())).state)  # they are not learned
 
 
 def test_user_is_told_of_zero_weights_and_of_what_they_do() -> None:
@@ -339,14 +339,14 @@ def test_user_is_told_of_zero_weights_and_of_what_they_do() -> None:
     assert not Neural(TwoLayer(hidden=1, initial="zero")).notes
     assert not Neural(OneLayer()).notes
     bench = Bench(zero)
-    assert not zero.findings(bench.memory)
+    assert not zero.findings(bench.state)
     for k in range(5):
         bench.step(k)
-    assert zero.findings(bench.memory) == ["two_layer: W1, V1, W2, V2 ended at rank one: the hidden units act as one"]
+    assert zero.findings(bench.state) == ["two_layer: W1, V1, W2, V2 ended at rank one: the hidden units act as one"]
     learner = Bench(Neural(replace_leakage(SMALL)))
     for k in range(5):
         learner.step(k)
-    assert not NEURAL.findings(learner.memory)
+    assert not NEURAL.findings(learner.state)
 
 
 def replace_leakage(network: TwoLayer) -> TwoLayer:
@@ -357,25 +357,25 @@ def replace_leakage(network: TwoLayer) -> TwoLayer:
 
 
 def test_memory_is_one_array_with_views() -> None:
-    memory = Memory.of(a=(2, 3), b=(4,))
-    assert memory.values.shape == (10,)
-    memory["a"][1, 2] = 7.0
-    memory["b"] = 1.0
-    np.testing.assert_array_equal(memory.values, [0, 0, 0, 0, 0, 7, 1, 1, 1, 1])
-    copy = memory.snapshot()
-    memory["b"][:] = 2.0
+    state = ControllerState.of(a=(2, 3), b=(4,))
+    assert state.values.shape == (10,)
+    state["a"][1, 2] = 7.0
+    state["b"] = 1.0
+    np.testing.assert_array_equal(state.values, [0, 0, 0, 0, 0, 7, 1, 1, 1, 1])
+    copy = state.snapshot()
+    state["b"][:] = 2.0
     np.testing.assert_array_equal(copy["b"], np.ones(4))
-    assert copy.shapes == memory.shapes
+    assert copy.shapes == state.shapes
     with pytest.raises(KeyError):
-        memory["c"]
+        state["c"]
 
 
 def test_weights_are_views_into_the_memory_that_learns() -> None:
     bench = Bench(NEURAL)
-    views = NEURAL.weights(bench.memory)
+    views = NEURAL.weights(bench.state)
     assert list(views) == ["W1", "V1", "W2", "V2"]
     bench.step(1)
-    assert all(np.shares_memory(view, bench.memory.values) for view in views.values())
+    assert all(np.shares_memory(view, bench.state.values) for view in views.values())
     assert np.abs(views["W1"]).max() > 0
 
 
@@ -431,11 +431,11 @@ def closed_loop(
     )
 
 
-def memory_of(loop: Loop, run: Recording) -> Memory:
+def memory_of(loop: Loop, run: Recording) -> ControllerState:
     """The controller's memory as it was when a run ended."""
-    memory = loop.controller.init(loop.wiring())
-    memory.values[:] = run.final["memory"]
-    return memory
+    state = loop.controller.init(loop.context())
+    state.values[:] = run.final["memory"]
+    return state
 
 
 def same(one: Recording, other: Recording, rows: slice = slice(None)) -> None:
@@ -460,21 +460,21 @@ def scheduled() -> ScheduledPD:
 def test_a_resumed_run_equals_the_uninterrupted_one(controller: CompiledController, engine: Any) -> None:
     whole, half = closed_loop(controller, N, engine), closed_loop(controller, N // 2, engine)
     straight, first = whole.run(), half.run()
-    memory = memory_of(half, first)
-    kept = memory.snapshot()
-    second = whole.run(memory=memory, state=(first.final["position"], first.final["nu"]), first=N // 2)
+    state = memory_of(half, first)
+    kept = state.snapshot()
+    second = whole.run(state=state, plant_state=(first.final["position"], first.final["nu"]), first=N // 2)
     same(straight, first, slice(0, N // 2))
     same(straight, second, slice(N // 2, None))
     assert second.outcome == straight.outcome
     np.testing.assert_array_equal(second.final["memory"], straight.final["memory"])
-    np.testing.assert_array_equal(memory.values, kept.values)  # the caller's memory stays as it was
+    np.testing.assert_array_equal(state.values, kept.values)  # the caller's memory stays as it was
 
 
 def test_learning_goes_on_only_where_it_is_on() -> None:
     """Trained weights, frozen: the same for the whole run, and not those of an untrained network."""
     trained = closed_loop(Neural(), N).run()
     loop = closed_loop(Neural(learning=False), N)
-    frozen = loop.run(memory=memory_of(loop, trained))
+    frozen = loop.run(state=memory_of(loop, trained))
     for name in ("W1", "V1", "W2", "V2"):
         np.testing.assert_array_equal(frozen.weights[name][0], frozen.weights[name][-1])
         np.testing.assert_array_equal(frozen.weights[name][0], trained.weights[name][-1])
@@ -501,9 +501,9 @@ def test_oracle_knows_psi_and_what_it_knows_helps() -> None:
 def test_a_memory_of_another_controller_is_refused() -> None:
     loop = closed_loop(NEURAL, 4)
     others = [Neural(TwoLayer(hidden=6)), Neural(OneLayer(hidden=7)), PD()]
-    for memory in [*(other.init(loop.wiring()) for other in others), np.zeros(3)]:
+    for state in [*(other.init(loop.context()) for other in others), np.zeros(3)]:
         with pytest.raises(ConfigError, match="memory: error: not a memory of two_layer with these settings"):
-            loop.run(memory=memory)
+            loop.run(state=state)
 
 
 @pytest.mark.parametrize(("first", "sensor_period"), [(-1, None), (4, None), (1, 0.004)])
@@ -531,19 +531,24 @@ class Recital(TorqueController):
 
     name = "recital"
 
-    def init(self, wiring: Wiring) -> Memory:
-        return Memory.of(count=(1,))
+    def init(self, context: Context) -> ControllerState:
+        return ControllerState.of(count=(1,))
 
     def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, memory: Memory
+        self,
+        time: float,
+        reference: Reference,
+        measurement: Measurement,
+        command: VelocityCommand,
+        state: ControllerState,
     ) -> Array:
-        memory["count"] += 1
+        state["count"] += 1
         assert np.array_equal(command.e, reference.q_ref - measurement.q)
         assert np.array_equal(command.z, command.alpha - measurement.velocity)
         return Feedback().vector(LAYOUT) * np.concatenate((command.z, command.r))
 
-    def weights(self, memory: Memory) -> dict[str, Array]:
-        return {"count": memory["count"]}
+    def weights(self, state: ControllerState) -> dict[str, Array]:
+        return {"count": state["count"]}
 
 
 def test_a_controller_in_plain_python_equals_the_compiled_one() -> None:
@@ -559,8 +564,8 @@ def test_a_controller_in_plain_python_equals_the_compiled_one() -> None:
 def test_a_controller_in_plain_python_resumes() -> None:
     half = closed_loop(Recital(), N // 2)
     first = half.run()
-    state = (first.final["position"], first.final["nu"])
-    second = closed_loop(Recital(), N).run(memory=memory_of(half, first), state=state, first=N // 2)
+    plant_state = (first.final["position"], first.final["nu"])
+    second = closed_loop(Recital(), N).run(state=memory_of(half, first), plant_state=plant_state, first=N // 2)
     assert second.final["memory"] == [N]
     same(closed_loop(Recital(), N).run(), second, slice(N // 2, None))
 

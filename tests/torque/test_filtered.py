@@ -13,7 +13,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
-from mmnn_pin.torque.controller import Memory
+from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.filtered import low_pass, new_filter, parts, period, remember
 
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
@@ -28,16 +28,16 @@ class Bench:
 
     def __init__(self, h=2e-3, pole=0.0, state_pole=0.0, rows=4, k=4):
         self.f, self.h = new_filter(LAYOUT, h, pole, state_pole), h
-        self.memory, self.row, self.k = Memory.of(**parts(LAYOUT, rows, k)), LAYOUT.new_row(), 0
+        self.state, self.row, self.k = ControllerState.of(**parts(LAYOUT, rows, k)), LAYOUT.new_row(), 0
 
     def take(self, q, nu, torque, time=None):
         """One sample, and the torque held after it; whether a period has ended."""
         self.row[0] = self.k * self.h if time is None else time
         self.row[LAYOUT.where("velocity")], self.row[LAYOUT.where("q")] = nu[:2], q
         self.row[LAYOUT.where("qdot")] = nu[2:]
-        ended = period(self.row, LAYOUT.offsets, self.f, self.memory.values)
+        ended = period(self.row, LAYOUT.offsets, self.f, self.state.values)
         self.row[LAYOUT.where("torque")] = torque
-        remember(self.row, LAYOUT.offsets, self.memory.values)
+        remember(self.row, LAYOUT.offsets, self.state.values)
         self.k += 1
         return ended
 
@@ -72,9 +72,9 @@ def misfit(h, pole, state_pole, duration=2.0):
             position = ROBOT.neutral_position()
             position[ROBOT.arm_index] = bench.f.q
             Phi = REGRESSOR.matrix(ROBOT.follow(position), bench.f.nu, bench.f.nu, bench.f.nudot)
-            low_pass(bench.f, Phi, bench.memory.values)
-            worst = max(worst, float(np.abs(bench.memory["Phi_f"] @ TRUE - bench.memory["Y_f"]).max()))
-            largest = max(largest, float(np.abs(bench.memory["Y_f"]).max()))
+            low_pass(bench.f, Phi, bench.state.values)
+            worst = max(worst, float(np.abs(bench.state["Phi_f"] @ TRUE - bench.state["Y_f"]).max()))
+            largest = max(largest, float(np.abs(bench.state["Y_f"]).max()))
     return worst / largest
 
 
@@ -128,9 +128,9 @@ def test_features_linear_in_acceleration_commute_with_both_filters(seed, pole, s
         after = nu + 0.1 * rng.standard_normal(4)
         torque = M @ (after - nu) / h
         if bench.take(np.zeros(2), nu, torque):
-            low_pass(bench.f, (M @ bench.f.nudot)[:, None], bench.memory.values)
+            low_pass(bench.f, (M @ bench.f.nudot)[:, None], bench.state.values)
         nu = after
-    Phi, Y = bench.memory["Phi_f"][:, 0], bench.memory["Y_f"]
+    Phi, Y = bench.state["Phi_f"][:, 0], bench.state["Y_f"]
     np.testing.assert_allclose(Phi, Y, atol=1e-9 * max(1.0, np.abs(Y).max()))
 
 
@@ -139,12 +139,12 @@ def test_the_low_pass_is_the_held_one_of_scipy():
     bench, Phi, torque = Bench(h, pole, 0.0, 2, 3), rng.standard_normal((N, 2, 3)), rng.standard_normal((N, 4))
     for k in range(N):
         bench.f.torque[:] = torque[k]
-        low_pass(bench.f, Phi[k], bench.memory.values)
+        low_pass(bench.f, Phi[k], bench.state.values)
     times = np.arange(N + 1) * h
     for part, values in (("Phi_f", Phi), ("Y_f", torque)):
         flat = np.vstack((values.reshape(N, -1), np.zeros((1, values[0].size))))
         expected = [lsim(([pole], [1.0, pole]), u, times, interp=False)[1][-1] for u in flat.T]
-        np.testing.assert_allclose(bench.memory[part].ravel(), expected, atol=1e-12)
+        np.testing.assert_allclose(bench.state[part].ravel(), expected, atol=1e-12)
 
 
 def test_only_periods_between_neighbouring_samples_count():
@@ -163,7 +163,7 @@ def test_what_is_no_number_is_left_out(bad):
     assert not bench.take(zero[:2], zero, np.full(4, bad))
     assert not bench.take(zero[:2], zero, zero)  # after a torque that is none
     assert bench.take(zero[:2], zero, zero)
-    assert np.isfinite(bench.memory.values[6:]).all()
+    assert np.isfinite(bench.state.values[6:]).all()
 
 
 def test_impossible_poles_are_refused():

@@ -42,7 +42,7 @@ from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robots import extra
 from mmnn_pin.signals import INDEX, Measurement
-from mmnn_pin.torque.controller import Wiring
+from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.features import coprime
 from mmnn_pin.torque.kalman import KalmanLearner
 from mmnn_pin.torque.kalman_settings import KalmanBilinear, KalmanFeatures, KalmanRegressor, KalmanResidual
@@ -93,23 +93,23 @@ class Bench:
 
     def __init__(self, kind, h=1e-2, **own):
         self.controller = small(kind, **own)
-        wiring = Wiring(LAYOUT, h, 10, np.random.default_rng(3))
-        self.a, self.memory = self.controller.law(wiring).linear, self.controller.init(wiring)
+        context = Context(LAYOUT, h, 10, np.random.default_rng(3))
+        self.a, self.state = self.controller.law(context).linear, self.controller.init(context)
         (self.rows, self.k, self.m), self.h = self.controller.shape, h
-        size = sum(int(np.prod(shape)) for shape in list(self.memory.shapes.values())[5:-2])
-        self.o = getattr(parts_of, "py_func", parts_of)(self.memory.values, self.m, self.k, size)
-        self.row, self.P0 = LAYOUT.new_row(), np.diag(self.memory["prior"])
+        size = sum(int(np.prod(shape)) for shape in list(self.state.shapes.values())[5:-2])
+        self.o = getattr(parts_of, "py_func", parts_of)(self.state.values, self.m, self.k, size)
+        self.row, self.P0 = LAYOUT.new_row(), np.diag(self.state["prior"])
 
     def random_covariance(self, rng):
         """Replace P by a random one of the prior's size."""
-        scale = np.sqrt(self.memory["prior"])
-        self.memory["U"] = 0.3 * rng.standard_normal((self.k, self.k)) * scale / np.where(scale > 0, scale, 1)[:, None]
-        self.memory["D"] = self.memory["prior"] * rng.uniform(0.1, 1.0, self.k)
+        scale = np.sqrt(self.state["prior"])
+        self.state["U"] = 0.3 * rng.standard_normal((self.k, self.k)) * scale / np.where(scale > 0, scale, 1)[:, None]
+        self.state["D"] = self.state["prior"] * rng.uniform(0.1, 1.0, self.k)
 
     @property
     def P(self):
-        upper = np.eye(self.k) + np.tril(self.memory["U"], -1).T
-        return upper @ np.diag(self.memory["D"]) @ upper.T
+        upper = np.eye(self.k) + np.tril(self.state["U"], -1).T
+        return upper @ np.diag(self.state["D"]) @ upper.T
 
     def fill(self, rng, size=1.0):
         """Random signals into the row."""
@@ -117,16 +117,16 @@ class Bench:
             self.row[LAYOUT.where(name)] = size * rng.standard_normal(self.row[LAYOUT.where(name)].size)
 
     def step(self):
-        learn(self.row, LAYOUT.offsets, self.a, self.a.known, self.a.random, self.memory.values)
+        learn(self.row, LAYOUT.offsets, self.a, self.a.known, self.a.random, self.state.values)
         return self.row[LAYOUT.where("psi_hat")].copy()
 
 
 # --- features, independently
 
 
-def bilinear(memory, q, nu, nu_ref, nudot_ref, eps=0.03):
+def bilinear(state, q, nu, nu_ref, nudot_ref, eps=0.03):
     """All pairs of a random function and a term, by an outer product; in which order they stand is found by value."""
-    g = np.tanh(memory["a"] @ q + memory["b"])
+    g = np.tanh(state["a"] @ q + state["b"])
     sym = np.outer(nu, nu_ref)
     t = np.concatenate((nudot_ref, ((sym + sym.T) / 2)[np.triu_indices(4)], [1.0]))
     return t, np.outer(g, t).ravel(), np.concatenate((nu, np.tanh(nu / eps)))
@@ -139,7 +139,7 @@ def test_bilinear_features_are_all_pairs_of_functions_and_terms(seed):
     bench.fill(rng)
     phi = stated(bench)
     q, nu, nu_ref, nudot_ref = state(bench.row)
-    t, pairs, friction = bilinear(bench.memory, q, nu, nu_ref, nudot_ref)
+    t, pairs, friction = bilinear(bench.state, q, nu, nu_ref, nudot_ref)
     np.testing.assert_allclose(phi[:15], t, atol=1e-12)
     np.testing.assert_allclose(np.sort(phi[15:-8]), np.sort(pairs), atol=1e-12)
     np.testing.assert_allclose(phi[-8:], friction, atol=1e-12)
@@ -154,7 +154,7 @@ def test_generic_features_see_everything_and_know_nothing(seed):
     q, nu, nu_ref, nudot_ref = state(bench.row)
     x = np.concatenate((q, nu / 3, nu_ref / 3, nudot_ref / 20))
     np.testing.assert_allclose(phi[:9], [*nudot_ref, *nu_ref, 1.0], atol=1e-12)
-    np.testing.assert_allclose(phi[9:21], np.tanh(bench.memory["a"] @ x + bench.memory["b"]), atol=1e-12)
+    np.testing.assert_allclose(phi[9:21], np.tanh(bench.state["a"] @ x + bench.state["b"]), atol=1e-12)
     np.testing.assert_allclose(phi[21:], [*nu, *np.tanh(nu / 0.03)], atol=1e-12)
 
 
@@ -189,13 +189,13 @@ def test_pairs_do_not_repeat(units, terms):
 def test_the_prior_is_what_its_docstring_says(kind):
     """Mean variance of Psi / K over random motion: prior^2, where gravity has no more than its part of it."""
     bench = Bench(kind, prior=2.0, **({} if kind == "regressor" else {"gravity": 0.0}))
-    Phi = bench.controller.typical(bench.memory)
+    Phi = bench.controller.typical(bench.state)
     scaled = Phi / GAINS[:, None] if bench.m == 1 else Phi
-    assert np.einsum("nik,k,nik->", scaled, bench.memory["prior"], scaled) / (len(Phi) * bench.rows) == pytest.approx(4)
+    assert np.einsum("nik,k,nik->", scaled, bench.state["prior"], scaled) / (len(Phi) * bench.rows) == pytest.approx(4)
     np.testing.assert_allclose(bench.a.radius, 3 * np.sqrt(bench.k) * (1 if bench.m == 1 else GAINS))
-    np.testing.assert_allclose(bench.controller.unknown(bench.memory), 1.0)
-    bench.memory["D"] *= 0.25
-    np.testing.assert_allclose(bench.controller.unknown(bench.memory), 0.25)
+    np.testing.assert_allclose(bench.controller.unknown(bench.state), 1.0)
+    bench.state["D"] *= 0.25
+    np.testing.assert_allclose(bench.controller.unknown(bench.state), 0.25)
 
 
 @pytest.mark.parametrize("kind", ["bilinear", "features", "residual"])
@@ -203,9 +203,9 @@ def test_gravity_may_be_a_share_of_what_the_motors_give(kind):
     """Variance of what stands there at rest, by features of a robot at rest that turns to all sides."""
     plain, wide = Bench(kind, gravity=0.0), Bench(kind, gravity=3.0)
     strength = np.median(machine_of(ROBOT).effort[-2:] / GAINS[-2:])
-    Phi = wide.controller.typical(wide.memory)[:, 0]
-    changed = wide.memory["prior"] != plain.memory["prior"]
-    np.testing.assert_allclose(np.mean(Phi[:, changed] ** 2 @ wide.memory["prior"][changed]), (3.0 * strength) ** 2)
+    Phi = wide.controller.typical(wide.state)[:, 0]
+    changed = wide.state["prior"] != plain.state["prior"]
+    np.testing.assert_allclose(np.mean(Phi[:, changed] ** 2 @ wide.state["prior"][changed]), (3.0 * strength) ** 2)
     for i in np.flatnonzero(changed):  # the constant, or what is a function that does not go away at rest
         moving = wide.row.copy()
         for name in ("velocity", "qdot", "nu_ref", "nudot_ref"):
@@ -234,9 +234,9 @@ def test_learning_from_a_run_is_batch_least_squares(kind):
     controller = small(kind, **own)
     loop = loop_of(controller, 0.6)
     run = loop.run()
-    memory = controller.init(loop.wiring())
-    prior = memory["prior"].copy()
-    memory.values[:] = run.final["memory"]
+    state = controller.init(loop.context())
+    prior = state["prior"].copy()
+    state.values[:] = run.final["memory"]
     h, (rows, k, m) = 0.002, controller.shape
     q, nu = np.array(run["q"]), np.hstack((run["velocity"], run["qdot"]))
     q, nu, nudot, tau = means(q, nu, np.array(run["torque"])[:-1], h, 40.0)
@@ -245,7 +245,7 @@ def test_learning_from_a_run_is_batch_least_squares(kind):
         if kind == "regressor":
             Phi[i] = regressor_at(q[i], nu[i], nudot[i])
         else:
-            Phi[i, 0] = phi_at(controller, memory, q[i], nu[i], nudot[i])
+            Phi[i, 0] = phi_at(controller, state, q[i], nu[i], nudot[i])
         if kind == "residual":
             tau[i] -= regressor_at(q[i], nu[i], nudot[i]) @ THETA0
     wait = int(np.ceil(5 / (40.0 * h)))
@@ -264,9 +264,9 @@ def test_learning_from_a_run_is_batch_least_squares(kind):
     if PLAIN:
         return
     scale = np.sqrt(prior[used])[:, None] * (1 if m == 1 else GAINS)
-    np.testing.assert_allclose(memory["W"][:, used].T / scale, W / scale, atol=1e-7)
-    U = np.eye(k) + np.tril(memory["U"], -1).T
-    P = (U @ np.diag(memory["D"]) @ U.T)[np.ix_(used, used)] / np.sqrt(np.outer(prior[used], prior[used]))
+    np.testing.assert_allclose(state["W"][:, used].T / scale, W / scale, atol=1e-7)
+    U = np.eye(k) + np.tril(state["U"], -1).T
+    P = (U @ np.diag(state["D"]) @ U.T)[np.ix_(used, used)] / np.sqrt(np.outer(prior[used], prior[used]))
     np.testing.assert_allclose(P, np.linalg.inv(H), atol=1e-7)
 
 
@@ -289,13 +289,13 @@ def regressor_at(q, nu, nudot):
     return REGRESSOR.matrix(ROBOT.follow(position), nu, nu, nudot)
 
 
-def phi_at(controller, memory, q, nu, nudot):
+def phi_at(controller, state, q, nu, nudot):
     """Random features in the learner's order, by numpy."""
     if isinstance(controller.settings, KalmanFeatures):
         x = np.concatenate((q, nu / 3, nu / 3, nudot / 20))
-        g = np.tanh(memory["a"] @ x + memory["b"])
+        g = np.tanh(state["a"] @ x + state["b"])
         return np.concatenate((nudot, nu, [1.0], g, nu, np.tanh(nu / 0.03)))
-    g = np.tanh(memory["a"] @ q + memory["b"])
+    g = np.tanh(state["a"] @ q + state["b"])
     products = [nu[i] * nu[j] for i in range(4) for j in range(i, 4)]
     t = np.concatenate((nudot, products, [1.0]))
     pairs = [g[c % g.size] * t[c % t.size] for c in range(g.size * t.size)]
@@ -309,7 +309,7 @@ def test_a_nominal_model_is_pinocchios(nudge):
     bench.a = bench.a._replace(learning=False)
     for _ in range(5):
         bench.fill(rng)
-        bench.memory["W"][:, 14] = nudge  # the weight of 1
+        bench.state["W"][:, 14] = nudge  # the weight of 1
         q, nu, nu_ref, nudot_ref = state(bench.row)
         position = NOMINAL.neutral_position()
         position[NOMINAL.arm_index] = q
@@ -326,16 +326,16 @@ def test_what_the_weights_lose_by_tracking_is_the_work_of_their_error(seed, kind
     bench.random_covariance(rng)
     bench.fill(rng)
     bench.a = bench.a._replace(share=1e9)
-    used = bench.memory["prior"] > 0
-    scale = np.sqrt(bench.memory["prior"])
+    used = bench.state["prior"] > 0
+    scale = np.sqrt(bench.state["prior"])
     truth = scale * rng.standard_normal((bench.m, bench.k)) * (1 if bench.m == 1 else GAINS[:, None])
     inverse = np.linalg.inv(bench.P[np.ix_(used, used)])
 
     def distance():
-        error = (truth - bench.memory["W"])[:, used]
+        error = (truth - bench.state["W"])[:, used]
         return float(np.einsum("mk,kl,ml,m->", error, inverse, error, 0.5 / bench.a.answer))
 
-    before, W = distance(), bench.memory["W"].copy()
+    before, W = distance(), bench.state["W"].copy()
     bench.step()
     s = np.concatenate((bench.row[LAYOUT.where("z")], bench.row[LAYOUT.where("r")]))
     Phi = bench.a.Phi
@@ -374,7 +374,7 @@ def test_the_projection_comes_closer_to_every_point_of_the_ball(seed, kind, beyo
     """In the metric P^-1, for the half-space; with what is scaled back after it, W is in the ball."""
     rng, bench = np.random.default_rng(seed), Bench(kind, bound=1.0)
     bench.random_covariance(rng)
-    used, scale = bench.memory["prior"] > 0, np.sqrt(bench.memory["prior"])
+    used, scale = bench.state["prior"] > 0, np.sqrt(bench.state["prior"])
     radius = bench.a.radius[:, None]
 
     def random(size):
@@ -382,9 +382,9 @@ def test_the_projection_comes_closer_to_every_point_of_the_ball(seed, kind, beyo
         return size * radius * scale * direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
     W, inside = random(beyond), random(1.0)
-    bench.memory["W"] = W
+    bench.state["W"] = W
     project(bench.a, bench.o)
-    after = bench.memory["W"][:, used] / scale[used]
+    after = bench.state["W"][:, used] / scale[used]
     assert (np.linalg.norm(after, axis=1) <= bench.a.radius * (1 + 1e-9)).all()
     inverse = np.linalg.inv(bench.P[np.ix_(used, used)])
     n = (W / np.where(used, scale, 1) ** 2)[:, used]
@@ -396,22 +396,22 @@ def test_the_projection_comes_closer_to_every_point_of_the_ball(seed, kind, beyo
         assert (x - back) @ inverse @ (x - back) <= (x - w) @ inverse @ (x - w) * (1 + 1e-9)
         length = np.linalg.norm(back / scale[used])
         expected = back * min(1.0, bench.a.radius[c] / length)
-        np.testing.assert_allclose(bench.memory["W"][c, used], expected, atol=1e-7 * np.abs(w).max())
+        np.testing.assert_allclose(bench.state["W"][c, used], expected, atol=1e-7 * np.abs(w).max())
 
 
 @settings(max_examples=40, deadline=None)
 @given(seeds, kinds, st.sampled_from([1e-300, 1e-3, 1.0, 1e3, 1e8, 1e100, 1e300, np.inf, np.nan]), st.data())
 def test_everything_stays_bounded_whatever_comes(seed, kind, size, data):
     rng, bench = np.random.default_rng(seed), Bench(kind, interval=0.01, state_pole=0.0, drift=0.1)
-    trace = bench.memory["prior"].sum()
+    trace = bench.state["prior"].sum()
     which = data.draw(st.sampled_from(["velocity", "q", "qdot", "nu_ref", "nudot_ref", "z", "r", "torque"]))
     for i in range(12):
         bench.fill(rng)
         bench.row[0] = i * bench.h
         if i % 3 != 2:
             bench.row[LAYOUT.where(which)] *= size
-        memory = bench.memory["held"]
-        memory[:] = bench.row[LAYOUT.where("torque")]
+        state = bench.state["held"]
+        state[:] = bench.row[LAYOUT.where("torque")]
         psi_hat = bench.step()
         feedback = GAINS * np.concatenate((bench.row[LAYOUT.where("z")], bench.row[LAYOUT.where("r")]))
         limit(psi_hat, feedback, LIMITS)
@@ -421,14 +421,14 @@ def test_everything_stays_bounded_whatever_comes(seed, kind, size, data):
         if np.isfinite(psi_hat).all() and np.nan_to_num(np.abs(fed), nan=np.inf).max() < 1e9:
             both = np.abs(LIMITS.E_inv @ (psi_hat + feedback))
             assert (both <= np.maximum(ROBOT.effort_limits, np.abs(fed)) * (1 + 1e-6)).all()
-        W, used = bench.memory["W"], bench.memory["prior"] > 0
-        norms = np.linalg.norm(W[:, used] / np.sqrt(bench.memory["prior"][used]), axis=1)
+        W, used = bench.state["W"], bench.state["prior"] > 0
+        norms = np.linalg.norm(W[:, used] / np.sqrt(bench.state["prior"][used]), axis=1)
         assert (norms <= bench.a.radius * (1 + 1e-9)).all()
-        assert (bench.memory["D"] >= 0).all() and (bench.memory["D"][used] > 0).all()
+        assert (bench.state["D"] >= 0).all() and (bench.state["D"][used] > 0).all()
         P = bench.P
-        assert np.trace(P) <= trace * (1 + 1e-9) and (np.diag(P) <= bench.memory["prior"] * (1 + 1e-9)).all()
+        assert np.trace(P) <= trace * (1 + 1e-9) and (np.diag(P) <= bench.state["prior"] * (1 + 1e-9)).all()
         assert np.isfinite(P).all()
-    assert np.isfinite(bench.memory.values[: -bench.o.filter.size]).all()
+    assert np.isfinite(bench.state.values[: -bench.o.filter.size]).all()
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -437,12 +437,12 @@ def test_a_sample_that_is_no_number_teaches_nothing(kind, signal):
     bench, rng = Bench(kind), np.random.default_rng(5)
     bench.fill(rng)
     bench.step()
-    before = bench.memory["W"].copy()
+    before = bench.state["W"].copy()
     assert np.abs(before).max() > 0
     bench.row[LAYOUT.where(signal)] = np.nan
     bench.row[0] = 7.0  # no period either
     bench.step()
-    np.testing.assert_array_equal(bench.memory["W"], before)
+    np.testing.assert_array_equal(bench.state["W"], before)
 
 
 # --- in closed loops
@@ -464,25 +464,25 @@ def test_a_warm_start_elsewhere_takes_no_period_over_the_gap():
     controller = small("features")
     first = loop_of(controller, 0.1).run()
     loop = loop_of(controller, 0.004)
-    memory = controller.init(loop.wiring())
-    memory.values[:] = first.final["memory"]
-    again = loop.run(memory=memory)
-    memory.values[:] = again.final["memory"]
-    assert memory["clock"][1] == round(loop.timing.duration / 0.002)
+    state = controller.init(loop.context())
+    state.values[:] = first.final["memory"]
+    again = loop.run(state=state)
+    state.values[:] = again.final["memory"]
+    assert state["clock"][1] == round(loop.timing.duration / 0.002)
 
 
 def test_frozen_weights_stay_and_features_come_from_the_memory():
     controller = small("bilinear")
     learned = loop_of(controller, 0.3, seed=1)
-    memory = controller.init(learned.wiring())
-    memory.values[:] = learned.run().final["memory"]
-    frozen = loop_of(replace(controller, learning=False), 0.1, seed=2).run(memory=memory)
-    after = controller.init(learned.wiring())
+    state = controller.init(learned.context())
+    state.values[:] = learned.run().final["memory"]
+    frozen = loop_of(replace(controller, learning=False), 0.1, seed=2).run(state=state)
+    after = controller.init(learned.context())
     after.values[:] = frozen.final["memory"]
     for part in ("W", "U", "D", "a", "b", "counts"):
-        np.testing.assert_array_equal(after[part], memory[part])
+        np.testing.assert_array_equal(after[part], state[part])
     assert "excited" not in frozen.outcome.message
-    np.testing.assert_array_equal(frozen.weights["W"][0], memory["W"])
+    np.testing.assert_array_equal(frozen.weights["W"][0], state["W"])
 
 
 @LONG
@@ -499,10 +499,10 @@ def test_the_filter_sees_the_torque_that_the_supervisor_let_through():
 
 def unexplained(controller, loop, memory_values, held):
     """Frozen FVU, mean of the components, along a run under computed torque."""
-    memory = controller.init(loop.wiring())
-    memory.values[:] = memory_values
+    state = controller.init(loop.context())
+    state.values[:] = memory_values
     row = LAYOUT.new_row()
-    torque = Torque(replace(controller, learning=False), loop.wiring(), row, ROBOT, memory)
+    torque = Torque(replace(controller, learning=False), loop.context(), row, ROBOT, state)
     said = np.zeros_like(held["psi"])
     names = [n for n in ("pose", "velocity", "q", "qdot", "z", "r", "nu_ref", "nudot_ref") if n in INDEX]
     for k in range(len(said)):
@@ -643,7 +643,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ConfigError, match="no nominal parameters"):
         KalmanLearner(KalmanResidual(), machine_of(ROBOT), K, REGRESSOR, np.ones(3))
     with pytest.raises(ConfigError, match="needs all > 0"):
-        KalmanLearner(KalmanFeatures(), machine_of(ROBOT), Feedback(0.0, 1.0)).law(Wiring(LAYOUT, 0.001, 1))
+        KalmanLearner(KalmanFeatures(), machine_of(ROBOT), Feedback(0.0, 1.0)).law(Context(LAYOUT, 0.001, 1))
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))

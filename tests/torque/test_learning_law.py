@@ -14,7 +14,17 @@ from hypothesis import strategies as st
 from proofs import KINDS, SLOW, learner, loop_of, robot_of_kind, subject_of
 from robots import feedback
 
-from mmnn_pin import PD, Adapting, Adaptive, ComputedTorque, LearningLaw, Memory, Regressor, Safety, TorqueController
+from mmnn_pin import (
+    PD,
+    Adapting,
+    Adaptive,
+    ComputedTorque,
+    ControllerState,
+    LearningLaw,
+    Regressor,
+    Safety,
+    TorqueController,
+)
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.proof.learner import Stepper
 from mmnn_pin.lab.proof.linear_fit import linear_fit
@@ -30,14 +40,14 @@ SIGNALS = ("psi_hat", "torque", "effective_gain", "position", "nu", "motor_torqu
 class Nothing(LearningLaw):
     """A law that says nothing: PD."""
 
-    def init(self, wiring):
-        return Memory.of()
+    def init(self, context):
+        return ControllerState.of()
 
-    def estimate(self, now, memory):
+    def estimate(self, now, state):
         return np.zeros(now.s.size)
 
-    def learn(self, now, memory):
-        assert not memory.values.size
+    def learn(self, now, state):
+        assert not state.values.size
 
 
 class OneLayerTwin(LearningLaw):
@@ -51,10 +61,10 @@ class OneLayerTwin(LearningLaw):
 
     learned = ("W1", "W2")
 
-    def init(self, wiring):
-        nb, n = wiring.layout.base, wiring.layout.arm
-        nx = 3 * wiring.layout.pose - wiring.layout.pose + 3 * nb + 5 * n
-        return Memory.of(W1=(self.hidden, nb), W2=(self.hidden, n), nx=(nx,))
+    def init(self, context):
+        nb, n = context.layout.base, context.layout.arm
+        nx = 3 * context.layout.pose - context.layout.pose + 3 * nb + 5 * n
+        return ControllerState.of(W1=(self.hidden, nb), W2=(self.hidden, n), nx=(nx,))
 
     def phi(self, now):
         records = (now.reference, now.measurement, now.command)
@@ -62,13 +72,13 @@ class OneLayerTwin(LearningLaw):
         centres = np.linspace(-self.range, self.range, self.hidden)
         return np.exp(-((x[:, None] - centres) ** 2).sum(axis=0) / (2 * self.width**2))
 
-    def estimate(self, now, memory):
+    def estimate(self, now, state):
         phi = self.phi(now)
-        return np.concatenate((phi @ memory["W1"], phi @ memory["W2"]))
+        return np.concatenate((phi @ state["W1"], phi @ state["W2"]))
 
-    def learn(self, now, memory):
-        phi, nb = self.phi(now), memory["W1"].shape[1]
-        for W, s, beta in zip((memory["W1"], memory["W2"]), (now.s[:nb], now.s[nb:]), self.beta, strict=True):
+    def learn(self, now, state):
+        phi, nb = self.phi(now), state["W1"].shape[1]
+        for W, s, beta in zip((state["W1"], state["W2"]), (now.s[:nb], now.s[nb:]), self.beta, strict=True):
             W += beta * (np.outer(phi, s) - self.mu * np.linalg.norm(s) * W)
 
 
@@ -81,21 +91,24 @@ class Friction(LearningLaw):
     knows_motion = True
     learned = ("theta",)
 
-    def init(self, wiring):
-        memory, regressor = Memory.of(theta=(wiring.regressor.size,), rates=(wiring.regressor.size,)), wiring.regressor
-        K, joints = self.feedback.vector(wiring.layout), regressor.massless.joints
+    def init(self, context):
+        state, regressor = (
+            ControllerState.of(theta=(context.regressor.size,), rates=(context.regressor.size,)),
+            context.regressor,
+        )
+        K, joints = self.feedback.vector(context.layout), regressor.massless.joints
         on_joints = 1 / np.array([t @ (t / K) for t in joints])
-        rest = [0 * on_joints, K[: wiring.layout.base], self.viscous**0.5 * on_joints, self.coulomb**0.5 * on_joints]
-        memory["rates"][regressor.inertial :] = np.concatenate(rest) ** 2
-        return memory
+        rest = [0 * on_joints, K[: context.layout.base], self.viscous**0.5 * on_joints, self.coulomb**0.5 * on_joints]
+        state["rates"][regressor.inertial :] = np.concatenate(rest) ** 2
+        return state
 
-    def estimate(self, now, memory):
-        return now.regressor @ memory["theta"]
+    def estimate(self, now, state):
+        return now.regressor @ state["theta"]
 
-    def learn(self, now, memory):
-        memory["theta"] += now.period * memory["rates"] * (now.regressor.T @ now.s)
-        rest = memory["theta"][memory["rates"] > 0]
-        memory["theta"][memory["rates"] > 0] = np.maximum(rest, 0.0)
+    def learn(self, now, state):
+        state["theta"] += now.period * state["rates"] * (now.regressor.T @ now.s)
+        rest = state["theta"][state["rates"] > 0]
+        state["theta"][state["rates"] > 0] = np.maximum(rest, 0.0)
 
 
 class Told(LearningLaw):
@@ -104,17 +117,17 @@ class Told(LearningLaw):
     theta: tuple[float, ...] = ()
     knows_motion = True
 
-    def init(self, wiring):
-        p = wiring.layout.dof
+    def init(self, context):
+        p = context.layout.dof
         self.heard.clear()
-        return Memory.of(W=(p, 2))
+        return ControllerState.of(W=(p, 2))
 
-    def estimate(self, now, memory):
+    def estimate(self, now, state):
         self.heard.append((now.time, now.first, now.s.copy(), now.nu.copy(), now.sent.copy()))
         return now.regressor @ np.array(self.theta)
 
-    def learn(self, now, memory):
-        memory["W"] += 1.0
+    def learn(self, now, state):
+        state["W"] += 1.0
 
     heard: Any = None
 
@@ -161,10 +174,10 @@ def test_friction_in_numpy_is_that_of_the_adaptive_law(kind: str) -> None:
     masses = theirs.start().copy()
 
     class WithMasses(Friction):
-        def init(self, wiring):
-            memory = super().init(wiring)
-            memory["theta"] = masses
-            return memory
+        def init(self, context):
+            state = super().init(context)
+            state["theta"] = masses
+            return state
 
     ours, compiled = run_both(kind, WithMasses(feedback=K), theirs)
     same(ours, compiled)
@@ -210,7 +223,7 @@ def test_a_law_sees_what_the_sensors_say_and_what_the_supervisor_sends() -> None
 
 def test_only_who_asks_is_told_how_the_robot_moves() -> None:
     class Curious(Nothing):
-        def estimate(self, now, memory):
+        def estimate(self, now, state):
             return now.regressor @ np.zeros(3)
 
     with pytest.raises(ConfigError, match="knows_motion = True"):
@@ -230,14 +243,14 @@ def test_weights_are_recorded_frozen_and_resumed() -> None:
     np.testing.assert_allclose(whole["weight_norm"][[10, 20, 30], 0], np.hypot(*both))
     assert both[1][-1] > 0
     half = replace(loop, timing=replace_duration(loop.timing, 0.02)).run()
-    memory = loop.controller.init(loop.wiring())
-    memory.values[:] = half.final["memory"]
-    state = half.final["position"], half.final["nu"]
-    rest = loop.run(memory=memory, state=state, first=20)
+    state = loop.controller.init(loop.context())
+    state.values[:] = half.final["memory"]
+    plant_state = half.final["position"], half.final["nu"]
+    rest = loop.run(state=state, plant_state=plant_state, first=20)
     same(rest, {n: whole[n][20:] for n in SIGNALS}, tolerance=1e-12)
-    fixed = replace(loop, controller=replace(law, learning=False)).run(memory=memory)
+    fixed = replace(loop, controller=replace(law, learning=False)).run(state=state)
     np.testing.assert_array_equal(fixed.weights["W2"][0], fixed.weights["W2"][-1])
-    np.testing.assert_array_equal(fixed.weights["W2"][0], memory["W2"])
+    np.testing.assert_array_equal(fixed.weights["W2"][0], state["W2"])
 
 
 def replace_duration(timing: Any, duration: float) -> Any:
@@ -277,7 +290,7 @@ def test_gains_that_cannot_be_sampled_are_refused_as_those_of_pd() -> None:
 
 def test_a_plain_controller_may_tell_its_psi_hat() -> None:
     class Both(TorqueController):
-        def step(self, time, reference, measurement, command, memory):
+        def step(self, time, reference, measurement, command, state):
             s = np.concatenate((command.z, command.r))
             return 20.0 * s + 0.5, np.full(s.size, 0.5)
 
@@ -296,16 +309,16 @@ class Wrong(Nothing):
 
     how: str = ""
 
-    def init(self, wiring):
+    def init(self, context):
         if self.how == "no memory":
             return {"W": 3}
         if self.how == "init":
-            return Memory.of(W=(2,))["V"]
-        return super().init(wiring)
+            return ControllerState.of(W=(2,))["V"]
+        return super().init(context)
 
-    def estimate(self, now, memory):
+    def estimate(self, now, state):
         if self.how == "raises":
-            return memory["W"]  # line of the error
+            return state["W"]  # line of the error
         return {"shape": np.zeros(7), "nan": np.full(now.s.size, np.nan)}.get(self.how, np.zeros(now.s.size))
 
 
@@ -313,7 +326,7 @@ class Wrong(Nothing):
     ("how", "words"),
     [
         ("shape", r"returned a Psi_hat of shape \(7,\)"),
-        ("no memory", "Wrong.init returned dict: a law learns in a `Memory`: return Memory.of"),
+        ("no memory", "Wrong.init returned dict: a law learns in a `ControllerState`: return Memory.of"),
         ("init", "controller 'Wrong' failed: KeyError: 'V'"),
         ("raises", r"test_learning_law.py:\d+: error: controller 'Wrong' failed: KeyError: 'W'"),
     ],
@@ -339,7 +352,7 @@ def test_a_law_is_settings_and_nothing_else() -> None:
     with pytest.raises(TypeError, match="write its settings as annotated attributes"):
         type("Bad", (Nothing,), {"__init__": lambda self: None})
     with pytest.raises(TypeError, match="abstract"):
-        type("Half", (LearningLaw,), {"init": lambda self, wiring: Memory.of()})()
+        type("Half", (LearningLaw,), {"init": lambda self, context: ControllerState.of()})()
 
     class Misnamed(Nothing):
         learned = ("W",)
@@ -378,17 +391,17 @@ class OnTop(LearningLaw):
     knows_motion = True
     learned = ("W",)
 
-    def init(self, wiring):
-        return Memory.of(W=(wiring.regressor.size,))
+    def init(self, context):
+        return ControllerState.of(W=(context.regressor.size,))
 
-    def features(self, now, memory):
+    def features(self, now, state):
         return now.regressor
 
-    def estimate(self, now, memory):
-        return now.regressor @ (memory["W"] + np.array(self.theta))
+    def estimate(self, now, state):
+        return now.regressor @ (state["W"] + np.array(self.theta))
 
-    def learn(self, now, memory):
-        memory["W"] += 1e-6 * now.regressor.T @ (now.sent - now.regressor @ memory["W"])
+    def learn(self, now, state):
+        state["W"] += 1e-6 * now.regressor.T @ (now.sent - now.regressor @ state["W"])
 
 
 def test_stepping_it_again_gives_its_weights_and_what_is_known_is_not_asked_of_them() -> None:
@@ -400,6 +413,6 @@ def test_stepping_it_again_gives_its_weights_and_what_is_known_is_not_asked_of_t
     stepper = Stepper(learner, learner.start.snapshot())
     again = np.array([stepper.step(row).copy() for row in subject.rows])
     np.testing.assert_allclose(again, subject.signal("psi_hat"), rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(stepper.memory["W"], learner.end["W"], rtol=1e-12)
+    np.testing.assert_allclose(stepper.state["W"], learner.end["W"], rtol=1e-12)
     found = linear_fit(subject, learner)
     assert found is not None and found.norm < 1e-6 and found.unexplained.max() < 1e-12  # nothing is left for them

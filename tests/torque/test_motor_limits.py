@@ -11,7 +11,17 @@ from hypothesis import strategies as st
 from proofs import learner, loop_of
 from test_lyapunov import DURATION
 
-from mmnn_pin import Cycle, Feedback, LearningLaw, Memory, Recording, Robust, TorqueController, load, load_experiment
+from mmnn_pin import (
+    ControllerState,
+    Cycle,
+    Feedback,
+    LearningLaw,
+    Recording,
+    Robust,
+    TorqueController,
+    load,
+    load_experiment,
+)
 from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.proof.certified_loop import refusal
 from mmnn_pin.lab.proof.ideal import ideal_weights
@@ -156,20 +166,20 @@ def test_the_robust_term_goes_first_of_what_the_weights_bring():
 class Large(LearningLaw):
     """Says far too much."""
 
-    def init(self, wiring):
-        return Memory.of(W=(wiring.layout.dof,))
+    def init(self, context):
+        return ControllerState.of(W=(context.layout.dof,))
 
-    def estimate(self, now, memory):
-        return memory["W"] - 100.0
+    def estimate(self, now, state):
+        return state["W"] - 100.0
 
-    def learn(self, now, memory):
-        memory["W"] += now.sent  # what was sent, not what it asked for
+    def learn(self, now, state):
+        state["W"] += now.sent  # what was sent, not what it asked for
 
 
 class Own(TorqueController):
     """Tells what of its torque is Psi_hat."""
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         s = np.concatenate((command.z, command.r))
         return 10.0 * s + 100.0, np.full(s.size, 100.0)
 
@@ -188,7 +198,7 @@ def test_controllers_in_plain_python(kind):
     if kind is Large:
         np.testing.assert_allclose(run.final["memory"], run["torque"][:-1].sum(axis=0))
     off = replace(loop, controller=controller, within_limits=None, check_gains=False)
-    assert (off.wiring().limits is not None) == (kind is Large)  # what a step returns is sent, unless one says
+    assert (off.context().limits is not None) == (kind is Large)  # what a step returns is sent, unless one says
 
 
 def test_a_cycle_does_the_same():
@@ -202,9 +212,9 @@ def test_a_cycle_does_the_same():
 
 def test_on_by_default_beyond_the_thesis_and_for_all_in_the_contest():
     for name in LEARNERS:
-        assert (made(name).wiring().limits is not None) == (name not in ("two_layer", "one_layer"))
+        assert (made(name).context().limits is not None) == (name not in ("two_layer", "one_layer"))
     for name in ("pd", "computed_torque"):
-        assert made(name).wiring().limits is None
+        assert made(name).context().limits is None
     for name in ("chapter4", "chapter5"):
         assert load_experiment(name).learning.within_limits is None
     contest = load_experiment("contest")
@@ -219,7 +229,7 @@ def test_what_the_limits_take_is_a_term_of_v(tmp_path, which):
     run.run(tmp_path / "run.h5")
     subject = replace(Subject.of(Recording.open(tmp_path / "run.h5")), robot=run.robot)
     one = subject.networks
-    assert one is not None and one.wiring.limits is not None
+    assert one is not None and one.context.limits is not None
     rows, every = subject.rows, np.arange(len(subject.rows))
     ideal = ideal_weights(subject, one)
     part = weights_of(subject, ideal).part

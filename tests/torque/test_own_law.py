@@ -274,16 +274,16 @@ def test_a_law_runs_in_cases_and_studies(law: Path, tmp_path: Path, capsys: pyte
 
 def test_a_proof_of_a_law_defined_in_this_process_needs_no_file() -> None:
     class Here(LearningLaw):
-        def init(self, wiring):
-            from mmnn_pin import Memory
+        def init(self, context):
+            from mmnn_pin import ControllerState
 
-            return Memory.of(W=(wiring.layout.dof,))
+            return ControllerState.of(W=(context.layout.dof,))
 
-        def estimate(self, now, memory):
-            return memory["W"]
+        def estimate(self, now, state):
+            return state["W"]
 
-        def learn(self, now, memory):
-            memory["W"] += 0.1 * now.s
+        def learn(self, now, state):
+            state["W"] += 0.1 * now.s
 
     from proofs import loop_of, robot_of_kind
     from robots import feedback
@@ -318,7 +318,7 @@ from mmnn_pin import TorqueController
 
 class Tells(Own):
     def findings(self, memory):
-        return [f"W is {memory['W'].shape}"]
+        return [f"W is {state['W'].shape}"]
 
 class Fails(Own):
     def findings(self, memory):

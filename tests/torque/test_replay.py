@@ -23,8 +23,8 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def parts_of(loop):
-    controller, wiring = loop.controller, loop.wiring()
-    return controller.law(wiring).replay, controller.init(wiring), wiring.layout
+    controller, context = loop.controller, loop.context()
+    return controller.law(context).replay, controller.init(context), context.layout
 
 
 def output(W, V, x):
@@ -68,7 +68,7 @@ def test_the_input_is_that_of_a_reference_followed_exactly():
     """Every signal that a network may see: the row of a robot that is where its reference is, moving as it does."""
     loop = made("two_layer_composite")
     loop = replace(loop, controller=replace(loop.controller, inputs=Inputs(signals=MEASURED, bias=0.5, scale=2.0)))
-    a, memory, layout = parts_of(loop)
+    a, state, layout = parts_of(loop)
     f, rng = a.filter, np.random.default_rng(0)
     for values in (f.pose, f.q, f.nu, f.nudot):
         values[:] = rng.standard_normal(values.size)
@@ -82,9 +82,9 @@ def test_the_input_is_that_of_a_reference_followed_exactly():
     for values, names in same.items():
         for name in names:
             row[layout.where(name)] = np.frombuffer(values)
-    Torque(loop.controller, loop.wiring(), row, loop.robot, memory).step(0.0)
+    Torque(loop.controller, loop.context(), row, loop.robot, state).step(0.0)
     recollect(a)
-    np.testing.assert_array_equal(a.x, memory["x"])
+    np.testing.assert_array_equal(a.x, state["x"])
 
 
 @settings(max_examples=20, deadline=None)
@@ -106,18 +106,18 @@ def test_what_is_kept_is_spread_evenly_over_the_run(entries, samples):
 @given(seeds, st.floats(0, 8))
 def test_the_weights_stay_bounded_whatever_the_sensors_say(seed, size):
     loop, rng = made("two_layer_composite", "replay.bound=7.0", "replay.pole=1000.0"), np.random.default_rng(seed)
-    a, memory, layout = parts_of(loop)
+    a, state, layout = parts_of(loop)
     row = layout.new_row()
     for k in range(40):
         row[:] = 10.0**size * rng.standard_normal(row.size)
         row[0] = k * a.filter.h
-        replay(row, layout.offsets, a, memory.values)
-        memory["held"] = row[layout.where("torque")]
+        replay(row, layout.offsets, a, state.values)
+        state["held"] = row[layout.where("torque")]
         unit = {"1": a.unit[:2], "2": a.unit[2:]}
         for i in "12":
-            assert np.linalg.norm(memory[f"W{i}"] / unit[i]) <= 7.0 * (1 + 1e-9)
-            assert np.linalg.norm(memory[f"V{i}"]) <= max(7.0, np.sqrt(memory[f"V{i}"].size) * 0.5) * (1 + 1e-9)
-    assert memory["counts"][1] > 0
+            assert np.linalg.norm(state[f"W{i}"] / unit[i]) <= 7.0 * (1 + 1e-9)
+            assert np.linalg.norm(state[f"V{i}"]) <= max(7.0, np.sqrt(state[f"V{i}"].size) * 0.5) * (1 + 1e-9)
+    assert state["counts"][1] > 0
 
 
 def test_engines_batch_resumption_and_freezing():
@@ -127,11 +127,11 @@ def test_engines_batch_resumption_and_freezing():
     assert_frozen(loop)
 
 
-def explained(controller, memory, rows, loop):
+def explained(controller, state, rows, loop):
     """Mean square of what frozen weights leave of Psi, over its variance."""
     layout, still = loop.robot.layout, replace(controller, learning=False)
     row, left = layout.new_row(), []
-    torque = Torque(still, loop.wiring(), row, loop.robot, memory.snapshot())
+    torque = Torque(still, loop.context(), row, loop.robot, state.snapshot())
     psi = rows["psi"]
     for k in range(0, len(rows), 5):
         for name in rows:
@@ -150,9 +150,9 @@ def test_without_its_memory_it_follows_and_forgets():
     for replays in (0, 4):
         loop = made("two_layer_composite", *EIGHT, f"replay.replays={replays}", duration=24.0)
         run = loop.run()
-        memory = loop.controller.init(loop.wiring())
-        memory.values[:] = run.final["memory"]
-        left[replays] = explained(loop.controller, memory, truth, loop)
+        state = loop.controller.init(loop.context())
+        state.values[:] = run.final["memory"]
+        left[replays] = explained(loop.controller, state, truth, loop)
         assert "not excited" not in run.outcome.message
     assert left[4] < 0.25 and left[4] < 0.4 * left[0]
     assert "not excited" in made("two_layer_composite", *CIRCLE, duration=12.0).run().outcome.message
@@ -165,4 +165,4 @@ def test_impossible_settings_are_refused_with_their_key():
         assert error.value.key == f"replay.{name}"
     loop = made("two_layer_composite", "feedback.base=0.0")
     with pytest.raises(ConfigError, match="needs all > 0"):
-        loop.controller.law(loop.wiring())
+        loop.controller.law(loop.context())

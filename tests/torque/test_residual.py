@@ -35,8 +35,8 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
     expected = loop.robot.with_masses(0.6).without_friction()
     np.testing.assert_allclose(parameters(controller.model), parameters(expected), rtol=1e-12)
     dynamics, layout, row = Dynamics(expected), loop.robot.layout, loop.robot.layout.new_row()
-    memory = controller.learner.init(loop.wiring())
-    network = Torque(controller.learner, loop.wiring(), row, loop.robot, memory)
+    state = controller.learner.init(loop.context())
+    network = Torque(controller.learner, loop.context(), row, loop.robot, state)
     for k in range(0, len(run)):
         for name in run:
             row[layout.where(name)] = run[name][k]
@@ -48,7 +48,7 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
         np.testing.assert_allclose(run["psi_hat"][k], psi0 + network.psi_hat, rtol=1e-9, atol=1e-9)
         feedback = run["effective_gain"][k] * np.concatenate((run["z"][k], run["r"][k]))
         np.testing.assert_allclose(run["torque"][k], feedback + run["psi_hat"][k], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(memory.values, run.final["memory"], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(state.values, run.final["memory"], rtol=1e-9, atol=1e-12)
 
 
 def test_a_nominal_model_that_is_right_makes_an_oracle():
@@ -84,14 +84,14 @@ def test_a_projection_bounds_the_weights_at_every_sample(name):
     runs = [replace(loop, engine=engine).run() for engine in ("compiled", "ordinary")]
     np.testing.assert_allclose(runs[0]["torque"], runs[1]["torque"], rtol=1e-9, atol=1e-9)
     network = loop.controller.own if isinstance(loop.controller, Residual) else loop.controller
-    memory = network.init(loop.wiring())
-    memory.values[:] = runs[0].final["memory"]
-    sizes = {name: np.linalg.norm(W) for name, W in network.weights(memory).items()}
+    state = network.init(loop.context())
+    state.values[:] = runs[0].final["memory"]
+    sizes = {name: np.linalg.norm(W) for name, W in network.weights(state).items()}
     gain = 0.1 * network.feedback_gain(loop.robot.layout) / network.network_scales(loop.robot.layout)[1]
     bounds = {"W1": 0.5 * gain[:2].max(), "V1": 0.5, "W2": 0.5 * gain[2:].max(), "V2": 0.5}
     shares = [size / bounds[name] for name, size in sizes.items()]
     assert max(shares) == pytest.approx(1.0)
-    assert any("ended on the bound of learning.projection" in told for told in network.findings(memory))
+    assert any("ended on the bound of learning.projection" in told for told in network.findings(state))
     most = [np.hypot(bounds[f"W{i}"], bounds[f"V{i}"] * ("V1" in sizes)) for i in (1, 2)]
     assert (runs[0]["weight_norm"][1:] <= np.array(most) * (1 + 1e-12)).all()  # the first output is of the start
     wide, free = (made(name, f"learning.projection={bound}").run() for bound in (1e9, 1e12))
@@ -132,12 +132,12 @@ def test_a_bound_from_python_is_checked_too(bad):
 def test_weights_that_are_held_fixed_are_on_no_bound():
     """Fixed ones are as they were given, larger than the bound or not, and are not said to be on it."""
     loop = made("two_layer_residual")
-    memory = loop.controller.init(loop.wiring())
+    state = loop.controller.init(loop.context())
     fixed = replace(loop.controller, projection=1.0, learning=False)
-    run = replace(loop, controller=fixed).run(memory=memory)
-    np.testing.assert_array_equal(run.weights["V1"][-1], memory["V1"])
+    run = replace(loop, controller=fixed).run(state=state)
+    np.testing.assert_array_equal(run.weights["V1"][-1], state["V1"])
     assert np.linalg.norm(run.weights["V1"][-1]) > 1.0 and "bound" not in run.outcome.message
-    learnt = replace(loop, controller=replace(fixed, learning=True)).run(memory=memory)
+    learnt = replace(loop, controller=replace(fixed, learning=True)).run(state=state)
     assert np.linalg.norm(learnt.weights["V1"][-1]) <= 1.0
 
 

@@ -20,7 +20,7 @@ def frozen(controller: Any) -> Any:
     return controller if isinstance(controller, CompiledController) else None
 
 
-def said(loop: Loop, layout: Layout, memory: Any, rows: Array) -> Array:
+def said(loop: Loop, layout: Layout, state: Any, rows: Array) -> Array:
     """Psi_hat of the controller of a loop, step by step along rows (N, width); (N, p) [N, N m].
 
     It is what the weights say, before the motors' limits take of it.
@@ -28,11 +28,11 @@ def said(loop: Loop, layout: Layout, memory: Any, rows: Array) -> Array:
     Args:
         loop: Of the controller, which learns from the rows unless it is frozen.
         layout: Of the rows; they may lack what the loop's rig adds.
-        memory: What it remembers, changed in place.
+        state: What it remembers, changed in place.
         rows: The rows; they are not changed.
     """
-    wiring = replace(loop.wiring(), layout=layout)
-    stepper = Stepper(Learner(loop.controller, wiring, memory, memory, 0.0, loop.believed), memory)
+    context = replace(loop.context(), layout=layout)
+    stepper = Stepper(Learner(loop.controller, context, state, state, 0.0, loop.believed), state)
     found = np.zeros((len(rows), layout.dof))
     for n, row in enumerate(rows):
         stepper.step(row)

@@ -13,11 +13,11 @@ import msgspec
 import numpy as np
 
 from ...loop.batch import Run, simulate_many
+from ...loop.controller_state import findings_of
 from ...loop.loop import Loop
-from ...loop.memory import findings_of
 from ...recording.recording import Recording
 from ...signals import Array
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ..proof.fvu import START, fvu
 from ..proof.learner import Learner
 from ..proof.subject import finite_rows
@@ -100,11 +100,11 @@ def memory_of(task: Task, controller: Any, seed: int, run: Run) -> Any:
     """The memory at the end of a training run; None where it was lost or is not kept as numbers."""
     if run.outcome.status != "completed" or "memory" not in run.final:
         return None
-    memory = controller.init(task.training(controller, seed).wiring())
-    if not isinstance(memory, Memory) or not np.isfinite(run.final["memory"]).all():
+    state = controller.init(task.training(controller, seed).context())
+    if not isinstance(state, ControllerState) or not np.isfinite(run.final["memory"]).all():
         return None
-    memory.values[:] = run.final["memory"]
-    return memory
+    state.values[:] = run.final["memory"]
+    return state
 
 
 def tried(
@@ -115,8 +115,8 @@ def tried(
     loops: list[Loop] = []
     places = []
     ways = ("learning",) if frozen(controller) is controller else ("frozen", "learning")
-    for i, (seed, memory) in enumerate(zip(task.seeds, memories, strict=True)):
-        for name, how in product(task.held_out if memory is not None else (), ways):
+    for i, (seed, state) in enumerate(zip(task.seeds, memories, strict=True)):
+        for name, how in product(task.held_out if state is not None else (), ways):
             loop = task.trial(controller, seed, name, how == "learning")
             if loop is not None:
                 loops.append(loop)
@@ -139,7 +139,7 @@ def row_of(
     controller: Any,
     seed: int,
     run: Run,
-    memory: Any,
+    state: Any,
     trials: dict[str, dict[str, Tracking]],
     knowledge: bool,
 ) -> Row:
@@ -149,9 +149,9 @@ def row_of(
     limits = np.array(task.robot.facts()["effort_limits"], float)
     numbers = training_numbers(run.recording, limits, window, contest.window, contest.start)
     judged = task.held_out if knowledge else ()
-    known_of = {held: frozen_fvu(task, controller, seed, memory, held) for held in judged}
+    known_of = {held: frozen_fvu(task, controller, seed, state, held) for held in judged}
     mean, worst = (largest([values[k] for values in known_of.values()]) for k in (0, 1))
-    findings = found_in(task, name, controller, seed, run, memory) if memory is not None else []
+    findings = found_in(task, name, controller, seed, run, state) if state is not None else []
     return Row(
         task=task.name,
         controller=name,
@@ -168,13 +168,13 @@ def row_of(
     )
 
 
-def found_in(task: Task, name: str, controller: Any, seed: int, run: Run, memory: Any) -> list[str]:
+def found_in(task: Task, name: str, controller: Any, seed: int, run: Run, state: Any) -> list[str]:
     """What the memory shows at the end of a run, and whether the run excited the learner."""
     loop = task.training(controller, seed)
-    learner = Learner(controller, loop.wiring(), memory, memory, run.outcome.time, loop.believed)
+    learner = Learner(controller, loop.context(), state, state, run.outcome.time, loop.believed)
     assert run.recording is not None
     rows = finite_rows(run.recording, loop.robot.layout)
-    return [*findings_of(controller, memory), *not_excited(name, unknown(learner, rows))]
+    return [*findings_of(controller, state), *not_excited(name, unknown(learner, rows))]
 
 
 def largest(values: list[float]) -> float:
@@ -182,14 +182,14 @@ def largest(values: list[float]) -> float:
     return max(values) if values and all(map(math.isfinite, values)) else math.nan
 
 
-def frozen_fvu(task: Task, controller: Any, seed: int, memory: Any, held: str) -> tuple[float, float]:
+def frozen_fvu(task: Task, controller: Any, seed: int, state: Any, held: str) -> tuple[float, float]:
     """FVU of fixed weights on a held-out trajectory, mean over the components and worst; nan where there is none."""
-    loop = None if memory is None else task.trial(controller, seed, held, False)
+    loop = None if state is None else task.trial(controller, seed, held, False)
     if loop is None:
         return math.nan, math.nan
     layout, rows = task.robot.layout, task.rows[held]
     counts = rows[:, layout.where("time")][:, 0] >= START - 1e-9
-    psi_hat = said(loop, layout, memory.snapshot(), rows)
+    psi_hat = said(loop, layout, state.snapshot(), rows)
     return summary(fvu(rows[counts][:, layout.where("psi")], psi_hat[counts]))
 
 
@@ -200,8 +200,8 @@ def step_time(loop: Loop, recording: Recording) -> float:
         return math.nan
     took = []
     for _ in range(REPEATS):
-        memory = loop.controller.init(loop.wiring())
+        state = loop.controller.init(loop.context())
         begin = clock.thread_time()
-        said(loop, loop.robot.layout, memory, rows)
+        said(loop, loop.robot.layout, state, rows)
         took.append(clock.thread_time() - begin)
     return min(took) / len(rows)

@@ -165,7 +165,7 @@ def require_free(files: Sequence[Path], force: bool) -> None:
 
 
 def has_rig(experiment: Experiment) -> bool:
-    """Whether there is more between controller and robot than wires, see `rig`."""
+    """Whether there is more between controller and robot than wires, see `hardware`."""
     perfect = experiment.sensor.exact and experiment.actuator.perfect
     return not perfect or experiment.safety is not None or bool(experiment.disturbances)
 
@@ -183,7 +183,7 @@ def require_runnable(experiment: Experiment, robot: Robot) -> None:
             loop.start.state(robot, loop.table()[0])
             if isinstance(loop.controller, TorqueController):
                 loop.rehearse()
-            if experiment.plant == "contact" or loop.robot.layout.rig or not loop.sensor.exact:
+            if experiment.plant == "contact" or loop.robot.layout.hardware or not loop.sensor.exact:
                 loop.engine_at()
 
 

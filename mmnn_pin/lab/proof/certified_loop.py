@@ -152,7 +152,7 @@ def refusal(subject: Subject) -> str:
             return ""
         clipped = "safety" in subject.recording and np.any(subject.recording["safety"] > 0)
         return "its supervisor stepped in" if clipped else f"{subject.controller} is no learner of the thesis, nor PD"
-    if learner.wiring.limits is not None:
+    if learner.context.limits is not None:
         return "its robust term and Psi_hat are kept within the motors' limits"
     if learner.own.update != "after_output":
         return "the weights are updated before the output, with the hidden outputs of the call before"

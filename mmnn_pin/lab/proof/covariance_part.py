@@ -12,7 +12,7 @@ it changes `W~' P^-1 W~` by
     prediction  -u^2 / alpha <= 0                               what filtered torque says
     noise       (-2 u e + e^2 phi' P phi / R) / alpha           what it has wrong: sensors, motors, what Phi cannot say
 
-Variance q that comes back at a place j takes `q (P^-1 W~)_j^2 / (1 + q (P^-1)_jj)` out: the term `memory`, never
+Variance q that comes back at a place j takes `q (P^-1 W~)_j^2 / (1 + q (P^-1)_jj)` out: the term `state`, never
 positive, as errors count less where less is known. (Continuous: the two sums of V' in docs/learners.md.) The rest, the
 second order of the first move and the projection onto the bound, is `step`.
 """
@@ -26,7 +26,7 @@ from scipy.linalg import solve_triangular
 
 from ...errors import RecordingError
 from ...signals import Array, IntArray
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.covariance import measure
 from ...torque.least_squares import predict, track
 from ...torque.linear import Linear, Parts
@@ -44,7 +44,7 @@ def covariance_part(
     Raises:
         RecordingError: `tracking` is 0, so that nothing takes the pull out.
     """
-    a = learner.controller.law(learner.wiring).linear
+    a = learner.controller.law(learner.context).linear
     assert a is not None
     if not (a.answer > 0).all():
         raise RecordingError(WITHOUT, why="the weights do not follow s: tracking is 0")
@@ -76,14 +76,14 @@ class Ledger:
 
     def __init__(self, learner: Learner, a: Linear, ideal: Array, rows: int) -> None:
         self.a, self.ideal, self.found = a, np.ascontiguousarray(ideal.T), np.zeros((6, rows))
-        self.at, self.h = learner.wiring.layout.offsets, learner.wiring.control_period
+        self.at, self.h = learner.context.layout.offsets, learner.context.control_period
         self.matters = learner.start["prior"] > 0.0
         self.value = self.energy(views(learner.start))
 
-    def keep(self, memory: Memory) -> dict[str, Array]:
+    def keep(self, state: ControllerState) -> dict[str, Array]:
         """The memory before an update; of other samples the weights."""
-        now = int(memory["counts"][0]) % self.a.every == 0
-        return copies(memory, *PARTS) if now else copies(memory, "W")
+        now = int(state["counts"][0]) % self.a.every == 0
+        return copies(state, *PARTS) if now else copies(state, "W")
 
     def take(self, row: Row) -> None:
         """Value, pull and terms of one row."""
@@ -93,7 +93,7 @@ class Ledger:
         if "U" in row.before:
             o = parts_of(row.before, np.zeros(0))
             self.found[2:, row.number] = np.array(self.update(row, o, pull)) / self.h
-            self.value = self.energy(views(row.memory))
+            self.value = self.energy(views(row.state))
 
     def update(self, row: Row, o: Parts, pull: float) -> tuple[float, float, float, float]:
         """Cut, prediction, noise and memory of one update, over the whole of it; changes o."""
@@ -101,9 +101,9 @@ class Ledger:
         a.Phi[:] = row.Phi
         track(row.values, self.at, a, o)
         cut = a.interval * pull - float((weighed * (o.W - before)).sum())
-        if row.memory["counts"][1] == o.counts[1]:  # no control period to learn from
+        if row.state["counts"][1] == o.counts[1]:  # no control period to learn from
             return cut, 0.0, 0.0, 0.0
-        after = views(row.memory)
+        after = views(row.state)
         prediction, noise, known = self.measured(row, o)
         predict(a, o._replace(filter=after.filter))
         return cut, prediction, noise, self.energy(o) - known
@@ -112,7 +112,7 @@ class Ledger:
         """Prediction and noise of the equations of an update, and the part after them; o stays."""
         a, m = self.a, len(self.ideal)
         W, U, D = o.W.copy(), o.U.copy(), o.D.copy()
-        Phi_f, Y_f, f, b = row.memory["Phi_f"], row.memory["Y_f"], np.zeros(D.size), np.zeros(D.size)
+        Phi_f, Y_f, f, b = row.state["Phi_f"], row.state["Y_f"], np.zeros(D.size), np.zeros(D.size)
         prediction = noise = 0.0
         for i, features in enumerate(Phi_f):
             phi, y = (features / a.gain[i], Y_f[i : i + 1] / a.gain[i]) if m == 1 else (features.copy(), Y_f)
@@ -148,11 +148,11 @@ class Ledger:
         return U if self.matters.all() else U[np.ix_(self.matters, self.matters)]
 
 
-def views(memory: Memory) -> Parts:
+def views(state: ControllerState) -> Parts:
     """The parts of a memory that an update reads and writes."""
-    first = sum(memory[name].size for name in PARTS)
-    size = sum(memory[name].size for name in FILTER)
-    return parts_of({name: memory[name] for name in PARTS}, memory.values[first : first + size])
+    first = sum(state[name].size for name in PARTS)
+    size = sum(state[name].size for name in FILTER)
+    return parts_of({name: state[name] for name in PARTS}, state.values[first : first + size])
 
 
 def parts_of(arrays: dict[str, Array], filtered: Array) -> Parts:

@@ -32,7 +32,7 @@ from ...errors import RecordingError
 from ...signals import Array, IntArray
 from ...torque.adaptation import Adaptation
 from ...torque.adaptive import vector_of
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.prediction import LARGEST, Prediction
 from .learner import Learner
 from .subject import Subject
@@ -48,18 +48,18 @@ def estimate_part(
     Raises:
         RecordingError: `tracking` is 0, so that nothing takes the pull out.
     """
-    a, rows, h, theta = adaptation_of(learner), subject.rows, learner.wiring.control_period, truth.theta
+    a, rows, h, theta = adaptation_of(learner), subject.rows, learner.context.control_period, truth.theta
     if not a.tracking > 0:
         raise RecordingError(WITHOUT, why="the estimate does not follow s: tracking is 0")
     first = BODY * len(a.roots)
     learned = np.concatenate((np.full(first, a.gamma > 0), a.rates > 0)) & a.learning
     before, steps = learner.start["theta"].copy(), np.zeros((2, len(rows)))
 
-    def visit(n: int, memory: Memory) -> None:
+    def visit(n: int, state: ControllerState) -> None:
         p = a.prediction
-        if p is not None and int(memory["samples"][0] - 1) % p.every == 0:
-            steps[:, n] = prediction_step(a, p, before, theta, learned, memory)
-        before[:] = memory["theta"]
+        if p is not None and int(state["samples"][0] - 1) % p.every == 0:
+            steps[:, n] = prediction_step(a, p, before, theta, learned, state)
+        before[:] = state["theta"]
 
     found = stepped(learner, rows, at, progress, visit)
     estimate, s = found.theta[at], np.hstack((subject.signal("z"), subject.signal("r")))[at]
@@ -74,7 +74,7 @@ def estimate_part(
 
 
 def prediction_step(
-    a: Adaptation, p: Prediction, estimate: Array, theta: Array, learned: NDArray[np.bool_], memory: Memory
+    a: Adaptation, p: Prediction, estimate: Array, theta: Array, learned: NDArray[np.bool_], state: ControllerState
 ) -> tuple[float, float]:
     """What a step down the prediction error does to V_theta, to first order: prediction and noise.
 
@@ -84,9 +84,9 @@ def prediction_step(
         estimate: (k,) the estimate before.
         theta: (k,) the truth.
         learned: (k,) which parameters are.
-        memory: The memory after, with Q and b.
+        state: The memory after, with Q and b.
     """
-    Q, b, error = memory["Q"], memory["b"], np.where(learned, theta - estimate, 0.0)
+    Q, b, error = state["Q"], state["b"], np.where(learned, theta - estimate, 0.0)
     Gamma = metric(a, estimate)
     wanted = p.weight * np.column_stack((Q @ error, b - Q @ (estimate + error)))
     known, wrong = np.linalg.solve(np.eye(len(Q)) + p.weight * Q @ Gamma, wanted).T

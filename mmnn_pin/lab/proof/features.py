@@ -116,7 +116,7 @@ def linear_of(learner: Learner, Phi: Array, left: Unknown | None) -> Network:
     _, rows, k = Phi.shape
     table = Phi.reshape(-1, k) * np.sqrt(rows)  # the mean is over samples, not over the rows of each
     weights = learner.controller.weights(learner.end)
-    regressor = learner.wiring.regressor or getattr(learner.controller, "regressor", None)
+    regressor = learner.context.regressor or getattr(learner.controller, "regressor", None)
     if not isinstance(regressor, Regressor) or regressor.size != k or rows == 1:
         return Network.of("all", "features", weights, excitation(table), left)
     return Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED), left)

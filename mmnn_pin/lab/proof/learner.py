@@ -14,7 +14,7 @@ import numpy as np
 from ...loop.control import Torque
 from ...model.robot import Robot
 from ...signals import Array
-from ...torque.controller import CompiledController, Feedback, Memory, TorqueController, Wiring
+from ...torque.controller import CompiledController, Context, ControllerState, Feedback, TorqueController
 
 Controller = CompiledController | TorqueController
 
@@ -25,7 +25,7 @@ class Learner:
 
     Attributes:
         controller: Its settings; one with a field `learning`.
-        wiring: What it was told before the run.
+        context: What it was told before the run.
         start: Its memory before the first row.
         end: Its memory at the end, or the last one that is known.
         end_time: When that is [s].
@@ -33,9 +33,9 @@ class Learner:
     """
 
     controller: Any
-    wiring: Wiring
-    start: Memory
-    end: Memory
+    context: Context
+    start: ControllerState
+    end: ControllerState
     end_time: float
     robot: Robot
 
@@ -55,7 +55,7 @@ class Stepper:
 
     Args:
         learner: The learner.
-        memory: Its memory, changed in place.
+        state: Its memory, changed in place.
         learning: Off holds its weights fixed.
 
     Attributes:
@@ -63,13 +63,13 @@ class Stepper:
         torque: The controller wired to it.
     """
 
-    def __init__(self, learner: Learner, memory: Memory, learning: bool = True) -> None:
-        layout = learner.wiring.layout
+    def __init__(self, learner: Learner, state: ControllerState, learning: bool = True) -> None:
+        layout = learner.context.layout
         controller = learner.controller if learning else learner.frozen()
-        self.memory, self.row = memory, layout.new_row()
+        self.state, self.row = state, layout.new_row()
         self._time, self._torque = layout.where("time").start, layout.where("torque")
         self.psi_hat, self._sent = self.row[layout.where("psi_hat")], np.zeros(layout.dof)
-        self.torque = Torque(controller, learner.wiring, self.row, learner.robot, memory)
+        self.torque = Torque(controller, learner.context, self.row, learner.robot, state)
 
     def step(self, row: Array) -> Array:
         """Output at a row (width,), a view (p,) that the next step overwrites; a learner learns from it."""
@@ -93,13 +93,13 @@ class Stepper:
         return None if found is None else np.array(np.atleast_2d(found), float)
 
 
-def said(learner: Learner, memory: Memory, rows: Array, every: int = 1) -> Array:
+def said(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
     """What the weights of a memory, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
 
     It is what they know: before the motors' limits take of it.
     """
-    stepper = Stepper(learner, memory.snapshot(), learning=False)
-    found = np.zeros((-(-len(rows) // every), learner.wiring.layout.dof))
+    stepper = Stepper(learner, state.snapshot(), learning=False)
+    found = np.zeros((-(-len(rows) // every), learner.context.layout.dof))
     for n, row in enumerate(rows):
         stepper.step(row)
         if n % every == 0:

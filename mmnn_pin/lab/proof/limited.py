@@ -21,7 +21,7 @@ def taken(learner: Learner, rows: Array, at: IntArray) -> Array:
         rows: (N, width) rows of its run.
         at: (k,) which of them.
     """
-    layout, limits, found = learner.wiring.layout, learner.wiring.limits, np.zeros(len(rows))
+    layout, limits, found = learner.context.layout, learner.context.limits, np.zeros(len(rows))
     if limits is None:
         return found[at]
     stepper = Stepper(learner, learner.start.snapshot())

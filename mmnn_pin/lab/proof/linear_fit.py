@@ -95,7 +95,7 @@ def units(learner: Learner, Phi: Array, scale: Array) -> Array:
     """What a weight of every feature and component counts as one, (k, p); 0 for one that the prior does not let be."""
     controller = learner.controller
     if isinstance(controller, KalmanLearner):
-        K = controller.feedback_gain(learner.wiring.layout)
+        K = controller.feedback_gain(learner.context.layout)
         return np.sqrt(learner.start["prior"])[:, None] * K
     size = np.sqrt((Phi**2).mean(axis=0))
     return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)[:, None] * scale

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from ...signals import Array, IntArray
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.neural_settings import TwoLayer
 from ...torque.replay import replay
 from .ideal import Ideal
@@ -64,9 +64,9 @@ class Network:
     @classmethod
     def of(cls, learner: Networks, i: int, part: slice, ideal: Ideal) -> Network:
         """The i-th network of a learner."""
-        controller, h = learner.own, learner.wiring.control_period
+        controller, h = learner.own, learner.context.control_period
         rate_W, rate_V, leakage = controller.network.rates(i - 1, controller.leakage)
-        scale_in, scale_out = (scale[part] for scale in controller.network_scales(learner.wiring.layout))
+        scale_in, scale_out = (scale[part] for scale in controller.network_scales(learner.context.layout))
         c, dt = float((scale_out / scale_in)[0]), 1.0 if controller.rates == "per_sample" else h
         both = isinstance(controller.network, TwoLayer)
         rates = [rate if controller.learning and learned else 0.0 for rate, learned in ((rate_W, True), (rate_V, both))]
@@ -110,15 +110,15 @@ def network_part(
         at: (k,) which of them, ascending.
         progress: Called now and then with the fraction done.
     """
-    layout, controller, h = learner.wiring.layout, learner.own, learner.wiring.control_period
+    layout, controller, h = learner.context.layout, learner.own, learner.context.control_period
     stepper = Stepper(learner, learner.start.snapshot())
-    memory, first = stepper.memory, controller.update == "before_output"
+    state, first = stepper.state, controller.update == "before_output"
     networks = {i: Network.of(learner, i, part, ideal[i]) for i, part in learner.networks}
     replayed, unbounded = Replayed.of(stepper), Unbounded.of(learner)
     psi, missed, wanted = layout.where("psi"), Missed(rows[:, layout.where("psi_hat")]), set(at.tolist())
     value, leakage, remainder, step, prediction, projection = np.zeros((6, len(at)))
-    weights = views(networks, memory)
-    seen = {i: (memory[f"sigma{i}"], memory["x"], memory[f"s{i}"]) for i in networks}
+    weights = views(networks, state)
+    seen = {i: (state[f"sigma{i}"], state["x"], state[f"s{i}"]) for i in networks}
     before = copied(weights)
     free: Weights | None = None
     k = 0
@@ -127,10 +127,10 @@ def network_part(
         # a prediction error are changed ahead of the output
         look = n in wanted
         moved = copied(weights)
-        used = moved if replayed is None or first else replayed.step(row, memory, networks)
+        used = moved if replayed is None or first else replayed.step(row, state, networks)
         arrived, free = free, None
         if unbounded is not None and (n if first else n + 1) in wanted:
-            free = unbounded.step(row, memory, networks)
+            free = unbounded.step(row, state, networks)
         psi_hat = stepper.step(row)
         if missed.lost(n, psi_hat):
             break
@@ -178,11 +178,11 @@ class Unbounded:
         free = replace(learner, controller=replace(controller, projection=None))
         return cls(Stepper(free, learner.start.snapshot()))
 
-    def step(self, row: Array, memory: Memory, networks: dict[int, Network]) -> Weights:
+    def step(self, row: Array, state: ControllerState, networks: dict[int, Network]) -> Weights:
         """The weights after a row, from the memory before its step."""
-        self.stepper.memory.values[:] = memory.values
+        self.stepper.state.values[:] = state.values
         self.stepper.step(row)
-        return copied(views(networks, self.stepper.memory))
+        return copied(views(networks, self.stepper.state))
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,30 +191,30 @@ class Replayed:
 
     Attributes:
         stepper: The learner, about to be stepped.
-        memory: What its memory is after the prediction error of a sample, and before its output.
+        state: What its memory is after the prediction error of a sample, and before its output.
     """
 
     stepper: Stepper
-    memory: Memory
+    state: ControllerState
 
     @classmethod
     def of(cls, stepper: Stepper) -> Replayed | None:
         """None for a network without a prediction error."""
         learners = stepper.torque.learners
-        return None if learners is None or learners.replay is None else cls(stepper, stepper.memory.snapshot())
+        return None if learners is None or learners.replay is None else cls(stepper, stepper.state.snapshot())
 
-    def step(self, row: Array, memory: Memory, networks: dict[int, Network]) -> Weights:
+    def step(self, row: Array, state: ControllerState, networks: dict[int, Network]) -> Weights:
         """The weights that the output of a row uses, from the memory before its step."""
         learners = self.stepper.torque.learners
         assert learners is not None and learners.replay is not None
-        self.memory.values[:] = memory.values
-        replay(row, self.stepper.torque.at, learners.replay, self.memory.values)
-        return copied(views(networks, self.memory))
+        self.state.values[:] = state.values
+        replay(row, self.stepper.torque.at, learners.replay, self.state.values)
+        return copied(views(networks, self.state))
 
 
-def views(networks: dict[int, Network], memory: Memory) -> Weights:
+def views(networks: dict[int, Network], state: ControllerState) -> Weights:
     """W and V of every network, as they are in a memory."""
-    return {i: (memory[f"W{i}"], memory[f"V{i}"]) for i in networks}
+    return {i: (state[f"W{i}"], state[f"V{i}"]) for i in networks}
 
 
 def copied(weights: Weights) -> Weights:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...signals import Array
 from ...torque.composite import CompositeNetwork
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.neural import Neural, channels
 from ...torque.residual import Residual
 from .learner import Learner, Stepper
@@ -33,7 +33,7 @@ class Networks(Learner):
     @property
     def networks(self) -> list[tuple[int, slice]]:
         """Number of every network (1 the base's, 2 the arm's) and its velocities."""
-        layout = self.wiring.layout
+        layout = self.context.layout
         parts = {1: slice(0, layout.base), 2: slice(layout.base, layout.dof)}
         return [(i, parts[i]) for i, _ in channels(layout)]
 
@@ -53,12 +53,12 @@ class Seen:
     activations: dict[int, Array]
 
 
-def seen(learner: Networks, memory: Memory, rows: Array) -> Seen:
+def seen(learner: Networks, state: ControllerState, rows: Array) -> Seen:
     """What networks with the weights of a memory, held fixed, do along rows (N, width)."""
-    stepper = Stepper(learner, memory.snapshot(), learning=False)
-    psi_hat, inputs = np.zeros((len(rows), learner.wiring.layout.dof)), np.zeros((len(rows), memory["x"].size))
-    activations = {i: np.zeros((len(rows), memory[f"sigma{i}"].size)) for i, _ in learner.networks}
-    x, hidden = stepper.memory["x"], {i: stepper.memory[f"sigma{i}"] for i in activations}
+    stepper = Stepper(learner, state.snapshot(), learning=False)
+    psi_hat, inputs = np.zeros((len(rows), learner.context.layout.dof)), np.zeros((len(rows), state["x"].size))
+    activations = {i: np.zeros((len(rows), state[f"sigma{i}"].size)) for i, _ in learner.networks}
+    x, hidden = stepper.state["x"], {i: stepper.state[f"sigma{i}"] for i in activations}
     for k, row in enumerate(rows):
         psi_hat[k], inputs[k] = stepper.step(row), x
         for i, sigma in hidden.items():

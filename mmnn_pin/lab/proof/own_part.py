@@ -15,7 +15,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from ...errors import RecordingError
 from ...signals import Array, IntArray
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.learning_law import LearningLaw
 from .learner import Learner
 from .linear_fit import of_shape
@@ -32,26 +32,26 @@ def own_part(
     Raises:
         RecordingError: The law tells no gain, or one that is not positive definite; or not which array its weights are.
     """
-    law, h, found = learner.controller, learner.wiring.control_period, np.zeros((3, len(subject.rows)))
-    state(law, learner.start, ideal)  # before the run is stepped again
+    law, h, found = learner.controller, learner.context.control_period, np.zeros((3, len(subject.rows)))
+    weights_error(law, learner.start, ideal)  # before the run is stepped again
 
     def visit(row: Row) -> None:
         error, weighed, gain = (row.before[name] for name in ("error", "weighed", "gain"))
         g = row.Phi.T @ row.s[:, None] if ideal.shape[1] == 1 else np.outer(row.Phi[0], row.s)
-        after = state(law, row.memory, ideal)
+        after = weights_error(law, row.state, ideal)
         change = ((after["error"] * after["weighed"]).sum() - (error * weighed).sum()) / (2 * h)
         pull = (g * error).sum()
         step = h * (g * times(gain, g)).sum() / 2
         found[:, row.number] = (error * weighed).sum() / 2, pull, change + pull - step
 
-    missed = together(learner, subject.rows, lambda memory: state(law, memory, ideal), visit, progress)
+    missed = together(learner, subject.rows, lambda state: weights_error(law, state, ideal), visit, progress)
     value, pull, own = found[:, at]
     return part_of(subject, at, value, pull, {"own": own}, missed)
 
 
-def state(law: LearningLaw, memory: Memory, ideal: Array) -> dict[str, Array]:
+def weights_error(law: LearningLaw, state: ControllerState, ideal: Array) -> dict[str, Array]:
     """`W~` and `Gamma^-1 W~` (k, m), and Gamma, at a memory; errors as in `own_part`."""
-    gain, W = law.gain(memory), of_shape(law.weights(memory), *ideal.shape)
+    gain, W = law.gain(state), of_shape(law.weights(state), *ideal.shape)
     if gain is None:
         fix = "write a method gain(memory) that returns Gamma of W' = Gamma Phi' s + ...: a number, (k,) or (k, k)"
         raise left_out(f"{law.name} does not tell its learning gain", fix)

@@ -20,7 +20,7 @@ from scipy.special import expit
 from ...errors import RecordingError
 from ...loop.sampled import HeldLoop, held_loop, viscous_friction
 from ...signals import Array
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.neural_settings import OneLayer
 from .networks import Networks
 from .rebuild import put
@@ -68,30 +68,32 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
         why = f"{subject.controller} is no learner of the thesis"
         raise RecordingError("no condition on the rates", why=why, file=subject.recording.path)
     rows = learned_at(subject, learner, places)
-    found = [judged(subject, learner, row, memory) for row, memory in rows]
+    found = [judged(subject, learner, row, state) for row, state in rows]
     time = np.array([row[subject.layout.where("time")][0] for row, _ in rows])
     radii, without, share, limit = (np.array(column) for column in zip(*found, strict=True))
     return Rate(time, radii, without, share, limit, leakage(subject, learner))
 
 
-def learned_at(subject: Subject, learner: Networks, places: int) -> list[tuple[Array, Memory]]:
+def learned_at(subject: Subject, learner: Networks, places: int) -> list[tuple[Array, ControllerState]]:
     """Rows of a run at which its weights are recorded, with them."""
     snapshots, times = subject.recording.weights, subject.signal("time")[:, 0]
     if "time" not in snapshots or not len(snapshots["time"]):
         return [(subject.rows[0], learner.start), (subject.rows[-1], learner.end)]
     found = []
     for k in np.unique(np.linspace(0, len(snapshots["time"]) - 1, places).astype(int)):
-        memory = learner.start.snapshot()
-        put(memory, snapshots, k)
+        state = learner.start.snapshot()
+        put(state, snapshots, k)
         row = min(int(np.searchsorted(times, snapshots["time"][k])), len(times) - 1)
-        found.append((subject.rows[row], memory))
+        found.append((subject.rows[row], state))
     return found
 
 
-def judged(subject: Subject, learner: Networks, row: Array, memory: Memory) -> tuple[float, float, Array, float]:
+def judged(
+    subject: Subject, learner: Networks, row: Array, state: ControllerState
+) -> tuple[float, float, Array, float]:
     """Radius with and without the learner, shares of the gain, factor left; at a row (width,) and its weights."""
     where, layout = subject.layout.where, subject.layout
-    L = kernel(learner, row, memory)
+    L = kernel(learner, row, state)
     gain = np.array(row[where("effective_gain")])
     gain = np.where(gain > 0, gain, learner.own.feedback_gain(layout))
     M = subject.dynamics(float(row[where("time")][0])).mass_matrix(row[where("position")])
@@ -111,18 +113,18 @@ def judged(subject: Subject, learner: Networks, row: Array, memory: Memory) -> t
     return radius(held, gain, L, first), without, share, factor(held, gain, L, first)
 
 
-def kernel(learner: Networks, row: Array, memory: Memory) -> Array:
+def kernel(learner: Networks, row: Array, state: ControllerState) -> Array:
     """L (p, p): what one update adds to Psi_hat per s, at a row (width,) and the weights of a memory [N s/m, ...]."""
-    controller, layout = learner.own, learner.wiring.layout
+    controller, layout = learner.own, learner.context.layout
     scale, offset = controller.inputs.affine(layout)
     x = scale * row[controller.inputs.rows(layout)] + offset
     into, out = controller.network_scales(layout)
     found = np.zeros((layout.dof, layout.dof))
     if not controller.learning:
         return found
-    per = 1.0 if controller.rates == "per_sample" else learner.wiring.control_period
+    per = 1.0 if controller.rates == "per_sample" else learner.context.control_period
     for i, part in learner.networks:
-        W, V = memory[f"W{i}"], memory[f"V{i}"]
+        W, V = state[f"W{i}"], state[f"V{i}"]
         rate, other, _ = controller.network.rates(i - 1, controller.leakage)
         if isinstance(controller.network, OneLayer):
             phi = np.exp(-((x[:, None] - V) ** 2).sum(axis=0) / (2 * other**2))
@@ -170,7 +172,7 @@ def leakage(subject: Subject, learner: Networks) -> Array:
     controller, layout = learner.own, subject.layout
     into, per = controller.network_scales(layout)[0], 1.0
     if controller.rates == "per_second":
-        per = learner.wiring.control_period
+        per = learner.context.control_period
     s = np.hstack((subject.signal("z"), subject.signal("r"))) * into
     found = np.zeros(2)
     for i, part in learner.networks:

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-from ...loop.control import wiring_of
+from ...loop.control import context_of
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...recording.recording import Recording
@@ -20,7 +20,7 @@ from ...signals import Array
 from ...torque.adaptive import Adaptive
 from ...torque.adaptive_settings import Adapting
 from ...torque.composite import CompositeNetwork
-from ...torque.controller import Feedback, Memory
+from ...torque.controller import ControllerState, Feedback
 from ...torque.inputs import Inputs
 from ...torque.learning_law import LearningLaw
 from ...torque.neural import Neural
@@ -62,13 +62,13 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
     seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
     period = float(recording.meta["control_period"])
     kept, rng = recording.meta.get("within_limits"), np.random.default_rng(seed)
-    wiring = wiring_of(controller, robot, period, len(recording), rng, kept)
-    start = controller.init(wiring)
+    context = context_of(controller, robot, period, len(recording), rng, kept)
+    start = controller.init(context)
     snapshots = recording.weights
     if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:
         put(start, snapshots, 0)
     kind = Networks if isinstance(controller, Neural | Residual | CompositeNetwork) else Learner
-    return kind(controller, wiring, start, *last(recording, start), robot)
+    return kind(controller, context, start, *last(recording, start), robot)
 
 
 def controller_of(recording: Recording, robot: Robot) -> Any:
@@ -144,28 +144,28 @@ def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[
     return controller
 
 
-def put(memory: Memory, snapshots: dict[str, Array], k: int) -> None:
+def put(state: ControllerState, snapshots: dict[str, Array], k: int) -> None:
     """Write the k-th snapshot of the weights into a memory."""
     for name, values in snapshots.items():
         if name != "time":
-            memory[name] = values[k]
+            state[name] = values[k]
 
 
-def last(recording: Recording, start: Memory) -> tuple[Memory, float]:
+def last(recording: Recording, start: ControllerState) -> tuple[ControllerState, float]:
     """The last finite weights that a recording holds, and their time [s].
 
     Raises:
         RecordingError: There are none.
     """
-    memory, final = start.snapshot(), recording.final.get("memory")
-    if final is not None and final.shape == memory.values.shape and np.isfinite(final).all():
-        memory.values[:] = final
-        return memory, recording.outcome.time
+    state, final = start.snapshot(), recording.final.get("memory")
+    if final is not None and final.shape == state.values.shape and np.isfinite(final).all():
+        state.values[:] = final
+        return state, recording.outcome.time
     times = recording.weights.get("time", np.zeros(0))
     for k in reversed(range(len(times))):
         if all(np.isfinite(values[k]).all() for values in recording.weights.values()):
-            put(memory, recording.weights, k)
-            return memory, float(times[k])
+            put(state, recording.weights, k)
+            return state, float(times[k])
     raise RecordingError(
         "the recording holds no weights", why="its run ended before", fix="run again", file=recording.path
     )

@@ -9,7 +9,7 @@ goes on by a share `c = 1 - exp(-rate tau)` towards `w_L = P b`. With exact equa
     leakage      c/tracking w~' w                   the pull of the prior, to w_0 = 0
     noise       -c/tracking w~' d                   what the stack's equations have wrong
 
-A change of the stack makes it jump by `w~' (L+ - L) w~ / (2 tracking)`, the term `memory`. The rest, second order
+A change of the stack makes it jump by `w~' (L+ - L) w~ / (2 tracking)`, the term `state`. The rest, second order
 and the ball that w is kept in, is `step`.
 """
 
@@ -36,7 +36,7 @@ def stack_part(
     Raises:
         RecordingError: `tracking` is 0, so that nothing takes the pull out.
     """
-    history = learner.controller.law(learner.wiring).history
+    history = learner.controller.law(learner.context).history
     assert history is not None
     if not history.tracking > 0:
         raise RecordingError(WITHOUT, why="the estimate does not follow s: tracking is 0")
@@ -44,7 +44,7 @@ def stack_part(
     missed = together(
         learner,
         subject.rows,
-        lambda memory: copies(memory, "w", "L", "P"),
+        lambda state: copies(state, "w", "L", "P"),
         lambda row: fill(history, ideal, row, found),
         progress,
     )
@@ -56,20 +56,20 @@ def stack_part(
 def fill(a: History, ideal: Array, row: Row, found: Array) -> None:
     """Value, pull and terms of one row."""
     w, L, P = (row.before[name] for name in ("w", "L", "P"))
-    memory, s, n = row.memory, row.s, row.number
+    state, s, n = row.state, row.s, row.number
     error, g = ideal - w, row.Phi.T @ s
     found[0, n] = error @ L @ error / (2 * a.tracking)
     found[1, n] = g @ error
     answer, most = a.h * a.tracking * float(g @ P @ g), a.share * float(a.gain @ s**2)
     eta = most / answer if answer > most else 1.0
     found[2, n] = (1 - eta) * found[1, n]
-    learned = int(memory["samples"][0] - 1) % a.every == 0 and memory["clock"][1] > a.filter.wait + 1
+    learned = int(state["samples"][0] - 1) % a.every == 0 and state["clock"][1] > a.filter.wait + 1
     if not learned:
         return
     w = w + eta * a.h * a.tracking * P @ g
-    error, now, weight = ideal - w, memory["L"], (1 - np.exp(-a.rate * a.every * a.h)) / a.tracking
+    error, now, weight = ideal - w, state["L"], (1 - np.exp(-a.rate * a.every * a.h)) / a.tracking
     seen = now @ ideal - ideal
     found[3, n] = -weight * (error @ now @ error - error @ error) / a.h
     found[4, n] = weight * (error @ w) / a.h
-    found[5, n] = -weight * (error @ (memory["b"] - seen)) / a.h
+    found[5, n] = -weight * (error @ (state["b"] - seen)) / a.h
     found[6, n] = error @ (now - L) @ error / (2 * a.tracking * a.h)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...signals import Array
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.learning_law import LearningLaw
 from .learner import Learner, Stepper
 from .weights_part import Missed
@@ -24,7 +24,7 @@ class Row:
         s: (p,) the error that it was told.
         Phi: (rows, k) features at it, with the memory before.
         before: What was kept of the memory before.
-        memory: The memory after.
+        state: The memory after.
     """
 
     number: int
@@ -32,13 +32,13 @@ class Row:
     s: Array
     Phi: Array
     before: dict[str, Array]
-    memory: Memory
+    state: ControllerState
 
 
 def together(
     learner: Learner,
     rows: Array,
-    keep: Callable[[Memory], dict[str, Array]],
+    keep: Callable[[ControllerState], dict[str, Array]],
     visit: Callable[[Row], None],
     progress: Callable[[float], None] | None = None,
 ) -> float:
@@ -56,24 +56,24 @@ def together(
     """
     stepper = Stepper(learner, learner.start.snapshot())
     still = Stepper(learner, learner.start.snapshot(), learning=False)
-    where, own = learner.wiring.layout.where, isinstance(learner.controller, LearningLaw)
+    where, own = learner.context.layout.where, isinstance(learner.controller, LearningLaw)
     missed = Missed(rows[:, where("psi_hat")])
     for n, row in enumerate(rows):
         if own:  # features of a user's law may be learned
-            still.memory.values[:] = stepper.memory.values
+            still.state.values[:] = stepper.state.values
         still.step(row)
         Phi = still.features()
         assert Phi is not None
-        before = keep(stepper.memory)
+        before = keep(stepper.state)
         if missed.lost(n, stepper.step(row)):
             break
         s = np.concatenate((row[where("z")], row[where("r")]))
-        visit(Row(n, row, s, Phi, before, stepper.memory))
+        visit(Row(n, row, s, Phi, before, stepper.state))
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
     return missed.share
 
 
-def copies(memory: Memory, *parts: str) -> dict[str, Array]:
+def copies(state: ControllerState, *parts: str) -> dict[str, Array]:
     """Parts of a memory, by name."""
-    return {name: memory[name].copy() for name in parts}
+    return {name: state[name].copy() for name in parts}

@@ -21,7 +21,7 @@ from ...signals import Array, IntArray
 from ...torque.adaptation import Adaptation
 from ...torque.adaptive import Adaptive, pseudo_inertias
 from ...torque.concurrent import ConcurrentLearner
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.kalman import KalmanLearner
 from ...torque.pseudo_inertia import to_matrix
 from .learner import Learner, Stepper
@@ -93,7 +93,7 @@ def true_parameters(subject: Subject, learner: Learner) -> Truth:
 
 def adaptation_of(learner: Learner) -> Adaptation:
     """The numbers of an adaptive law."""
-    found = learner.controller.law(learner.wiring).adaptation
+    found = learner.controller.law(learner.context).adaptation
     assert found is not None
     return found
 
@@ -115,7 +115,7 @@ def stepped(
     rows: Array,
     at: IntArray,
     progress: Callable[[float], None] | None = None,
-    visit: Callable[[int, Memory], None] = lambda n, memory: None,
+    visit: Callable[[int, ControllerState], None] = lambda n, state: None,
 ) -> Estimates:
     """Estimates along rows (N, width) from the start of a run, and regressors at some of them, ascending.
 
@@ -124,15 +124,15 @@ def stepped(
     stepper = Stepper(learner, learner.start.snapshot())
     adaptation = stepper.torque.law.adaptation
     assert adaptation is not None
-    theta, Y = np.zeros((len(rows), stepper.memory["theta"].size)), np.zeros((len(at), *adaptation.known.Y.shape))
-    missed, wanted = Missed(rows[:, learner.wiring.layout.where("psi_hat")]), {n: i for i, n in enumerate(at)}
+    theta, Y = np.zeros((len(rows), stepper.state["theta"].size)), np.zeros((len(at), *adaptation.known.Y.shape))
+    missed, wanted = Missed(rows[:, learner.context.layout.where("psi_hat")]), {n: i for i, n in enumerate(at)}
     for n, row in enumerate(rows):
-        theta[n] = stepper.memory["theta"]
+        theta[n] = stepper.state["theta"]
         if missed.lost(n, stepper.step(row)):
             break
         if n in wanted:
             Y[wanted[n]] = adaptation.known.Y
-        visit(n, stepper.memory)
+        visit(n, stepper.state)
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
     return Estimates(theta, Y, missed.share)

@@ -23,7 +23,7 @@ import numpy as np
 
 from ...model.robot import Robot
 from ...signals import Array, Layout
-from ...torque.controller import Memory
+from ...torque.controller import ControllerState
 from ...torque.inputs import MEASURED
 from ...torque.learning_law import LearningLaw
 from ...torque.neural import Neural, channels
@@ -88,13 +88,13 @@ def unknown(learner: Learner, rows: Array) -> dict[str, Unknown]:
     if not len(rows) or not signals_for(learner.controller) or not learner.controller.learning:
         return {}
     own, some = network_in(learner.controller), rows[:: -(-len(rows) // MOST)]
-    motion = random_motion(learner.robot, learner.wiring.layout)
+    motion = random_motion(learner.robot, learner.context.layout)
     if own is None:
         told = [features(learner, table) for table in (some, motion)]
         return {} if told[0] is None or told[1] is None else {"all": Unknown(*left(told[0], told[1]))}
     run, random = (tangents(learner, own, table) for table in (some, motion))
     found = {}
-    for i, _ in channels(learner.wiring.layout):
+    for i, _ in channels(learner.context.layout):
         acting = excitation(random[i].activations, VISIBLE)
         found[NAMES[i]] = Unknown(*left(run[i].J, random[i].J), acting.directions, acting.units)
     return found
@@ -130,16 +130,16 @@ class Tangents:
 
 def tangents(learner: Learner, own: Neural, rows: Array) -> dict[int, Tangents]:
     """Those of every network with the final weights at rows (n, width)."""
-    memory: Memory = learner.end.snapshot()
-    stepper, parts = Stepper(learner, memory, learning=False), channels(learner.wiring.layout)
+    state: ControllerState = learner.end.snapshot()
+    stepper, parts = Stepper(learner, state, learning=False), channels(learner.context.layout)
     found: dict[int, list[Array]] = {i: [] for i, _ in parts}
-    activations = {i: np.zeros((len(rows), memory[f"sigma{i}"].size)) for i, _ in parts}
+    activations = {i: np.zeros((len(rows), state[f"sigma{i}"].size)) for i, _ in parts}
     rates = {i: np.sqrt(own.network.rates(i - 1, False)) for i, _ in parts}
-    x = memory["x"]
+    x = state["x"]
     for n, row in enumerate(rows):
         stepper.step(row)
         for i, m in parts:
-            W, sigma = memory[f"W{i}"], memory[f"sigma{i}"]
+            W, sigma = state[f"W{i}"], state[f"sigma{i}"]
             activations[i][n] = sigma
             J = [np.kron(np.eye(m), rates[i][0] * sigma)]
             if isinstance(own.network, TwoLayer):

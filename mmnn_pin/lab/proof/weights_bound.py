@@ -59,10 +59,10 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
         x: Largest norm of the networks' input; may be inf.
         projection: Largest norm that a supervisor scales every array of weights back to, None without one.
     """
-    controller, layout = learner.own, learner.wiring.layout
+    controller, layout = learner.own, learner.context.layout
     part = dict(learner.networks)[i]
     two_layer = isinstance(controller.network, TwoLayer)
-    per = 1.0 if controller.rates == "per_sample" else learner.wiring.control_period
+    per = 1.0 if controller.rates == "per_sample" else learner.context.control_period
     rate, rate_V, kappa = controller.network.rates(i - 1, controller.leakage)
     scale_in, scale_out = (scale[part] for scale in controller.network_scales(layout))
     size = float(np.linalg.norm(scale_in * s[part]))

@@ -52,7 +52,7 @@ def weights_of(subject: Subject, ideal: dict[int, Ideal] | Truth | LinearFit) ->
         return None
     if isinstance(controller, LearningLaw):
         return Kept(partial(own_part, subject, learner, ideal.W))
-    numbers = controller.law(learner.wiring)
+    numbers = controller.law(learner.context)
     if isinstance(controller, ConcurrentLearner):
         return Kept(partial(stack_part, subject, learner, ideal.W[:, 0]), every=numbers.history.every)
     if isinstance(controller, KalmanLearner):

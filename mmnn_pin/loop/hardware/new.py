@@ -14,9 +14,9 @@ from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...sensing.encoders import DEPTH
 from ...signals import Array, IntArray
-from ...torque.controller import CompiledController, Memory
+from ...torque.controller import CompiledController, ControllerState
 from ...torque.learning_law import LearningLaw
-from .parts import Rig
+from .parts import Hardware
 
 if TYPE_CHECKING:
     from ..loop import Loop
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
 
 
-def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None = None) -> Rig | None:
+def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: Array | None = None) -> Hardware | None:
     """The rig of a loop; None where there is nothing but an ideal robot.
 
     Args:
         loop: The closed loop.
         nu: (p,) where it starts from.
-        memory: The controller's memory.
+        state: The controller's memory.
         given: The rig's memory to start from, copied; None for a new one.
 
     Raises:
@@ -46,7 +46,7 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
     is_exact = loop.sensor.exact and not (late.any() or added.any() or len(frozen) or motor_side)
     require_read_encoders(loop)
     dead = disturbance.windows(disturbance.DeadMotor, events, robot.actuator_names)
-    recorded = bool(layout.rig)
+    recorded = bool(layout.hardware)
     if is_exact and not recorded:
         if given is not None:
             given_array("rig_memory", given, (0,))
@@ -60,13 +60,13 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
     frozen[:, 0] = [robot.position_names.index(measured_joints(robot)[int(i)]) for i in frozen[:, 0]]
     _, load = disturbance.payload(events)
     p, m, nv = layout.dof, layout.motors, layout.full
-    guard = safety.new_memory(layout)
+    guard = safety.new_state(layout)
     parts = (sensing.init(), np.zeros((m, motor.STATES + 1)), guard, np.zeros(len(frozen)), np.zeros(p))
     values, views = flat(parts)
     views[1][:, motor.ROTOR_SPEED] = robot.E.T @ nu
     if given is not None:  # messages of no numbers may be under way
         values[:] = given_array("rig_memory", given, values.shape, finite=not np.isnan(added).any())
-    return Rig(
+    return Hardware(
         exact=is_exact,
         driven=not loop.actuator.perfect or len(dead) > 0,
         supervised=loop.safety is not None,
@@ -83,13 +83,13 @@ def new_rig(loop: Loop, nu: Array, memory: Memory | object, given: Array | None 
         supply=loop.actuator.supply(),
         dead=dead,
         limits=supervisor_limits(loop, motors),
-        weights=places_of_weights(loop, memory),
+        weights=places_of_weights(loop, state),
         fates=disturbance.commands(events, timing),
         pushes=disturbance.pushes(events, robot),
         gusts=disturbance.gusts(events, timing.samples, gust_rng),
         blocked=blocked_joints(loop),
         pick=np.inf if load is None else float(load.start),
-        memory=values,
+        state=values,
         sensor=views[0],
         states=views[1],
         guard=views[2],
@@ -177,15 +177,15 @@ def stopping_gains(loop: Loop) -> Array:
     return min(STOP_BANDWIDTH, 0.5 / (loop.timing.control_period * fastest)) * np.diag(M)
 
 
-def places_of_weights(loop: Loop, memory: Memory | object) -> IntArray:
+def places_of_weights(loop: Loop, state: ControllerState | object) -> IntArray:
     """Start and stop of every array of weights in a controller's memory, (k, 2)."""
     names, ends = list[str](), np.zeros(1, np.int64)
-    if isinstance(memory, Memory):
-        names, ends = list(memory.shapes), np.cumsum([0, *(int(np.prod(shape)) for shape in memory.shapes.values())])
-    found = loop.controller.weights(memory)  # type: ignore[arg-type]
+    if isinstance(state, ControllerState):
+        names, ends = list(state.shapes), np.cumsum([0, *(int(np.prod(shape)) for shape in state.shapes.values())])
+    found = loop.controller.weights(state)  # type: ignore[arg-type]
     if loop.safety is not None and loop.safety.weights is not None and not set(found) <= set(names):
         what = f"the weights of '{loop.controller.name}' cannot be bounded"
-        why, fix = "they are not parts of a `Memory`", "let its init return one, or leave safety.weights out"
+        why, fix = "they are not parts of a `ControllerState`", "let its init return one, or leave safety.weights out"
         raise ConfigError(what, why=why, fix=fix, key="safety.weights")
     places = [names.index(name) for name in found if name in names]
     return np.array([(ends[i], ends[i + 1]) for i in places], np.int64).reshape(-1, 2)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from ...signals import Array, IntArray
 
 
-class Rig(NamedTuple):
+class Hardware(NamedTuple):
     """The imperfect part of one run, as arrays; the memories are views of one flat one.
 
     Attributes:
@@ -27,7 +27,7 @@ class Rig(NamedTuple):
         pushes, gusts: Arguments of `disturbance.push`.
         blocked: (k, 3) joints that are blocked: place in the position, start, end.
         pick: When a payload is picked up, inf for never [s].
-        memory: All that this remembers.
+        state: All that this remembers.
         sensor, states, guard, held, sent: Its parts: the sensors', the motors', the supervisor's, what frozen encoders
             read, the last torque that reached the motors.
         shift: The energy that came with a payload [J], and 1 once it did.
@@ -56,7 +56,7 @@ class Rig(NamedTuple):
     gusts: Array
     blocked: Array
     pick: float
-    memory: Array
+    state: Array
     sensor: Array
     states: Array
     guard: Array

@@ -99,15 +99,15 @@ def test_frozen_weights_say_what_the_regressor_times_the_estimate_says(standing)
     (task,) = tasks_of(quick(), NAMES)
     controller, row = task.controller("adaptive"), standing.of("eight", "adaptive")[1]
     run = task.training(controller, row.seed).run()
-    memory = memory_of(task, controller, row.seed, Run(run.outcome, {}, run.final))
+    state = memory_of(task, controller, row.seed, Run(run.outcome, {}, run.final))
     regressor, layout, found = Regressor.of(task.robot), task.robot.layout, []
     for name, rows in task.rows.items():
         loop = task.trial(controller, row.seed, name, False)
-        theta = memory["theta"]
+        theta = state["theta"]
         at = [np.ascontiguousarray(rows[:, layout.where(k)]) for k in ("position", "nu", "nu_ref", "nudot_ref")]
         at[0][:, 5:] = 0.0  # the turn of the wheels, which is not measured
         wanted = np.array([regressor.matrix(*line) @ theta for line in zip(*at, strict=True)])
-        np.testing.assert_allclose(said(loop, layout, memory.snapshot(), rows), wanted, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(said(loop, layout, state.snapshot(), rows), wanted, rtol=1e-7, atol=1e-7)
         late = rows[:, layout.where("time")][:, 0] > 0.499
         psi = rows[late][:, layout.where("psi")]
         found.append((np.mean((psi - wanted[late]) ** 2, axis=0) / psi.var(axis=0)).mean())
@@ -134,15 +134,15 @@ def test_held_out_runs_are_those_of_the_final_weights(standing):
     controller, row = task.controller("two_layer"), standing.of("eight", "two_layer")[0]
     for how in ("frozen", "learning"):
         loop = task.trial(controller, row.seed, "circle", how == "learning")
-        memory = controller.init(loop.wiring())
-        memory.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["memory"]
-        run = loop.run(memory=memory)
+        state = controller.init(loop.context())
+        state.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["memory"]
+        run = loop.run(state=state)
         late = run.time > 0.499
         found = np.sqrt(np.mean(run["true_e"][late] ** 2, axis=0))
         tracked = row.held_out["circle"][how]
         assert tracked.outcome == "completed"
         assert [tracked.rms["arm_1_joint"], tracked.rms["arm_2_joint"]] == pytest.approx(found.tolist())
-        moved = not np.array_equal(run.final["memory"], memory.values)
+        moved = not np.array_equal(run.final["memory"], state.values)
         assert moved == (how == "learning") or how == "frozen"
 
 

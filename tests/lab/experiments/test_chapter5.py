@@ -97,8 +97,8 @@ def test_each_start_is_its_own_whatever_the_file_says(initial: str) -> None:
     zero, random, plain = (e.controller(name) for name in ("two_layer_zero", "two_layer_random", "two_layer"))
     assert isinstance(zero, Neural) and isinstance(random, Neural) and isinstance(plain, Neural)
     assert (zero.network.initial, random.network.initial, plain.network.initial) == ("zero", "random", initial)
-    wiring = e.loop(e.load_robot(), zero).wiring()
-    assert not zero.init(wiring)["V2"].any() and np.linalg.matrix_rank(random.init(wiring)["V2"]) == 10
+    context = e.loop(e.load_robot(), zero).context()
+    assert not zero.init(context)["V2"].any() and np.linalg.matrix_rank(random.init(context)["V2"]) == 10
 
 
 def test_pd_effective_takes_the_gain_of_the_first_two_layer_network_that_is_run(result: Result) -> None:
@@ -123,7 +123,7 @@ def test_a_network_in_degrees_is_appendix_b_with_degrees_in_it(unit: float) -> N
     """Line by line in NumPy: input in degrees, r times the unit, the torque that comes out divided by it."""
     e = short(f"inputs.error_scale={unit}", seconds=0.3)
     run = one(e, "two_layer_random")
-    start = e.controller("two_layer_random").init(e.loop(e.load_robot(), e.controller("two_layer_random")).wiring())
+    start = e.controller("two_layer_random").init(e.loop(e.load_robot(), e.controller("two_layer_random")).context())
     W, V, net = start["W2"].copy(), start["V2"].copy(), e.two_layer
     for k in range(len(run)):
         x = DEGREES * np.hstack([run[name][k] for name in e.inputs.signals])
@@ -289,7 +289,7 @@ def test_weights_that_start_equal_stay_equal_and_random_ones_do_not() -> None:
     ranks = []
     for run, name in ((zero, "two_layer_zero"), (random, "two_layer_random")):
         controller = e.controller(name)
-        memory = controller.init(e.loop(e.load_robot(), controller).wiring())
-        memory.values[:] = run.final["memory"]
-        ranks.append(np.linalg.matrix_rank(memory["V2"], tol=1e-9 * np.linalg.norm(memory["V2"])))
+        state = controller.init(e.loop(e.load_robot(), controller).context())
+        state.values[:] = run.final["memory"]
+        ranks.append(np.linalg.matrix_rank(state["V2"], tol=1e-9 * np.linalg.norm(state["V2"])))
     assert ranks[0] == 1 < ranks[1] and isinstance(e.controller("two_layer_zero").network, TwoLayer)

@@ -28,7 +28,7 @@ from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Trajectory
 from mmnn_pin.torque import law
-from mmnn_pin.torque.controller import Feedback, Wiring
+from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.neural_settings import Robust, TwoLayer
 
@@ -140,7 +140,7 @@ def test_scaling_is_a_change_of_coordinates():
     layout = robot.layout
     m = np.array([2.0, 8.0, 0.5, 4.5])
     c = np.array([5.0, 5.0, 2.5, 2.5])
-    wiring = Wiring(layout, 0.001, 10)
+    context = Context(layout, 0.001, 10)
     network = TwoLayer(hidden=5, initial="random")
     given = Neural(
         network, Feedback(3.0, 4.0, "inertia").scaled(layout, m), Robust(1.0, 2.0).scaled(layout, m), inertia=tuple(m)
@@ -148,18 +148,18 @@ def test_scaling_is_a_change_of_coordinates():
     plain = Neural(network, Feedback(3.0, 4.0), Robust(1.0, 2.0))
     rng, s = np.random.default_rng(0), np.zeros(4)
     rows = [layout.new_row(), layout.new_row()]
-    memories = [given.init(Wiring(layout, 0.001, 10)), plain.init(Wiring(layout, 0.001, 10))]
-    numbers = [given.law(wiring), plain.law(wiring)]
+    memories = [given.init(Context(layout, 0.001, 10)), plain.init(Context(layout, 0.001, 10))]
+    numbers = [given.law(context), plain.law(context)]
     for _ in range(5):
         s = rng.standard_normal(4)
         for row, scale in zip(rows, (np.ones(4), np.sqrt(m / c)), strict=True):
             row[layout.where("pose_ref")] = 0.3
             row[layout.where("z")], row[layout.where("r")] = (scale * s)[:2], (scale * s)[2:]
         # The inputs of the networks are the same only if they do not see z and r: hide them.
-        for row, memory, number in zip(rows, memories, numbers, strict=True):
+        for row, state, number in zip(rows, memories, numbers, strict=True):
             number.settings[-22 * 2 :][:22][10:12] = 0.0
             number.settings[-22 * 2 :][:22][14:16] = 0.0
-            law.step(number.kind, row, layout.offsets, number.sizes, number.settings, memory.values, None)
+            law.step(number.kind, row, layout.offsets, number.sizes, number.settings, state.values, None)
         torque = rows[1][layout.where("torque")]
         np.testing.assert_allclose(rows[0][layout.where("torque")], np.sqrt(m * c) * torque, rtol=1e-12)
     for name in ("W1", "V1", "W2", "V2"):
@@ -174,7 +174,7 @@ def test_bandwidths_are_not_taken_for_gains():
     plain = Feedback(1.0, 1.0)
     assert plain.scaled(layout, np.full(4, 7.0)) is plain
     with pytest.raises(ConfigError, match="give 4 inertias > 0"):
-        Neural(inertia=(1.0, -1.0, 1.0, 1.0)).law(Wiring(layout, 0.001, 1))
+        Neural(inertia=(1.0, -1.0, 1.0, 1.0)).law(Context(layout, 0.001, 1))
 
 
 @pytest.mark.parametrize("coulomb", [0.0, 1.0])

@@ -169,7 +169,7 @@ def run_from(place: np.ndarray, duration: float, region: Faces) -> Sizes:
         Push(on=name, shape="sine", force=float(sign * force * 0.999), frequency=float(speed))
         for name, sign, force, speed in zip(NAMES, signs, FORCE, speeds, strict=True)
     )
-    run = loop_of(Start(), duration, disturbances=pushes).run(state=start_in(region, place))
+    run = loop_of(Start(), duration, disturbances=pushes).run(plant_state=start_in(region, place))
     assert run.outcome.status == "completed"
     subject = Subject.of(run)
     thinned = replace(subject, rows=subject.rows[:: 1 + int(10 * duration)])
@@ -191,7 +191,7 @@ def test_no_run_from_random_places_leaves_the_region_and_all_end_up_in_the_bound
         sizes = run_from(place, 2.5, region)
         assert worst(sizes, region.box) <= 1.0
         assert sizes.inside(bound.box)[-len(sizes.time) // 4 :].all()
-    run = loop_of(Start(), 0.5).run(state=start_in(region, np.ones(9)))
+    run = loop_of(Start(), 0.5).run(plant_state=start_in(region, np.ones(9)))
     for i in (1, 2):
         assert max(np.linalg.norm(W) for W in run.weights[f"W{i}"]) <= weights[i].W
         assert max(np.linalg.norm(V) for V in run.weights[f"V{i}"]) <= weights[i].V
@@ -310,7 +310,7 @@ def test_the_limit_of_the_arm_is_not_the_kinematics() -> None:
 class Own(TorqueController):
     """A controller of one's own that gives nothing."""
 
-    def step(self, time, reference, measurement, command, memory):  # type: ignore[no-untyped-def]
+    def step(self, time, reference, measurement, command, state):  # type: ignore[no-untyped-def]
         return np.zeros(command.nu_ref.size)
 
 

@@ -15,7 +15,7 @@ from learning import COMMON, SHORT
 from proofs import SLOW, loop_of, robot_of_kind
 from robots import feedback
 
-from mmnn_pin import LearningLaw, Memory, load_experiment
+from mmnn_pin import ControllerState, LearningLaw, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.proof.covariance_part import covariance_part
 from mmnn_pin.lab.proof.estimate_part import metric, prediction_step
@@ -95,7 +95,7 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
     proof = proof_of(name)
     subject, learner, W_true = proof.subject, proof.subject.learner, proof.ideal.W
     assert learner is not None
-    a, h = learner.controller.law(learner.wiring).linear, learner.wiring.control_period
+    a, h = learner.controller.law(learner.context).linear, learner.context.control_period
     every = np.arange(len(subject.rows))
     found = covariance_part(subject, learner, W_true, every)
     stepper, still = (Stepper(learner, learner.start.snapshot(), on) for on in (True, False))
@@ -107,13 +107,13 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
         wrong = wrong[lets]
         return float(((wrong * np.linalg.solve(P[np.ix_(lets, lets)], wrong)).sum(axis=0) / (2 * a.answer)).sum())
 
-    def dense(memory: Memory) -> np.ndarray:
-        U = np.tril(memory["U"], -1).T + np.eye(len(memory["D"]))
-        return U @ np.diag(memory["D"]) @ U.T
+    def dense(state: ControllerState) -> np.ndarray:
+        U = np.tril(state["U"], -1).T + np.eye(len(state["D"]))
+        return U @ np.diag(state["D"]) @ U.T
 
     for n, row in enumerate(subject.rows[:100]):
-        P, W = dense(stepper.memory), stepper.memory["W"].T.copy()
-        update = int(stepper.memory["counts"][0]) % a.every == 0
+        P, W = dense(stepper.state), stepper.state["W"].T.copy()
+        update = int(stepper.state["counts"][0]) % a.every == 0
         still.step(row)
         Phi = still.torque.features()
         stepper.step(row)
@@ -121,7 +121,7 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
         g = Phi.T @ s[n][:, None] if m == 1 else np.outer(Phi[0], s[n])
         pull = (g * (W_true - W)).sum()
         assert found.terms["remainder"][n] == pytest.approx(error[n] - pull, rel=1e-6, abs=1e-9 * abs(pull))
-        if not update or stepper.memory["counts"][1] == 0:
+        if not update or stepper.state["counts"][1] == 0:
             assert not any(found.terms[term][n] for term in ("prediction", "noise", "memory"))
             continue
         count += 1
@@ -132,9 +132,9 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
         V = value(P, W_true - tracked)
         exact, real = (P, tracked), (P, tracked)
         noise = prediction = 0.0
-        for i, features in enumerate(stepper.memory["Phi_f"]):
+        for i, features in enumerate(stepper.state["Phi_f"]):
             phi = features / a.gain[i] if m == 1 else features
-            y = stepper.memory["Y_f"][i : i + 1] / a.gain[i] if m == 1 else stepper.memory["Y_f"]
+            y = stepper.state["Y_f"][i : i + 1] / a.gain[i] if m == 1 else stepper.state["Y_f"]
             P, at = real
             K, left = P @ phi / (a.noise + phi @ P @ phi), P - np.outer(P @ phi, phi @ P) / (a.noise + phi @ P @ phi)
             exact = (left, at + np.outer(K, phi @ W_true - phi @ at))
@@ -144,7 +144,7 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
         scale = abs(V)
         assert found.terms["prediction"][n] * h == pytest.approx(prediction, rel=1e-5, abs=1e-9 * scale)
         assert found.terms["noise"][n] * h == pytest.approx(noise, rel=1e-5, abs=1e-9 * scale)
-        end = value(dense(stepper.memory), W_true - stepper.memory["W"].T)
+        end = value(dense(stepper.state), W_true - stepper.state["W"].T)
         drift = end - value(real[0], W_true - real[1])
         assert found.terms["memory"][n] * h == pytest.approx(drift, rel=1e-4, abs=1e-9 * scale)
         assert prediction <= 0 and drift <= 1e-9 * scale
@@ -160,14 +160,14 @@ def test_a_stack_by_derivatives_along_what_it_says() -> None:
     proof = proof_of("concurrent")
     subject, learner, w_true = proof.subject, proof.subject.learner, proof.ideal.W[:, 0]
     assert learner is not None
-    a, h = learner.controller.law(learner.wiring).history, learner.wiring.control_period
+    a, h = learner.controller.law(learner.context).history, learner.context.control_period
     found = stack_part(subject, learner, w_true, np.arange(len(subject.rows)))
     stepper, count, eps = Stepper(learner, learner.start.snapshot()), 0, 1e-6
     share = 1 - np.exp(-a.rate * a.every * h)
     for n, row in enumerate(subject.rows):
-        w, L = stepper.memory["w"].copy(), stepper.memory["L"].copy()
+        w, L = stepper.state["w"].copy(), stepper.state["L"].copy()
         stepper.step(row)
-        now, b, after = (stepper.memory[name].copy() for name in ("L", "b", "w"))
+        now, b, after = (stepper.state[name].copy() for name in ("L", "b", "w"))
 
         def value(w: np.ndarray, L: np.ndarray) -> float:
             return float((w_true - w) @ L @ (w_true - w) / (2 * a.tracking))
@@ -312,10 +312,10 @@ def test_ideal_weights_put_into_the_learner_say_psi_up_to_eps(name: str) -> None
     proof = proof_of(name)
     subject, learner = proof.subject, proof.subject.learner
     assert isinstance(learner, Networks)
-    memory = learner.start.snapshot()
+    state = learner.start.snapshot()
     for i, ideal in proof.ideal.items():
-        memory[f"W{i}"], memory[f"V{i}"] = ideal.W, ideal.V
-    wrong = np.abs(subject.signal("psi") - said(learner, memory, subject.rows)).max(axis=0)
+        state[f"W{i}"], state[f"V{i}"] = ideal.W, ideal.V
+    wrong = np.abs(subject.signal("psi") - said(learner, state, subject.rows)).max(axis=0)
     for i, part in learner.networks:
         np.testing.assert_allclose(wrong[part], proof.ideal[i].eps, rtol=1e-6)
         assert (proof.ideal[i].unexplained < 0.5).all()
@@ -349,25 +349,25 @@ class Gradient(LearningLaw):
     leak: float = 0.0
     learned = ("W",)
 
-    def init(self, wiring):
-        return Memory.of(W=(3, wiring.layout.dof), count=(1,))
+    def init(self, context):
+        return ControllerState.of(W=(3, context.layout.dof), count=(1,))
 
-    def features(self, now, memory):
+    def features(self, now, state):
         return np.array([1.0, np.sin(now.q[0]), now.nu[0]])
 
-    def gain(self, memory):
+    def gain(self, state):
         full = np.array([[2.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 4.0]])
         return {"number": 5.0, "diagonal": np.diag(full), "full": full, "none": None, "wrong": -full, "odd": full[:2]}[
             self.shape
         ]
 
-    def estimate(self, now, memory):
-        return self.features(now, memory) @ memory["W"]
+    def estimate(self, now, state):
+        return self.features(now, state) @ state["W"]
 
-    def learn(self, now, memory):
-        gain = np.asarray(self.gain(memory) if self.shape in ("number", "diagonal", "full") else 1.0)
+    def learn(self, now, state):
+        gain = np.asarray(self.gain(state) if self.shape in ("number", "diagonal", "full") else 1.0)
         gain = np.diag(gain) if gain.ndim == 1 else gain
-        Phi, W = np.outer(self.features(now, memory), now.s), memory["W"]
+        Phi, W = np.outer(self.features(now, state), now.s), state["W"]
         W += now.period * ((gain @ Phi if gain.ndim else gain * Phi) - self.leak * W)
 
 
@@ -399,7 +399,7 @@ def test_what_a_law_does_beside_is_told_apart() -> None:
     stepper = Stepper(learner, learner.start.snapshot())
     for row in proof.subject.rows[:n]:
         stepper.step(row)
-    W, inverse = stepper.memory["W"], np.linalg.inv(learner.controller.gain(learner.start))
+    W, inverse = stepper.state["W"], np.linalg.inv(learner.controller.gain(learner.start))
     expected = 2.0 * np.trace((proof.ideal.W - W).T @ inverse @ W)
     assert v.terms["own"][n] == pytest.approx(expected, rel=0.05) and expected != 0
 

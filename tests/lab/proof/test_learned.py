@@ -184,11 +184,11 @@ def test_a_network_that_knows_is_told_from_one_that_follows() -> None:
     follows = psi_of(subject)
     assert subject.networks is not None
     weights = ideal_weights(subject, subject.networks)
-    memory = subject.networks.start.snapshot()
+    state = subject.networks.start.snapshot()
     for i, found in weights.items():
-        memory[f"W{i}"], memory[f"V{i}"] = found.W, found.V
+        state[f"W{i}"], state[f"V{i}"] = found.W, found.V
     fixed = replace(loop, controller=replace(loop.controller, learning=False))
-    knows = psi_of(Subject.of(fixed.run(memory=memory)))
+    knows = psi_of(Subject.of(fixed.run(state=state)))
     np.testing.assert_allclose(knows.frozen["same"].fvu, knows.online)  # held fixed already
     assert worst(knows.frozen["same"].fvu) < 0.2 * min(1.0, worst(follows.frozen["same"].fvu))
     assert np.abs(follows.frozen["same"].psi_hat - subject.signal("psi_hat")).max() > 1e-3

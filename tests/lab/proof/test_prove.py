@@ -139,7 +139,7 @@ class Own(TorqueController):
 
     name = "own"
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         return 20.0 * np.concatenate((command.z, command.r))
 
 

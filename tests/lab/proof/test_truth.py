@@ -254,7 +254,7 @@ def test_the_share_of_an_update_is_the_one_that_was_made() -> None:
     learner = subject.learner
     assert learner is not None
     every = np.arange(len(subject.rows))
-    found, a, h = stepped(learner, subject.rows, every), truth.adaptation_of(learner), learner.wiring.control_period
+    found, a, h = stepped(learner, subject.rows, every), truth.adaptation_of(learner), learner.context.control_period
     s = np.hstack((subject.signal("z"), subject.signal("r")))
     g = np.einsum("npk,np->nk", found.Y, s)
     eta = shares_of_update(a, found.theta, g, s**2 @ a.gain, h)

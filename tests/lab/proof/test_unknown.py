@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from proofs import SLOW, learner, loop_of
 
-from mmnn_pin import LearningLaw, Memory, load_experiment
+from mmnn_pin import ControllerState, LearningLaw, load_experiment
 from mmnn_pin.lab.contest.heat import found_in
 from mmnn_pin.lab.contest.row import KEPT
 from mmnn_pin.lab.contest.task import tasks_of
@@ -132,23 +132,23 @@ def test_random_motion_is_without_errors_and_within_the_joints_limits():
 class Bilinear(LearningLaw):
     """Weights of nudot_ref and of nothing else."""
 
-    def init(self, wiring):
-        return Memory.of(W=(wiring.layout.dof, wiring.layout.dof))
+    def init(self, context):
+        return ControllerState.of(W=(context.layout.dof, context.layout.dof))
 
-    def features(self, now, memory):
+    def features(self, now, state):
         return np.array(now.nudot_ref)
 
-    def estimate(self, now, memory):
-        return now.nudot_ref @ memory["W"]
+    def estimate(self, now, state):
+        return now.nudot_ref @ state["W"]
 
-    def learn(self, now, memory):
-        memory["W"] += now.period * np.outer(now.nudot_ref, now.s)
+    def learn(self, now, state):
+        state["W"] += now.period * np.outer(now.nudot_ref, now.s)
 
 
 class Silent(Bilinear):
     """Does not tell its features."""
 
-    def features(self, now, memory):
+    def features(self, now, state):
         return None
 
 
@@ -179,9 +179,9 @@ def test_the_networks_say_it_after_the_poor_motion_and_not_after_the_rich_one():
             controller = task.controller(name)
             loop = task.training(controller, 1)
             (run,) = simulate_many([loop], keep={*KEPT, *signals_for(controller)})
-            memory = controller.init(loop.wiring())
-            memory.values[:] = run.final["memory"]
-            said[task.name, name] = " ".join(found_in(task, name, controller, 1, run, memory))
+            state = controller.init(loop.context())
+            state.values[:] = run.final["memory"]
+            said[task.name, name] = " ".join(found_in(task, name, controller, 1, run, state))
     for name in ("two_layer", "two_layer_residual"):
         assert "not excited: the run leaves" in said["poor", name] and said["rich", name] == ""
     for motion in ("poor", "rich"):
