@@ -21,7 +21,7 @@ from mmnn_pin.model.arm import choose_arm
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.base.understanding import find_base
 from mmnn_pin.model.robots import find
-from mmnn_pin.model.urdf.parsing import read
+from mmnn_pin.model.urdf.reading import read
 from mmnn_pin.model.urdf.shapes import AtRest
 
 SIZE = 200_000  # bytes

@@ -35,7 +35,7 @@ from mmnn_pin.show.replay.motion import frames_of
 import pinocchio as pin, pinocchio.visualize
 R = Recording.open(sys.argv[1])
 robot = recorded_robot(R)
-folders = list(map(str, folders_of(robot.path, robot.said)))
+folders = list(map(str, folders_of(robot.path, robot.overrides)))
 visual = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.GeometryType.VISUAL, folders)
 V = getattr(pinocchio.visualize, "{name}Visualizer")(robot.model, pin.GeometryModel(), visual)
 V.initViewer(open=False)

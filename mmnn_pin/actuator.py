@@ -28,11 +28,10 @@ import numpy as np
 
 from .compiled import compiled
 from .errors import ConfigError
-from .model.checks.sampling import random_state
+from .model.checks.properties import random_state
 from .model.dynamics import Dynamics
-from .model.limits import Numbers, each, limits, speed_limits
-from .model.robot import Robot
-from .settings import Settings, require_numbers
+from .model.robot import Robot, limits, speed_limits
+from .settings import Numbers, Settings, one_or_each, require_numbers
 from .signals import Array
 
 # Columns of the motors' table; a limit that is not there is inf.
@@ -125,11 +124,11 @@ class Actuator(Settings, frozen=True):
         columns |= {ROTOR: "rotor_inertia", STIFFNESS: "stiffness", DAMPING: "damping"}
         columns |= {FRICTION: "rotor_friction", BRAKE: "brake"}
         for column, name in columns.items():
-            table[:, column] = each(f"actuator.{name}", getattr(self, name), len(table))
-        lags = each("actuator.lag", self.lag, len(table))
+            table[:, column] = one_or_each(getattr(self, name), len(table), "motor", f"actuator.{name}")
+        lags = one_or_each(self.lag, len(table), "motor", "actuator.lag")
         table[:, LAG] = [0.0 if lag == 0 else math.exp(-dt / lag) for lag in lags]
-        table[:, LIMIT] = limits("actuator.torque_limit", self.torque_limit, robot.effort_limits)
-        table[:, SPEED] = limits("actuator.speed_limit", self.speed_limit, speed_limits(robot))
+        table[:, LIMIT] = limits(self.torque_limit, robot.effort_limits, "motor", "actuator.torque_limit")
+        table[:, SPEED] = limits(self.speed_limit, speed_limits(robot), "motor", "actuator.speed_limit")
         table[:, PLACE] = places if len(places) == len(table) else -1
         self._require_light(robot, table, dt)
         if self.battery_resistance * np.sum(1.0 / table[:, RESISTANCE]) >= 1.0:

@@ -1,8 +1,8 @@
-"""From pose error to velocity command: Kanayama's law (3.1)-(3.3), its like for a holonomic base, the arm's error.
+"""From pose error to velocity command: the law of the base, Kanayama's (3.1)-(3.3) or its like, and the arm's error.
 
-The arm's part is the filtered error (3.10), (3.11); a fixed arm has nothing else. Everything is computed from the
-reference and the Measurement; the derivative of the command is analytic, taken along the error kinematics with the
-measured velocities.
+The laws stand with the bases that they drive (`model.base`). The arm's part is the filtered error (3.10), (3.11); a
+fixed arm has nothing else. Everything is computed from the reference and the Measurement; the derivative of the
+command is analytic, taken along the error kinematics with the measured velocities.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from .compiled import compiled
-from .errors import ConfigError
-from .settings import Settings, require_gains
+from .model.base import BY_SIZE, velocity_command
+from .settings import Settings, one_or_each, require_gains
 from .signals import INDEX, Array, IntArray, Layout
 
 POSE_REF, VELOCITY_REF, ACCELERATION_REF = INDEX["pose_ref"], INDEX["velocity_ref"], INDEX["acceleration_ref"]
@@ -48,74 +48,6 @@ def world_error(pose_ref: Array, pose: Array, error: Array) -> None:
 
 
 @compiled
-def kanayama(
-    error: Array, v_ref: Array, a_ref: Array, velocity: Array, gains: Array, alpha: Array, alphadot: Array
-) -> None:
-    """Kanayama's velocity command (3.3) and its derivative along the error kinematics (3.2).
-
-    `alpha = [vr cos ephi + kx ex; wr + vr ky ey + |vr| kth sin ephi]`. The thesis prints `vr kth`; with `|vr|` the law
-    also tracks in reverse, and for `vr >= 0` the two are the same.
-
-    Args:
-        error: (3,) pose error in the base frame [m, m, rad].
-        v_ref: (2,) reference velocity (vr, wr) [m/s, rad/s].
-        a_ref: (2,) its derivative [m/s^2, rad/s^2].
-        velocity: (2,) measured velocity (v, w) [m/s, rad/s].
-        gains: (3,) kx [1/s], ky [1/m^2], kth [1/m].
-        alpha: (2,) written: command [m/s, rad/s].
-        alphadot: (2,) written: its derivative [m/s^2, rad/s^2].
-    """
-    ex, ey, ephi = error[0], error[1], error[2]
-    vr, wr, v, w = v_ref[0], v_ref[1], velocity[0], velocity[1]
-    kx, ky, kth = gains[0], gains[1], gains[2]
-    c, s = math.cos(ephi), math.sin(ephi)
-    exdot, eydot, ephidot = w * ey - v + vr * c, -w * ex + vr * s, wr - w  # Eqn. 3.2
-    speed, speed_dot = abs(vr), a_ref[0] if vr > 0.0 else -a_ref[0]
-    if vr == 0.0:
-        speed_dot = abs(a_ref[0])
-    alpha[0] = vr * c + kx * ex
-    alpha[1] = wr + vr * ky * ey + speed * kth * s
-    alphadot[0] = a_ref[0] * c - vr * s * ephidot + kx * exdot
-    alphadot[1] = a_ref[1] + ky * (a_ref[0] * ey + vr * eydot) + kth * (speed_dot * s + speed * c * ephidot)
-
-
-@compiled
-def holonomic(
-    error: Array, v_ref: Array, a_ref: Array, velocity: Array, gains: Array, alpha: Array, alphadot: Array
-) -> None:
-    """Velocity command of a holonomic base and its derivative along the error kinematics.
-
-    `alpha = [R(ephi) (vxr, vyr) + (kx ex, ky ey); wr + kphi sin ephi]`, along which
-
-        exdot = w ey - vx + vxr cos ephi - vyr sin ephi      eydot = -w ex - vy + vxr sin ephi + vyr cos ephi
-        ephidot = wr - w
-
-    With `V = (ex^2 + ey^2)/2 + 1 - cos ephi` and `velocity = alpha`, `Vdot = -kx ex^2 - ky ey^2 - kphi sin^2 ephi`:
-    strict but for the heading turned by pi, whatever the reference does; `velocity = alpha - z` adds
-    `ex z1 + ey z2 + sin(ephi) z3`.
-
-    Args:
-        error: (3,) pose error in the base frame [m, m, rad].
-        v_ref: (3,) reference velocity (vxr, vyr, wr), in the reference's own frame [m/s, m/s, rad/s].
-        a_ref: (3,) its derivative [m/s^2, m/s^2, rad/s^2].
-        velocity: (3,) measured velocity (vx, vy, w) [m/s, m/s, rad/s].
-        gains: (3,) kx, ky, kphi [1/s].
-        alpha: (3,) written: command [m/s, m/s, rad/s].
-        alphadot: (3,) written: its derivative [m/s^2, m/s^2, rad/s^2].
-    """
-    ex, ey, ephi = error[0], error[1], error[2]
-    c, s, w = math.cos(ephi), math.sin(ephi), velocity[2]
-    ux, uy = c * v_ref[0] - s * v_ref[1], s * v_ref[0] + c * v_ref[1]
-    exdot, eydot, ephidot = w * ey - velocity[0] + ux, -w * ex - velocity[1] + uy, v_ref[2] - w
-    alpha[0] = ux + gains[0] * ex
-    alpha[1] = uy + gains[1] * ey
-    alpha[2] = v_ref[2] + gains[2] * s
-    alphadot[0] = c * a_ref[0] - s * a_ref[1] - uy * ephidot + gains[0] * exdot
-    alphadot[1] = s * a_ref[0] + c * a_ref[1] + ux * ephidot + gains[1] * eydot
-    alphadot[2] = a_ref[2] + gains[2] * c * ephidot
-
-
-@compiled
 def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
     """Velocity command of one sample: fills alpha ... nudot_ref of the row from its reference and measurement.
 
@@ -141,10 +73,7 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
             row[at[VELOCITY_REF] : at[VELOCITY_REF + 1]],
             row[at[ACCELERATION_REF] : at[ACCELERATION_REF + 1]],
         )
-        if nb == 3:
-            holonomic(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
-        else:
-            kanayama(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
+        velocity_command(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
         for i in range(nb):
             z[i] = alpha[i] - velocity[i]  # Eqn. 3.6
             nu_ref[i], nudot_ref[i] = alpha[i], alphadot[i]
@@ -180,19 +109,14 @@ class Kinematic(Settings, frozen=True):
         require_gains(self, "kinematic")
 
     def base_gains(self, base: int = 2) -> Array:
-        """Gains of a base with this many velocities: (kx, ky, kth), or those of a holonomic base for 3; shape (3,)."""
-        return np.array(self.holonomic if base == 3 else (self.kx, self.ky, self.kth), float)
+        """Gains of the law of a base with this many velocities, (3,); zeros for a fixed arm, which has none."""
+        names = BY_SIZE[base].gain_names
+        return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
     def arm_gains(self, layout: Layout) -> Array:
         """K for every joint, shape (n,).
 
         Raises:
-            ConfigError: As many gains are given as there are joints, or one.
+            ConfigError: Neither one gain nor one per joint.
         """
-        if np.ndim(self.K) and np.shape(self.K) != (layout.arm,):
-            raise ConfigError(
-                f"{np.size(self.K)} gains for {layout.arm} joints",
-                fix="give one number or one per joint",
-                key="kinematic.K",
-            )
-        return np.ascontiguousarray(np.broadcast_to(np.asarray(self.K, float), (layout.arm,)))
+        return one_or_each(self.K, layout.arm, "joint", "kinematic.K")

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import msgspec
 import numpy as np
+from numpy.typing import ArrayLike
 
 from .errors import ConfigError
+from .signals import Array
 
 LARGEST = 1e12  # of a number that is squared somewhere
+Numbers = float | tuple[float, ...]  # one for all, or one for each; see `one_or_each`
 KINDS = {
     "int": "a whole number",
     "float": "a number",
@@ -126,3 +129,34 @@ def require_numbers(settings: Settings, section: str, positive: Collection[str])
         require_gain(value, key)
         if np.any(np.asarray(value) > LARGEST):
             raise ConfigError(f"{value}", fix=f"use a number up to {LARGEST:g}", key=key)
+
+
+def one_or_each(
+    value: ArrayLike,
+    count: int,
+    kind: str,
+    key: str | None = None,
+    least: float | None = None,
+    names: Sequence[str] = (),
+) -> Array:
+    """One number for all, or one for each, as one for each, (count,).
+
+    Args:
+        value: One number, or `count` of them.
+        count: How many there are.
+        kind: What there are, for messages: `joint`, `motor`, `velocity`.
+        key: Key path of the value, for messages.
+        least: Smallest number that is allowed; the numbers must then be finite. None allows all numbers.
+        names: Their names, for messages.
+
+    Raises:
+        ConfigError: Another number of numbers, or one that is not allowed.
+    """
+    values, fix = np.asarray(value, float), f"give one number or one per {kind}"
+    fix += f": {', '.join(names)}" if names else ""
+    if values.shape not in ((), (count,)):
+        kinds = f"{kind[:-1]}ies" if kind.endswith("y") else f"{kind}s"
+        raise ConfigError(f"{values.size} numbers for {count} {kinds}", fix=fix, key=key)
+    if least is not None and not (np.isfinite(values) & (values >= least)).all():
+        raise ConfigError(f"{values.tolist()} cannot be used", fix=f"{fix}, finite and >= {least:g}", key=key)
+    return np.full(count, values)

@@ -11,7 +11,7 @@ import pinocchio as pin
 from mmnn_pin.model import Robot
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.loading import build
-from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.model.urdf.reading import parse
 
 UP = np.array([0.0, 0.0, 1.0])
 SPHERE = '<sphere radius="{r!r}"/>'

@@ -10,7 +10,7 @@ from closed_form import inertial, joint
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.torque.controller import Feedback
 
 AXLE, HALF_TRACK, RADIUS = 0.15, 0.25, 0.1

@@ -30,8 +30,8 @@ def model(robot: str, state: Path | None, said: dict[str, Any], as_json: bool) -
     pose [x, y, phi], base_velocity [v, w], joints {name: rad or m}, joint_velocities {name: rad/s or m/s}; what is left
     out is at rest and zero.
     """
+    from ..model.inspection import NamedState, model_at, read_state
     from ..model.loading import load
-    from ..model.state import NamedState, model_at, read_state
 
     loaded = load(robot, **said)
     position, nu = read_state(state, loaded) if state else NamedState().of(loaded)

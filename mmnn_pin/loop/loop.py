@@ -18,8 +18,7 @@ from ..disturbance import Disturbance, payload
 from ..errors import InputError, UnknownName
 from ..given_arrays import given_array
 from ..kinematic import Kinematic
-from ..model.payload import carrying
-from ..model.robot import Robot
+from ..model.robot import Robot, carrying
 from ..one_thread import one_thread
 from ..plant.contact.floor import Contact
 from ..recording.recorder import Recorder

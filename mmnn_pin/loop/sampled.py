@@ -13,6 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..errors import ConfigError
+from ..model.base import BY_SIZE
 from ..model.robot import Robot
 from ..signals import Array
 
@@ -93,18 +94,8 @@ def held_loop(
     nu = slice(poses + n, size)
     M_inv = np.linalg.inv(M)
     B[nu] = M_inv
-    if nb == 2:
-        vr, wr = v_ref
-        kx, ky, kth = base_gains
-        A[0, 1], A[1, 0], A[1, 2] = wr, -wr, vr  # Eqn. 3.2, linear in the errors
-        A[0, poses + n], A[2, poses + n + 1] = -1.0, -1.0
-        errors[0, 0], errors[1, 1], errors[1, 2] = kx, vr * ky, abs(vr) * kth
-    elif nb == 3:
-        vx, vy, wr = v_ref
-        A[0, 1], A[1, 0], A[0, 2], A[1, 2] = wr, -wr, -vy, vx
-        A[:3, poses + n : poses + n + 3] = -np.eye(3)
-        errors[:3, :3] = np.diag(base_gains)
-        errors[0, 2], errors[1, 2] = -vy, vx
+    of_base = slice(poses + n, poses + n + nb)
+    A[:poses, :poses], A[:poses, of_base], errors[:nb, :poses] = BY_SIZE[nb].linear_errors(v_ref, base_gains)
     A[poses : poses + n, poses + n + nb :] = -np.eye(n)
     errors[nb:, poses : poses + n] = np.diag(K)
     errors[:, nu] = -np.eye(p)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..errors import ConfigError
+from ..model.base import BY_SIZE
 from ..model.robot import Robot
-from ..settings import Settings, require_gains
+from ..settings import Settings, one_or_each, require_gains
 from ..signals import INDEX, Array, Layout
 
 FIRST_REFERENCE = INDEX["pose_ref"]
@@ -40,9 +41,7 @@ class Start(Settings, frozen=True):
             ConfigError: Neither one joint offset nor as many as arm joints.
         """
         layout = robot.layout
-        if np.ndim(self.joint_offset) and np.size(self.joint_offset) != layout.arm:
-            what = f"{np.size(self.joint_offset)} offsets for {layout.arm} joints"
-            raise ConfigError(what, fix="give one number or one per joint", key="start.joint_offset")
+        joint_offset = one_or_each(self.joint_offset, layout.arm, "joint", "start.joint_offset")
         position, nu = robot.neutral_position(), np.zeros(layout.dof)
         at = layout.offsets - layout.offsets[FIRST_REFERENCE]
         values = {name: first[at[INDEX[name]] : at[INDEX[name] + 1]] for name in REFERENCE_NAMES}
@@ -51,7 +50,7 @@ class Start(Settings, frozen=True):
             dx, dy, dphi = self.pose_offset
             c, s = np.cos(phi), np.sin(phi)
             position[:3] = x + c * dx - s * dy, y + s * dx + c * dy, phi + dphi
-        position[robot.arm_index] = values["q_ref"] + self.joint_offset
+        position[robot.arm_index] = values["q_ref"] + joint_offset
         if self.moving:
             nu[: layout.base], nu[layout.base :] = values["velocity_ref"], values["qdot_ref"]
         return robot.follow(position), nu
@@ -78,5 +77,5 @@ class Bounds(Settings, frozen=True):
 
     def vector(self, layout: Layout) -> Array:
         """Bounds on |nu|, (p,)."""
-        base = [self.speed] * (layout.base - 1) + [self.yaw_rate] if layout.base else []
+        base = BY_SIZE[layout.base].per_velocity(self.speed, self.yaw_rate)
         return np.array(base + [self.joint_speed] * layout.arm, float)

@@ -6,6 +6,10 @@ itself, or follows it), and what it carries. It is short when it reaches less th
 longest chain, and is either a head (fewer than four joints in a row) or sits at the end of an arm (three joints or
 more lead to it). Second arms reach as far as the first, so they stay. What the user locks, frees, or names as the
 arm's tip counts more.
+
+A mimic joint is a slave: its position is `multiplier q + offset` of its master's, its rate `multiplier qdot`.
+Pinocchio builds it as a joint of its own (its algorithms refuse its mimic joint); here T gives it its master's row
+times the multiplier, and the offset enters the position at rest.
 """
 
 from __future__ import annotations
@@ -14,16 +18,17 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.model.mimic import Slave, slaves_of
-
+from ..errors import ConfigError, RobotError, UnknownName
 from .base.base import Base
 from .base.overrides import Overrides
-from .urdf.parsing import Joint
+from .urdf.document import Document, Joint
 from .urdf.shapes import AtRest
+from .urdf.xml import number
 
 SHORT = 1 / 3  # a branch is short below this fraction of the longest chain's reach
+
 HEAD_JOINTS, ARM_JOINTS = 4, 3  # a head has fewer joints than the first, fingers have at least the second before them
+
 WHY = {
     "base": "part of the base",
     "user": "locked as you said",
@@ -49,13 +54,13 @@ class Arm:
     slaves: dict[str, Slave]
 
 
-def choose_arm(rest: AtRest, base: Base, said: Overrides) -> Arm:
+def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
     """The manipulator of a robot.
 
     Args:
         rest: The robot at rest.
         base: Its base.
-        said: What the user says about it.
+        overrides: What the user says about it.
 
     Raises:
         UnknownName: A joint or link that the robot does not have.
@@ -64,13 +69,13 @@ def choose_arm(rest: AtRest, base: Base, said: Overrides) -> Arm:
     document, slaves, wheels = rest.document, slaves_of(rest.document), {wheel.joint for wheel in base.wheels}
     moving = [joint for joint in document.joints.values() if joint.moves and joint.name not in wheels]
     reasons = dict.fromkeys(base.locked, WHY["base"])
-    reasons |= dict.fromkeys(user_locks(rest, said, wheels, base.locked), WHY["user"])
+    reasons |= dict.fromkeys(user_locks(rest, overrides, wheels, base.locked), WHY["user"])
     own = [j.name for j in moving if j.name not in reasons and j.name not in slaves]
-    reasons |= unwanted(rest, own, slaves, said)
+    reasons |= unwanted(rest, own, slaves, overrides)
     locked = {}
     for joint in moving:
         if joint.name in reasons:
-            locked[joint.name] = position_of(joint, said)
+            locked[joint.name] = position_of(joint, overrides)
     for name, slave in slaves.items():  # a slave stands still with its master
         if (name not in locked and not (slave.master in own or slave.master in wheels)) or slave.master in locked:
             at = locked.get(slave.master, document.joints[slave.master].rest)
@@ -82,7 +87,7 @@ def choose_arm(rest: AtRest, base: Base, said: Overrides) -> Arm:
     return Arm(arm, {name: locked[name] for name in in_file}, {name: reasons[name] for name in in_file}, following)
 
 
-def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str], held: Iterable[str]) -> list[str]:
+def user_locks(rest: AtRest, overrides: Overrides, wheels: Iterable[str], held: Iterable[str]) -> list[str]:
     """Joints that the user locks.
 
     Raises:
@@ -90,7 +95,7 @@ def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str], held: Itera
         ConfigError: A lock on a drive wheel; a joint freed that stands or moves with something else.
     """
     names = [joint.name for joint in rest.document.joints.values() if joint.moves]
-    for name in said.locks:
+    for name in overrides.locks:
         if name not in names:
             raise UnknownName("joint", name, names, file=rest.document.path, key="lock")
         if name in wheels:
@@ -99,22 +104,22 @@ def user_locks(rest: AtRest, said: Overrides, wheels: Iterable[str], held: Itera
         if name in slaves_of(rest.document):
             why, fix = "it stands where the joint that it follows puts it", "lock that one"
             raise ConfigError(f"'{name}' cannot be locked", why=why, fix=fix, key="lock")
-    for name in said.free:
+    for name in overrides.free:
         if name not in names and name != "all":
             raise UnknownName("joint", name, ["all", *names], file=rest.document.path, key="free")
         if name in (*wheels, *held, *slaves_of(rest.document)):
             why = "it is part of the base" if name in (*wheels, *held) else "it follows another joint"
             raise ConfigError(f"'{name}' cannot be freed", why=why, fix="leave it out", key="free")
-    return list(said.locks)
+    return list(overrides.locks)
 
 
-def position_of(joint: Joint, said: Overrides) -> float:
+def position_of(joint: Joint, overrides: Overrides) -> float:
     """Where a locked joint stands.
 
     Raises:
         ConfigError: Outside its limits.
     """
-    given = said.locks.get(joint.name)
+    given = overrides.locks.get(joint.name)
     if given is None:
         return joint.rest
     if not joint.lower <= given <= joint.upper:
@@ -123,33 +128,38 @@ def position_of(joint: Joint, said: Overrides) -> float:
     return given
 
 
-def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], said: Overrides) -> dict[str, str]:
+def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], overrides: Overrides) -> dict[str, str]:
     """Joints that are not of the manipulator, and why.
 
     Raises:
         UnknownName: The tip is no link.
         ConfigError: No joint leads to it, or a joint is freed that is not locked.
     """
-    if said.arm_tip is not None:
-        if said.arm_tip not in rest.document.links:
-            raise UnknownName("link", said.arm_tip, rest.document.links, file=rest.document.path, key="arm_tip")
-        leading = {j.name for j in rest.document.moving_ancestors(said.arm_tip)}
+    if overrides.arm_tip is not None:
+        if overrides.arm_tip not in rest.document.links:
+            raise UnknownName("link", overrides.arm_tip, rest.document.links, file=rest.document.path, key="arm_tip")
+        leading = {j.name for j in rest.document.moving_ancestors(overrides.arm_tip)}
         leading |= {slaves[name].master for name in leading & slaves.keys()}
         if not leading & set(own):
             fix = "name a link that the arm carries"
-            raise ConfigError(f"no joint leads to '{said.arm_tip}'", fix=fix, file=rest.document.path, key="arm_tip")
+            raise ConfigError(
+                f"no joint leads to '{overrides.arm_tip}'", fix=fix, file=rest.document.path, key="arm_tip"
+            )
         still = dict.fromkeys([name for name in own if name not in leading], WHY["tip"])
     else:
         still = dict.fromkeys(short_branches(rest, set(own), slaves), WHY["short"])
-    idle = [name for name in said.free if name not in still and name != "all"]
+    idle = [name for name in overrides.free if name not in still and name != "all"]
     if idle:
         raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
-    return {name: why for name, why in still.items() if not freed(name, said)}
+    return {name: why for name, why in still.items() if not freed(name, overrides)}
 
 
-def freed(name: str, said: Overrides) -> bool:
+def freed(name: str, overrides: Overrides) -> bool:
     """Whether the user frees a joint."""
-    return name in said.free or "all" in said.free
+    return name in overrides.free or "all" in overrides.free
+
+
+# -- branches of the tree ----------------------------------------------------------------------------------------------
 
 
 def short_branches(rest: AtRest, own: set[str], slaves: dict[str, Slave]) -> list[str]:
@@ -217,3 +227,60 @@ def own_reach(rest: AtRest, joint: Joint) -> float:
     frames = [math.dist(rest.placements[link][:3, 3], hub) for link in rest.document.body(joint.child)]
     rod = 2 * math.dist(rest.centre(joint.child), hub) if rest.mass(joint.child) > 0 else 0.0
     return max([*frames, rod])
+
+
+# -- mimic joints ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Slave:
+    """A joint that follows another one that does not itself follow.
+
+    Attributes:
+        master: The joint that it follows.
+        multiplier: Its rate over the master's.
+        offset: Its position where the master's is 0 [rad or m].
+    """
+
+    master: str
+    multiplier: float
+    offset: float
+
+    def at(self, position: float) -> float:
+        """Its position at a position of the master."""
+        return self.multiplier * position + self.offset
+
+
+def slaves_of(document: Document) -> dict[str, Slave]:
+    """All moving joints that follow others, each with the joint at the end of its chain of masters.
+
+    Raises:
+        RobotError: A master that does not exist, or a circle.
+    """
+    direct: dict[str, Slave] = {}
+    for element in document.root.iterchildren("joint"):
+        mimic = element.find("mimic")
+        if mimic is not None and document.joints[element.get("name")].moves:
+            gain, offset = number(mimic, "multiplier", 1.0), number(mimic, "offset", 0.0)
+            direct[element.get("name")] = Slave(mimic.get("joint", ""), gain, offset)
+    return {name: resolved(document, name, direct) for name in direct}
+
+
+def resolved(document: Document, name: str, direct: dict[str, Slave]) -> Slave:
+    """A slave of a slave, as slave of the first master."""
+    slave, seen = direct[name], {name}
+    while slave.master in direct:
+        above = direct[slave.master]
+        if slave.master in seen:
+            raise broken(document, name, "follows itself in a circle")
+        seen.add(slave.master)
+        slave = Slave(above.master, slave.multiplier * above.multiplier, slave.at(above.offset))
+    if slave.master not in document.joints:
+        raise broken(document, name, f"mimics '{slave.master}', which does not exist")
+    return slave
+
+
+def broken(document: Document, name: str, what: str) -> RobotError:
+    """The refusal of a mimic joint."""
+    fix = "name a joint that moves by itself"
+    return RobotError(f"joint '{name}' {what}", fix=fix, file=document.path, line=document.joints[name].line)

@@ -104,7 +104,8 @@ class Dynamics:
         robot, out = self.robot, np.zeros(self.model.nv)
         nb = robot.layout.base
         if nb:
-            wrench = np.insert(force[:nb], 1, 0.0) if nb == 2 else force[:nb]
+            wrench = np.zeros(3)
+            wrench[robot.base.columns] = force[:nb]
             out[:3] = robot.base.to_control.T @ wrench
         out[robot.arm_index] = force[nb:]
         return out

@@ -1,18 +1,27 @@
-"""What the loader understood of a robot, as lists and names: what `mmnn inspect` shows."""
+"""A robot as lists and names: what the loader understood (`mmnn inspect`), and its model at a state (`mmnn model`)."""
 
 from __future__ import annotations
 
 import hashlib
 import math
+import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.errors import RobotError
-from mmnn_pin.model.robot import Robot
+import msgspec
+import numpy as np
 
-from .base.base import Base, Reading, Undecided, Unsupported
-from .base.overrides import Overrides, folders_of, said_of
-from .urdf.parsing import AuditError, Finding, audit_file
+from ..errors import ConfigError, InputError, RobotError, UnknownName
+from ..settings import Settings, wrong_type
+from ..signals import Array
+from .base.base import Base
+from .base.overrides import Overrides, folders_of, with_file
+from .base.report import Reading, Undecided, Unsupported
+from .dynamics import Dynamics
+from .robot import Robot
+from .urdf.finding import AuditError, Finding
+from .urdf.reading import audit_file
 
 
 def inspection_of(robot: Robot) -> dict[str, Any]:
@@ -30,9 +39,9 @@ def inspection_of(robot: Robot) -> dict[str, Any]:
     }
 
 
-def refusal_of(error: RobotError, path: Path, said: Overrides) -> dict[str, Any]:
+def refusal_of(error: RobotError, path: Path, overrides: Overrides) -> dict[str, Any]:
     """A robot that was not: what the audit found, and why it was refused."""
-    findings = list(error.findings) if isinstance(error, AuditError) else audited(path, said)
+    findings = list(error.findings) if isinstance(error, AuditError) else audited(path, overrides)
     if not isinstance(error, AuditError):
         code = {Undecided: "base-undecided", Unsupported: "base-unsupported"}.get(type(error), "robot")
         file = str(error.file or path)
@@ -63,10 +72,10 @@ def hash_of(path: Path) -> str | None:
         return None
 
 
-def audited(path: Path, said: Overrides) -> list[Finding]:
+def audited(path: Path, overrides: Overrides) -> list[Finding]:
     """What there is to say about a file that the audit accepts, beside what the robot was refused for."""
-    said, notes = said_of(path, said)
-    return [*audit_file(path, said.strict, folders_of(path, said))[1], *notes]
+    overrides, notes = with_file(path, overrides)
+    return [*audit_file(path, overrides.strict, folders_of(path, overrides))[1], *notes]
 
 
 def as_dict(finding: Finding) -> dict[str, Any]:
@@ -119,3 +128,114 @@ def arm_of(robot: Robot) -> dict[str, Any]:
 def finite_or_none(value: float) -> float | None:
     """The number, None for infinity, which JSON does not know."""
     return float(value) if math.isfinite(value) else None
+
+
+# -- the model at a state ----------------------------------------------------------------------------------------------
+
+
+class NamedState(Settings, frozen=True):
+    """A state by names; what is left out is at rest (a position of 0 clipped into the limits) and standing still.
+
+    Args:
+        pose: `(x, y, phi)` of the control frame [m, m, rad].
+        base_velocity: One number per base velocity, `(v, w)` for a differential drive [m/s, rad/s].
+        joints: Position of joints, of the arm or not [rad or m].
+        joint_velocities: Velocity of arm joints [rad/s or m/s]; wheels follow from the base velocity.
+    """
+
+    pose: tuple[float, float, float] | None = None
+    base_velocity: tuple[float, ...] | None = None
+    joints: Mapping[str, float] = {}
+    joint_velocities: Mapping[str, float] = {}
+
+    def of(self, robot: Robot) -> tuple[Array, Array]:
+        """Position (nv,) and nu (p,) of a robot.
+
+        Raises:
+            UnknownName: A joint that the robot does not have.
+            ConfigError: A pose or base velocity that its base does not have, or a number that is not finite.
+        """
+        base, position, nu = robot.layout.base, robot.neutral_position(), np.zeros(robot.layout.dof)
+        for key, given, size in (("pose", self.pose, robot.layout.pose), ("base_velocity", self.base_velocity, base)):
+            if given is not None and len(given) != size:
+                fix = f"give {', '.join(robot.base.velocity_names)}" if base else "leave it out: the arm is fixed"
+                raise ConfigError(f"{len(given)} numbers where the base has {size}", fix=fix, key=key)
+        if self.pose is not None:
+            position[: robot.layout.pose] = self.pose
+        if self.base_velocity is not None:
+            nu[:base] = self.base_velocity
+        joints = robot.position_names[robot.layout.pose :]
+        fill(position[robot.layout.pose :], self.joints, joints, "joints")
+        fill(nu[base:], self.joint_velocities, robot.joint_names, "joint_velocities")
+        if not (np.isfinite(position).all() and np.isfinite(nu).all()):
+            raise ConfigError("a number is not finite", fix="give finite numbers in SI units")
+        return robot.follow(position), nu
+
+
+def fill(values: Array, given: Mapping[str, float], names: tuple[str, ...], key: str) -> None:
+    """Put named numbers in their places.
+
+    Raises:
+        UnknownName: A name without a place.
+    """
+    for name, value in given.items():
+        if name not in names:
+            kind = "joint" if key == "joints" else "arm joint"
+            raise UnknownName(kind, name, names, key=key)
+        values[names.index(name)] = value
+
+
+def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
+    """Position (nv,) and nu (p,) from a JSON file with the keys of `NamedState`.
+
+    Raises:
+        ConfigError: The file cannot be read, is not JSON, or a value is of the wrong type.
+        UnknownName: A key or a joint that does not exist.
+    """
+    path = Path(path)
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=NamedState).of(robot)
+    except OSError as error:
+        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from error
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).partition(" - at ")
+        key = where.strip("`").removeprefix("$").removeprefix(".") or None
+        if unknown := re.search(r"unknown field `(.*)`", message):
+            raise UnknownName("key", unknown[1], NamedState.__struct_fields__, file=path) from error
+        what, fix = wrong_type(message)
+        raise ConfigError(what, fix=fix, file=path, key=key) from error
+    except msgspec.DecodeError as error:
+        raise ConfigError("not valid JSON", why=str(error), file=path) from error
+    except InputError as error:
+        error.file = error.file or path
+        raise
+
+
+def model_at(robot: Robot, position: Array, nu: Array) -> dict[str, Any]:
+    """Reduced model at a state, `M nudot + C nu + gravity + friction = E u`, as lists and names for JSON.
+
+    Rows of M, C, E are in the order of velocity_names; T maps them to full_velocity_names, and `A T = 0`.
+
+    Raises:
+        ConfigError: A number of it is not finite there.
+    """
+    dynamics = Dynamics(robot)
+    with np.errstate(all="ignore"):
+        M, C = dynamics.mass_matrix(position), dynamics.coriolis_matrix(position, nu)
+        g, f = dynamics.gravity(position), dynamics.friction(nu)
+    if not all(np.isfinite(term).all() for term in (M, C, g, f)):
+        raise ConfigError("the model is not finite at this state", fix="give positions and velocities that a robot has")
+    return {
+        "robot": robot.name,
+        "base": robot.base.kind,
+        "velocity_names": list(robot.velocity_names),
+        "M": M.tolist(),
+        "C": C.tolist(),
+        "gravity": g.tolist(),
+        "friction": f.tolist(),
+        "T": robot.T.tolist(),
+        "full_velocity_names": list(robot.full_velocity_names),
+        "A": robot.A.tolist(),
+        "E": robot.E.tolist(),
+        "actuator_names": list(robot.actuator_names),
+    }

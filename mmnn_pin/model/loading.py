@@ -1,22 +1,51 @@
-"""`load(name or path) -> Robot`: a URDF read and audited, its base and arm found, its model built and checked."""
+"""`load(name or path) -> Robot`: a URDF read and audited, its base and arm found, its model built and checked.
+
+Pinocchio's model has nothing locked away, and mimic joints are joints of their own. The constant maps T from nu to all
+velocities, A that vanishes on them and E from motors are put together from those of the base and the arm. Sizes: p
+independent velocities, nv of the full model, n_u motors, nc = nv - p constraints.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import copy
+import math
+import os
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from .arm import choose_arm
-from .assembly import assemble
-from .base.overrides import Overrides, folders_of, said_of
-from .base.remarks import arm_notes, printed_notes, settled, weld_notes
+import numpy as np
+import pinocchio as pin
+from lxml import etree
+from numpy.typing import NDArray
+
+from ..errors import RobotError
+from ..signals import Array, Layout
+from .arm import Arm, choose_arm
+from .base.base import Base
+from .base.overrides import Overrides, folders_of, with_file
+from .base.report import arm_notes, printed_notes, settle, weld_notes
 from .base.understanding import find_base
-from .build import pinocchio_model, welded
-from .robot import Robot
+from .robot import Robot, read_only
 from .robots import find
-from .sanity import require_finite, require_sane
-from .urdf.parsing import Document, read
+from .urdf.document import Document, Joint
+from .urdf.reading import read
 from .urdf.shapes import AtRest
+
+ROOT_NAMES = ("root_vx", "root_vy", "root_w")
+
+PUSHES = ("base_x", "base_y", "base_turn")  # motors of a base without wheels
+
+_stderr_lock = threading.Lock()
+STATES = 8
+
+SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diagonal
+
+INDISTINCT = 1e-15  # smallest eigenvalue over the largest entry, unscaled: less is lost in a double
 
 
 def load(
@@ -53,7 +82,7 @@ def load(
         ConfigError: Something said that does not suit the robot, or a file of overrides that cannot be read.
         RobotError: The file cannot be used, the base is undecided or of a kind not supported; with the line.
     """
-    said = Overrides(
+    overrides = Overrides(
         base=base,
         wheels=None if wheels is None else tuple(wheels),
         radius=radius,
@@ -65,38 +94,311 @@ def load(
         package_dirs=tuple(map(str, package_dirs)),
         strict=strict,
     )
-    return load_with(robot, said)
+    return load_with(robot, overrides)
 
 
-def load_with(robot: str | Path, said: Overrides) -> Robot:
+def load_with(robot: str | Path, overrides: Overrides) -> Robot:
     """`load` with all that is said in one; arguments and errors as there."""
     path = find(robot)
-    said, notes = said_of(path, said)
-    built = build(read(path, said.strict, folders_of(path, said)), said)
+    overrides, notes = with_file(path, overrides)
+    built = build(read(path, overrides.strict, folders_of(path, overrides)), overrides)
     return replace(built, findings=(*built.findings, *notes))
 
 
-def build(document: Document, said: Overrides | None = None) -> Robot:
+def build(document: Document, overrides: Overrides | None = None) -> Robot:
     """Robot of an audited URDF.
 
     Args:
         document: The URDF.
-        said: What the user says about it.
+        overrides: What the user says about it.
 
     Raises:
         UnknownName: A joint or link that does not exist.
         ConfigError: Something said that does not suit the robot.
         RobotError: The base is undecided or of a kind not supported, or the dynamics are singular.
     """
-    said = said or Overrides()
+    overrides = overrides or Overrides()
     document, welds = welded(document)
-    rest = AtRest(document, folders_of(document.path, said))
-    found = find_base(rest, said)
-    arm = choose_arm(rest, found.base, said)
-    model, printed = pinocchio_model(document, mobile=found.base.kind != "fixed")
+    rest = AtRest(document, folders_of(document.path, overrides))
+    found = find_base(rest, overrides)
+    arm = choose_arm(rest, found.base, overrides)
+    model, printed = pinocchio_model(document, mobile=found.base.root_size > 0)
     require_sane(document, model)
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
-    findings = (*settled(document.findings, found.findings, said.strict), *notes)
-    robot = replace(assemble(document, found.base, arm, model), findings=findings, said=said)
+    findings = (*settle(document.findings, found.findings, overrides.strict), *notes)
+    robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=overrides)
     require_finite(document, robot)
     return robot
+
+
+# -- Pinocchio's model -------------------------------------------------------------------------------------------------
+
+
+def welded(document: Document) -> tuple[Document, tuple[str, ...]]:
+    """The robot with its planar and floating joints welded, and their names.
+
+    A file made for a simulator stands its robot in the world on such a joint; here the loader does that.
+    """
+    names = tuple(joint.name for joint in document.joints.values() if joint.type in ("planar", "floating"))
+    if not names:
+        return document, ()
+    root = copy.deepcopy(document.root)
+    for element in root.iterchildren("joint"):
+        if element.get("name") in names:
+            element.set("type", "fixed")
+    return replace(document, root=root, text=etree.tostring(root, encoding="unicode")), names
+
+
+def pinocchio_model(document: Document, mobile: bool) -> tuple[pin.Model, str]:
+    """Full Pinocchio model, on a planar root joint for a mobile base, and what its parser printed.
+
+    Raises:
+        RobotError: Pinocchio refuses the file, or loses a mass of it; what it printed is attached.
+    """
+    root_name = "root_joint"
+    while root_name in document.joints:
+        root_name += "_"
+    root = (pin.JointModelPlanar(), root_name) if mobile else ()
+    try:
+        with captured_stderr() as printed:
+            model = pin.buildModelFromXML(document.text, *root)
+    except (ValueError, RuntimeError) as error:
+        why = " ".join(" ".join([*printed, str(error)]).split())
+        raise RobotError("Pinocchio cannot build the model", why=why, file=document.path) from None
+    model.name, message = document.path.stem, " ".join(" ".join(printed).split())
+    stated, taken = document.mass, sum(body.mass for body in model.inertias)
+    if not math.isclose(stated, taken, rel_tol=1e-9):
+        what = f"Pinocchio's model has {taken:.6g} kg where the file states {stated:.6g} kg"
+        raise RobotError(what, why=message or "it lost an <inertial>", file=document.path)
+    return model, message
+
+
+@contextmanager
+def captured_stderr() -> Iterator[list[str]]:
+    """What C++ code prints on standard error meanwhile; the list is filled on leaving."""
+    lines: list[str] = []
+    with _stderr_lock, tempfile.TemporaryFile() as file:
+        sys.stderr.flush()
+        kept = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield lines
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            file.seek(0)
+            lines += file.read().decode(errors="replace").splitlines()
+
+
+# -- the robot and its maps --------------------------------------------------------------------------------------------
+
+
+def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robot:
+    """Robot of an audited URDF, its base, its arm and its full Pinocchio model."""
+    root = base.root_size
+    joints = [document.joints[name] for name in model.names[2 if root else 1 :]]
+    names = [joint.name for joint in joints]
+    arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
+    motors = (*(wheel.joint for wheel in base.wheels), *arm.joints)
+    pushes, rows = PUSHES if base.is_pushed else (), {name: i for i, name in enumerate(names, root)}
+    T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
+    q_index, is_continuous = configuration_indices(model, root)
+    at_rest = [0.0] * root + [arm.locked.get(joint.name, joint.rest) for joint in joints]
+    robot = Robot(
+        name=document.path.stem,
+        path=document.path,
+        urdf=document.text,
+        sha256=document.sha256,
+        model=model,
+        base=base,
+        arm=arm,
+        layout=Layout(base=len(base.velocity_names), arm=len(arm.joints), full=model.nv, motors=E_full.shape[1]),
+        joint_names=arm.joints,
+        velocity_names=base.velocity_names + arm.joints,
+        full_velocity_names=ROOT_NAMES[:root] + tuple(names),
+        actuator_names=pushes + motors,
+        T=read_only(T),
+        A=read_only(constraint_rows(base, rows, arm)),
+        E_full=read_only(E_full),
+        E=read_only(T.T @ E_full),
+        q_index=q_index,
+        is_continuous=is_continuous,
+        frame=read_only(base.frame.copy()),
+        lower=of_joints(joints, root, "lower", -np.inf),
+        upper=of_joints(joints, root, "upper", np.inf),
+        effort_limits=read_only(np.array([np.inf] * len(pushes) + [document.joints[n].effort for n in motors], float)),
+        damping=of_joints(joints, root, "damping", 0.0),
+        coulomb=of_joints(joints, root, "friction", 0.0),
+        viscous=read_only(np.zeros(T.shape[1])),
+        rest=np.array(at_rest, dtype=float),
+    )
+    read_only(robot.follow(robot.rest))
+    return robot
+
+
+def of_joints(joints: list[Joint], root: int, attribute: str, of_root: float) -> Array:
+    """A number of every joint, read-only, (nv,); the root's velocities have one of their own."""
+    return read_only(np.array([of_root] * root + [getattr(joint, attribute) for joint in joints]))
+
+
+def configuration_indices(model: pin.Model, root: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
+    """Where each velocity's joint starts in q, and whether q holds its cosine and sine; the root fills the first 3."""
+    first = 2 if root else 1
+    q_index = np.array([*range(root), *list(model.idx_qs)[first:]], dtype=np.int64)
+    doubled = [0, 0, 1][:root] + [int(size == 2) for size in list(model.nqs)[first:]]
+    is_continuous = np.array(doubled, dtype=np.uint8)
+    q_index.flags.writeable = is_continuous.flags.writeable = False
+    return q_index, is_continuous
+
+
+def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
+    """T, (nv, p): the root moves with the base, wheels roll, the arm moves freely, slaves follow, the rest stands.
+
+    Args:
+        base: The mobile base.
+        rows: Velocity index of every joint in the full model.
+        arm: The manipulator.
+    """
+    nb, root = len(base.velocity_names), base.root_size
+    T = np.zeros((root + len(rows), nb + len(arm.joints)))
+    T[:root, :nb] = base.root_map[:root]
+    for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
+        T[rows[wheel.joint], :nb] = rates
+    for i, name in enumerate(arm.joints):
+        T[rows[name], nb + i] = 1.0
+    for name, slave in arm.slaves.items():
+        T[rows[name]] = slave.multiplier * T[rows[slave.master]]
+    return T
+
+
+def constraint_rows(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
+    """A, (nc, nv): no lateral slip of the control frame (2.6), no slip under each wheel, slaves follow, locks hold.
+
+    Args:
+        base: The mobile base.
+        rows: Velocity index of every joint in the full model.
+        arm: The manipulator.
+    """
+    root = base.root_size
+    slip = np.zeros((len(base.slip_rows), root + len(rows)))
+    slip[:, :root] = base.slip_rows[:, :root]
+    rolling = np.zeros((len(base.wheels), root + len(rows)))
+    for row, wheel, rim in zip(rolling, base.wheels, base.rolling_rows, strict=True):
+        row[:root] = rim
+        row[rows[wheel.joint]] = -wheel.sign * wheel.radius
+    still = np.zeros((len(arm.locked), root + len(rows)))
+    for row, name in zip(still, arm.locked, strict=True):
+        row[rows[name]] = 1.0
+    following = np.zeros((len(arm.slaves), root + len(rows)))
+    for row, (name, slave) in zip(following, arm.slaves.items(), strict=True):
+        row[rows[slave.master]] = -slave.multiplier
+        row[rows[name]] = 1.0
+    return np.vstack((slip, rolling, still, following))
+
+
+def motor_map(base: Base, rows: Mapping[str, int], motors: tuple[str, ...]) -> Array:
+    """E_full, (nv, n_u): a motor on every wheel and arm joint; a base without wheels is pushed along its own axes.
+
+    Args:
+        base: The mobile base.
+        rows: Velocity index of every joint in the full model.
+        motors: Joints with a motor.
+    """
+    root = base.root_size
+    nv = root + len(rows)
+    on_joints = np.eye(nv)[:, [rows[name] for name in motors]]
+    if not base.is_pushed:
+        return on_joints
+    pushes = np.zeros((nv, 3))
+    pushes[:root] = base.to_control.T
+    return np.hstack((pushes, on_joints))
+
+
+# -- is it fit to be driven --------------------------------------------------------------------------------------------
+
+
+def require_sane(document: Document, model: pin.Model) -> None:
+    """Hold M and the forward dynamics against non-finite numbers and singularity at rest and random states.
+
+    Args:
+        document: The URDF, for the line of the body to blame.
+        model: Its full model.
+
+    Raises:
+        RobotError: M or the acceleration is not finite, or M is not positive definite; names the body.
+    """
+    data, rng = model.createData(), np.random.default_rng(0)
+    q0, still = pin.neutral(model), np.zeros(model.nv)
+    for k in range(STATES):
+        q = pin.integrate(model, q0, rng.uniform(-np.pi, np.pi, model.nv)) if k else q0
+        velocity = rng.uniform(-1.0, 1.0, model.nv) if k else still
+        M = pin.crba(model, data, q)
+        M = np.triu(M) + np.triu(M, 1).T
+        if not np.isfinite(M).all():
+            raise blame(document, model, ~np.isfinite(M).all(axis=1), "the mass matrix is not finite")
+        for matrix, least in ((scaled(M), SINGULAR), (M, INDISTINCT * np.abs(M).max(initial=0.0))):
+            values, vectors = np.linalg.eigh(matrix)
+            if values.min(initial=np.inf) <= least:
+                what = f"the mass matrix is singular or not positive definite (smallest eigenvalue {values[0]:.3g})"
+                raise blame(document, model, np.abs(vectors[:, 0]), what)
+        acceleration = pin.aba(model, data, q, velocity, still)
+        if not np.isfinite(acceleration).all():
+            raise blame(document, model, ~np.isfinite(acceleration), "the forward dynamics are not finite")
+
+
+def require_finite(document: Document, robot: Robot) -> None:
+    """Hold the reduced mass matrix and the reduced forces at rest against numbers that are not finite.
+
+    Radii, mimic multipliers and what they multiply enter only there.
+
+    Raises:
+        RobotError: One is not finite, or the mass matrix is not positive definite.
+    """
+    model, T, p = robot.model, robot.T, robot.layout.dof
+    data, q = model.createData(), robot.configuration(robot.neutral_position())
+    with np.errstate(all="ignore"):
+        M = np.triu(pin.crba(model, data, q))
+        M = T.T @ (M + np.triu(M, 1).T) @ T
+        forces = T.T @ pin.nonLinearEffects(model, data, q, T @ np.ones(p))
+    if not (np.isfinite(M).all() and np.isfinite(forces).all()):
+        what = "the dynamics of base and arm are not finite"
+    elif np.linalg.eigvalsh(scaled(M)).min(initial=np.inf) <= SINGULAR:
+        what = "the mass matrix of base and arm is singular"
+    else:
+        return
+    why = "a wheel's radius, a mimic multiplier or a mass is beyond what a double holds"
+    raise RobotError(what, why=why, fix="check them", file=document.path)
+
+
+def scaled(M: Array) -> Array:
+    """M with a unit diagonal where it is positive, so that kg and g m^2 count alike."""
+    diagonal = np.diag(M)
+    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    with np.errstate(over="ignore", invalid="ignore"):
+        result = M * scale * scale[:, None]
+    return np.where(np.isfinite(result), result, 0.0)
+
+
+def blame(document: Document, model: pin.Model, guilt: Array, what: str) -> RobotError:
+    """The error that names the body of the velocity with the most guilt, the last of equals.
+
+    Args:
+        document: The URDF.
+        model: Its full model.
+        guilt: (nv,) how much each velocity is to blame.
+        what: What is wrong.
+    """
+    index = len(guilt) - 1 - int(np.argmax(np.asarray(guilt, dtype=float)[::-1]))
+    name = next(
+        n for n, joint in zip(model.names, model.joints, strict=True) if joint.idx_v <= index < joint.idx_v + joint.nv
+    )
+    joint = document.joints.get(name)
+    body = "the root's body" if joint is None else f"link '{joint.child}', moved by joint '{name}'"
+    link = document.links[document.root_link if joint is None else joint.child]
+    return RobotError(
+        f"{body}: {what}",
+        why="its inertia is zero, next to nothing or beyond what a double holds",
+        fix="check its <inertial>, and those of what hangs on it",
+        file=document.path,
+        line=link.sourceline,
+    )

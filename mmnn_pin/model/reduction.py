@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..signals import Array, IntArray
+from .base.holonomic import moves_sideways
 
 # Dry friction is `level(speed) tanh(speed / COULOMB_SPEED)` where it is a smooth force. [rad/s or m/s]
 COULOMB_SPEED = 0.01
@@ -103,7 +104,7 @@ def position_rate(position: Array, nu: Array, v: Array, base: int, rate: Array) 
     if base:
         first = 3
         c, s = math.cos(position[2]), math.sin(position[2])
-        vx, vy = nu[0], nu[1] if base == 3 else 0.0
+        vx, vy = nu[0], nu[1] if moves_sideways(base) else 0.0
         rate[0], rate[1], rate[2] = c * vx - s * vy, s * vx + c * vy, nu[base - 1]
     for i in range(first, position.size):
         rate[i] = v[i]

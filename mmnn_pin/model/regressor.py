@@ -1,36 +1,82 @@
 """The regressor of a robot whose masses are not known: `Y(q, nu, nu_ref, nudot_ref) theta = Psi`, linear in theta.
 
 Only the kinematics of the robot are read: placements, axes and T. Its inertias are replaced by random ones, with which
-the regressor is checked against Pinocchio when it is built, and then by zeros. `mmnn_pin.model.parameters` gives the
+the regressor is checked against Pinocchio when it is built, and then by zeros. `mmnn_pin.model.tree.body` gives the
 theta of a robot that is known; a controller does not import it.
 
 theta: ten numbers `m, mc, Sigma` per body that moves (the pseudo-inertia, in the joint's frame turned so that its axis
 is z; joints that stand still are lumped into the body that carries them), then the inertia of every joint's rotor,
 viscous friction of the base's velocities, viscous and dry friction of every joint [kg, kg m, kg m^2; N s/m; N m].
+
+A particle m of a body, at x in the axes of the body and with `xbar = (x, 1)`, moves at `V_j xbar` when joint j turns at
+rate 1, `V_j = [w x, v]`, and the reference asks it for the acceleration `A xbar`, `A = [alpha x + omega_r x omega x,
+a]` (a without gravity). It adds `m xbar' V_j' A xbar` to the torque of joint j, so the whole body adds
+
+    tr(P sym(A' V_j)),      P = int xbar xbar' dm = [Sigma, mc; mc', m],
+
+which is linear in the ten numbers of the pseudo-inertia P (Wensing, Kim, Slotine 2018, IEEE RA-L 3(1)), and these are
+the ten numbers that a `Tree` holds of a body. The factorisation is that of the tree, `Mdot = C + C'`, as Slotine and
+Li 1987 (Int. J. Robotics Research 6(3)) ask for. Rotors and friction of joints are linear as well; each joint acts on
+nu through its row of T.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mmnn_pin.errors import RobotError
-from mmnn_pin.model.reduction import COULOMB_SPEED
-
-from .checks.tree import TOLERANCE, configuration
-from .tree.motion import AT, BASE, NUMBER, Array, Tree, new_scratch
-from .tree.regressor import BODY, Massless, regress
-from .tree.tree import flatten
+from ..compiled import compiled
+from ..errors import RobotError
+from .reduction import COULOMB_SPEED, as_measured
+from .tree.dynamics import psi_again
+from .tree.motion import AT, BASE, LINK, NUMBER, Array, Tree, Vector, add, along, cross, dot, get, new_scratch, place
+from .tree.tree import TOLERANCE, configuration, flatten
 
 if TYPE_CHECKING:
-    from mmnn_pin.model.robot import Robot
+    from .robot import Robot
+
+BODY = 10  # parameters of a body: m, mc (3), second moments xx xy xz yy yz zz [kg, kg m, kg m^2]
 
 MOMENTS = ("m", "mx", "my", "mz", "xx", "xy", "xz", "yy", "yz", "zz")
+
 RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
+
+
+class Massless(NamedTuple):
+    """A robot as arrays without its masses: how it moves, and memory to work in (one per thread).
+
+    Attributes:
+        tree: The tree; its inertial numbers are zero.
+        joints: (nj, p) rows of T of the joints that move.
+        base: Number of base velocities nb.
+        first: Row of the first body that moves: the base, or the first link of a fixed arm.
+        offset: (nv,) position of every joint where the arm's joints stand at 0.
+        arm: (nv, n) what one arm joint moves, itself and its slaves.
+        coulomb_speed: Dry friction is `tanh(speed / coulomb_speed)` [rad/s or m/s].
+        scratch: Memory of the tree.
+        position: (nv,) measured position.
+        nu: (p,) measured velocity.
+        out: (p,) unused forces.
+        Y: (p, k) the regressor.
+    """
+
+    tree: Tree
+    joints: Array
+    base: int
+    first: int
+    offset: Array
+    arm: Array
+    coulomb_speed: float
+    scratch: Array
+    position: Array
+    nu: Array
+    out: Array
+    Y: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,6 +253,22 @@ def without_masses(tree: Tree, T: Array, base: int, offset: Array, arm: Array, c
     )
 
 
+def with_any_inertias(model: pin.Model, seed: int = 0) -> pin.Model:
+    """A copy of a model with random inertias of eight particles each, and no armature."""
+    rng, copy = np.random.default_rng(seed), model.copy()
+    for j in range(1, copy.njoints):
+        masses, points = rng.uniform(0.1, 1.0, 8), rng.uniform(-0.3, 0.3, (8, 3))
+        total = masses.sum()
+        centre = masses @ points / total
+        second = (points - centre).T @ np.diag(masses) @ (points - centre)
+        copy.inertias[j] = pin.Inertia(total, centre, np.trace(second) * np.eye(3) - second)
+    copy.armature = np.zeros(copy.nv)
+    return copy
+
+
+# -- how theta is laid out ---------------------------------------------------------------------------------------------
+
+
 def inertial_parameters(tree: Tree, base: int) -> Array:
     """The ten numbers of every body of a tree, one after the other."""
     return np.array(tree.numbers[first_body(base) :, NUMBER.mass : NUMBER.weight].ravel())
@@ -223,14 +285,94 @@ def moving_joints(T: Array, base: int) -> NDArray[np.int64]:
     return root + np.flatnonzero(T[root:].any(axis=1))
 
 
-def with_any_inertias(model: pin.Model, seed: int = 0) -> pin.Model:
-    """A copy of a model with random inertias of eight particles each, and no armature."""
-    rng, copy = np.random.default_rng(seed), model.copy()
-    for j in range(1, copy.njoints):
-        masses, points = rng.uniform(0.1, 1.0, 8), rng.uniform(-0.3, 0.3, (8, 3))
-        total = masses.sum()
-        centre = masses @ points / total
-        second = (points - centre).T @ np.diag(masses) @ (points - centre)
-        copy.inertias[j] = pin.Inertia(total, centre, np.trace(second) * np.eye(3) - second)
-    copy.armature = np.zeros(copy.nv)
-    return copy
+# -- compiled: Y at a state --------------------------------------------------------------------------------------------
+
+
+@compiled
+def regress(known: Massless, nu_ref: Array, nudot_ref: Array) -> None:
+    """Y at the known position and velocity, (p, k), into `known.Y`.
+
+    Args:
+        known: The robot; `known.position` and `known.nu` say where it is.
+        nu_ref: (p,) reference velocities.
+        nudot_ref: (p,) their time derivative.
+    """
+    tree, Y = known.tree, known.Y
+    place(tree.links, tree.numbers, known.position, known.nu, known.scratch)
+    psi_again(tree, known.position, nu_ref, nudot_ref, known.scratch, known.out)
+    Y[:] = 0.0
+    for i in range(known.first, len(tree.links)):
+        body_columns(known, i)
+    joint_columns(known, nudot_ref, BODY * (len(tree.links) - known.first))
+
+
+@compiled
+def measured(known: Massless, pose: Array, velocity: Array, q: Array, qdot: Array) -> None:
+    """Position (nv,) and nu (p,) of a measurement, see `reduction.as_measured`."""
+    as_measured(known.offset, known.arm, pose, velocity, q, qdot, known.position, known.nu)
+
+
+@compiled
+def body_columns(known: Massless, i: int) -> None:
+    """Columns of Y of body i, after a pass over the tree."""
+    links, numbers, scratch, Y = known.tree.links, known.tree.numbers, known.scratch, known.Y
+    column = BODY * (i - known.first)
+    omega, ref = turned(scratch, i, get(scratch, i, AT.omega)), turned(scratch, i, get(scratch, i, AT.omega_ref))
+    alpha, a3 = turned(scratch, i, get(scratch, i, AT.alpha)), turned(scratch, i, get(scratch, i, AT.a))
+    both = dot(ref, omega)  # omega_r x (omega x .) = omega omega_r' - (omega_r' omega) 1
+    a0 = add((-both, alpha[2], -alpha[1]), along((0.0, 0.0, 0.0), omega, ref[0]))
+    a1 = add((-alpha[2], -both, alpha[0]), along((0.0, 0.0, 0.0), omega, ref[1]))
+    a2 = add((alpha[1], -alpha[0], -both), along((0.0, 0.0, 0.0), omega, ref[2]))
+    origin, j = get(scratch, i, AT.origin), i
+    while j >= 0:
+        w = get(scratch, j, AT.w)
+        lever = along(origin, get(scratch, j, AT.origin), -1.0)
+        v = turned(scratch, i, add(get(scratch, j, AT.s), cross(w, lever)))
+        w = turned(scratch, i, w)
+        v0, v1, v2 = (0.0, w[2], -w[1]), (-w[2], 0.0, w[0]), (w[1], -w[0], 0.0)
+        first = links[j, LINK.first]
+        for k in range(links[j, LINK.stop] - first):
+            t, y = numbers[j, NUMBER.weight + k], Y[first + k, column : column + BODY]
+            y[0] += t * dot(a3, v)
+            y[1] += t * (dot(a0, v) + dot(a3, v0))
+            y[2] += t * (dot(a1, v) + dot(a3, v1))
+            y[3] += t * (dot(a2, v) + dot(a3, v2))
+            y[4] += t * dot(a0, v0)
+            y[5] += t * (dot(a0, v1) + dot(a1, v0))
+            y[6] += t * (dot(a0, v2) + dot(a2, v0))
+            y[7] += t * dot(a1, v1)
+            y[8] += t * (dot(a1, v2) + dot(a2, v1))
+            y[9] += t * dot(a2, v2)
+        j = links[j, LINK.parent] if j > BASE.w else j - 1
+
+
+@compiled
+def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
+    """Columns of Y of rotors, viscous friction of base and joints, and dry friction of joints, from `first` on."""
+    joints, nu, Y = known.joints, known.nu, known.Y
+    count, p = joints.shape
+    for i in range(known.base):
+        Y[i, first + count + i] = nu[i]
+    for k in range(count):
+        acceleration, speed = 0.0, 0.0
+        for i in range(p):
+            acceleration += joints[k, i] * nudot_ref[i]
+            speed += joints[k, i] * nu[i]
+        dry = math.tanh(speed / known.coulomb_speed)
+        rough = first + count + known.base + k
+        for i in range(p):
+            Y[i, first + k] = joints[k, i] * acceleration
+            Y[i, rough] = joints[k, i] * speed
+            Y[i, rough + count] = joints[k, i] * dry
+
+
+@compiled
+def turned(scratch: Array, i: int, a: Vector) -> Vector:
+    """A vector along O in the axes of body i."""
+    k = AT.rotation
+    x, y, z = get(scratch, i, k), get(scratch, i, k + 3), get(scratch, i, k + 6)
+    return (
+        x[0] * a[0] + y[0] * a[1] + z[0] * a[2],
+        x[1] * a[0] + y[1] * a[1] + z[1] * a[2],
+        x[2] * a[0] + y[2] * a[1] + z[2] * a[2],
+    )

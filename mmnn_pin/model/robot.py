@@ -10,24 +10,24 @@ torques u act on the joints as `E_full u` and on nu as `E u`, `E = T' E_full` (2
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
+from ..settings import Numbers, one_or_each
 from ..signals import Array, Layout
 from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides
-from .bodies import bodies_of, scale_body
-from .coefficients import one_or_each
-from .urdf.parsing import Finding
+from .urdf.finding import Finding
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +64,7 @@ class Robot:
         viscous: (p,) further viscous friction, on nu, declared by the user.
         rest: (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits.
         findings: What the audit and the understanding have to say, warnings and notes.
-        said: What was said about it, in the call and beside the file.
+        overrides: What the user says about it, in the call and beside the file.
         breakaway: (nv,) ratio of static to Coulomb friction, at least 1.
         stribeck: Velocity over which the one falls to the other [rad/s or m/s].
         masses: Factors that `with_masses` put on its bodies, by the joint that carries them.
@@ -97,7 +97,7 @@ class Robot:
     viscous: Array
     rest: Array
     findings: tuple[Finding, ...] = field(default=())
-    said: Overrides = field(default_factory=Overrides)
+    overrides: Overrides = field(default_factory=Overrides)
     masses: Mapping[str, float] = field(default_factory=dict)
     breakaway: Array | float = 1.0
     stribeck: float = 0.05
@@ -196,7 +196,7 @@ class Robot:
         Raises:
             ConfigError: A number that is negative or not finite, or not one number per joint.
         """
-        rotors = one_or_each("armature", inertia, self.layout.arm, key="armature")
+        rotors = one_or_each(inertia, self.layout.arm, "joint", "armature", least=0)
         model = self.model.copy()
         armature = np.array(model.armature)
         armature[self.arm_index] = rotors
@@ -212,10 +212,8 @@ class Robot:
         Raises:
             ConfigError: Wrong number of coefficients, or a negative or non-finite one.
         """
-        p = self.layout.dof
-        fix = f"give {p} finite coefficients >= 0, for {', '.join(self.velocity_names)}"
-        given = one_or_each("viscous friction", viscous, p, fix=fix)
-        return replace(self, viscous=read_only(np.broadcast_to(given, p).copy()))
+        given = one_or_each(viscous, self.layout.dof, "velocity", "friction", least=0, names=self.velocity_names)
+        return replace(self, viscous=read_only(given))
 
     def with_joint_friction(
         self,
@@ -237,9 +235,9 @@ class Robot:
         """
         n, at = self.layout.arm, self.arm_index
         damping, level, ratio = self.damping.copy(), self.coulomb.copy(), np.ones(self.layout.full)
-        damping[at] += one_or_each("viscous friction", viscous, n, key="friction.viscous")
-        level[at] += one_or_each("coulomb friction", coulomb, n, key="friction.coulomb")
-        ratio[at] = one_or_each("breakaway friction", breakaway, n, least=1, key="friction.breakaway")
+        damping[at] += one_or_each(viscous, n, "joint", "friction.viscous", least=0)
+        level[at] += one_or_each(coulomb, n, "joint", "friction.coulomb", least=0)
+        ratio[at] = one_or_each(breakaway, n, "joint", "friction.breakaway", least=1)
         if not (np.isfinite(stribeck) and stribeck > 0):
             raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
         rough = replace(self, damping=read_only(damping), coulomb=read_only(level), breakaway=read_only(ratio))
@@ -269,7 +267,7 @@ class Robot:
             "urdf": self.urdf,
             "urdf_file": str(self.path.absolute()),
             "urdf_sha256": self.sha256,
-            "overrides": self.said.said(),
+            "overrides": self.overrides.stated(),
             "mass_factors": dict(self.masses),
             "armature": self.model.armature[self.arm_index].tolist(),
             "viscous": self.viscous.tolist(),
@@ -284,6 +282,55 @@ class Robot:
             "actuator_names": self.actuator_names,
             "effort_limits": self.effort_limits.tolist(),
         }
+
+
+def carrying(robot: Robot, mass: float, joint: str = "", at: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
+    """The same robot with a point mass on a link.
+
+    Args:
+        robot: The robot.
+        mass: [kg].
+        joint: Joint whose link carries it; empty for the last of the arm, or the base where there is no arm.
+        at: Where, (3,) in that joint's frame [m].
+
+    Raises:
+        UnknownName: It has no such joint.
+        ConfigError: A joint that stands still, or numbers that cannot be used.
+    """
+    names = bodies_of(robot.model)
+    joint = joint or (robot.joint_names[-1] if robot.joint_names else "root")
+    if joint not in names:
+        raise UnknownName("joint", joint, names, key="joint")
+    if not (np.isfinite(mass) and mass > 0 and np.shape(at) == (3,) and np.isfinite(at).all()):
+        raise ConfigError(f"{mass} kg at {at}", fix="give a mass > 0 and three finite numbers", key="mass")
+    model = robot.model.copy()
+    i = names.index(joint) + 1
+    model.inertias[i] = model.inertias[i] + pin.Inertia(mass, np.array(at, float), np.zeros((3, 3)))
+    return replace(robot, model=model)
+
+
+def bodies_of(model: pin.Model) -> list[str]:
+    """Joint that carries each moving body, `root` for a planar base."""
+    names = list(model.names)[1:]
+    return ["root", *names[1:]] if names and model.joints[1].shortname() == "JointModelPlanar" else names
+
+
+def scale_body(model: pin.Model, joint: int, factor: float) -> None:
+    """Scale the mass and the rotational inertia of the body that a joint carries."""
+    body = model.inertias[joint]
+    model.inertias[joint] = pin.Inertia(body.mass * factor, body.lever, body.inertia * factor)
+
+
+def speed_limits(robot: Robot) -> Array:
+    """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
+    names, limits = robot.full_velocity_names, robot.model.velocityLimit
+    found = [limits[names.index(name)] if name in names else math.inf for name in robot.actuator_names]
+    return np.array([limit if 0 < limit < 1e30 else math.inf for limit in found], float)
+
+
+def limits(value: Literal["urdf"] | Numbers | None, urdf: Array, kind: str, key: str) -> Array:
+    """Limits of all motors or joints: those of the URDF, given ones, or inf for None; errors as in `one_or_each`."""
+    return urdf if isinstance(value, str) else one_or_each(math.inf if value is None else value, urdf.size, kind, key)
 
 
 def read_only(array: Array) -> Array:

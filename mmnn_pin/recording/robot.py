@@ -14,7 +14,7 @@ from ..errors import RecordingError
 from ..model.base.overrides import Overrides
 from ..model.loading import build
 from ..model.robot import Robot
-from ..model.urdf.parsing import parse
+from ..model.urdf.reading import parse
 from ..signals import Array
 from .metrics import as_columns
 from .recording import Recording

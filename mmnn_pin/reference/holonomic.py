@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
+from ..model.base.holonomic import Holonomic as HolonomicBase
 from .arm import JointProfile
 from .path import BasePath, BaseSamples, times
+from .samples import in_three
 
 
 @dataclass(frozen=True)
@@ -28,14 +30,14 @@ class Holonomic(BasePath):
         TrajectoryError: The path is not one of a mobile base.
     """
 
-    nb: ClassVar[int] = 3  # type: ignore[misc]
+    nb: ClassVar[int] = len(HolonomicBase.velocity_names)  # type: ignore[misc]
     followable: ClassVar[bool] = True
 
     path: BasePath
     heading: JointProfile | None = None
 
     def __post_init__(self) -> None:
-        if not isinstance(self.path, BasePath) or self.path.nb not in (2, 3):
+        if not isinstance(self.path, BasePath) or not self.path.nb:
             raise TrajectoryError(f"{self.path!r} is not a path of a base", fix="give a Line, an Eight, Waypoints, ...")
 
     def sample(self, t: ArrayLike) -> BaseSamples:
@@ -63,5 +65,5 @@ class Holonomic(BasePath):
 
 def planar(velocity: np.ndarray) -> np.ndarray:
     """Translation of base velocities (N, nb) as complex numbers (N,): forward real, sideways imaginary."""
-    sideways = velocity[:, 1] if velocity.shape[1] == 3 else 0.0
-    return velocity[:, 0] + 1j * sideways
+    ahead, aside, _ = in_three(velocity)
+    return ahead + 1j * aside

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
+from ..model.base import BY_SIZE
+from ..model.base.holonomic import moves_sideways
 from ..signals import Array
 from .path import BasePath, BaseSamples, require_finite, times
 
@@ -41,7 +43,11 @@ class Table(BasePath):
 
     def __post_init__(self) -> None:
         time, pose, velocity = (np.array(part, float) for part in (self.time, self.pose, self.velocity))
-        if time.ndim != 1 or pose.shape != (len(time), 3) or velocity.shape not in ((len(time), nb) for nb in (2, 3)):
+        if (
+            time.ndim != 1
+            or pose.shape != (len(time), 3)
+            or velocity.shape not in ((len(time), nb) for nb in BY_SIZE if nb)
+        ):
             raise TrajectoryError(
                 f"samples of shapes {time.shape}, {pose.shape}, {velocity.shape}",
                 fix="give (N,), (N, 3), (N, 2) or (N, 3)",
@@ -109,7 +115,7 @@ class Table(BasePath):
 def in_three(velocity: Array) -> tuple[Array, Array, Array]:
     """Columns vx, vy, w of base velocities (N, nb); vy = 0 for a differential drive."""
     vx, w = velocity[:, 0], velocity[:, -1]
-    return vx, velocity[:, 1] if velocity.shape[1] == 3 else np.zeros_like(vx), w
+    return vx, velocity[:, 1] if moves_sideways(velocity.shape[1]) else np.zeros_like(vx), w
 
 
 def _number(text: str | None, column: str, file: str | Path, line: int) -> float:
@@ -142,7 +148,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin
     if tolerance is None:
         tolerance = max(1e-3, 0.02 * float(max(abs(rate).max(), abs(velocity).max())))
-    holonomic = velocity.shape[1] == 3
+    holonomic = moves_sideways(velocity.shape[1])
     worst = int(np.argmax(abs(sideways)))
     if not holonomic and abs(sideways[worst]) > tolerance:
         raise TrajectoryError(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
+from ..model.base import BY_SIZE
 from ..signals import Array, Layout
 from .arm import JointProfile
 from .path import BasePath, times
@@ -70,7 +71,7 @@ class Trajectory:
         if nb != layout.base:
             raise TrajectoryError(
                 f"a base path of {nb} velocities for a base of {layout.base}",
-                why="0: fixed, 2: differential drive, 3: holonomic",
+                why=", ".join(f"{size}: {kind.words}" for size, kind in sorted(BY_SIZE.items())),
                 fix="choose a path made for this base" if layout.base else "leave the base path out",
             )
         if len(self.arm) != layout.arm:

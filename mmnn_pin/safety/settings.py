@@ -7,10 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
-from ..model.limits import Numbers, each, limits, speed_limits
-from ..model.robot import Robot
-from ..settings import Settings, require_numbers
+from ..model.robot import Robot, limits, speed_limits
+from ..settings import Numbers, Settings, one_or_each, require_numbers
 from ..signals import Array, Layout
 from .supervisor import BLIND, COMMANDED, HEARD, MEMORY
 
@@ -89,12 +89,12 @@ class Safety(Settings, frozen=True):
             period,
         ]
         own += [self.settle, self.rest, float(short), FRESH * (arrivals or period)]
-        base = [some(self.speed)] * (layout.base - 1) + [some(self.yaw_rate)] if layout.base else []
+        base = BY_SIZE[layout.base].per_velocity(some(self.speed), some(self.yaw_rate))
         urdf = speed_limits(robot)[layout.motors - layout.arm :]
-        joint_speed = limits("safety.joint_speed", self.joint_speed, urdf, "joint")
-        torque = limits("safety.torque", self.torque, robot.effort_limits)
+        joint_speed = limits(self.joint_speed, urdf, "joint", "safety.joint_speed")
+        torque = limits(self.torque, robot.effort_limits, "motor", "safety.torque")
         most = math.inf if self.joint_error is None else self.joint_error
-        error = each("safety.joint_error", most, layout.arm, "joint")
+        error = one_or_each(most, layout.arm, "joint", "safety.joint_error")
         return np.concatenate((own, torque, base, joint_speed, gains, error, K)).astype(float)
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from ..compiled import compiled, copy_to
+from ..model.base.holonomic import moves_sideways
 from ..signals import INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "alpha"))
@@ -157,7 +158,7 @@ def check_motion(row: Array, at: IntArray, time: float, numbers: Array, state: A
     errors = speeds[2 * (nb + n) :]
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
-        if nb == 3 and i < 2:  # the speed of a base that moves sideways, too
+        if moves_sideways(nb) and i < 2:  # the speed of a base that moves sideways, too
             speed = math.hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
             trip(time, OVER_SPEED, i, speed, speeds[i], state)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from ..compiled import compiled
+from ..model.base.holonomic import moves_sideways
 from ..signals import INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
@@ -152,7 +153,7 @@ def drive(W: Array, state: Array, pose_at: int) -> None:
         moved = state[STATES + 4 * j + MOVED]
         ahead += W[0, j] * moved
         turn += W[W.shape[0] - 1, j] * moved
-        if W.shape[0] == 3:
+        if moves_sideways(W.shape[0]):
             aside += W[1, j] * moved
     heading = state[pose_at + 2] + 0.5 * turn
     c, s = math.cos(heading), math.sin(heading)

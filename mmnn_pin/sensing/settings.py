@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..model.robot import Robot
-from ..settings import Settings, require_gain
+from ..settings import Settings, one_or_each, require_gain
 from ..signals import Array, IntArray
 from .encoders import DEPTH, DIFFERENCE, FILTERED, OBSERVER, STATES, TRUE, VELOCITIES, noise_columns
 
@@ -96,7 +96,7 @@ class Sensor(Settings, frozen=True):
             [VELOCITIES[self.velocity], self.pose == "odometry", period, *self._derivative(period)],
             [self.delay, self.jitter, self.loss, self.delay + self.jitter + 1],
             *(self._encoders(name, len(wheels), layout.arm) for name in ("resolution", "offset", "noise")),
-            self._noise_of_velocities(layout.dof),
+            one_or_each(self.velocity_noise, layout.dof, "velocity", "sensor.velocity_noise"),
             self.pose_noise if layout.base else (),
         ]
         return Sensing(
@@ -118,22 +118,11 @@ class Sensor(Settings, frozen=True):
             return 1.0 - pole**2, (1.0 - pole) ** 2 / period
         return float(mode in (TRUE, DIFFERENCE)), 0.0
 
-    def _noise_of_velocities(self, count: int) -> Array:
-        """One number per velocity."""
-        given = np.asarray(self.velocity_noise, float)
-        if given.shape not in ((), (count,)):
-            what = f"{given.size} numbers for {count} velocities"
-            raise ConfigError(what, fix="give one number or one per velocity", key="sensor.velocity_noise")
-        return np.broadcast_to(given, count)
-
     def _encoders(self, name: str, wheels: int, joints: int) -> Array:
         """One number per encoder: the wheels', then the arm's."""
         of_wheels = {"resolution": self.wheel_resolution, "offset": 0.0, "noise": self.wheel_noise}[name]
-        given = np.asarray(getattr(self, name), float)
-        if given.shape not in ((), (joints,)):
-            what = f"{given.size} numbers for {joints} joints"
-            raise ConfigError(what, fix="give one number or one per joint", key=f"sensor.{name}")
-        return np.concatenate((np.full(wheels, of_wheels), np.broadcast_to(given, joints)))
+        of_joints = one_or_each(getattr(self, name), joints, "joint", f"sensor.{name}")
+        return np.concatenate((np.full(wheels, of_wheels), of_joints))
 
 
 @lru_cache(maxsize=100)

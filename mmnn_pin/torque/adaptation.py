@@ -49,7 +49,7 @@ from .pseudo_inertia import (
 )
 
 if TYPE_CHECKING:
-    from ..model.tree.regressor import Massless
+    from ..model.regressor import Massless
     from ..signals import IntArray
 
 Z, R, PSI_HAT = INDEX["z"], INDEX["r"], INDEX["psi_hat"]

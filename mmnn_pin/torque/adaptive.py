@@ -14,8 +14,7 @@ import numpy as np
 from scipy.linalg import eigh, solve_triangular
 
 from ..errors import ConfigError
-from ..model.regressor import Regressor
-from ..model.tree.regressor import BODY
+from ..model.regressor import BODY, Regressor
 from ..settings import plain
 from ..signals import Array, Layout
 from . import law

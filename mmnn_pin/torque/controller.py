@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError
-from ..settings import Settings, require_gains
+from ..settings import Settings, one_or_each, require_gains
 from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
 
 if TYPE_CHECKING:
@@ -267,16 +267,10 @@ def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...]
     Raises:
         ConfigError: Neither one number nor as many as velocities.
     """
-    parts = []
-    for name, value, size in (("base", base, layout.base), ("arm", arm, layout.arm)):
-        if size and np.ndim(value) and np.shape(value) != (size,):
-            raise ConfigError(
-                f"{np.size(value)} gains for {size} velocities",
-                fix="give one number or one per velocity",
-                key=f"{key}.{name}",
-            )
-        parts.append(np.broadcast_to(np.asarray(value, float), (size,)) if size else np.zeros(0))
-    return np.concatenate(parts)
+    parts = (("base", base, layout.base), ("arm", arm, layout.arm))
+    return np.concatenate(
+        [one_or_each(value, size, "velocity", f"{key}.{name}") if size else np.zeros(0) for name, value, size in parts]
+    )
 
 
 def split(values: Array, layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...]]:

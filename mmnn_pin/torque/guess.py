@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..model.regressor import Regressor
-from ..model.tree.regressor import BODY
+from ..model.regressor import BODY, Regressor
 from ..signals import Array, Layout
 from .controller import Feedback
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..compiled import compiled
-from ..model.tree.regressor import Massless, measured, regress
+from ..model.regressor import Massless, measured, regress
 from ..signals import INDEX, Array, IntArray
 from .adaptation import Adaptation, adapt
 from .filtered import low_pass, period, remember

@@ -26,7 +26,7 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..compiled import compiled, copy_to
-from ..model.tree.regressor import measured, regress
+from ..model.regressor import measured, regress
 from ..signals import INDEX, Array, IntArray
 from .covariance import dot
 from .features import Random, fill
@@ -34,7 +34,7 @@ from .filtered import Filter, low_pass, period, remember
 from .least_squares import predict, project, track
 
 if TYPE_CHECKING:
-    from ..model.tree.regressor import Massless
+    from ..model.regressor import Massless
 
 POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
 Z, R = INDEX["z"], INDEX["r"]

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ConfigError
-from ..model.tree.regressor import measured, regress
+from ..model.regressor import measured, regress
 from ..signals import Array, Measurement, Reference, VelocityCommand
 from .controller import Context
 
 if TYPE_CHECKING:
-    from ..model.tree.regressor import Massless
+    from ..model.regressor import Massless
 
 
 @dataclass(eq=False)

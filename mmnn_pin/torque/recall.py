@@ -21,13 +21,13 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 from ..compiled import compiled
-from ..model.tree.regressor import measured, regress
+from ..model.regressor import measured, regress
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, low_pass, period, remember
 from .history import Scratch, consider, estimate_of, views
 
 if TYPE_CHECKING:
-    from ..model.tree.regressor import Massless
+    from ..model.regressor import Massless
 
 TIME, POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("time", "pose", "velocity", "q", "qdot"))
 Z, R, NU_REF, NUDOT_REF = INDEX["z"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]

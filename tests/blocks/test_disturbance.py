@@ -34,7 +34,7 @@ from mmnn_pin import (
 from mmnn_pin.disturbance import Block, Commands, DeadMotor, Frozen, Messages, Payload, Push, push, pushes
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.payload import carrying
+from mmnn_pin.model.robot import carrying
 from mmnn_pin.sensing import Sensor
 
 ROBOT = load("platform_arm")

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.kinematic import Kinematic, body_error, command, kanayama, wrap
+from mmnn_pin.kinematic import Kinematic, body_error, command, wrap
+from mmnn_pin.model.base.differential import kanayama
 from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
 
 THESIS = np.array([10.0, 64.0, 16.0])
@@ -284,5 +285,5 @@ def test_one_gain_serves_all_joints_or_each_has_its_own() -> None:
     np.testing.assert_array_equal(Kinematic(K=3.0).arm_gains(layout), [3, 3])
     np.testing.assert_array_equal(Kinematic(K=(3.0, 4.0)).arm_gains(layout), [3, 4])
     np.testing.assert_array_equal(Kinematic(1.0, 2.0, 3.0).base_gains(), [1, 2, 3])
-    with pytest.raises(ConfigError, match=r"3 gains for 2 joints.*one number or one per joint"):
+    with pytest.raises(ConfigError, match=r"3 numbers for 2 joints.*one number or one per joint"):
         Kinematic(K=(1.0, 2.0, 3.0)).arm_gains(layout)

@@ -11,8 +11,8 @@ from numba import config
 from scipy.integrate import solve_ivp
 
 from mmnn_pin.errors import UnknownName
-from mmnn_pin.kinematic import kanayama
 from mmnn_pin.model import Robot, load
+from mmnn_pin.model.base.differential import kanayama
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.plant.integrators import METHODS, ORDER
 

@@ -34,7 +34,7 @@ from mmnn_pin import (
 )
 from mmnn_pin.errors import ConfigError, InputError, RecordingError
 from mmnn_pin.model.loading import build
-from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.signals import Measurement, Reference, VelocityCommand
 

@@ -16,7 +16,7 @@ from robots import feedback
 from mmnn_pin import PD, Circle, Loop, Sine, Start, Timing, Trajectory
 from mmnn_pin.errors import ConfigError, RobotError, UnknownName
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.state import NamedState
+from mmnn_pin.model.inspection import NamedState
 
 
 def chain(name: str, count: int, parent: str, p=(0, 0, 0.3), length=0.3, more="") -> str:

@@ -14,12 +14,12 @@ from places import ROOT
 from test_urdf_bad import BAD, DYNAMICS, GOOD, HINGE, LIMIT, LINK, SHAPE, end, joint, of
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model.base.remarks import CODES as UNDERSTOOD
-from mmnn_pin.model.sanity import require_sane
-from mmnn_pin.model.urdf.bodies import lumped, parts_of
+from mmnn_pin.model.base.report import CODES as UNDERSTOOD
+from mmnn_pin.model.loading import require_sane
 from mmnn_pin.model.urdf.finding import CODES, Finding
-from mmnn_pin.model.urdf.meshes import damage_of, locate
-from mmnn_pin.model.urdf.parsing import audit_file, parse
+from mmnn_pin.model.urdf.mechanism import lumped, parts_of
+from mmnn_pin.model.urdf.reading import audit_file, parse
+from mmnn_pin.model.urdf.shapes import damage_of, locate
 
 DOCUMENT = ROOT / "docs" / "urdf-audit.md"
 TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.model import Undecided, load
-from mmnn_pin.model.base.base import Unsupported
+from mmnn_pin.model.base.report import Unsupported
 
 LYING = origin(pin.rpy.rpyToMatrix(np.pi / 2, 0, 0))
 CORNERS = {"fl": (1, 1), "fr": (1, -1), "rl": (-1, 1), "rr": (-1, -1)}

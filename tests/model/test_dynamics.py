@@ -12,10 +12,10 @@ from scipy.integrate import simpson
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import Robot, load
-from mmnn_pin.model.checks.world_frame import WorldFrame
+from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import build
-from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.plant.ideal import IdealPlant
 
 G = 9.81

@@ -13,15 +13,16 @@ from numba import config
 from robots import mobile_arm
 
 from mmnn_pin.errors import ConfigError, TrajectoryError
-from mmnn_pin.kinematic import Kinematic, body_error, holonomic
+from mmnn_pin.kinematic import Kinematic, body_error
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import sampled_loop
 from mmnn_pin.loop.start import Start
+from mmnn_pin.model.base.holonomic import holonomic_command
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Table, Trajectory, Waypoints
 from mmnn_pin.signals import Array, Layout
 from mmnn_pin.timing import Timing
@@ -69,7 +70,7 @@ def mecanum(arm: int = 2) -> Robot:
 
 def command(error: Array, v_ref: Array, a_ref: Array, velocity: Array) -> tuple[Array, Array]:
     alpha, alphadot = np.zeros(3), np.zeros(3)
-    holonomic(error, v_ref, a_ref, velocity, GAINS, alpha, alphadot)
+    holonomic_command(error, v_ref, a_ref, velocity, GAINS, alpha, alphadot)
     return alpha, alphadot
 
 

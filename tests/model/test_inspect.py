@@ -14,7 +14,7 @@ from test_base import MOVE, drone, four, welded
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import Undecided, load
-from mmnn_pin.model.base.base import Unsupported
+from mmnn_pin.model.base.report import Unsupported
 from mmnn_pin.model.robots import FILES, extra, robot_data
 
 needs_data = pytest.mark.skipif(robot_data() is None, reason="example-robot-data is not installed")

@@ -13,9 +13,15 @@ from test_holonomic import mecanum
 from mmnn_pin import load
 from mmnn_pin.model.checks.nonholonomy import bracket, involutive_closure, nonholonomy
 from mmnn_pin.model.checks.properties import PROPERTIES, Report, check_properties, worse
-from mmnn_pin.model.checks.residuals import annihilation, asymmetry, missing_constraints, skewness, smallest_eigenvalue
-from mmnn_pin.model.checks.terms import Terms
-from mmnn_pin.model.checks.world_frame import WorldFrame
+from mmnn_pin.model.checks.residuals import (
+    Terms,
+    annihilation,
+    asymmetry,
+    missing_constraints,
+    skewness,
+    smallest_eigenvalue,
+)
+from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Array

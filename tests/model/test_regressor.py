@@ -16,13 +16,18 @@ from test_tree import random_map, random_model
 
 from mmnn_pin import load
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model.checks.tree import configuration
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.parameters import parameters
-from mmnn_pin.model.regressor import Regressor, inertial_parameters, with_any_inertias, without_masses
+from mmnn_pin.model.regressor import (
+    Regressor,
+    inertial_parameters,
+    measured,
+    regress,
+    with_any_inertias,
+    without_masses,
+)
 from mmnn_pin.model.robots import bundled, extra
-from mmnn_pin.model.tree.regressor import measured, regress
-from mmnn_pin.model.tree.tree import flatten
+from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.model.tree.tree import configuration, flatten
 
 RELATIVE = 1e-10
 seeds = st.integers(0, 2**32 - 1)

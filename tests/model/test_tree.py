@@ -13,10 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import RobotError
-from mmnn_pin.model.checks.tree import residual, verify
 from mmnn_pin.model.tree.dynamics import potential_energy, psi, psi_again, terms
 from mmnn_pin.model.tree.motion import BASE, NUMBER, new_scratch
-from mmnn_pin.model.tree.tree import flatten
+from mmnn_pin.model.tree.tree import flatten, residual, verify
 
 RELATIVE = 1e-11
 seeds = st.integers(0, 2**32 - 1)

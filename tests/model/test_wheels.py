@@ -12,7 +12,7 @@ from drives import ARM, CYLINDER, LIMIT, SPHERE, Drive, joint, link, origin, rob
 from test_base import CORNERS, MOVE, four, friction
 
 from mmnn_pin.errors import ConfigError, RobotError
-from mmnn_pin.model.base.base import Undecided, Unsupported
+from mmnn_pin.model.base.report import Undecided, Unsupported
 
 FOOT = joint("foot", "fixed", "footprint", "base") + '<link name="footprint"/>'
 BALL = link("ball", 0.1, 1e-4, SPHERE.format(r=0.05)) + joint("b", "fixed", "base", "ball", p=(-0.2, 0, 0.05))

@@ -18,7 +18,7 @@ from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model.base.overrides import Overrides
-from mmnn_pin.model.checks.world_frame import WorldFrame
+from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
@@ -114,7 +114,7 @@ def test_package_folders_beside_the_urdf_start_from_its_folder(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "a" / "r.urdf").write_text(Drive().urdf())
     (tmp_path / "a" / "r.mmnn.toml").write_text('package_dirs = ["../elsewhere"]\nstrict = true\n')
-    said = load(tmp_path / "a" / "r.urdf").said
+    said = load(tmp_path / "a" / "r.urdf").overrides
     assert said.strict and [Path(folder).resolve() for folder in said.package_dirs] == [tmp_path / "elsewhere"]
 
 

@@ -18,8 +18,8 @@ from scipy.linalg import expm, sqrtm
 from mmnn_pin import PD, Circle, Eight, Loop, Sine, Start, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.adaptation import adapt
 from mmnn_pin.torque.adaptive import Adaptive, lifted, pseudo_inertias, vector_of
 from mmnn_pin.torque.adaptive_settings import Adapting

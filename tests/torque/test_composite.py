@@ -11,7 +11,7 @@ from numba import config
 from test_adaptive import REGRESSOR, ROBOT, TRUE, Bench, divergence, dual
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque import prediction
 from mmnn_pin.torque.adaptation import factor, follow
 from mmnn_pin.torque.adaptive import pseudo_inertias, vector_of

@@ -14,7 +14,7 @@ from test_composite import EIGHT
 
 from mmnn_pin import Regressor
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.concurrent import Concurrent
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.history import consider, estimate_of, scratch, shapes, views

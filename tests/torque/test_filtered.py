@@ -11,8 +11,8 @@ from scipy.signal import lsim
 from mmnn_pin import load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.filtered import low_pass, new_filter, parts, period, remember
 

@@ -39,9 +39,9 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.kalman import kalman_from_facts, machine_of
 from mmnn_pin.loop.control import Torque
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robots import extra
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import INDEX, Measurement
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.features import coprime

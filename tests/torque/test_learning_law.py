@@ -29,7 +29,7 @@ from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.proof.learner import Stepper
 from mmnn_pin.lab.proof.linear_fit import linear_fit
 from mmnn_pin.lab.proof.proof import Proof
-from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.torque.inputs import THESIS_INPUT
 from mmnn_pin.torque.learning_law import norms

@@ -12,7 +12,7 @@ from mmnn_pin import load_experiment, simulate_many
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.loop.control import Torque
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.residual import Residual
 

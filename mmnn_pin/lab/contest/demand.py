@@ -9,7 +9,7 @@ import numpy as np
 
 from ...loop.start import Start
 from ...model.dynamics import Dynamics
-from ...model.limits import speed_limits
+from ...model.robot import speed_limits
 from ..proof.held_out import whole_reference
 from .task import Task
 

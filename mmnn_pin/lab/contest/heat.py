@@ -66,7 +66,7 @@ def trained(
     task: Task, controller: Any, file: Path | None, workers: int | None, progress: Progress
 ) -> tuple[Recording, list[Run]]:
     """Training runs of all seeds; that of the first is recorded whole."""
-    config = msgspec.structs.replace(task.experiment, overrides=task.robot.said, cases={}).to_json()
+    config = msgspec.structs.replace(task.experiment, overrides=task.robot.overrides, cases={}).to_json()
     one, *others = (task.training(controller, seed) for seed in task.seeds)
     duration, share = one.timing.duration, 1 / len(task.seeds)
     recording = one.run(

@@ -13,8 +13,7 @@ from ...disturbance import Payload, payload
 from ...errors import ConfigError, InputError, RecordingError
 from ...loop.loop import Loop
 from ...loop.start import Start
-from ...model.payload import carrying
-from ...model.robot import Robot
+from ...model.robot import Robot, carrying
 from ...signals import Array
 from ...torque.controller import Feedback
 from ..experiments.cases import with_case

@@ -7,8 +7,8 @@ import numpy as np
 from ...errors import ConfigError, InputError, UnknownName
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
-from ...model.parameters import parameters
 from ...model.robot import Robot
+from ...model.tree.body import parameters
 from ...settings import Settings
 from ...signals import Array
 

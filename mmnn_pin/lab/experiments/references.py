@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, UnknownName
+from ...model.base.holonomic import moves_sideways
 from ...reference import (
     BasePath,
     Circle,
@@ -53,7 +54,7 @@ class ReferenceTables(Settings, frozen=True):
         if not nb or self.base is None:
             return None
         path = make(BASE_PATHS, self.base, "reference.base")
-        if nb == 3:
+        if moves_sideways(nb):
             heading = self.heading
             return Holonomic(path, None if heading is None else make(ARM_PROFILES, heading, "reference.heading"))
         if self.heading is not None:

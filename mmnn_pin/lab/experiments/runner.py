@@ -210,7 +210,7 @@ def run_experiment(
     wanted = experiment.controllers
     files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}
     robot = experiment.load_robot()
-    config = msgspec.structs.replace(experiment, overrides=robot.said).to_json()
+    config = msgspec.structs.replace(experiment, overrides=robot.overrides).to_json()
     require_runnable(experiment, robot)
     require_free([file for file in files.values() if file], force)
     runs: dict[str, Recording] = {}

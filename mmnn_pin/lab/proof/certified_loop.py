@@ -9,6 +9,8 @@ import numpy as np
 
 from ...errors import RecordingError
 from ...kinematic import Kinematic
+from ...model.base import BY_SIZE
+from ...model.base.differential import DifferentialDrive
 from ...model.robot import Robot
 from ...signals import Array
 from ...torque.controller import per_velocity
@@ -121,8 +123,8 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
 def refusal(subject: Subject) -> str:
     """The first assumption of the theorem that a run does not meet; empty if it meets all."""
     meta, layout, timing = subject.recording.meta, subject.layout, subject.timing
-    if layout.base != 2:
-        kind = "a fixed base has no pose to lose" if layout.base == 0 else "the base is holonomic"
+    if (kind_of_base := BY_SIZE[layout.base]) is not DifferentialDrive:
+        kind = f"the base is {kind_of_base.kind}" if layout.base else "a fixed base has no pose to lose"
         return f"{kind}; the theorem is about Kanayama's law for a differential drive"
     if subject.plant != "ideal":
         return f"on the {subject.plant} plant wheels may slip, and then nu does not move by the reduced model"

@@ -9,53 +9,30 @@ indefinite. For a holonomic base the heading counts as `1 - cos ephi`; a fixed a
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...errors import RecordingError
 from ...kinematic import Kinematic
+from ...model.base import BY_SIZE
+from ...model.base.base import PoseEnergy
 from ...signals import Array
 from .subject import Subject
 
 
-@dataclass(frozen=True, eq=False)
-class PosePart:
-    """V1 and its derivative, (k,) each.
-
-    Attributes:
-        value: V1 [m^2].
-        decay: What the kinematic law takes from it, never positive [m^2/s].
-        coupling: What the velocity error z does to it [m^2/s].
-    """
-
-    value: Array
-    decay: Array
-    coupling: Array
-
-
-def pose_part(error: Array, z: Array, v_ref: Array, gains: Kinematic) -> PosePart:
+def pose_part(error: Array, z: Array, v_ref: Array, gains: Kinematic) -> PoseEnergy:
     """V1 and its derivative from the pose error (k, 3), z and the reference's velocity (k, nb); nb = 0 has none.
 
     Raises:
         RecordingError: `ky` is 0: there is no V1.
     """
-    if not z.shape[1]:
-        nothing = np.zeros(len(z))
-        return PosePart(nothing, nothing, nothing)
-    ex, ey, sine, cosine = error[:, 0], error[:, 1], np.sin(error[:, 2]), np.cos(error[:, 2])
-    if z.shape[1] == 3:
-        kx, ky, kphi = gains.holonomic
-        decay = -kx * ex**2 - ky * ey**2 - kphi * sine**2
-        return PosePart((ex**2 + ey**2) / 2 + 1 - cosine, decay, ex * z[:, 0] + ey * z[:, 1] + sine * z[:, 2])
-    if not gains.ky > 0:
+    nb = z.shape[1]
+    energy = BY_SIZE[nb].pose_energy(error, z, v_ref, gains.base_gains(nb))
+    if energy is None:
         raise RecordingError("no Lyapunov function of the pose", why="ky is 0")
-    turning = sine / gains.ky
-    decay = -gains.kx * ex**2 - np.abs(v_ref[:, 0]) * gains.kth * sine * turning
-    return PosePart((ex**2 + ey**2) / 2 + (1 - cosine) / gains.ky, decay, ex * z[:, 0] + turning * z[:, 1])
+    return energy
 
 
-def pose_of(subject: Subject, rows: Array) -> PosePart:
+def pose_of(subject: Subject, rows: Array) -> PoseEnergy:
     """V1 along rows of the truth (k, width); errors as in `pose_part`."""
     where, nb = subject.layout.where, subject.layout.base
     s = rows[:, where("nu_ref")] - rows[:, where("nu")]

@@ -12,8 +12,7 @@ import msgspec
 import numpy as np
 
 from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Push, payload
-from ...model.payload import carrying
-from ...model.robot import Robot
+from ...model.robot import Robot, carrying
 from ...recording.recording import Recording
 from ...signals import Array
 from ...timing import Timing

@@ -16,6 +16,7 @@ from ...errors import ConfigError, RecordingError
 from ...kinematic import Kinematic
 from ...loop.loop import Loop
 from ...loop.start import Start
+from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot
 from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
 from ...signals import Array
@@ -119,13 +120,16 @@ def base_path(velocity: Array) -> tuple[BasePath | None, float]:
     nb = velocity.shape[1]
     if not nb:
         return None, 0.0
-    speed, turning = np.hypot(velocity[:, 0], velocity[:, 1] if nb == 3 else 0.0).mean(), np.abs(velocity[:, -1]).max()
+    speed, turning = (
+        np.hypot(velocity[:, 0], velocity[:, 1] if moves_sideways(nb) else 0.0).mean(),
+        np.abs(velocity[:, -1]).max(),
+    )
     lap = Eight(1.0, ASPECT, 1.0).sample(np.linspace(0, 1, 1001)).velocity
     length, bend = np.abs(lap[:-1, 0]).mean(), np.abs(lap[:, 1]).max()
     period = float(np.clip(bend / (FASTER * turning), SHORTEST, 2 * LONGEST)) if turning > 1e-6 else USUAL
     size = FASTER * (speed if speed > 1e-3 else SPEED) * period / length
     eight = Eight(float(size), float(ASPECT * size), period)
-    return (eight if nb == 2 else Holonomic(eight, Sine(0.5, period / 2))), period
+    return (Holonomic(eight, Sine(0.5, period / 2)) if moves_sideways(nb) else eight), period
 
 
 def arm_profiles(robot: Robot, q: Array, qdot: Array) -> tuple[tuple[Sine, ...], float]:

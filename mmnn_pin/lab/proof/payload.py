@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from ...model.payload import carrying
-from ...model.robot import Robot
+from ...model.robot import Robot, carrying
 from ...signals import Array
 
 SHARE = 0.25  # of the arm's mass, about what arms are made to carry

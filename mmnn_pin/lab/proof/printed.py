@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...model.base import BY_SIZE
 from ...signals import Array
 from ...torque.neural_settings import Robust
 from .ideal import Ideal
@@ -86,7 +87,7 @@ def follows(subject: Subject, learner: Networks, i: int) -> float:
     K, nb = k.arm_gains(subject.layout), subject.layout.base
     if i == 1:
         v = float(np.abs(subject.signal("velocity_ref")).max(initial=0.0))
-        Az = max(k.kx, k.kth * v) if nb == 2 else max(k.holonomic)
+        Az = BY_SIZE[nb].largest_gain(k.base_gains(nb), v)
     else:
         Az = float(K.max())
     base = {"z": 1.0, "velocity": 1.0, "alphadot": Az, "nudot_ref": Az}

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...errors import RecordingError
-from ...model.parameters import parameters
+from ...model.tree.body import parameters
 from ...signals import Array, IntArray
 from ...torque.adaptation import Adaptation
 from ...torque.adaptive import Adaptive, pseudo_inertias

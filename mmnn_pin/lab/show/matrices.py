@@ -9,7 +9,7 @@ import numpy as np
 
 
 def model_text(model: dict[str, Any]) -> str:
-    """Text of what `mmnn_pin.model.state.model_at` gives."""
+    """Text of what `mmnn_pin.model.inspection.model_at` gives."""
     names, full, motors = model["velocity_names"], model["full_velocity_names"], model["actuator_names"]
     rows = [f"constraint {i + 1}" for i in range(len(model["A"]))]
     blocks = [

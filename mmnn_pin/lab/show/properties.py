@@ -23,6 +23,7 @@ def to_dict(report: Report) -> dict[str, Any]:
             name: {"worst": number(p.worst), "tolerance": p.tolerance, "pass": p.passed, "means": p.means}
             for name, p in report.properties.items()
         },
+        "skipped": dict(report.skipped),
         "bounds": {"M_min": number(b.M_min), "M_max": number(b.M_max), "C_b": number(b.C_b), "sampling": SAMPLING},
         "nonholonomic": {
             "distribution": tested.pose.distribution if tested.pose else 0,
@@ -58,6 +59,7 @@ def properties_text(report: Report) -> str:
     for name, p in report.properties.items():
         allowed = f"{'>' if p.at_least else '<='} {p.tolerance:.0e}"
         lines.append(f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  {p.means}")
+    lines += [f"{name:<{width}}  skipped: {why}" for name, why in report.skipped.items()]
     b = report.bounds
     lines += ["", f"reduced M: {b.M_min:.4g} I <= M <= {b.M_max:.4g} I (SI units);  ||C|| <= {b.C_b:.4g} ||nu||"]
     lines += [f"  sampling: {SAMPLING}", "", f"base: {report.nonholonomic.verdict}"]

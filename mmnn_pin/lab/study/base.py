@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 
 from ...errors import ConfigError, InputError
-from ...model.bodies import bodies_of
+from ...model.robot import bodies_of
 from ..experiments.config import config_error
 from ..experiments.experiment import Experiment
 from .bundle import load_once

@@ -19,12 +19,12 @@ from pathlib import Path
 import msgspec
 from lxml import etree
 
-from ...model.base.overrides import Overrides, folders_of, said_of
+from ...model.base.overrides import Overrides, folders_of, with_file
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...model.robots import find
-from ...model.urdf.meshes import locate
-from ...model.urdf.parsing import read
+from ...model.urdf.reading import read
+from ...model.urdf.shapes import locate
 
 _unpacking = threading.Lock()
 _folders: dict[str, Path] = {}
@@ -52,7 +52,7 @@ class Bundle:
             InputError: As `load`.
         """
         path = find(robot)
-        said, _ = said_of(path, said)
+        said, _ = with_file(path, said)
         folders = folders_of(path, said)
         root = copy.deepcopy(read(path, said.strict, folders).root)
         files: dict[str, bytes] = {}

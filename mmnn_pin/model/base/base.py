@@ -1,4 +1,4 @@
-"""The mobile base: how its wheels roll, what that forbids, and the motions that are left.
+"""What all bases share: how wheels roll, what that forbids, and the motions that are left.
 
 Frames: the *root* link's frame at rest (z up), and the *control frame* of the base: on the floor, at the middle of the
 drive axle (holonomic: at the centroid of the wheels), x along the rolling direction (the one nearer the root's x), y
@@ -20,59 +20,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, get_args
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from mmnn_pin.errors import RobotError
-from mmnn_pin.signals import Array
-
-from ..urdf.finding import Finding
-
-Kind = Literal["differential_drive", "holonomic", "fixed"]
-KINDS: tuple[str, ...] = get_args(Kind)
-
-
-@dataclass(frozen=True)
-class Reading:
-    """One way to read the geometry of a base.
-
-    Attributes:
-        kind: What the base would be.
-        reasons: What speaks for it.
-        objections: What speaks against it.
-    """
-
-    kind: str
-    reasons: tuple[str, ...] = ()
-    objections: tuple[str, ...] = ()
-
-    def __str__(self) -> str:
-        parts = [f"for: {', '.join(self.reasons)}"] if self.reasons else []
-        parts += [f"against: {', '.join(self.objections)}"] if self.objections else []
-        return f"{self.kind} ({'; '.join(parts)})" if parts else self.kind
-
-
-class Undecided(RobotError):
-    """Geometry and evidence do not tell what the base is.
-
-    Attributes:
-        candidates: The joints that could be wheels, each with what is known of it.
-        readings: What the base could be, each with the reasons for and against it.
-    """
-
-    candidates: tuple[str, ...] = ()
-    readings: tuple[Reading, ...] = ()
-
-
-class Unsupported(RobotError):
-    """The machine is understood, and it is none that this package can drive.
-
-    Attributes:
-        machine: What it is: `skid-steer`, `car-like`, `legged machine`, `humanoid`, `drone`, ...
-    """
-
-    machine: str = ""
+from ...signals import Array
 
 
 @dataclass(frozen=True)
@@ -106,12 +58,45 @@ class Wheel:
         return np.array([a[0], a[1], a[1] * self.x - a[0] * self.y]) / math.cos(roller)
 
 
-@dataclass(frozen=True, eq=False)
-class Base:
-    """What carries the arm, and how it can move.
+class LinearErrors(NamedTuple):
+    """The pose error e (3,) for small errors, under a law: `edot = rates e + by_velocity dnu`, `dalpha = command e`.
 
     Attributes:
-        kind: `differential_drive`, `holonomic` or `fixed`.
+        rates: (3, 3).
+        by_velocity: (3, nb) effect of the base velocity.
+        command: (nb, 3) what the law answers.
+    """
+
+    rates: Array
+    by_velocity: Array
+    command: Array
+
+
+class PoseEnergy(NamedTuple):
+    """Lyapunov function V1 of a pose error under a law, `V1dot = decay + coupling`; each (k,).
+
+    Attributes:
+        value: V1.
+        decay: Its derivative where the base moves as commanded.
+        coupling: What `z = alpha - velocity` adds.
+    """
+
+    value: Array
+    decay: Array
+    coupling: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Base:
+    """What carries the arm, and how it can move; a kind of base is a child, in a module with the law that drives it.
+
+    Attributes:
+        kind: Its name, `differential_drive`, `holonomic` or `fixed`.
+        words: All of its kind in a sentence.
+        velocity_names: Names of the nb base velocities: `v`, or `vx`, `vy`, in the control frame [m/s], `w` to the
+            left [rad/s].
+        columns: Which of the control frame's `(vx, vy, w)` the base velocities are.
+        gain_names: Fields of `Kinematic` with the gains of its law.
         wheels: Drive wheels, left before right. A holonomic base without any is driven by forces on its frame.
         track: Lateral distance between the contact points of the drive wheels [m]; 0 for a fixed arm.
         frame: (3,) control frame `(x, y, heading)` in the root link's frame [m, m, rad].
@@ -121,7 +106,12 @@ class Base:
         parked: Other joints of wheels (rollers, wheels of a base that is taken as fixed), locked at rest.
     """
 
-    kind: Kind
+    kind: ClassVar[str]
+    words: ClassVar[str]
+    velocity_names: ClassVar[tuple[str, ...]]
+    columns: ClassVar[list[int]]
+    gain_names: ClassVar[tuple[str, ...]]
+
     wheels: tuple[Wheel, ...] = ()
     track: float = 0.0
     frame: Array = field(default_factory=lambda: np.zeros(3))
@@ -130,10 +120,51 @@ class Base:
     suspensions: tuple[str, ...] = ()
     parked: tuple[str, ...] = ()
 
+    # -- the law that drives it -------------------------------------------------------------------------------------
+
+    @staticmethod
+    def linear_errors(v_ref: Array, gains: Array) -> LinearErrors:
+        """The pose error under the law for small errors.
+
+        Args:
+            v_ref: (nb,) reference velocity [m/s, rad/s].
+            gains: Those of the law.
+        """
+        raise NotImplementedError
+
+    @staticmethod
+    def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
+        """Lyapunov function of the pose error under the law, None where these gains have none.
+
+        Args:
+            error: (k, 3) pose error in the base frame [m, m, rad].
+            z: (k, nb) command minus velocity [m/s, rad/s].
+            v_ref: (k, nb) reference velocity [m/s, rad/s].
+            gains: Those of the law.
+        """
+        raise NotImplementedError
+
+    @staticmethod
+    def largest_gain(gains: Array, speed: float) -> float:
+        """Largest factor from a pose error to the command at a reference speed [m/s]."""
+        raise NotImplementedError
+
+    @classmethod
+    def per_velocity(cls, speed: float, yaw_rate: float) -> list[float]:
+        """A number for translation and one for turning as one for every base velocity."""
+        return [yaw_rate if name == "w" else speed for name in cls.velocity_names]
+
+    # -- its maps -----------------------------------------------------------------------------------------------------
+
     @property
-    def velocity_names(self) -> tuple[str, ...]:
-        """Names of the nb base velocities: `v`, or `vx`, `vy`, in the control frame [m/s], `w` to the left [rad/s]."""
-        return {"fixed": (), "differential_drive": ("v", "w"), "holonomic": ("vx", "vy", "w")}[self.kind]
+    def root_size(self) -> int:
+        """Number of velocities of the model's root joint: 3 of a planar one where the base moves, else 0."""
+        return 3 if self.columns else 0
+
+    @property
+    def is_pushed(self) -> bool:
+        """Whether forces on its frame drive it, in the place of wheels."""
+        return False
 
     @property
     def locked(self) -> tuple[str, ...]:
@@ -144,11 +175,6 @@ class Base:
     def axle_x(self) -> float:
         """Where the control frame lies along the root link's x [m]."""
         return float(self.frame[0])
-
-    @property
-    def columns(self) -> list[int]:
-        """Which of the control frame's `(vx, vy, w)` the base velocities are."""
-        return {"fixed": [], "differential_drive": [0, 2], "holonomic": [0, 1, 2]}[self.kind]
 
     @cached_property
     def to_control(self) -> Array:
@@ -172,8 +198,8 @@ class Base:
 
     @cached_property
     def slip_rows(self) -> Array:
-        """(k, 3) rows on the root's planar velocity that vanish: no motion along y for a differential drive."""
-        return self.to_control[1:2] if self.kind == "differential_drive" else np.zeros((0, 3))
+        """(3 - nb, 3) rows on the root's planar velocity that vanish: no motion along y for a differential drive."""
+        return self.to_control[[i for i in range(3) if i not in self.columns]] if self.columns else np.zeros((0, 3))
 
     @cached_property
     def rolling_rows(self) -> Array:
@@ -181,14 +207,26 @@ class Base:
         return np.array([w.grip @ self.to_control for w in self.wheels]).reshape(-1, 3)
 
 
-@dataclass(frozen=True, eq=False)
-class Understood:
-    """A base, and what was noticed on the way.
+class Fixed(Base):
+    """A base that stands still, and has no law."""
 
-    Attributes:
-        base: The base.
-        findings: Warnings and notes.
-    """
+    kind = "fixed"
+    words = "fixed arms"
+    velocity_names = ()
+    columns: ClassVar[list[int]] = []
+    gain_names = ()
 
-    base: Base
-    findings: tuple[Finding, ...] = ()
+    @staticmethod
+    def linear_errors(v_ref: Array, gains: Array) -> LinearErrors:
+        """See `Base.linear_errors`: there is no pose."""
+        return LinearErrors(np.zeros((0, 0)), np.zeros((0, 0)), np.zeros((0, 0)))
+
+    @staticmethod
+    def pose_energy(error: Array, z: Array, v_ref: Array, gains: Array) -> PoseEnergy | None:
+        """See `Base.pose_energy`: there is no pose."""
+        return PoseEnergy(*np.zeros((3, len(z))))
+
+    @staticmethod
+    def largest_gain(gains: Array, speed: float) -> float:
+        """See `Base.largest_gain`: there is no command."""
+        return 0.0

@@ -18,8 +18,8 @@ from lxml import etree
 
 from mmnn_pin.signals import Array
 
-from ..urdf.parsing import number_problem
 from ..urdf.shapes import HORIZONTAL, AtRest
+from ..urdf.xml import number_problem
 from .wheels import Candidate
 
 Meaning = Literal["holonomic", "skid-steer"]

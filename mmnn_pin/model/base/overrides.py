@@ -27,7 +27,7 @@ from ...errors import ConfigError, UnknownName
 from ...settings import Settings, wrong_type
 from ..robots import package_dirs_of
 from ..urdf.finding import Finding
-from .base import KINDS
+from . import KINDS
 
 SMALLEST, LARGEST = 1e-4, 1e3  # [m] what a radius and a track can be
 
@@ -97,15 +97,15 @@ class Overrides(Settings, frozen=True):
 
     def over(self, other: Overrides) -> Overrides:
         """These, and the other ones where these say nothing."""
-        return msgspec.structs.replace(other, **self.said())
+        return msgspec.structs.replace(other, **self.stated())
 
-    def said(self) -> dict[str, Any]:
+    def stated(self) -> dict[str, Any]:
         """What differs from the default: a key and a value for each thing said."""
         default = Overrides()
         return {f: getattr(self, f) for f in self.__struct_fields__ if getattr(self, f) != getattr(default, f)}
 
 
-def said_of(urdf: Path, said: Overrides) -> tuple[Overrides, tuple[Finding, ...]]:
+def with_file(urdf: Path, overrides: Overrides) -> tuple[Overrides, tuple[Finding, ...]]:
     """What is said about a file, in the call and in the file of overrides beside it, and the note that tells of it.
 
     Raises:
@@ -113,23 +113,23 @@ def said_of(urdf: Path, said: Overrides) -> tuple[Overrides, tuple[Finding, ...]
     """
     file = beside(urdf)
     if not os.path.isfile(file):  # which has no opinion on names that no file system takes
-        return said, ()
+        return overrides, ()
     text = "it says what the loader does not look for"
     note = Finding("note", "overrides", str(file), 1, "", f"overrides of {urdf.name} are read from here", text)
-    return said.over(read_overrides(file)), (note,)
+    return overrides.over(read_overrides(file)), (note,)
 
 
-def folders_of(urdf: Path, said: Overrides) -> tuple[Path, ...]:
+def folders_of(urdf: Path, overrides: Overrides) -> tuple[Path, ...]:
     """Folders that hold the packages of a file's meshes: those that are said, and that of example-robot-data.
 
     Raises:
         ConfigError: One that is said does not exist.
     """
-    for folder in said.package_dirs:
+    for folder in overrides.package_dirs:
         if not os.path.isdir(folder):
             fix = "name the folder that holds the packages"
             raise ConfigError("no such folder", fix=fix, file=folder, key="package_dirs")
-    return (*map(Path, said.package_dirs), *package_dirs_of(urdf))
+    return (*map(Path, overrides.package_dirs), *package_dirs_of(urdf))
 
 
 def finite(text: str) -> float:

@@ -16,14 +16,14 @@ import numpy as np
 
 from mmnn_pin.signals import Array
 
-from ..urdf.parsing import Joint
+from ..urdf.document import Joint
 from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, round_about
 
 TOUCHING = 0.2  # a wheel's lowest point may be off the floor by this fraction of the radius
 COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
 TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
 LUMPY = "not round"
-HUB, SAID = "hub height", "radius as you said"  # shapes of wheels whose body cannot be read
+HUB, STATED = "hub height", "radius as you said"  # shapes of wheels whose body cannot be read
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
 ROLLERS = 4  # so many bodies that turn freely on a wheel are its rollers
 
@@ -39,7 +39,7 @@ class Candidate:
         axis: (3,) its axis.
         centre: (3,) middle of the round body on the axis [m].
         radius: [m], nan while unknown.
-        shape: `cylinder`, `sphere`, `mesh`, `unknown`, or where the radius is from instead, `HUB` or `SAID`.
+        shape: `cylinder`, `sphere`, `mesh`, `unknown`, or where the radius is from instead, `HUB` or `STATED`.
         mount: What it hangs on: a free `swivel`, a `steering` joint, a `leg`, or nothing that turns.
         trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
@@ -71,13 +71,13 @@ class Candidate:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Candidates:
     """What may be wheels, in the root frame at rest.
 
     Attributes:
         wheels: Those on the floor.
-        odd: When there are none, what could be wheels but for one thing: it hangs in the air, its axle is tilted, or
-            nothing tells its radius (nan).
+        near_misses: When there are none, what could be wheels but for one thing: it hangs in the air, its axle is
+            tilted, or nothing tells its radius (nan).
         floor: Height of the floor: the lowest that any link reaches as far as primitives, centres of mass and wheels
             tell [m].
         footing: Height of the floor where something tells that it is the floor, else nan [m].
@@ -85,13 +85,13 @@ class Seen:
     """
 
     wheels: list[Candidate]
-    odd: list[Candidate]
+    near_misses: list[Candidate]
     floor: float
     footing: float
     limited: list[Candidate] = field(default_factory=list)
 
 
-def wheel_candidates(rest: AtRest, radius: float | None = None) -> Seen:
+def wheel_candidates(rest: AtRest, radius: float | None = None) -> Candidates:
     """What may be wheels.
 
     Args:
@@ -111,16 +111,16 @@ def wheel_candidates(rest: AtRest, radius: float | None = None) -> Seen:
     known += on_floor(unknown, known, footing, radius)
     lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
     floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
-    touching = [c for c in known if c.shape == SAID or abs(c.bottom - floor) <= TOUCHING * c.radius]
+    touching = [c for c in known if c.shape == STATED or abs(c.bottom - floor) <= TOUCHING * c.radius]
     limited = limited_wheels(rest, known, floor)
     if touching:
-        return Seen(touching, [], floor, footing, limited)
+        return Candidates(touching, [], floor, footing, limited)
     known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
     standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
     hanging = [c for c in known if is_axle(rest, c, known)]
     lying = [c for c in upright if c.shape not in ("unknown", LUMPY) and is_axle(rest, c, upright)]
     turning = [c for c in lumpy if is_axle(rest, c, lumpy)]
-    return Seen([], hanging or standing or lying or turning, floor, footing, limited)
+    return Candidates([], hanging or standing or lying or turning, floor, footing, limited)
 
 
 def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[Candidate]:
@@ -189,7 +189,7 @@ def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
     return [joint for joint in above if joint.type != "prismatic"]
 
 
-def on_floor(unknown: list[Candidate], known: list[Candidate], footing: float, said: float | None) -> list[Candidate]:
+def on_floor(unknown: list[Candidate], known: list[Candidate], footing: float, stated: float | None) -> list[Candidate]:
     """Bodies of unknown shape that have a coaxial partner: wheels of the radius that is said, else of the hub's height.
 
     The radius is nan where nothing tells the floor.
@@ -197,10 +197,10 @@ def on_floor(unknown: list[Candidate], known: list[Candidate], footing: float, s
     wheels = []
     for c in unknown:
         partners = [o for o in known + unknown if o is not c and coaxial(c, o)]
-        radius = said if said is not None else float(c.centre[2] - footing)
+        radius = stated if stated is not None else float(c.centre[2] - footing)
         if partners and not (radius <= 0 or radius >= np.linalg.norm(partners[0].centre - c.centre)):
             blind = "unknown" if math.isnan(radius) else HUB
-            wheels.append(replace(c, radius=radius, shape=blind if said is None else SAID))
+            wheels.append(replace(c, radius=radius, shape=blind if stated is None else STATED))
     return wheels
 
 

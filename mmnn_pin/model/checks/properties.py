@@ -1,25 +1,44 @@
 """The properties that the thesis's proof rests on, checked at random states.
 
-`check_properties` takes the worst residual (`residuals`, `passivity`) over random states (`sampling`). A sample is not
-a proof: M_min, M_max and C_b are what was found, the true bounds may lie a little outside.
+`check_properties` takes the worst of the `residuals` over random states. A sample is not a proof: M_min, M_max and C_b
+are what was found, the true bounds may lie a little outside. Positions are uniform within the limits (unlimited angles
+within +-pi, other unlimited travel and the base's place within +-1 m), velocities standard normal in SI units.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...errors import RobotError
 from ...signals import Array
+from ..base.differential import DifferentialDrive
 from ..robot import Robot
 from .nonholonomy import Nonholonomy, nonholonomy
-from .passivity import energy_leak
-from .residuals import DEFINITE, EXACT, annihilation, independence, missing_constraints
-from .sampling import bounds_at, fastest, random_state, residuals_at, world_rate_residual
-from .terms import Terms
-from .world_frame import WorldFrame
+from .residuals import (
+    DEFINITE,
+    EXACT,
+    STENCIL,
+    STEP,
+    Terms,
+    annihilation,
+    asymmetry,
+    block_residual,
+    cross_residual,
+    energy_leak,
+    independence,
+    largest,
+    missing_constraints,
+    nonlinearity,
+    rate_along,
+    skewness,
+    smallest_eigenvalue,
+)
+from .second_answers import SecondKinematics, WorldFrame
 
+PLACED = 5  # states at which placements are compared: yourdfpy takes its time
 TOLERANCE = 1e-6  # of residuals of differences in time; rounding alone gives about 1e-10
 
 
@@ -60,6 +79,7 @@ PROPERTIES: dict[str, tuple[float, bool, str]] = {
     "constraint_rank": (0.0, False, "rank A = nv - p: every motion that the wheels permit"),
     "full_rank": (EXACT, True, "least singular value of S > 0, S with columns of unit length"),
     "passive": (TOLERANCE, False, "energy gained = work of the torques - loss by friction >= 0"),
+    "forward_kinematics": (EXACT, False, "yourdfpy places every link where Pinocchio does"),
 }
 
 
@@ -89,6 +109,7 @@ class Report:
         properties: Name to property, those that the robot can have.
         bounds: Estimated bounds.
         nonholonomic: The Frobenius test.
+        skipped: Properties that could not be checked, and why.
     """
 
     robot: str
@@ -97,6 +118,7 @@ class Report:
     properties: dict[str, Property]
     bounds: Bounds
     nonholonomic: Nonholonomy
+    skipped: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -123,9 +145,13 @@ def check_properties(
         world: The world-frame form to judge; None for ours (differential drives only).
         progress: Called now and then with the fraction done.
     """
-    terms = terms or Terms(robot)
-    if world is None and robot.base.kind == "differential_drive":
+    terms, kinematics, skipped = terms or Terms(robot), None, {}
+    if world is None and isinstance(robot.base, DifferentialDrive):
         world = WorldFrame(robot)
+    try:
+        kinematics = SecondKinematics(robot)
+    except RobotError as error:
+        skipped["forward_kinematics"] = ": ".join(filter(None, (error.what, error.why)))
     rng = np.random.default_rng(seed)
     found = {"constraint": annihilation(terms.A, terms.T), "full_rank": independence(terms.T)}
     found["constraint_rank"] = missing_constraints(terms.A, terms.T)
@@ -136,6 +162,8 @@ def check_properties(
         if world is not None:
             numbers["reduced_rate_world"] = world_rate_residual(world, position, nu, fastest(terms.T @ nu))
         numbers["passive"] = energy_leak(terms, position, rng)
+        if kinematics is not None and k < PLACED:
+            numbers["forward_kinematics"] = kinematics.residual(position)
         for name, value in numbers.items():
             found[name] = worse(found.get(name), value, PROPERTIES[name][1])
         ranges.append(bounds_at(terms, position, nu))
@@ -144,7 +172,7 @@ def check_properties(
     properties = {name: Property(found[name], *PROPERTIES[name]) for name in PROPERTIES if name in found}
     low, high, coriolis = np.array(ranges).T
     bounds = Bounds(float(low.min()), float(high.max()), float(coriolis.max()))
-    return Report(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng))
+    return Report(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped)
 
 
 def worse(a: float | None, b: float, at_least: bool) -> float:
@@ -154,3 +182,77 @@ def worse(a: float | None, b: float, at_least: bool) -> float:
     if np.isnan(a):
         return a
     return min(a, b) if at_least else max(a, b)
+
+
+# -- one random state --------------------------------------------------------------------------------------------------
+
+
+def random_state(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Position (nv,), a velocity of the full model (nv,) and one that the wheels permit, nu (p,); see the top."""
+    free = np.isinf(robot.lower) | np.isinf(robot.upper)
+    reach = np.where(robot.is_continuous.astype(bool) | revolute(robot), np.pi, 1.0)
+    rest = robot.neutral_position()
+    lower, upper = np.where(free, rest - reach, robot.lower), np.where(free, rest + reach, robot.upper)
+    lower, upper = np.maximum(lower, robot.lower), np.minimum(upper, robot.upper)
+    position = robot.follow(rng.uniform(lower, upper))
+    return position, rng.standard_normal(robot.layout.full), rng.standard_normal(robot.layout.dof)
+
+
+def revolute(robot: Robot) -> Array:
+    """Which positions are angles, (nv,) bool."""
+    root = robot.layout.pose
+    kinds = [joint.shortname().removeprefix("JointModel") for joint in robot.model.joints][2 if root else 1 :]
+    return np.array([False, False, True][:root] + ["R" in kind for kind in kinds])
+
+
+def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str, float]:
+    """Residuals of M and C at one state, of the full model moving with v and of the reduced one moving with nu."""
+    robot, model = terms.robot, terms.model
+    q, speed = robot.configuration(position), fastest(v)
+    M, C = terms.mass(q), terms.coriolis(q, v)
+    Mdot = rate_along(terms.mass, model, q, v, speed)
+    arm = robot.arm_index
+    base = np.setdiff1d(np.arange(len(M)), arm)
+    numbers = {
+        "symmetric": asymmetry(M),
+        "positive_definite": smallest_eigenvalue(M),
+        "property_1": nonlinearity(lambda v: terms.coriolis(q, v), v, M, speed),
+        "property_2": skewness(M, Mdot, C, speed),
+        "property_3": max(block_residual(M, Mdot, C, speed, part) for part in (base, arm)),
+    }
+    if base.size and arm.size:
+        numbers["property_4"] = cross_residual(M, Mdot, C, speed, base, arm)
+    moving = terms.T @ nu
+    speed = fastest(moving)
+    Mbar, Cbar = terms.reduced_mass(q), terms.reduced_coriolis(q, nu)
+    rate = rate_along(terms.reduced_mass, model, q, moving, speed)
+    numbers["reduced_rate"] = skewness(Mbar, rate, Cbar, speed)
+    nb = robot.layout.base
+    if nb:
+        numbers["property_5"] = block_residual(Mbar, rate, Cbar, speed, np.arange(nb))
+    return numbers
+
+
+def world_rate_residual(world: WorldFrame, position: Array, nu: Array, speed: float) -> float:
+    """Skewness of `Mbardot - 2 Cbar` in the thesis's world coordinates, where S turns and `S' M Sdot` counts (2.23)."""
+    q = world.coordinates(position)
+    qdot, h = world.null_space(q[2]) @ nu, STEP / speed
+    # Any path through q with the rate qdot has this derivative; the straight one is the simplest.
+    Mdot = np.sum([w * world.reduced_mass_matrix(q + i * h * qdot) for i, w in STENCIL], axis=0) / h
+    return skewness(world.reduced_mass_matrix(q), Mdot, world.reduced_coriolis_matrix(q, nu), speed)
+
+
+def bounds_at(terms: Terms, position: Array, nu: Array) -> Array:
+    """Least and largest eigenvalue of Mbar, and the largest `||Cbar|| / ||nu||` of nu and of every velocity alone."""
+    q = terms.robot.configuration(position)
+    M = terms.reduced_mass(q)
+    C = np.array([terms.reduced_coriolis(q, d) for d in (nu / np.linalg.norm(nu), *np.eye(nu.size))])
+    if not (np.isfinite(M).all() and np.isfinite(C).all()):
+        return np.full(3, np.nan)
+    eigenvalues = np.linalg.eigvalsh(M)
+    return np.array([eigenvalues[0], eigenvalues[-1], np.linalg.norm(C, 2, axis=(1, 2)).max()])
+
+
+def fastest(v: Array) -> float:
+    """Largest rate of a motion, at least 1e-3 [rad/s or m/s]."""
+    return max(1e-3, largest(v))

@@ -2,22 +2,74 @@
 
 Every residual is scale-free. Mass matrices are judged as `D M D` with `D = diag(M)^(-1/2)`, which has ones on its
 diagonal whatever the masses and units are, and rates of them are divided by the rate of the motion. So one tolerance
-serves a robot of 3 kg and one of 300 kg.
+serves a robot of 3 kg and one of 300 kg. `Terms` are the matrices that are judged; passivity is judged along motions.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
 
 from ...signals import Array, IntArray
+from ..reduction import COULOMB_SPEED
+from ..robot import Robot
 
 EXACT = 1e-9  # of residuals of algebra
+
 DEFINITE = 1e-12  # least eigenvalue of a mass matrix with ones on its diagonal
+
 STEP = 1e-3  # of differences along a motion, times its largest rate
+
 STENCIL = ((-2, 1 / 12), (-1, -8 / 12), (1, 8 / 12), (2, -1 / 12))  # fourth-order central difference
+
+
+class Terms:
+    """The matrices of one robot at a state, in the full model's velocities (2.11) and reduced by T (2.23)-(2.25).
+
+    The checks ask here for everything that they judge; a subclass can replace a term by a wrong one.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self.model, self.data = robot, robot.model, robot.model.createData()
+        self.T, self.A = robot.T, robot.A
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix M of the full model at Pinocchio's q, (nv, nv)."""
+        return pin.crba(self.model, self.data, q).copy()
+
+    def coriolis(self, q: Array, v: Array) -> Array:
+        """Coriolis matrix C of the full model, (nv, nv)."""
+        return pin.computeCoriolisMatrix(self.model, self.data, q, v).copy()
+
+    def gravity(self, q: Array) -> Array:
+        """Gravity of the full model, (nv,)."""
+        return pin.computeGeneralizedGravity(self.model, self.data, q).copy()
+
+    def potential(self, q: Array) -> float:
+        """Potential energy [J]."""
+        return float(pin.computePotentialEnergy(self.model, self.data, q))
+
+    def friction(self, nu: Array) -> Array:
+        """Friction of joints and base on nu, (p,), opposing the motion."""
+        robot, v = self.robot, self.T @ nu
+        return self.T.T @ (robot.damping * v + robot.dry_friction(v) * np.tanh(v / COULOMB_SPEED)) + robot.viscous * nu
+
+    def reduced_mass(self, q: Array) -> Array:
+        """Mbar = T' M T, (p, p)."""
+        return self.T.T @ self.mass(q) @ self.T
+
+    def reduced_coriolis(self, q: Array, nu: Array) -> Array:
+        """Cbar = T' C T, (p, p); T is constant in body velocities."""
+        return self.T.T @ self.coriolis(q, self.T @ nu) @ self.T
+
+
+# -- of matrices -------------------------------------------------------------------------------------------------------
 
 
 def asymmetry(M: Array) -> float:
@@ -93,3 +145,73 @@ def weights(M: Array) -> Array:
 def largest(values: Array) -> float:
     """Largest magnitude, nan where there is one; 0 of nothing."""
     return float(np.max(abs(values), initial=0.0))
+
+
+# -- along motions -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A smooth motion of all independent velocities: `nu = a sin(b t + c)`, each (p,)."""
+
+    a: Array
+    b: Array
+    c: Array
+
+    @classmethod
+    def random(cls, p: int, rng: np.random.Generator) -> Motion:
+        """Of speeds about one, turning within a second or a few."""
+        return cls(rng.standard_normal(p), rng.uniform(1.0, 6.0, p), rng.uniform(0.0, 2 * np.pi, p))
+
+    def nu(self, t: float) -> Array:
+        """Velocities."""
+        return self.a * np.sin(self.b * t + self.c)
+
+    def nudot(self, t: float) -> Array:
+        """Accelerations."""
+        return self.a * self.b * np.cos(self.b * t + self.c)
+
+    def travel(self, t: float) -> Array:
+        """Integral of the velocities from 0 to t."""
+        return self.a / self.b * (np.cos(self.c) - np.cos(self.b * t + self.c))
+
+
+def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: int = 24) -> float:
+    """Passivity: energy gained along a random motion, minus the work of the torques and the loss by friction.
+
+    The motion is a sum of sines over half a second, the torque the one that drives it, `tau = Mbar nudot + Cbar nu +
+    gravity + friction` (2.23), the work its integral by Gauss-Legendre. Friction that feeds energy counts as a leak.
+    The residual is divided by the sum of the magnitudes of all powers, integrated.
+    """
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    duration = 0.5
+    motion = Motion.random(terms.robot.layout.dof, rng)
+    net, total, fed = 0.0, 0.0, 0.0
+    for t, weight in zip((1 + x) * duration / 2, w * duration / 2, strict=True):
+        nu, nudot = motion.nu(t), motion.nudot(t)
+        q = configuration_along(terms, position, motion, t)
+        friction = float(nu @ terms.friction(nu))
+        conservative = (
+            float(nu @ terms.reduced_mass(q) @ nudot),
+            float(nu @ terms.reduced_coriolis(q, nu) @ nu),
+            float(nu @ (terms.T.T @ terms.gravity(q))),
+        )
+        net += weight * sum(conservative)
+        fed += weight * max(0.0, -friction)
+        total += weight * (sum(map(abs, conservative)) + abs(friction))
+    gained = energy_at(terms, position, motion, duration) - energy_at(terms, position, motion, 0.0)
+    return (abs(gained - net) + fed) / max(total, np.finfo(float).tiny)
+
+
+def configuration_along(terms: Terms, position: Array, motion: Motion, t: float) -> Array:
+    """Pinocchio's q after a time of a motion; the base stays at its place, on which no energy depends, and turns."""
+    root = terms.robot.layout.pose
+    travel = terms.T @ motion.travel(t)
+    travel[: max(0, root - 1)] = 0.0
+    return terms.robot.configuration(position + travel)
+
+
+def energy_at(terms: Terms, position: Array, motion: Motion, t: float) -> float:
+    """Kinetic and potential energy after a time of a motion [J]."""
+    q, nu = configuration_along(terms, position, motion, t), motion.nu(t)
+    return float(nu @ terms.reduced_mass(q) @ nu) / 2 + terms.potential(q)

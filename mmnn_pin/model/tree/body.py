@@ -1,4 +1,4 @@
-"""A robot as arrays, and its terms at a state: what compiled loops have instead of Pinocchio.
+"""A known robot as arrays: its terms at a state, what compiled loops have instead of Pinocchio, and its theta.
 
 The flattened tree is checked against Pinocchio when it is built.
 """
@@ -14,6 +14,7 @@ from ...compiled import compiled
 from ...signals import Array, IntArray
 from ..dynamics import Dynamics
 from ..reduction import friction, quadratic, spread
+from ..regressor import inertial_parameters, moving_joints
 from ..robot import Robot
 from .dynamics import potential_energy, terms
 from .motion import Tree, new_scratch
@@ -95,6 +96,30 @@ def new_work(body: Body) -> Work:
     size = nv + p + 1
     shapes = ((nv,), (p, p), (p,), (p,), (p, p), (p,), (nv, p + 2), (nv,), (size,), (size,), (size,))
     return Work(new_scratch(body.tree), *(np.zeros(shape) for shape in shapes))
+
+
+def parameters(robot: Robot) -> Array:
+    """Parameters of a robot, (k,): `Y theta` is its Psi where dry friction is Coulomb's alone (no `breakaway`).
+
+    Friction on a joint's velocity counts as friction of the joint.
+
+    Raises:
+        RobotError: A joint that cannot be flattened.
+    """
+    layout, T = robot.layout, np.array(robot.T)
+    frame = tuple(robot.frame) if layout.base else (0.0, 0.0, 0.0)
+    tree = flatten(robot.model, T, robot.neutral_position(), frame, absorb=False)
+    moving, viscous = moving_joints(T, layout.base), robot.damping.copy()
+    viscous[robot.arm_index] += robot.viscous[layout.base :]
+    return np.concatenate(
+        (
+            inertial_parameters(tree, layout.base),
+            robot.model.armature[moving],
+            robot.viscous[: layout.base],
+            viscous[moving],
+            robot.coulomb[moving],
+        )
+    )
 
 
 @compiled

@@ -13,7 +13,7 @@ from lxml import etree
 from mmnn_pin.signals import Array
 
 from .finding import Finding
-from .reading import number, numbers
+from .xml import number, numbers
 
 KEPT = ("links", "joints", "children", "carrier")  # properties of a tree that are read out once
 TEN_TURNS = 20 * math.pi  # a revolute joint with more travel than this [rad] counts as unlimited

@@ -10,8 +10,6 @@ from lxml import etree
 
 from mmnn_pin.errors import RobotError
 
-from .reading import label
-
 # Severity by code; docs/urdf-audit.md tells each with its reason. `strict`: a warning that strictness makes an error.
 CODES = {
     # the file
@@ -169,3 +167,12 @@ class AuditError(RobotError):
     def __str__(self) -> str:
         others = [f for f in self.findings if f.severity != "error"]
         return "\n".join(str(f) for f in [*self.errors, *others])
+
+
+def label(element: etree._Element) -> str:
+    """The link, joint or other child of the root that an element belongs to, in words."""
+    parent = element.getparent()
+    while parent is not None and parent.getparent() is not None:
+        element, parent = parent, parent.getparent()
+    name = element.get("name")
+    return f"<{element.tag}>" if name is None else f"{element.tag} '{name}'"

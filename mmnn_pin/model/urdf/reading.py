@@ -1,107 +1,352 @@
-"""Numbers and names out of XML, as strictly as the audit wants them; what is bad reads as nan, which judges nothing."""
+"""A URDF file, read strictly: what would make a loader guess, drop or crash is refused with its line.
+
+Pinocchio's parser drops a whole `<inertial>` over one bad number and hides the reasons of its refusals on C++ stderr,
+so the file is audited first (docs/urdf-audit.md lists the codes). What passes is also what Pinocchio gets:
+`Document.text` is the parsed tree written out again, free of declarations, comments and namespaces.
+
+A check is a function from the `<robot>` element, or what it holds, to its findings; `audit` runs them all. Those of
+single elements and files are here, those of joints, bodies and the tree that they make in `mechanism`.
+"""
 
 from __future__ import annotations
 
-import math
-import re
-from dataclasses import dataclass
+import hashlib
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from pathlib import Path
 
-import numpy as np
 from lxml import etree
 
-from mmnn_pin.signals import Array
+from .document import Document, Tree
+from .finding import AuditError, Finding, finding, settle
+from .mechanism import (
+    bad_bodies,
+    bad_joints,
+    bad_mimics,
+    bad_names,
+    bad_tree,
+    degrees,
+    millimetres,
+    no_inertials,
+    too_large,
+)
+from .shapes import NO_SHAPE, MeshFile, damage_of, locate
+from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml
 
-from .schema import KNOWN, ONCE
+MAX_BYTES = 50_000_000
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+# Attributes that hold numbers: how many, by element; those in REQUIRED must be there.
+NUMBERS: dict[str, dict[str, int]] = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+    "dynamics": {"damping": 1, "friction": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
+    "safety_controller": dict.fromkeys(("soft_lower_limit", "soft_upper_limit", "k_position", "k_velocity"), 1),
+    "calibration": {"rising": 1, "falling": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "box": {"size": 3},
+    "mesh": {"scale": 3},
+    "color": {"rgba": 4},
+}
 
+REQUIRED: dict[str, tuple[str, ...]] = {
+    "axis": ("xyz",),
+    "mass": ("value",),
+    "inertia": tuple(NUMBERS["inertia"]),
+    "limit": ("effort", "velocity"),
+    "safety_controller": ("k_velocity",),
+    "cylinder": ("radius", "length"),
+    "capsule": ("radius", "length"),
+    "sphere": ("radius",),
+    "box": ("size",),
+    "mesh": ("filename",),
+    "mimic": ("joint",),
+}
 
-@lru_cache(maxsize=8192)
-def read_numbers(text: str) -> tuple[float, ...]:
-    """Decimal numbers; nan for each word of another kind or beyond what a double holds."""
-    values = (float(word) if NUMBER.fullmatch(word) else math.nan for word in text.split())
-    return tuple(math.nan if math.isinf(value) else value for value in values)
-
-
-@lru_cache(maxsize=8192)
-def largest(text: str | None) -> float:
-    """Largest magnitude of some numbers, 0 where there are none or a bad one."""
-    values = () if text is None else read_numbers(text)
-    return 0.0 if any(math.isnan(value) for value in values) else max(map(abs, values), default=0.0)
-
-
-def number(element: etree._Element | None, key: str, default: float) -> float:
-    """A number of an attribute, the default where it is not stated, nan where it is bad."""
-    text = None if element is None else element.get(key)
-    if text is None:
-        return default
-    values = read_numbers(text)
-    return values[0] if len(values) == 1 else math.nan
-
-
-def numbers(
-    element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)
-) -> tuple[float, ...]:
-    """Numbers of an attribute, the default where they are not stated, nan where they are bad or not as many."""
-    text = None if element is None else element.get(key)
-    values = default if text is None else read_numbers(text)
-    return values if len(values) == len(default) else (math.nan,) * len(default)
-
-
-def vector(element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Array:
-    """The same as an array."""
-    return np.array(numbers(element, key, default))
+SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",), "box": ("size",)}
 
 
-@dataclass(frozen=True)
-class Own:
-    """What URDF defines of a file, not what extensions hold; read out once, because lxml takes its time.
+def read(path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()) -> Document:
+    """Read and audit a URDF file.
 
-    Attributes:
-        elements: Elements by tag.
-        texts: Element, tag, and key and text of its attributes, of every element that has some.
-        strangers: Element, tag and tag of the parent of what URDF does not have in that place.
-        again: The same of second copies of what may stand once.
+    Args:
+        path: The file.
+        strict: Whether impossible inertias and implausible sizes are errors rather than warnings.
+        package_dirs: Folders that hold the packages of `package://` meshes.
+
+    Raises:
+        RobotError: The file cannot be read, is not a URDF, or the audit refuses it; its `findings` are all that was
+            found, its message tells them one per line.
     """
-
-    elements: dict[str, list[etree._Element]]
-    texts: list[tuple[etree._Element, str, list[tuple[str, str]]]]
-    strangers: list[tuple[etree._Element, str, str]]
-    again: list[tuple[etree._Element, str, str]]
-
-    def __getitem__(self, tag: str) -> list[etree._Element]:
-        return self.elements[tag]
-
-    @classmethod
-    def of(cls, root: etree._Element) -> Own:
-        """What a `<robot>` element holds."""
-        own = cls({tag: [] for tag in KNOWN}, [], [], [])
-        pending = [(root, "robot")]
-        for element, tag in pending:
-            own.elements[tag].append(element)
-            if items := element.items():
-                own.texts.append((element, tag, items))
-            children, once = KNOWN[tag][0], ONCE.get(tag, ())
-            seen = set()
-            for child in element if len(element) else ():
-                name = child.tag
-                if name in children and name in KNOWN:
-                    pending.append((child, name))
-                else:
-                    own.strangers.append((child, name, tag))
-                kind = "shape" if tag == "geometry" and name in children else name
-                if kind in once:
-                    if kind in seen:
-                        own.again.append((child, name, tag))
-                    seen.add(kind)
-        return own
+    return accepted(*audit_file(path, strict, package_dirs))
 
 
-def label(element: etree._Element) -> str:
-    """The link, joint or other child of the root that an element belongs to, in words."""
-    parent = element.getparent()
-    while parent is not None and parent.getparent() is not None:
-        element, parent = parent, parent.getparent()
-    name = element.get("name")
-    return f"<{element.tag}>" if name is None else f"{element.tag} '{name}'"
+def parse(data: bytes, path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()) -> Document:
+    """Audit a URDF given as bytes.
+
+    Args:
+        data: The file's content.
+        path: Name for messages, and the place that relative mesh paths start from.
+        strict: As in `read`.
+        package_dirs: As in `read`.
+
+    Raises:
+        RobotError: As in `read`.
+    """
+    return accepted(*audit_data(data, path, strict, package_dirs))
+
+
+def accepted(document: Document | None, findings: tuple[Finding, ...]) -> Document:
+    """The document of an audit.
+
+    Raises:
+        AuditError: There is none.
+    """
+    if document is None:
+        raise AuditError(findings)
+    return document
+
+
+def audit_file(
+    path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()
+) -> tuple[Document | None, tuple[Finding, ...]]:
+    """Everything there is to say about a file, in one pass, and its document when nothing forbids to load it.
+
+    Args:
+        path: The file.
+        strict: As in `read`.
+        package_dirs: As in `read`.
+    """
+    path = Path(path)
+    try:
+        if path.exists() and not (path.is_file() or path.is_dir()):
+            raise ValueError("not a regular file")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+    except FileNotFoundError:
+        problem = "no such file"
+    except IsADirectoryError:
+        problem = "is a folder, not a URDF file"
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror})"
+    except ValueError as error:
+        problem = f"cannot be read ({error})"
+    else:
+        if len(data) <= MAX_BYTES:
+            return audit_data(data, path, strict, package_dirs)
+        problem = f"has more than {MAX_BYTES // 1_000_000} MB"
+    return None, settle([finding("file", 1, problem)], path, strict)
+
+
+def audit_data(
+    data: bytes, path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()
+) -> tuple[Document | None, tuple[Finding, ...]]:
+    """The same for a file's content.
+
+    Args:
+        data: The content.
+        path: Name for messages, and the place that relative mesh paths start from.
+        strict: As in `read`.
+        package_dirs: As in `read`.
+    """
+    path = Path(path)
+    root, found = parse_xml(data)
+    if root is not None:
+        found += audit(tree := Tree(root), path, package_dirs)
+    findings = settle(found, path, strict)
+    if root is None or any(f.severity == "error" for f in findings):
+        return None, findings
+    return Document.of(tree, path, hashlib.sha256(data).hexdigest(), findings), findings
+
+
+def audit(tree: Tree, path: Path, package_dirs: Sequence[str | Path] = ()) -> list[Finding]:
+    """All findings about a `<robot>` element; none of severity error when it may be loaded. Its numbers end up plain.
+
+    Args:
+        tree: The element.
+        path: Its file; relative meshes start from there.
+        package_dirs: Folders that hold packages.
+    """
+    root = tree.root
+    if large := list(too_large(root)):
+        return large
+    elements, unsound = Elements.of(root), [*bad_names(root), *bad_tree(root)]
+    findings = [*unsound, *bad_joints(root), *bad_mimics(root)]
+    findings += [found for check in ELEMENT_CHECKS for found in check(elements)]
+    if not unsound:  # bodies can be judged only in a sound tree
+        findings += [*bad_bodies(tree), *no_inertials(tree)]
+    return [*findings, *bad_meshes(root, path, package_dirs)]
+
+
+# -- tags and attributes -----------------------------------------------------------------------------------------------
+
+
+def misspelt(elements: Elements) -> Iterator[Finding]:
+    """Unknown tags and attributes one edit away from known ones, which a loader would ignore in silence."""
+    for element, tag, parent in elements.unknown:
+        children = KNOWN[parent][0]
+        if tag not in children and (meant := nearest(tag, children)):
+            what = f"unknown tag <{tag}>, one edit away from <{meant}>"
+            yield finding("misspelt-tag", element, what, "it would be ignored", f"write <{meant}>")
+    for element, tag, items in elements.texts:
+        keys = KNOWN[tag][1]
+        for key, _ in items:
+            if key not in keys and (meant := nearest(key, keys)):
+                what = f"unknown attribute '{key}' of <{tag}>, one edit away from '{meant}'"
+                yield finding("misspelt-attribute", element, what, "it would be ignored", f"write '{meant}'")
+
+
+def misplaced(elements: Elements) -> Iterator[Finding]:
+    """Tags of URDF where URDF does not have them, which a loader ignores in silence."""
+    for element, tag, parent in elements.unknown:
+        if tag in KNOWN and parent != "robot":
+            places = [f"<{other}>" for other, (children, _) in KNOWN.items() if tag in children]
+            what, why = f"<{tag}> in <{parent}> is ignored", "URDF does not have it there"
+            yield finding("misplaced-tag", element, what, why, f"move it into {' or '.join(places)}")
+
+
+def repeated(elements: Elements) -> Iterator[Finding]:
+    """Second copies of what may stand once, and materials defined twice."""
+    for element, tag, parent in elements.repeated:
+        what = f"a second shape, <{tag}>, in <geometry>" if parent == "geometry" else f"a second <{tag}> in <{parent}>"
+        yield finding("repeated-tag", element, what, "the first one counts", "delete one of them")
+    seen: set[str] = set()
+    for material in elements["robot"][0].iterchildren("material"):
+        name = material.get("name", "")
+        if name in seen:
+            why = "Pinocchio's parser refuses the file"
+            yield finding("duplicate-material", material, "is defined twice", why, "delete or rename one of them")
+        seen.add(name)
+
+
+# -- numbers -----------------------------------------------------------------------------------------------------------
+
+
+def unexpanded(elements: Elements) -> Iterator[Finding]:
+    """`${...}` and `$(...)`, which xacro would have expanded."""
+    for element, _, items in elements.texts:
+        for key, text in items:
+            if "$" in text and ("${" in text or "$(" in text):
+                what = f"{key} '{text}' is an unexpanded xacro expression"
+                yield finding("xacro", element, what, fix=XACRO_FIX)
+
+
+def bad_numbers(elements: Elements) -> Iterator[Finding]:
+    """Attributes that should hold finite numbers and do not; the others are left with single blanks, none around them.
+
+    Pinocchio's parser drops a whole `<inertial>` over a blank after a mass, a tab or a no-break space.
+    """
+    for tag, needed in REQUIRED.items():
+        for element in elements[tag]:
+            for key in needed:
+                if element.get(key) is None:
+                    yield finding("missing-value", element, f"{key} of <{tag}> is missing", why(tag), "state it")
+    for element, tag, items in elements.texts:
+        counts = NUMBERS.get(tag, {})
+        for key, text in items:
+            if key not in counts or "$" in text:
+                continue
+            problem, plain = number_problem(text, counts[key]), plainly(text)
+            if problem:
+                code = "vector-length" if "number(s)" in problem else "number"
+                fix = f"give {counts[key]} finite number(s) in SI units"
+                yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)
+            elif plain != text:
+                element.set(key, plain)
+
+
+@lru_cache(maxsize=8192)
+def plainly(text: str) -> str:
+    """Words with single blanks between them."""
+    return " ".join(text.split())
+
+
+def incomplete(elements: Elements) -> Iterator[Finding]:
+    """`<inertial>` without mass or inertia, and empty `<dynamics>`, both of which loaders trip over."""
+    for inertial in elements["inertial"]:
+        for tag in ("mass", "inertia"):
+            if inertial.find(tag) is None:
+                yield finding("missing-value", inertial, f"<{tag}> is missing", why(tag), f"add <{tag}>")
+    for dynamics in elements["dynamics"]:
+        if dynamics.get("damping") is None and dynamics.get("friction") is None:
+            reason, fix = "Pinocchio's parser refuses the joint", "state damping or friction, or delete it"
+            yield finding("missing-value", dynamics, "<dynamics> states nothing", reason, fix)
+
+
+def why(tag: str) -> str:
+    """What a bad number in an element leads to."""
+    return "the whole inertial would be dropped" if tag in ("mass", "inertia") else ""
+
+
+# -- shapes and meshes -------------------------------------------------------------------------------------------------
+
+
+def bad_shapes(elements: Elements) -> Iterator[Finding]:
+    """Shapes without a size, with a negative one, or without a shape."""
+    for holder in (*elements["visual"], *elements["collision"]):
+        shapes = (body.tag for geometry in holder.iterchildren("geometry") for body in geometry)
+        if not any(tag in SIZES or tag == "mesh" for tag in shapes):
+            reason, fix = "it is left out", "give a box, cylinder, sphere or mesh"
+            yield finding("no-shape", holder, f"<{holder.tag}> has no shape that URDF knows", reason, fix)
+    for tag in (*SIZES, "mesh"):
+        for body in elements[tag]:
+            yield from bad_sizes(body)
+
+
+def bad_sizes(body: etree._Element) -> Iterator[Finding]:
+    """Negative and zero sizes of one shape."""
+    for key in SIZES.get(body.tag, ()):
+        least = min(numbers(body, key, (1.0,) * NUMBERS[body.tag][key]))
+        what, fix = f"{key} of <{body.tag}> is '{body.get(key)}'", "give a positive size [m]"
+        if least < 0:
+            yield finding("negative-size", body, f"{what}: negative", "a size is at least 0", fix)
+        elif least == 0:
+            yield finding("zero-size", body, f"{what}: zero", "taken as it is", fix)
+    if body.tag == "mesh" and 0 in numbers(body, "scale", (1.0, 1.0, 1.0)):
+        yield finding("zero-size", body, "scale of <mesh> is zero", "taken as it is", "give a scale other than 0")
+
+
+def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Path]) -> Iterator[Finding]:
+    """Meshes that cannot be used: each file once, a package that is not there once for all its files."""
+    named: dict[str, etree._Element] = {}
+    for element in root.iterfind("link/*/geometry/mesh"):
+        name = element.get("filename")
+        if name is not None and not name.strip():
+            yield finding("mesh-missing", element, "the mesh names no file", NO_SHAPE, "name it, or delete the shape")
+        elif name and "$" not in name:
+            named.setdefault(name, element)
+    found = {name: locate(name, urdf, package_dirs) for name in named}
+    absent: dict[str, list[str]] = {}
+    for name, mesh in found.items():
+        absent.setdefault(mesh.package, []).append(name)
+    for name, mesh in found.items():
+        if not mesh.package or absent[mesh.package][0] == name:
+            yield from mesh_finding(named[name], absent[mesh.package] if mesh.package else [name], mesh)
+
+
+def mesh_finding(element: etree._Element, names: list[str], mesh: MeshFile) -> Iterator[Finding]:
+    """What to say about one mesh, or about all meshes of one missing package."""
+    what = f"mesh '{names[0]}'"
+    fix = "give the folder that holds the package with --package-dir"
+    if mesh.package:
+        what = f"package '{mesh.package}' of {len(names)} mesh file(s) is not found ('{names[0]}')"
+        yield finding("mesh-missing", element, what, NO_SHAPE, fix)
+    elif mesh.problem == "missing":
+        yield finding("mesh-missing", element, f"{what} does not exist", NO_SHAPE, "put it there, or " + fix)
+    elif mesh.problem == "remote":
+        yield finding(
+            "mesh-remote", element, f"{what} is remote", f"never fetched; {NO_SHAPE}", "copy it to the package"
+        )
+    elif mesh.problem == "outside":
+        why = f"never opened; {NO_SHAPE}"
+        yield finding("mesh-outside", element, f"{what} is outside the package", why, "move it into the package")
+    elif mesh.file is not None and (damage := damage_of(mesh.file)):
+        yield finding("mesh-corrupt", element, f"{what} is corrupt: {damage}", NO_SHAPE, "export it again")
+
+
+ELEMENT_CHECKS = (misspelt, misplaced, repeated, unexpanded, bad_numbers, incomplete, bad_shapes, millimetres, degrees)

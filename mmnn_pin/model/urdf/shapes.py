@@ -1,32 +1,44 @@
 """A robot at rest, in the root link's frame: where its links are, the shapes on them, and how low they reach.
 
-Everything that is concluded about the base starts from this geometry. Meshes are read only when they are asked for
-(that takes long), and never from outside their package or over the network.
+Everything that is concluded about the base starts from this geometry. Mesh files are looked for inside their package
+and read only when they are asked for (that takes long); nothing is fetched, nothing outside is opened.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from lxml import etree
 
-from mmnn_pin.signals import Array
-
-from .meshes import damage_of, locate
-from .parsing import Document, Joint, number, placement, vector
-from .reading import numbers
+from ...signals import Array
+from .document import Document, Joint, placement
+from .xml import number, numbers, vector
 
 PRIMITIVES = ("cylinder", "sphere", "box")
+
 SHAPES = (*PRIMITIVES, "capsule", "mesh")
+
 AROUND = 0.05  # a wheel's shape may be off its axis by this fraction of the radius
+
 HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
+
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
+
+CHUNK = 65_536  # bytes looked at, at either end of a file
+
+TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
+
+URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
+
+NO_SHAPE = "assumed: no shape; only the radius of a wheel needs it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +217,83 @@ def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
     return radius, float(along.min() + along.max()) / 2
 
 
+# -- mesh files --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """Where a mesh is.
+
+    Attributes:
+        file: The file, None when it must not be opened or does not exist.
+        problem: `missing`, `remote`, `outside`, empty when it is there.
+        package: Name of its package when no folder of that name was found.
+    """
+
+    file: Path | None
+    problem: Literal["", "missing", "remote", "outside"] = ""
+    package: str = ""
+
+
+def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> MeshFile:
+    """Find a mesh without opening it.
+
+    `package://NAME/...` is looked for in the package folders and in every folder above the URDF. Other names start
+    from the URDF's folder; they may stay inside its package (the folder with a `package.xml`, else the one above
+    `urdf/` or `robots/`, else the URDF's own) or inside a package folder.
+
+    Args:
+        name: The file name as the URDF states it.
+        urdf: The URDF file.
+        package_dirs: Folders that hold packages, or are one.
+    """
+    scheme, separator, rest = name.partition("://")
+    if not separator:
+        scheme, rest = "", name
+    folder, given = os.path.abspath(urdf.parent), [os.path.abspath(place) for place in package_dirs]
+    if scheme in ("package", "model"):
+        return in_package(rest, [*given, *upwards(folder)], given)
+    if scheme not in ("", "file"):
+        return MeshFile(None, "remote")
+    files = [os.path.join(base, rest) for base in (folder, *given)]  # an absolute name stays what it is
+    return first_inside(files, [package_of(folder), *given])
+
+
+def in_package(rest: str, tops: list[str], given: list[str]) -> MeshFile:
+    """A mesh named `PACKAGE/path`, in the first folder that holds it."""
+    package, _, inner = rest.lstrip("/").partition("/")
+    if package in ("", ".", ".."):
+        return MeshFile(None, "outside")
+    roots = [os.path.join(top, package) for top in tops]
+    roots += [top for top in given if os.path.basename(top) == package or os.path.exists(os.path.join(top, inner))]
+    roots = [root for root in roots if os.path.isdir(root)]
+    if not roots:
+        return MeshFile(None, "missing", package)
+    found = [first_inside([os.path.join(root, inner)], [root, *given]) for root in roots]
+    return next((mesh for mesh in found if mesh.file), found[0])
+
+
+def first_inside(files: list[str], allowed: list[str]) -> MeshFile:
+    """The first of some files that exists within some folders, links followed."""
+    folders = [os.path.join(os.path.realpath(folder), "") for folder in allowed]
+    inside = [real for file in files if (real := os.path.realpath(file)).startswith(tuple(folders))]
+    if not inside:
+        return MeshFile(None, "outside")
+    return next((MeshFile(Path(file)) for file in inside if os.path.isfile(file)), MeshFile(None, "missing"))
+
+
+def upwards(folder: str) -> list[str]:
+    """A folder and all above it."""
+    return [folder, *map(str, Path(folder).parents)]
+
+
+def package_of(folder: str) -> str:
+    """The package that a URDF in a folder belongs to."""
+    marked = next((p for p in upwards(folder)[:4] if os.path.isfile(os.path.join(p, "package.xml"))), None)
+    inner = os.path.basename(folder).lower() in URDF_FOLDERS
+    return marked or (os.path.dirname(folder) if inner else folder)
+
+
 def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) -> Array:
     """(k, 3) vertices of a mesh file, unscaled; (0, 3) when it is missing, remote, outside or cannot be read."""
     file = locate(name, urdf, package_dirs).file
@@ -217,3 +306,45 @@ def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) 
             return np.array(trimesh.load_mesh(file).vertices, dtype=np.float64).reshape(-1, 3)
     except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
         return np.zeros((0, 3))
+
+
+def damage_of(file: Path) -> str:
+    """What is wrong with a mesh file by its size, its head and its tail; empty when nothing is seen."""
+    try:
+        size = file.stat().st_size
+        with file.open("rb") as stream:
+            head = stream.read(CHUNK)
+            stream.seek(max(size - CHUNK, 0))
+            tail = stream.read(CHUNK)
+    except OSError as error:
+        return f"cannot be read ({error.strerror})"
+    if not size:
+        return "it is empty"
+    check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage}.get(file.suffix.lower())
+    return check(head, tail, size) if check else ""
+
+
+def stl_damage(head: bytes, tail: bytes, size: int) -> str:
+    """Binary STL states its number of triangles, 50 bytes each; the text form ends with `endsolid`."""
+    if head.lstrip().startswith(b"solid") and b"facet" in head:
+        return "" if b"endsolid" in tail else "it ends before endsolid"
+    if size < 84:
+        return f"an STL file has at least 84 bytes, this one {size}"
+    need = 84 + 50 * int.from_bytes(head[80:84], "little")
+    if size < need:
+        return f"its {(need - 84) // 50} triangles take {need} bytes, it has {size}"
+    whole = head[84 : 84 + (min(need, len(head)) - 84) // 50 * 50]
+    corners = np.frombuffer(whole, dtype=TRIANGLE)["corners"]
+    return "" if np.isfinite(corners).all() else "a corner of its triangles is not finite"
+
+
+def dae_damage(head: bytes, tail: bytes, size: int) -> str:
+    """Collada is XML from `<COLLADA` to its end, without a DOCTYPE."""
+    if b"<!DOCTYPE" in head:
+        return "a DOCTYPE, whose entities could blow up"
+    return "" if b"<COLLADA" in head and b"</COLLADA" in tail else "not a whole Collada file"
+
+
+def obj_damage(head: bytes, tail: bytes, size: int) -> str:
+    """An OBJ file lists vertices, `v x y z`."""
+    return "" if head.startswith(b"v ") or b"\nv " in head + tail else "it has no vertices"

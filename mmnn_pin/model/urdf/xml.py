@@ -1,12 +1,62 @@
-"""Bytes to a `<robot>` element: whole, well-formed, without DOCTYPE, and a URDF at all."""
+"""Bytes to a `<robot>` element, and strictly read numbers out of it.
+
+The element is whole, well-formed, without DOCTYPE, and a URDF at all. A bad number reads as nan, which judges nothing.
+"""
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import dataclass
+from functools import lru_cache
 
+import numpy as np
 from lxml import etree
 
+from ...signals import Array
 from .finding import Finding, finding
+
+# What URDF knows inside each element: children, then attributes. Unknown names are extensions unless nearly known ones.
+SCHEMA: dict[str, tuple[str, str]] = {
+    "robot": ("link joint material transmission gazebo ros2_control sensor", "name version"),
+    "link": ("inertial visual collision contact", "name type"),
+    "inertial": ("origin mass inertia", ""),
+    "visual": ("origin geometry material", "name"),
+    "collision": ("origin geometry material verbose", "name"),
+    "geometry": ("box cylinder sphere mesh capsule", ""),
+    "material": ("color texture", "name"),
+    "joint": ("origin parent child axis calibration dynamics limit mimic safety_controller", "name type"),
+    "origin": ("", "xyz rpy"),
+    "mass": ("", "value"),
+    "inertia": ("", "ixx ixy ixz iyy iyz izz"),
+    "parent": ("", "link"),
+    "child": ("", "link"),
+    "axis": ("", "xyz"),
+    "limit": ("", "lower upper effort velocity acceleration jerk"),
+    "dynamics": ("", "damping friction"),
+    "calibration": ("", "rising falling reference_position"),
+    "safety_controller": ("", "soft_lower_limit soft_upper_limit k_position k_velocity"),
+    "mimic": ("", "joint multiplier offset"),
+    "box": ("", "size"),
+    "cylinder": ("", "radius length"),
+    "sphere": ("", "radius"),
+    "capsule": ("", "radius length"),
+    "mesh": ("", "filename scale"),
+    "color": ("", "rgba"),
+    "texture": ("", "filename"),
+}
+
+KNOWN = {tag: (frozenset(children.split()), frozenset(keys.split())) for tag, (children, keys) in SCHEMA.items()}
+
+# What may stand once in an element.
+ONCE = {
+    "link": ("inertial",),
+    "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
+    "inertial": ("origin", "mass", "inertia"),
+    "visual": ("origin", "geometry"),
+    "collision": ("origin", "geometry"),
+    "geometry": ("shape",),
+}
 
 OTHER_FORMATS = {
     "mujoco": "MJCF (MuJoCo)",
@@ -18,12 +68,23 @@ OTHER_FORMATS = {
     "package": "a ROS package manifest",
     "launch": "a ROS launch file",
 }
+
 XACRO_FIX = "expand it first: xacro FILE > robot.urdf"
+
 DEFAULT_NAMESPACE = "//*[namespace-uri() != '' and not(contains(name(), ':'))]"
+
 XACRO = "//*[contains(namespace-uri(), 'xacro') or starts-with(name(), 'xacro:')]"
+
 PREFIXED = re.compile(rb"<[^\s<>/:!?]+:")
+
 LONG_TAG = re.compile(rb"<[^<>!?\n]+\n[^<>]*>")
+
 DOCTYPE = re.compile(rb"<!--.*?-->|<!\[CDATA\[.*?\]\]>|(<!DOCTYPE)", re.DOTALL)
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+# -- bytes to an element -----------------------------------------------------------------------------------------------
 
 
 def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
@@ -124,3 +185,120 @@ def set_start_lines(root: etree._Element, data: bytes) -> None:
 def local(element: etree._Element) -> str:
     """Tag without its namespace or prefix."""
     return str(element.tag).rpartition("}")[2].rpartition(":")[2]
+
+
+# -- what it holds -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Elements:
+    """What URDF defines of a file, not what extensions hold; read out once, because lxml takes its time.
+
+    Attributes:
+        by_tag: Elements by tag.
+        texts: Element, tag, and key and text of its attributes, of every element that has some.
+        unknown: Element, tag and tag of the parent of what URDF does not have in that place.
+        repeated: The same of second copies of what may stand once.
+    """
+
+    by_tag: dict[str, list[etree._Element]]
+    texts: list[tuple[etree._Element, str, list[tuple[str, str]]]]
+    unknown: list[tuple[etree._Element, str, str]]
+    repeated: list[tuple[etree._Element, str, str]]
+
+    def __getitem__(self, tag: str) -> list[etree._Element]:
+        return self.by_tag[tag]
+
+    @classmethod
+    def of(cls, root: etree._Element) -> Elements:
+        """What a `<robot>` element holds."""
+        own = cls({tag: [] for tag in KNOWN}, [], [], [])
+        pending = [(root, "robot")]
+        for element, tag in pending:
+            own.by_tag[tag].append(element)
+            if items := element.items():
+                own.texts.append((element, tag, items))
+            children, once = KNOWN[tag][0], ONCE.get(tag, ())
+            seen = set()
+            for child in element if len(element) else ():
+                name = child.tag
+                if name in children and name in KNOWN:
+                    pending.append((child, name))
+                else:
+                    own.unknown.append((child, name, tag))
+                kind = "shape" if tag == "geometry" and name in children else name
+                if kind in once:
+                    if kind in seen:
+                        own.repeated.append((child, name, tag))
+                    seen.add(kind)
+        return own
+
+
+def nearest(word: str, known: frozenset[str]) -> str:
+    """The known word one edit away, or the same but for upper case; empty when there is none."""
+    if word.lower() in known:
+        return word.lower()
+    return next((k for k in sorted(known) if one_edit(word, k)), "")
+
+
+def one_edit(a: str, b: str) -> bool:
+    """Whether one letter inserted, deleted, replaced, or two neighbours swapped turn one word into the other."""
+    if abs(len(a) - len(b)) > 1 or min(len(a), len(b)) < 3:
+        return False
+    same = next((i for i, (x, y) in enumerate(zip(a, b, strict=False)) if x != y), min(len(a), len(b)))
+    rest, other = a[same:], b[same:]
+    replaced, swapped = rest[1:] == other[1:], rest[:2] == other[1::-1] and rest[2:] == other[2:]
+    return a != b and (replaced or rest[1:] == other or rest == other[1:] or (len(rest) > 1 and swapped))
+
+
+# -- numbers -----------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=8192)
+def read_numbers(text: str) -> tuple[float, ...]:
+    """Decimal numbers; nan for each word of another kind or beyond what a double holds."""
+    values = (float(word) if NUMBER.fullmatch(word) else math.nan for word in text.split())
+    return tuple(math.nan if math.isinf(value) else value for value in values)
+
+
+@lru_cache(maxsize=8192)
+def number_problem(text: str, count: int) -> str:
+    """What is wrong with a list of numbers, empty when nothing is."""
+    values = read_numbers(text)
+    for word, value in zip(text.split(), values, strict=True):
+        if math.isnan(value) and NUMBER.fullmatch(word):
+            return f"is '{text}': '{word}' is beyond what a double holds"
+        if math.isnan(value):
+            hint = " (decimal comma?)" if "," in word else ""
+            return f"is '{text}': '{word}' is not a finite number{hint}"
+    return "" if len(values) == count else f"is '{text}': {len(values)} number(s) where {count} are needed"
+
+
+@lru_cache(maxsize=8192)
+def largest(text: str | None) -> float:
+    """Largest magnitude of some numbers, 0 where there are none or a bad one."""
+    values = () if text is None else read_numbers(text)
+    return 0.0 if any(math.isnan(value) for value in values) else max(map(abs, values), default=0.0)
+
+
+def number(element: etree._Element | None, key: str, default: float) -> float:
+    """A number of an attribute, the default where it is not stated, nan where it is bad."""
+    text = None if element is None else element.get(key)
+    if text is None:
+        return default
+    values = read_numbers(text)
+    return values[0] if len(values) == 1 else math.nan
+
+
+def numbers(
+    element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)
+) -> tuple[float, ...]:
+    """Numbers of an attribute, the default where they are not stated, nan where they are bad or not as many."""
+    text = None if element is None else element.get(key)
+    values = default if text is None else read_numbers(text)
+    return values if len(values) == len(default) else (math.nan,) * len(default)
+
+
+def vector(element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Array:
+    """The same as an array."""
+    return np.array(numbers(element, key, default))

@@ -16,7 +16,7 @@ import pinocchio as pin
 from ...errors import RobotError
 from ...model.base.overrides import folders_of
 from ...model.robot import Robot
-from ...model.urdf.parsing import parse
+from ...model.urdf.reading import parse
 from ...model.urdf.shapes import AtRest, Shape
 from ...signals import Array
 
@@ -97,7 +97,7 @@ def turning_axis(data: pin.Data, joint: int) -> Array:
 def caster_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
     """One foot under every link of the base that reaches the floor, drive wheels apart."""
     model, floor = robot.model, robot.base.floor
-    rest = AtRest(parse(robot.urdf.encode(), robot.path), folders_of(robot.path, robot.said))
+    rest = AtRest(parse(robot.urdf.encode(), robot.path), folders_of(robot.path, robot.overrides))
     near = NEAR * min(wheel.radius for wheel in robot.base.wheels)
     casters = {model.getJointId(name) for name in robot.base.casters}
     casters -= {model.parents[j] for j in casters}  # a fork is no caster, the wheel on it is

@@ -26,7 +26,7 @@ from mmnn_pin.lab.proof.networks import Networks
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.stack_part import stack_part
 from mmnn_pin.lab.proof.truth import adaptation_of, distances, true_weights
-from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.adaptation import directions, factor, move
 
 slow = pytest.mark.skipif(SLOW, reason="too long for uncompiled code")

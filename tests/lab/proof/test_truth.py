@@ -40,7 +40,7 @@ from mmnn_pin.lab.proof.lyapunov import lyapunov
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.proof.truth import distances, divergence, stepped, true_parameters
-from mmnn_pin.model.parameters import parameters
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Line
 from mmnn_pin.torque.adaptive import pseudo_inertias
 from mmnn_pin.torque.guess import scales

@@ -17,7 +17,7 @@ from mmnn_pin import load
 from mmnn_pin.lab.show.replay import page
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robots import extra
-from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.recording.recording import Outcome
 
 ORANGE = np.array([238, 125, 33])  # of the thesis robot's forearm

@@ -30,7 +30,7 @@ from mmnn_pin.lab.show.report.results import result_of
 from mmnn_pin.lab.show.report.verdict import verdict
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.model.urdf.parsing import parse
+from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import INDEX

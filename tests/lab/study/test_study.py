@@ -147,7 +147,7 @@ def test_settings_that_no_run_can_be_made_of_are_a_refused_row(tmp_path: Path) -
     for row in rows:
         bad = row.parameters["start.joint_offset"] != 0.1
         assert row.status == ("refused" if bad else "completed")
-        assert ("3 offsets for 2 joints" in row.message) == bad
+        assert ("3 numbers for 2 joints" in row.message) == bad
     assert main(["study", str(tmp_path / "short.toml"), "--out", str(tmp_path), "--set", "sampling.points=1"]) == 0
 
 

@@ -71,7 +71,7 @@ class Tree:
 
     def tips(self, robot: Robot) -> list[dict[str, Any]]:
         """The tips of a robot's arms, as the page reads them: a body and a point on it [m]."""
-        named = robot.said.arm_tip
+        named = robot.overrides.arm_tip
         links = [named] if named else [self.end_of(joint) for joint in self.last_joints(robot)]
         return [{"body": self.places[link][0], "point": self.places[link][1][:3, 3].tolist()} for link in links]
 

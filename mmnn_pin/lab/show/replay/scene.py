@@ -10,7 +10,7 @@ import numpy as np
 
 from ....errors import RecordingError
 from ....model.robot import Robot
-from ....model.urdf.parsing import parse
+from ....model.urdf.reading import parse
 from ....recording.recording import Recording
 from ....recording.robot import recorded_robot
 from ..figure import scale_rows, styles_of

@@ -16,8 +16,8 @@ from lxml import etree
 from ....model.base.overrides import folders_of
 from ....model.robot import Robot
 from ....model.urdf.document import placement
-from ....model.urdf.meshes import locate
-from ....model.urdf.parsing import number, vector
+from ....model.urdf.shapes import locate
+from ....model.urdf.xml import number, vector
 from ....signals import Array
 from .blob import Blob
 from .bodies import Tree, columns
@@ -92,7 +92,7 @@ class Shapes:
 
     def _mesh(self, robot: Robot, at: Array, solid: etree._Element) -> Iterator[tuple[Array, Placed]]:
         name = solid.get("filename", "")
-        found = locate(name, robot.path, (*self._folders, *folders_of(robot.path, robot.said)))
+        found = locate(name, robot.path, (*self._folders, *folders_of(robot.path, robot.overrides)))
         try:
             if found.file is None:
                 raise BrokenMesh(WHY.get(found.problem, ""))

@@ -1,7 +1,7 @@
-"""The thesis's own world-frame form of the model: for reading beside the thesis, and as a second answer in tests.
+"""Second answers to the model: the thesis's world-frame form of the dynamics, and yourdfpy's forward kinematics.
 
-Coordinates q = [x, y, phi of the root link in the world; every joint], as in (2.11), so S turns with the robot and its
-derivative counts:
+`WorldFrame` is for reading beside the thesis. Coordinates q = [x, y, phi of the root link in the world; every joint],
+as in (2.11), so S turns with the robot and its derivative counts:
 
     qdot = S nu (2.17), (2.18)        Mbar = S' M S        Cbar = S' C S + S' M Sdot        (2.23)
 
@@ -9,17 +9,23 @@ derivative counts:
 with it but the URDF, the base found on it and the mass factors put on the robot: here the robot hangs on three joints
 of its own (two slides and a turn) and S is written from the geometry of the base. The thesis's S for the pose alone
 (2.7) is the upper left block.
+
+`SecondKinematics` shares nothing with Pinocchio but the URDF's text. It never decides whether a file is good: yourdfpy
+repairs broken XML in silence.
 """
 
 from __future__ import annotations
+
+import io
+from collections.abc import Mapping
 
 import numpy as np
 import pinocchio as pin
 
 from ...errors import RobotError
 from ...signals import Array
-from ..bodies import scale_body
-from ..robot import Robot
+from ..base.differential import DifferentialDrive
+from ..robot import Robot, scale_body
 
 
 class WorldFrame:
@@ -36,7 +42,7 @@ class WorldFrame:
     """
 
     def __init__(self, robot: Robot) -> None:
-        if robot.base.kind != "differential_drive":
+        if not isinstance(robot.base, DifferentialDrive):
             raise RobotError(f"the world-frame form is that of a differential drive, not of a base '{robot.base.kind}'")
         self.robot = robot
         self.model = chain_model(robot.urdf)
@@ -141,3 +147,58 @@ def rotation(angle: float) -> Array:
     """Rotation in the plane, (2, 2)."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, -s], [s, c]])
+
+
+class SecondKinematics:
+    """Where the links of one robot are, by yourdfpy and by Pinocchio.
+
+    Args:
+        robot: The robot.
+
+    Raises:
+        RobotError: yourdfpy cannot read its URDF, or a mimic joint follows another one, which yourdfpy does not know.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        import yourdfpy  # slow to import
+
+        self.robot, self.data = robot, robot.model.createData()
+        try:
+            self.urdf = yourdfpy.URDF.load(io.BytesIO(robot.urdf.encode()), load_meshes=False)
+        except Exception as error:  # whatever a parser that guesses raises
+            raise RobotError("yourdfpy cannot read the URDF", why=str(error), file=robot.path) from None
+        mimics = {joint.name: joint.mimic.joint for joint in self.urdf.robot.joints if joint.mimic is not None}
+        if chained := sorted(mimics.keys() & mimics.values()):
+            raise RobotError(
+                f"yourdfpy does not let joints mimic '{chained[0]}', which mimics another", file=robot.path
+            )
+        for joint in self.urdf.robot.joints:  # URDF counts the direction of an axis alone; yourdfpy slides along all
+            if joint.type == "prismatic":
+                joint.axis = joint.axis / np.linalg.norm(joint.axis)
+
+    def placements(self, position: Array) -> dict[str, Array]:
+        """(4, 4) placement of every link in the root link, by yourdfpy, at a position (nv,)."""
+        root = self.robot.layout.pose
+        self.urdf.update_cfg(dict(zip(self.robot.position_names[root:], position[root:].tolist(), strict=True)))
+        return {name: np.asarray(self.urdf.get_transform(name)) for name in self.urdf.link_map}
+
+    def by_pinocchio(self, position: Array) -> dict[str, Array]:
+        """The same by Pinocchio."""
+        model, body = self.robot.model, pin.FrameType.BODY
+        pin.framesForwardKinematics(model, self.data, self.robot.configuration(position))
+        placed = {name: self.data.oMf[model.getFrameId(name, body)] for name in self.urdf.link_map}
+        return {name: (placed[self.urdf.base_link].inverse() * place).homogeneous for name, place in placed.items()}
+
+    def residual(self, position: Array) -> float:
+        """Largest difference of the two in an entry of a placement, lengths over the robot's reach, at least 1 m."""
+        ours, theirs = self.by_pinocchio(position), self.placements(position)
+        return largest_difference(ours, theirs)
+
+
+def largest_difference(ours: Mapping[str, Array], theirs: Mapping[str, Array]) -> float:
+    """Largest difference of placements of the same links, see `SecondKinematics.residual`; nan where there is one."""
+    one, other = (np.array([placements[name] for name in ours]) for placements in (ours, theirs))
+    reach = max(1.0, float(np.linalg.norm(one[:, :3, 3], axis=1).max()))
+    difference = np.abs(one - other)
+    difference[:, :3, 3] /= reach
+    return float(difference.max())

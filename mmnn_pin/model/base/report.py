@@ -1,0 +1,286 @@
+"""What is reported of how a robot was understood: notes with stable codes beside the audit's, and refusals.
+
+A refusal lists what the base could be, each with the reasons for and against, or names the machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from ...errors import RobotError
+from ..arm import Arm
+from ..urdf.document import Joint
+from ..urdf.finding import AuditError, Finding, one_line
+from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
+from . import KINDS
+from .base import Base
+from .differential import DifferentialDrive
+from .evidence import Evidence, evidence
+from .wheels import HUB, LUMPY, Candidate, Candidates, coaxial
+
+GO_ON = "name the drive wheels with --wheels LEFT,RIGHT, or say what it is with --base"
+
+LARGE = 2.0  # [m]; no wheel of a robot is larger
+
+SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
+
+OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
+
+# Severity by code; docs/urdf-audit.md tells each with its reason.
+CODES = {
+    # refused, with the candidates or the machine's name
+    "base-undecided": "error",
+    "base-unsupported": "error",
+    "robot": "error",
+    # the base
+    "base-evidence": "note",
+    "base-roller": "warning",
+    "base-omni": "note",
+    "base-pushed": "warning",
+    "base-sides": "warning",
+    "base-radius": "warning",
+    "base-hub-height": "warning",
+    "base-size": "strict",
+    "base-floor": "warning",
+    "base-welded": "warning",
+    # the arm and the rest
+    "arm-locked": "note",
+    "welded": "warning",
+    "pinocchio": "warning",
+    "overrides": "note",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class BaseResult:
+    """A base, and what was noticed on the way.
+
+    Attributes:
+        base: The base.
+        findings: Warnings and notes.
+    """
+
+    base: Base
+    findings: tuple[Finding, ...] = ()
+
+
+# -- notes -------------------------------------------------------------------------------------------------------------
+
+
+def note(rest: AtRest, code: str, joint: str, what: str, why: str = "", fix: str = "", about: str = "base") -> Finding:
+    """A finding of a code in `CODES` about what was understood, at the line of a joint, or 1 without one."""
+    severity = "warning" if CODES[code] == "strict" else CODES[code]
+    line = rest.document.joints[joint].line if joint else 1
+    return Finding(severity, code, str(rest.document.path), line, about, what, why, fix)
+
+
+def settle(audited: Sequence[Finding], findings: Sequence[Finding], strict: bool) -> tuple[Finding, ...]:
+    """The audit's findings and those of the understanding, if strictness makes an error of none.
+
+    Raises:
+        AuditError: It does.
+    """
+    pieces = [replace(f, severity="error" if strict and CODES[f.code] == "strict" else f.severity) for f in findings]
+    if any(f.severity == "error" for f in pieces):
+        raise AuditError([*audited, *pieces])
+    return (*audited, *pieces)
+
+
+def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Finding]:
+    """Warnings about radii that are odd, differ or are not measured, and a floor that is not the root's.
+
+    Args:
+        rest: The robot at rest.
+        base: Its base.
+        wheels: Its drive wheels, and maybe others.
+    """
+    if not base.wheels:
+        return []
+    notes, first, radii = [], base.wheels[0].joint, [wheel.radius for wheel in base.wheels]
+    blind = [c for c in wheels if c.shape == HUB and c.joint.name in [w.joint for w in base.wheels]]
+    if blind:
+        sizes = ", ".join(f"'{c.joint.name}' {c.radius:.4g} m" for c in blind)
+        text = f"radii assumed from the height of the hubs above the floor: {sizes}"
+        why, fix = "no shape of them can be read", "--radius, or --package-dir where their meshes are"
+        notes.append(note(rest, "base-hub-height", blind[0].joint.name, text, why, fix))
+    sides = [side if side in w.joint.lower() else "" for w, side in zip(base.wheels, ("right", "left"), strict=False)]
+    if isinstance(base, DifferentialDrive) and all(sides):
+        text = f"'{first}' is on the left: does the robot drive along -x?"
+        why = "names decide nothing: forward is the rolling direction nearer the root link's x"
+        notes.append(note(rest, "base-sides", first, text, why, "check it"))
+    large = [w for w in base.wheels if w.radius > LARGE]
+    if large:
+        text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m"
+        why, fix = "is its mesh in millimetres? taken as it is", "give the mesh a scale of 0.001"
+        notes.append(note(rest, "base-size", large[0].joint, text, why, fix))
+    if max(radii) - min(radii) > SAME_RADIUS * max(radii):
+        sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in base.wheels)
+        why, fix = "they are used as they are", "--radius if they should be alike"
+        notes.append(note(rest, "base-radius", first, f"the wheels' radii differ: {sizes}", why, fix))
+    if rest.is_footprint and abs(base.floor) > OFF_FLOOR * max(radii):
+        where, root = "below" if base.floor < 0 else "above", rest.document.root_link
+        text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
+        notes.append(note(rest, "base-floor", first, text, "the floor is taken where the wheels are"))
+    return notes
+
+
+def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
+    """Wheels beside the drive wheels that are welded on."""
+    text = f"wheels on the floor are welded on: {', '.join(joint.name for joint in welded)}"
+    why, fix = "taken as sliding without friction", "make their joints continuous if they turn"
+    return [note(rest, "base-welded", welded[0].name, text, why, fix)] if welded else []
+
+
+def evidence_note(rest: AtRest, cited: list[Evidence]) -> Finding:
+    """What made four parallel wheels mecanum wheels."""
+    texts = list(dict.fromkeys(piece.text for piece in cited))
+    more = f" and {len(texts) - 4} more" if len(texts) > 4 else ""
+    text = f"taken as holonomic: {'; '.join(texts[:4])}{more}"
+    return replace(note(rest, "base-evidence", "", text), line=cited[0].line)
+
+
+def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
+    """What was locked without being asked to, one note per reason."""
+    notes = []
+    for reason in dict.fromkeys(arm.reasons.values()):
+        names = [name for name, why in arm.reasons.items() if why == reason]
+        if "short branch" in reason:
+            text, fix = f"locked: {', '.join(names)}", "--free JOINT moves one, all all"
+            notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
+    return notes
+
+
+def weld_notes(rest: AtRest, names: Sequence[str]) -> list[Finding]:
+    """Planar and floating joints that were welded."""
+    why, fix = "the loader places the robot in the world itself", "none needed, unless it should move in the arm"
+    text = "a planar or floating joint is taken as fixed"
+    return [note(rest, "welded", name, text, why, fix, f"joint '{name}'") for name in names]
+
+
+def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
+    """What Pinocchio's parser printed about a file that it accepts."""
+    text = f"Pinocchio's parser says: {one_line(printed)}"
+    return [note(rest, "pinocchio", "", text, about="")] if printed else []
+
+
+# -- refusals ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One way to read the geometry of a base.
+
+    Attributes:
+        kind: What the base would be.
+        reasons: What speaks for it.
+        objections: What speaks against it.
+    """
+
+    kind: str
+    reasons: tuple[str, ...] = ()
+    objections: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        parts = [f"for: {', '.join(self.reasons)}"] if self.reasons else []
+        parts += [f"against: {', '.join(self.objections)}"] if self.objections else []
+        return f"{self.kind} ({'; '.join(parts)})" if parts else self.kind
+
+
+class Undecided(RobotError):
+    """Geometry and evidence do not tell what the base is.
+
+    Attributes:
+        candidates: The joints that could be wheels, each with what is known of it.
+        readings: What the base could be, each with the reasons for and against it.
+    """
+
+    candidates: tuple[str, ...] = ()
+    readings: tuple[Reading, ...] = ()
+
+
+class Unsupported(RobotError):
+    """The machine is understood, and it is none that this package can drive.
+
+    Attributes:
+        machine: What it is: `skid-steer`, `car-like`, `legged machine`, `humanoid`, `drone`, ...
+    """
+
+    machine: str = ""
+
+
+def readings(rest: AtRest, drives: list[Candidate]) -> list[Reading]:
+    """What a base on these wheels could be, with the reasons for and against."""
+    pieces = evidence(rest, drives)
+    speaks = {
+        kind: tuple(dict.fromkeys(p.text for p in pieces if p.meaning == kind)) for kind in ("holonomic", "skid-steer")
+    }
+    many = len(drives) >= 4
+    pairs = sum(coaxial(a, b) for i, a in enumerate(drives) for b in drives[:i])
+    two = Reading(
+        "differential_drive",
+        (f"{pairs} pair(s) of coaxial wheels",) if pairs else (),
+        (f"{len(drives)} wheel(s) that do not swivel",) if len(drives) != 2 else ("they are not on one axle",),
+    )
+    if not many:
+        return [two]
+    rolls = Reading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid-steer"])
+    skids = Reading("skid-steer", ("four or more parallel wheels", *speaks["skid-steer"]), speaks["holonomic"])
+    return [rolls, skids, two]
+
+
+def undecided(
+    rest: AtRest,
+    wheels: list[Candidate],
+    pieces: list[Reading],
+    why: str,
+    fix: str = GO_ON,
+    line: int | None = None,
+    names: str = "",
+) -> Undecided:
+    """The error that lists what could be a wheel, and what the base could be."""
+    texts = tuple(c.text for c in wheels)
+    none = f"no wheel turns: {names}" if names else "no wheels found"
+    listed = f"{len(wheels)} wheel(s) found: {'; '.join(texts)}" if wheels else none
+    error = Undecided(
+        f"the base is undecided: {listed}; it could be {' or '.join(map(str, pieces))}",
+        why=why,
+        fix=fix,
+        file=rest.document.path,
+        line=line or (wheels[0].joint.line if wheels else None),
+    )
+    error.candidates, error.readings = texts, tuple(pieces)
+    return error
+
+
+def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
+    """The error for what would be drive wheels but for one thing."""
+    near_misses, fix = candidates.near_misses, GO_ON + "; --base fixed parks them"
+    if any(abs(c.axis[2]) > VERTICAL for c in near_misses):
+        why = "their axle is vertical"
+        fix = "turn the robot so that z points up (a file with y up?); --base fixed parks them"
+    elif any(abs(c.axis[2]) > HORIZONTAL for c in near_misses):
+        why = "wheels roll about a horizontal axis here, not with camber"
+    elif any(c.shape == LUMPY for c in near_misses):
+        why = "what turns on them is not round about the axle"
+    elif any(math.isnan(c.radius) for c in near_misses):
+        why = "no shape of them can be read, and nothing tells where the floor is"
+        fix = "give --radius (and --package-dir, where their meshes are); --base fixed parks them"
+    else:
+        why = f"they end {min(c.bottom for c in near_misses) - candidates.floor:.3g} m above the robot's lowest point"
+    return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
+
+
+def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = ()) -> Unsupported:
+    """The refusal of a machine by its name."""
+    line: int | None = wheels[0].joint.line if wheels else rest.document.root.sourceline
+    error = Unsupported(
+        f"this is a {name}",
+        why=why,
+        fix=f"this package drives {', '.join(kind.words for kind in KINDS.values())}; --base fixed takes it as an arm",
+        file=rest.document.path,
+        line=line,
+    )
+    error.machine = name
+    return error
