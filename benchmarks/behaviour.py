@@ -51,8 +51,8 @@ LEFT_OUT = (
 
 CONTROLLERS = (
     "two_layer", "two_layer_zero", "two_layer_random", "one_layer", "pd", "adaptive", "adaptive_composite",
-    "concurrent", "two_layer_composite", "two_layer_residual", "nominal", "kalman_regressor", "kalman_bilinear", "kalman_features",
-    "kalman_residual", "computed_torque",
+    "concurrent", "two_layer_composite", "two_layer_residual", "nominal", "kalman_regressor", "kalman_bilinear",
+    "kalman_features", "kalman_residual", "computed_torque",
 )  # fmt: skip
 SHORT = ("--set", "time.duration=1.5")
 
