@@ -92,7 +92,7 @@ def advance(
                 body, start_energy = loaded, plan.start_energy + shift[0]
             if now:
                 sense(k * plan.steps // plan.per_measurement, k * plan.h, row, at, position, nu, body.arm, hardware)
-            now, asked = False, not is_stopped(hardware)
+            now, asked = False, not is_stopped(hardware.supervisor.on, hardware.supervisor.state)
         before_torque(row, at, k * plan.h, y, blocks.table[k], now, body.arm, blocks.gains, blocks.K)
         if asked and plan.uses_model:
             as_measured(
@@ -130,7 +130,7 @@ def advance(
                 else:
                     exact(row, at, position, nu, body.arm)
             if hardware is not None:
-                rotate(nu, hardware)
+                rotate(nu, hardware.E, hardware.motors.wire.joint)
                 act(k, n * plan.dt, row, at, hardware)
                 block(n * plan.dt, hardware.world.blocked, work.hold)
                 tau = hardware.tau
@@ -148,7 +148,8 @@ def advance(
                 rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
             copy_to(work.trial, y)
         if hardware is not None:
-            note(plan.steps, rows[k - first], at, hardware)
-            if hardware.supervisor.on and has_ended(k * plan.h, hardware.supervisor):
+            note(plan.steps, rows[k - first], at, hardware.totals)
+            supervisor = hardware.supervisor
+            if supervisor.on and has_ended(k * plan.h, supervisor.numbers, supervisor.state):
                 return TRIPPED
     return -1

@@ -131,7 +131,7 @@ class Cycle:
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
         self.control.step(k, time, self.nothing, self.table[k], False)
-        self.motor_torque[:] = self.hardware.command
+        self.motor_torque[:] = self.hardware.totals.command
         self.time, self.k = time, k
         self.step_time = perf_counter() - began
         return self.torque
@@ -154,7 +154,7 @@ class Cycle:
     @property
     def is_over(self) -> bool:
         """Whether the supervisor has stopped the run and shown its stop for `safety.stop_time`."""
-        return bool(has_ended(self.time, self.hardware.supervisor))
+        return bool(has_ended(self.time, self.hardware.supervisor.numbers, self.hardware.supervisor.state))
 
     def finish(
         self, status: Status = "completed", message: str = "", extra: Mapping[str, ArrayLike] | None = None
@@ -211,7 +211,8 @@ class Cycle:
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
-        accept(self.row, self.at, when, when, True, self.hardware.supervisor)
+        supervisor = self.hardware.supervisor
+        accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
 
     def _weigh(self, k: int) -> None:
         """Record the weights as they are before control sample k."""
@@ -222,8 +223,9 @@ class Cycle:
     def _rehearse(self) -> None:
         """Compile all that a step calls, and forget it."""
         kept = self.hardware.state.copy(), self.control.weights.copy()
-        accept(self.row, self.at, 0.0, 0.0, True, self.hardware.supervisor)
+        supervisor = self.hardware.supervisor
+        accept(self.row, self.at, 0.0, 0.0, True, supervisor.message, supervisor.state)
         if isinstance(self.loop.controller, CompiledController | LearningLaw):
             self.control.step(0, 0.0, self.nothing, self.table[0], False)
-        has_ended(0.0, self.hardware.supervisor)
+        has_ended(0.0, self.hardware.supervisor.numbers, self.hardware.supervisor.state)
         self.hardware.state[:], self.control.weights[:], self.row[:] = *kept, 0.0

@@ -89,7 +89,6 @@ class World(NamedTuple):
         pushes: Whether anything does.
         wire: The force of a step.
         effects: In the order in which they add up.
-        total: (p,) sum of the forces over a control period.
         blocked: (k, 3) joints that are blocked: place in the position, start, end.
         pick: When a payload is picked up, inf for never [s].
         shift: (2,) the energy that came with it [J], and 1 once it did.
@@ -98,10 +97,25 @@ class World(NamedTuple):
     pushes: bool
     wire: Forces
     effects: tuple[Any, ...]
-    total: Array
     blocked: Array
     pick: float
     shift: Array
+
+
+class Totals(NamedTuple):
+    """What is recorded of a control period.
+
+    Attributes:
+        imperfect: Whether the motors are.
+        states: (motors, STATES) state of the motors, with the sum of what they gave.
+        command: (motors,) torques that reach the motors [N m or N].
+        force: (p,) sum of what the world did.
+    """
+
+    imperfect: bool
+    states: Array
+    command: Array
+    force: Array
 
 
 class Hardware(NamedTuple):
@@ -115,7 +129,7 @@ class Hardware(NamedTuple):
         motors: The motors.
         world: The disturbances from outside.
         E, E_inv: (p, motors) torque on nu from motor torques, and back.
-        command: (motors,) torques that reach the motors [N m or N].
+        totals: Command of the motors, and what they and the world gave.
         sent: (p,) the last torque that reached the motors, part of the state.
         tau: (p,) generalized torque of motors and world.
         state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent.
@@ -130,7 +144,7 @@ class Hardware(NamedTuple):
     world: World
     E: Array
     E_inv: Array
-    command: Array
+    totals: Totals
     sent: Array
     tau: Array
     state: Array
@@ -187,13 +201,13 @@ def sense(
         is_new = wire.clock[RECEIVED] != before
         measured = wire.clock[RECEIVED] * hardware.sensors.period
     if hardware.supervisor.on:
-        safety.accept(row, at, measured, time, is_new, hardware.supervisor)
+        safety.accept(row, at, measured, time, is_new, hardware.supervisor.message, hardware.supervisor.state)
 
 
 @compiled
-def is_stopped(hardware: Hardware) -> bool:
-    """Whether the supervisor does without the controller."""
-    return hardware.supervisor.on and not safety.may_learn(hardware.supervisor.state)
+def is_stopped(on: bool, state: Array) -> bool:
+    """Whether a supervisor that is there does without the controller, by its state."""
+    return on and not safety.may_learn(state)
 
 
 @compiled
@@ -214,7 +228,7 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, hardware
         hardware.motors,
         hardware.line,
     )
-    if supervisor.on and not safety.may_learn(supervisor.state):
+    if is_stopped(supervisor.on, supervisor.state):
         for i in range(at[PSI_HAT], at[TORQUE + 1]):  # the controller was not asked
             row[i] = 0.0
     copy_to(tau, line.torque)
@@ -224,15 +238,16 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, hardware
         safety.supervise(row, at, time, line.arrived[0] > 0.0, weights, supervisor)
         motors.wire.shorted[0] = shorted(row[at[SAFETY]], supervisor)
     copy_to(tau, hardware.sent)
-    for j in range(hardware.command.size):
-        hardware.command[j] = 0.0
+    command = hardware.totals.command
+    for j in range(command.size):
+        command[j] = 0.0
         for i in range(tau.size):
-            hardware.command[j] += hardware.E_inv[j, i] * tau[i]
+            command[j] += hardware.E_inv[j, i] * tau[i]
         motors.states[j, motor.SUM] = 0.0
-    hardware.world.total[:] = 0.0
+    hardware.totals.force[:] = 0.0
 
 
-@compiled
+@spliced
 def shorted(doing: float, supervisor: Supervisor) -> int:
     """How many motors, from the first on, have their windings shorted by a supervisor that does this."""
     if doing < safety.STOPPING:
@@ -243,13 +258,12 @@ def shorted(doing: float, supervisor: Supervisor) -> int:
 
 
 @compiled
-def rotate(nu: Array, hardware: Hardware) -> None:
-    """Speeds of the motors of a robot whose wheels roll, `E' nu`."""
-    speeds = hardware.motors.wire.joint
+def rotate(nu: Array, E: Array, speeds: Array) -> None:
+    """Speeds (motors,) of the motors of a robot whose wheels roll, `E' nu`."""
     for j in range(speeds.size):
         speeds[j] = 0.0
         for i in range(nu.size):
-            speeds[j] += hardware.E[i, j] * nu[i]
+            speeds[j] += E[i, j] * nu[i]
 
 
 @compiled
@@ -266,26 +280,25 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
     motors, world, tau = hardware.motors, hardware.world, hardware.tau
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], tau)
     if motors.imperfect:
-        copy_to(hardware.command, motors.wire.torque)
+        copy_to(hardware.totals.command, motors.wire.torque)
         pass_through(motors.effects, motors.wire, k, time)
         for i in range(tau.size):
             tau[i] = 0.0
-            for j in range(hardware.command.size):
+            for j in range(motors.wire.torque.size):
                 tau[i] += hardware.E[i, j] * motors.wire.torque[j]
     if world.pushes:
         world.wire.force[:] = 0.0
         pass_through(world.effects, world.wire, k, time)
         for i in range(tau.size):
             tau[i] += world.wire.force[i]
-            world.total[i] += world.wire.force[i]
+            hardware.totals.force[i] += world.wire.force[i]
 
 
 @compiled
-def note(steps: int, row: Array, at: IntArray, hardware: Hardware) -> None:
+def note(steps: int, row: Array, at: IntArray, totals: Totals) -> None:
     """What motors and pushes gave on average over a control period, into its row, once it is over."""
-    motors = hardware.motors
     for j in range(at[APPLIED + 1] - at[APPLIED]):
-        mean = motors.states[j, motor.SUM] / steps if motors.imperfect else hardware.command[j]
+        mean = totals.states[j, motor.SUM] / steps if totals.imperfect else totals.command[j]
         row[at[APPLIED] + j] = mean if math.isfinite(mean) else 0.0  # the motion has just left all bounds
     for i in range(at[DISTURBANCE + 1] - at[DISTURBANCE]):
-        row[at[DISTURBANCE] + i] = hardware.world.total[i] / steps
+        row[at[DISTURBANCE] + i] = totals.force[i] / steps

@@ -18,7 +18,7 @@ from ..sensing import FrozenEncoders
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
-from .hardware import Command, CommandLine, Hardware, MotorSide, World
+from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, World
 
 if TYPE_CHECKING:
     from .loop import Loop
@@ -72,7 +72,7 @@ def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: 
         world=world_of(loop, gust_rng),
         E=np.ascontiguousarray(robot.E),
         E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
-        command=np.zeros(layout.motors),
+        totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
         sent=sent,
         tau=np.zeros(layout.dof),
         state=values,
@@ -134,9 +134,8 @@ def world_of(loop: Loop, rng: np.random.Generator) -> World:
         why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
         raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
     _, load = disturbance.payload(loop.disturbances)
-    force, total = np.zeros((2, robot.layout.dof))
     pick = math.inf if load is None else float(load.start)
-    return World(len(pushes.table) > 0, Forces(force), (pushes,), total, blocked, pick, np.zeros(2))
+    return World(len(pushes.table) > 0, Forces(np.zeros(robot.layout.dof)), (pushes,), blocked, pick, np.zeros(2))
 
 
 def supervisor_of(loop: Loop, state: ControllerState | object, values: Array) -> Supervisor:

@@ -118,8 +118,9 @@ class OrdinaryLoop:
                     self.act(k, n * timing.plant_step, hardware)
                 plant.refresh()
             if hardware is not None:
-                note(steps, self.rows[done], at, hardware)
-                if hardware.supervisor.on and has_ended(k * h, hardware.supervisor):
+                note(steps, self.rows[done], at, hardware.totals)
+                supervisor = hardware.supervisor
+                if supervisor.on and has_ended(k * h, supervisor.numbers, supervisor.state):
                     return TRIPPED
             if began - started > PATIENCE:
                 break

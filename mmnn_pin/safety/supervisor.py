@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..compiled import compiled, copy_to
+from ..compiled import compiled, copy_to, spliced
 from ..signals import EARLY, INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "alpha"))
@@ -70,7 +70,7 @@ class Supervisor(NamedTuple):
 
 
 @compiled
-def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, supervisor: Supervisor) -> None:
+def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, message: Array, state: Array) -> None:
     """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
 
     Args:
@@ -79,25 +79,25 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, supe
         time: When it was measured [s].
         now: When it came [s].
         is_new: Whether it is another one than last time.
-        supervisor: The supervisor.
+        message: The supervisor's last good measurement.
+        state: The supervisor's state.
     """
-    measured, state, fine = row[at[POSE] : at[QDOT + 1]], supervisor.state, True
+    measured, fine = row[at[POSE] : at[QDOT + 1]], True
     for i in range(measured.size):
         fine = fine and math.isfinite(measured[i])
     state[HELD] = 0.0 if fine else 1.0
     if fine and is_new:
-        copy_to(measured, supervisor.message)
+        copy_to(measured, message)
         state[HEARD], state[ARRIVED], state[GOOD] = time, now, state[GOOD] + 1.0
     elif not fine:
         state[BAD] += is_new
-        copy_to(supervisor.message, measured)
+        copy_to(message, measured)
 
 
 @compiled
-def has_ended(time: float, supervisor: Supervisor) -> bool:
+def has_ended(time: float, numbers: Array, state: Array) -> bool:
     """Whether a tripped run has shown its stop for long enough."""
-    state = supervisor.state
-    return state[HAS_TRIPPED] > 0.0 and time - state[TIME] >= supervisor.numbers[STOP_TIME] - EARLY
+    return state[HAS_TRIPPED] > 0.0 and time - state[TIME] >= numbers[STOP_TIME] - EARLY
 
 
 @compiled
@@ -114,7 +114,7 @@ def trip(time: float, code: int, place: int, value: float, limit: float, state: 
         state[VALUE], state[LIMIT] = value, limit
 
 
-@compiled
+@spliced
 def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Array, supervisor: Supervisor) -> None:
     """Check a sample and write the torque that goes to the motors into the row, and what was done as `safety`.
 
@@ -157,7 +157,7 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     copy_to(tau, supervisor.last)
 
 
-@compiled
+@spliced
 def bound_weights(time: float, weights: Array, supervisor: Supervisor) -> bool:
     """Scale weights back onto their bound; true if some were beyond it."""
     beyond, places, most = False, supervisor.weights, supervisor.numbers[WEIGHTS]
@@ -174,7 +174,7 @@ def bound_weights(time: float, weights: Array, supervisor: Supervisor) -> bool:
     return beyond
 
 
-@compiled
+@spliced
 def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Trip on measured speeds and tracking errors beyond their limits."""
     nb, n = at[ALPHA + 1] - at[ALPHA], at[JOINT_ERROR + 1] - at[JOINT_ERROR]
@@ -197,7 +197,7 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
             trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], state)
 
 
-@compiled
+@spliced
 def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
     tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
@@ -229,7 +229,7 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
         tau[j] = fade * stale[j] + supervisor.gains[j] * hold
 
 
-@compiled
+@spliced
 def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
     """Whether a measured velocity is not at rest."""
     fastest = 0.0
@@ -238,7 +238,7 @@ def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
     return fastest > rest
 
 
-@compiled
+@spliced
 def clip(time: float, tau: Array, supervisor: Supervisor) -> bool:
     """Clip the motor torques, and trip when a motor has asked for too much for too long."""
     clipped, numbers, above = False, supervisor.numbers, supervisor.above

@@ -1,8 +1,8 @@
 """The floor of the contact plant as settings, and what touches it: drive wheels, casters, skids.
 
 The floor has one friction, patches of another, and a stiffness under the casters. Drive wheels come from the base,
-casters and skids from the geometry at rest. Every foot is a sphere, which touches a plane in one point: with a cylinder's two points a turning
-wheel scrubs. Casters stand level with the wheels, as our model has them.
+casters and skids from the geometry at rest. Every foot is a sphere, which touches a plane in one point: with a
+cylinder's two points a turning wheel scrubs. Casters stand level with the wheels, as our model has them.
 """
 
 from __future__ import annotations

@@ -3,8 +3,9 @@
 A body per joint with the same placement, axis and inertia; locked joints are welds, mimic joints equalities, the root
 is free. Every contact is an explicit pair, because otherwise MuJoCo takes the larger friction of two shapes.
 
-Of the free base MuJoCo keeps the root link's position and quaternion (w, x, y, z) and its linear velocity in the world's
-axes, its angular velocity in its own: `v_mj = diag(R, I) v_pin`. Friction follows the laws of `model.reduction.friction`.
+Of the free base MuJoCo keeps the root link's position and quaternion (w, x, y, z) and its linear velocity in the
+world's axes, its angular velocity in its own: `v_mj = diag(R, I) v_pin`. Friction follows the same laws as in
+`model.reduction.friction`.
 """
 
 from __future__ import annotations
