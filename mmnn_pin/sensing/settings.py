@@ -114,7 +114,13 @@ class Sensor(Settings, frozen=True):
         clock, joints, pose, received, slots = np.split(state, ends)
         joints = joints.reshape(-1, COLUMNS)
         wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, np.zeros(size), received)
-        spread = np.array(each("sensor.velocity_noise", self.velocity_noise, p, "speed"))
+        if np.shape(self.velocity_noise) not in ((), (p,)):
+            what, fix = (
+                f"{np.size(self.velocity_noise)} numbers for {p} velocities",
+                "give one number or one per velocity",
+            )
+            raise ConfigError(what, fix=fix, key="sensor.velocity_noise")
+        spread = np.array(np.broadcast_to(self.velocity_noise, p), float)
         effects = (
             Encoders(
                 np.array([*wheels, *robot.arm_index], np.int64),
