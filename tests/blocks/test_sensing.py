@@ -250,7 +250,7 @@ def test_numbers_out_of_range_are_refused(arguments, text):
 
 def test_numbers_that_do_not_fit_the_robot_are_refused():
     with pytest.raises(ConfigError, match=r"sensor.offset.*3 numbers for 2 joints"):
-        Sensor(offset=(0.0, 0.0, 0.0)).on(ROBOT, PERIOD)
+        Sensor(offset=(0.0, 0.0, 0.0)).on(ROBOT, PERIOD, 1, np.random.default_rng(0))
 
 
 # --- In the loop ------------------------------------------------------------------------------------------------------
