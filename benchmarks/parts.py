@@ -16,7 +16,7 @@ from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.sample import after_torque, before_torque
 from mmnn_pin.model.reduction import friction, spread
 from mmnn_pin.model.tree.dynamics import psi_again, terms
-from mmnn_pin.plant.integrators import SEMI_IMPLICIT, euler
+from mmnn_pin.plant.integrators import SEMI_IMPLICIT, Joints, Terms, euler
 from mmnn_pin.torque import law
 
 REPEAT = 5000
@@ -68,10 +68,10 @@ def repeat_after(n, row, at, M, E_inv, bounds):  # type: ignore[no-untyped-def]
 
 
 @repeated
-def repeat_plant(n, dt, T, v, M, h, F, damping, dry, hold, viscous, tau, base, L, rest, grip, y, ydot):  # type: ignore[no-untyped-def]
+def repeat_plant(n, dt, joints, terms, tau, y):  # type: ignore[no-untyped-def]
     """Acceleration and integration."""
     for _ in range(n):
-        euler(SEMI_IMPLICIT, dt, T, v, M, h, F, damping, dry, hold, viscous, tau, base, L, rest, grip, y, ydot)
+        euler(SEMI_IMPLICIT, dt, joints, terms, tau, y)
 
 
 @repeated
@@ -91,6 +91,8 @@ def compiled_parts() -> dict[str, Part]:
     at, row, position, nu = e.at, engine.row, y[: layout.full], y[layout.full : -1]
     nu_ref, nudot_ref, psi, tau = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi", "torque"))
     settings, state = e.settings, engine.state.values
+    joints = Joints(b.T, b.damping, b.dry, b.viscous, b.base)
+    terms_at = Terms(w.v, w.M, w.h, w.F, w.hold, w.ydot, w.L, w.rest, w.grip)
     return {
         "reference, measurement, velocity command": lambda n: repeat_before(
             n, row, at, y, e.table[100], b.arm, e.gains, e.K
@@ -102,26 +104,7 @@ def compiled_parts() -> dict[str, Part]:
         "joint rates and friction": lambda n: repeat_friction(n, b.T, w.v, nu, b.damping, b.dry, b.viscous, w.F),
         "tree: Psi": lambda n: repeat_psi(n, b.tree, position, nu_ref, nudot_ref, w.scratch, psi),
         "motor torques, energy balance, guard": lambda n: repeat_after(n, row, at, w.M, e.E_inv, e.bounds),
-        "plant: solve and integrate": lambda n: repeat_plant(
-            n,
-            0.0,
-            b.T,
-            w.v,
-            w.M,
-            w.h,
-            w.F,
-            b.damping,
-            b.dry,
-            w.hold,
-            b.viscous,
-            tau,
-            b.base,
-            w.L,
-            w.rest,
-            w.grip,
-            y,
-            w.ydot,
-        ),
+        "plant: solve and integrate": lambda n: repeat_plant(n, 0.0, joints, terms_at, tau, y),
         "copy of the row": lambda n: repeat_row(n, engine.rows, row),
     }
 

@@ -71,6 +71,7 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
 )
 # Compiled code freezes these numbers: this file is part of the key of the compiled code's cache.
 INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
+EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,21 @@
 
 A disturbance is a table of its own, `[[disturbances]]` with a `type`. Pushes are generalized forces on one velocity of
 nu: they are the `f` of `M nudot + C nu + gravity + friction = tau + f`, and the signal `disturbance` records them.
+`settings` reads the tables, `effects` is the compiled part.
 """
 
-from .effects import BRAKE, EARLY, mark, push
-from .settings import Block, Commands, DeadMotor, Disturbance, Frozen, Messages, Payload, Push
-from .tables import (
+from .effects import BRAKE, Forces, Pushes, block
+from .settings import (
+    Block,
+    Commands,
+    DeadMotor,
+    Disturbance,
+    Frozen,
+    Messages,
+    Payload,
+    Push,
     commands,
     corruption,
-    gusts,
     lateness,
     payload,
     pushes,
@@ -20,22 +27,21 @@ from .tables import (
 
 __all__ = [
     "BRAKE",
-    "EARLY",
     "Block",
     "Commands",
     "DeadMotor",
     "Disturbance",
+    "Forces",
     "Frozen",
     "Messages",
     "Payload",
     "Push",
+    "Pushes",
+    "block",
     "commands",
     "corruption",
-    "gusts",
     "lateness",
-    "mark",
     "payload",
-    "push",
     "pushes",
     "require_in_time",
     "require_long_enough",

@@ -1,52 +1,66 @@
-"""Pushes and windows of time at one step of the plant, compiled."""
+"""Pushes and blocked joints at one step of the plant, compiled."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from ..compiled import compiled
-from ..signals import Array
+from ..compiled import compiled, spliced
+from ..signals import EARLY, Array
 
 # Columns of the table of pushes.
 ON, SHAPE, FORCE, FREQUENCY, START, END, PUSH = range(7)
 STEP, IMPULSE, SINE, NOISE = range(4)
 SHAPES = {"step": STEP, "impulse": IMPULSE, "sine": SINE, "noise": NOISE}
 BRAKE = 1e4  # torque or force by which a blocked joint is held [N m or N]
-EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
+
+
+class Forces(NamedTuple):
+    """What the world does to a robot over one step of the plant: force (p,) on nu [N, N m]."""
+
+    force: Array
+
+
+class Pushes(NamedTuple):
+    """Forces and torques on single velocities, one after the other.
+
+    Attributes:
+        dt: Step of the plant [s].
+        table: (k, PUSH) one row per push.
+        gusts: (samples, k) random numbers of the shape "noise", (0, 0) without any.
+    """
+
+    dt: float
+    table: Array
+    gusts: Array
+
+    @spliced
+    def act(self, wire: Forces, k: int, time: float) -> None:
+        """Add the pushes of the step that begins at a time, in control sample k."""
+        table, middle = self.table, time + 0.5 * self.dt
+        for i in range(table.shape[0]):
+            start, shape, value = table[i, START], int(table[i, SHAPE]), table[i, FORCE]
+            if not (middle < start - EARLY or (middle >= table[i, END] - EARLY and shape != IMPULSE)):
+                if shape == IMPULSE:
+                    value = value / self.dt if middle - self.dt < start - EARLY else 0.0
+                elif shape == SINE:
+                    value *= math.sin(2.0 * math.pi * table[i, FREQUENCY] * (middle - start))
+                elif shape == NOISE:
+                    value *= self.gusts[k, i]
+                wire.force[int(table[i, ON])] += value
 
 
 @compiled
-def push(time: float, dt: float, table: Array, gust: Array, force: Array) -> None:
-    """Sum of all pushes over one step of the plant.
+def block(time: float, windows: Array, hold: Array) -> None:
+    """Hold the joints that are blocked now.
 
     Args:
-        time: Start of the step [s].
-        dt: Step [s].
-        table: (k, PUSH) pushes.
-        gust: (k,) random numbers of this control sample.
-        force: (p,) written [N, N m].
+        time: [s].
+        windows: (k, 3) place of the joint in the position, start and end [s].
+        hold: (nv,) friction of blocked joints, written: `BRAKE` where a window is open, 0 where all are over.
     """
-    force[:] = 0.0
-    middle = time + 0.5 * dt
-    for i in range(table.shape[0]):
-        start, end, shape = table[i, START], table[i, END], int(table[i, SHAPE])
-        if middle < start - EARLY or (middle >= end - EARLY and shape != IMPULSE):
-            continue
-        value = table[i, FORCE]
-        if shape == IMPULSE:
-            value = value / dt if middle - dt < start - EARLY else 0.0
-        elif shape == SINE:
-            value *= math.sin(2.0 * math.pi * table[i, FREQUENCY] * (middle - start))
-        elif shape == NOISE:
-            value *= gust[i]
-        force[int(table[i, ON])] += value
-
-
-@compiled
-def mark(time: float, table: Array, marks: Array, value: float) -> None:
-    """Set `marks[joint]` to a value for all windows (joint, start, end) that are open, to 0 for the others."""
-    for i in range(table.shape[0]):
-        marks[int(table[i, 0])] = 0.0
-    for i in range(table.shape[0]):
-        if table[i, 1] <= time + EARLY and time + EARLY < table[i, 2]:
-            marks[int(table[i, 0])] = value
+    for i in range(windows.shape[0]):
+        hold[int(windows[i, 0])] = 0.0
+    for i in range(windows.shape[0]):
+        if windows[i, 1] <= time + EARLY and time + EARLY < windows[i, 2]:
+            hold[int(windows[i, 0])] = BRAKE

@@ -18,7 +18,7 @@ from ..signals import Array
 from ..torque.controller import CompiledController
 from ..torque.learners import learners_of
 from .compiled_steps import Blocks, Plan, advance
-from .hardware import new_hardware
+from .new_hardware import new_hardware
 
 if TYPE_CHECKING:
     from .loop import Loop

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ..compiled import compiled, copy_to
-from ..disturbance.effects import BRAKE, EARLY, mark
+from ..disturbance import block
 from ..model.reduction import as_measured
 from ..model.tree.body import Body, Work, energy_of, evaluate
 from ..model.tree.dynamics import potential_energy, psi_again
-from ..plant.integrators import RK4, derivative, euler, rk4_stage
+from ..plant.integrators import RK4, Joints, Terms, derivative, euler, rk4_stage
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
-from ..signals import INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, Array, IntArray
 from ..torque import law
 from ..torque.learners import Learners, estimate, settle
 from ..torque.motor_limits import MotorLimits
@@ -73,24 +73,26 @@ def advance(
     """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
     One function on purpose: compiled code is optimised anew at every level of calls, seconds of a first run. What
-    stands behind `rig is not None` or `learners is not None` is compiled only for runs that have one.
+    stands behind `hardware is not None` or `learners is not None` is compiled only for runs that have one.
     """
     nv, p = body.T.shape
     at, position, nu = blocks.at, y[:nv], y[nv : nv + p]
     nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
     psi, psi_hat = row[at[PSI] : at[PSI + 1]], row[at[PSI_HAT] : at[PSI_HAT + 1]]
     tau, start_energy = row[at[TORQUE] : at[TORQUE + 1]], plan.start_energy
+    terms = Terms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
     for k in range(first, last):
         now, asked = k * plan.steps % plan.per_measurement == 0, True
         if hardware is not None:
-            if k * plan.h + EARLY >= hardware.pick:
-                if hardware.shift[1] == 0.0:
+            if k * plan.h + EARLY >= hardware.world.pick:
+                shift = hardware.world.shift
+                if shift[1] == 0.0:
                     before = energy_of(body, work, position, nu)
-                    hardware.shift[0], hardware.shift[1] = energy_of(loaded, work, position, nu) - before, 1.0
-                body, start_energy = loaded, plan.start_energy + hardware.shift[0]
+                    shift[0], shift[1] = energy_of(loaded, work, position, nu) - before, 1.0
+                body, start_energy = loaded, plan.start_energy + shift[0]
             if now:
                 sense(k * plan.steps // plan.per_measurement, k * plan.h, row, at, position, nu, body.arm, hardware)
-            now, asked = False, not is_stopped(hardware)
+            now, asked = False, not is_stopped(hardware.supervisor.on, hardware.supervisor.state)
         before_torque(row, at, k * plan.h, y, blocks.table[k], now, body.arm, blocks.gains, blocks.K)
         if asked and plan.uses_model:
             as_measured(
@@ -128,27 +130,26 @@ def advance(
                 else:
                     exact(row, at, position, nu, body.arm)
             if hardware is not None:
-                rotate(nu, hardware)
-                act(k, n * plan.dt, plan.dt, row, at, hardware)
-                mark(n * plan.dt, hardware.blocked, work.hold, BRAKE)
+                rotate(nu, hardware.E, hardware.motors.wire.joint)
+                act(k, n * plan.dt, row, at, hardware)
+                block(n * plan.dt, hardware.world.blocked, work.hold)
                 tau = hardware.tau
             if plan.method != RK4:
                 if i > 0:
                     evaluate(body, work, position, nu)
-                euler(
-                    plan.method, plan.dt, body.T, work.v, work.M, work.h, work.F, body.damping, body.dry, work.hold,
-                    body.viscous, tau, body.base, work.L, work.rest, work.grip, y, work.ydot,
-                )  # fmt: skip
+                joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base)
+                euler(plan.method, plan.dt, joints, terms, tau, y)
                 continue
             copy_to(y, work.trial)
             for stage in range(4):
                 if i > 0 or stage > 0:
                     evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
-                derivative(work.trial, work.v, work.M, work.h, work.F, tau, body.base, work.L, work.rest, work.ydot)
+                derivative(work.trial, tau, body.base, terms)
                 rk4_stage(stage, plan.dt, y, work.ydot, work.total, work.trial)
             copy_to(work.trial, y)
         if hardware is not None:
-            note(plan.steps, rows[k - first], at, hardware)
-            if hardware.supervised and has_ended(k * plan.h, hardware.limits, hardware.guard):
+            note(plan.steps, rows[k - first], at, hardware.totals)
+            supervisor = hardware.supervisor
+            if supervisor.on and has_ended(k * plan.h, supervisor.numbers, supervisor.state):
                 return TRIPPED
     return -1

@@ -93,7 +93,7 @@ class Control:
             measure_exactly: Measure that state, else the row already has the measurement.
         """
         before_torque(self.row, self.at, time, y, reference, measure_exactly, self.arm, self.gains, self.K)
-        asked = self.hardware is None or not is_stopped(self.hardware)
+        asked = self.hardware is None or not is_stopped(self.hardware.supervisor.on, self.hardware.supervisor.state)
         if asked:
             self.torque.step(time)
         if self.hardware is not None:

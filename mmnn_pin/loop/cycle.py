@@ -29,8 +29,8 @@ from ..torque.learning_law import LearningLaw
 from .before_run import require_nominal, require_stable_gains
 from .control import Control
 from .controller_state import told_with
-from .hardware import new_hardware
 from .loop import Loop
+from .new_hardware import new_hardware
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -131,7 +131,7 @@ class Cycle:
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
         self.control.step(k, time, self.nothing, self.table[k], False)
-        self.motor_torque[:] = self.hardware.command
+        self.motor_torque[:] = self.hardware.totals.command
         self.time, self.k = time, k
         self.step_time = perf_counter() - began
         return self.torque
@@ -149,12 +149,12 @@ class Cycle:
     @property
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the run."""
-        return bool(self.hardware.guard[HAS_TRIPPED])
+        return bool(self.hardware.supervisor.state[HAS_TRIPPED])
 
     @property
     def is_over(self) -> bool:
         """Whether the supervisor has stopped the run and shown its stop for `safety.stop_time`."""
-        return bool(has_ended(self.time, self.hardware.limits, self.hardware.guard))
+        return bool(has_ended(self.time, self.hardware.supervisor.numbers, self.hardware.supervisor.state))
 
     def finish(
         self, status: Status = "completed", message: str = "", extra: Mapping[str, ArrayLike] | None = None
@@ -171,8 +171,8 @@ class Cycle:
         """
         outcome = Outcome(status, (self.k + 1) * self.period)
         if self.tripped:
-            outcome = Outcome("tripped", *trip_of(self.hardware.guard, self.loop.robot))
-        found = remarks(self.hardware.guard, self.loop.robot, outcome.status)
+            outcome = Outcome("tripped", *trip_of(self.hardware.supervisor.state, self.loop.robot))
+        found = remarks(self.hardware.supervisor.state, self.loop.robot, outcome.status)
         outcome = replace(outcome, message="; ".join(text for text in (outcome.message, *found, message) if text))
         if self.weighed < self.k + 1:
             self._weigh(self.k + 1)
@@ -198,7 +198,7 @@ class Cycle:
 
     def _take(self, measurement: Measurement, time: float, measured: float) -> None:
         """Put a measurement into the row and before the supervisor."""
-        old = self.hardware.guard[GOOD] > 0.0 and measured < self.hardware.guard[HEARD]
+        old = self.hardware.supervisor.state[GOOD] > 0.0 and measured < self.hardware.supervisor.state[HEARD]
         if old:
             return
         for name in MEASURED:
@@ -211,7 +211,8 @@ class Cycle:
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
-        accept(self.row, self.at, when, when, True, self.hardware.guard)
+        supervisor = self.hardware.supervisor
+        accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
 
     def _weigh(self, k: int) -> None:
         """Record the weights as they are before control sample k."""
@@ -222,8 +223,9 @@ class Cycle:
     def _rehearse(self) -> None:
         """Compile all that a step calls, and forget it."""
         kept = self.hardware.state.copy(), self.control.weights.copy()
-        accept(self.row, self.at, 0.0, 0.0, True, self.hardware.guard)
+        supervisor = self.hardware.supervisor
+        accept(self.row, self.at, 0.0, 0.0, True, supervisor.message, supervisor.state)
         if isinstance(self.loop.controller, CompiledController | LearningLaw):
             self.control.step(0, 0.0, self.nothing, self.table[0], False)
-        has_ended(0.0, self.hardware.limits, self.hardware.guard)
+        has_ended(0.0, self.hardware.supervisor.numbers, self.hardware.supervisor.state)
         self.hardware.state[:], self.control.weights[:], self.row[:] = *kept, 0.0

@@ -20,7 +20,7 @@ from ..given_arrays import given_array
 from ..kinematic import Kinematic
 from ..model.robot import Robot, carrying
 from ..one_thread import one_thread
-from ..plant.contact.floor import Contact
+from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording
 from ..reference import Trajectory
@@ -177,7 +177,7 @@ class Loop:
             engine.control.step(k, k * self.timing.control_period, engine.plant.y, engine.table[k], True)
 
     def final(self, engine: Engine) -> dict[str, Array]:
-        """Position, nu, the rig's and the controller's memory where an engine stands."""
+        """Position, nu, the hardware's and the controller's state where an engine stands."""
         nv, p = self.robot.layout.full, self.robot.layout.dof
         final = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p], "rig_memory": engine.hardware_state}
         return final | ({"memory": engine.state.values} if isinstance(engine.state, ControllerState) else {})

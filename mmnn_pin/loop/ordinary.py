@@ -7,14 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..disturbance.effects import BRAKE, EARLY, mark
+from ..disturbance import block
+from ..plant import Plant
 from ..plant.contact.plant import ContactPlant
 from ..plant.ideal import IdealPlant
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
-from ..signals import Array
+from ..signals import EARLY, Array
 from .control import Control
-from .hardware import Hardware, act, new_hardware, note, sense
+from .hardware import Hardware, act, note, sense
+from .new_hardware import new_hardware
 from .sample import after_torque
 
 if TYPE_CHECKING:
@@ -97,7 +99,7 @@ class OrdinaryLoop:
             dynamics = plant.dynamics
             dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
             potential, work = dynamics.potential(), plant.y[-1]
-            start_energy = self.start_energy if hardware is None else self.start_energy + hardware.shift[0]
+            start_energy = self.start_energy if hardware is None else self.start_energy + hardware.world.shift[0]
             bad = after_torque(row, at, dynamics.M, E_inv, potential, work, start_energy, self.bounds)
             if bad >= 0:
                 return bad
@@ -116,8 +118,9 @@ class OrdinaryLoop:
                     self.act(k, n * timing.plant_step, hardware)
                 plant.refresh()
             if hardware is not None:
-                note(steps, self.rows[done], at, hardware)
-                if hardware.supervised and has_ended(k * h, hardware.limits, hardware.guard):
+                note(steps, self.rows[done], at, hardware.totals)
+                supervisor = hardware.supervisor
+                if supervisor.on and has_ended(k * h, supervisor.numbers, supervisor.state):
                     return TRIPPED
             if began - started > PATIENCE:
                 break
@@ -125,21 +128,22 @@ class OrdinaryLoop:
 
     def act(self, k: int, time: float, hardware: Hardware) -> None:
         """One step of the plant with imperfect motors, pushes and blocked joints."""
-        plant, dt = self.plant, self.loop.timing.plant_step
-        plant.motor_speeds(hardware.speed)
-        act(k, time, dt, self.row, self.at, hardware)
-        mark(time, hardware.blocked, plant.hold, BRAKE)
-        plant.step(hardware.tau, hardware.force)
+        plant, world = self.plant, hardware.world
+        plant.motor_speeds(hardware.motors.wire.joint)
+        act(k, time, self.row, self.at, hardware)
+        block(time, world.blocked, plant.hold)
+        plant.step(hardware.tau, world.wire.force)
 
     def pick_up(self, time: float, hardware: Hardware) -> None:
         """Carry the payload once its time has come; what energy comes with it is no error of the balance."""
-        if self.loaded is None or time + EARLY < hardware.pick:
+        if self.loaded is None or time + EARLY < hardware.world.pick:
             return
         plant, before = self.plant, self.energy()
         plant.carry(self.loaded)
         self.loaded = None
-        if hardware.shift[1] == 0.0:
-            hardware.shift[0], hardware.shift[1] = self.energy() - before, 1.0
+        shift = hardware.world.shift
+        if shift[1] == 0.0:
+            shift[0], shift[1] = self.energy() - before, 1.0
 
     def energy(self) -> float:
         """Kinetic and potential energy at the plant's state [J]."""
@@ -147,7 +151,7 @@ class OrdinaryLoop:
         return float(0.5 * nu @ dynamics.M @ nu) + dynamics.potential()
 
 
-def plant_of(loop: Loop) -> IdealPlant | ContactPlant:
+def plant_of(loop: Loop) -> Plant:
     """The plant that a loop asks for.
 
     Raises:

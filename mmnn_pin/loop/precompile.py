@@ -2,7 +2,7 @@
 
 numba holds a lock while it compiles, so threads do not help; two processes meet in the cache on disk. Each block is
 called once on a small robot: what is compiled depends on the types of its arguments only. Imperfect sensors and all
-else that stands behind a rig is left out: it is compiled by the first run that has it.
+else that stands behind a hardware model is left out: it is compiled by the first run that has it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
 from ..model.tree.body import body_of, evaluate, new_work
 from ..model.tree.dynamics import potential_energy, psi_again
-from ..plant.integrators import derivative, euler, rk4_stage
+from ..plant.integrators import Joints, Terms, derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
 from ..signals import INDEX, Layout
 from ..torque import law
@@ -55,10 +55,10 @@ def call_control_blocks() -> None:
     law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, state.values, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
-    derivative(y, v, M, nu, nu, nu, 2, L, nu.copy(), ydot)
-    euler(
-        0, 0.001, T, v, M, nu, nu, v.copy(), np.zeros((nv, 3)), np.zeros(nv), nu, nu, 2, L, nu.copy(), grip, y, ydot,
-    )  # fmt: skip
+    joints = Joints(T, v.copy(), np.zeros((nv, 3)), nu, 2)
+    terms = Terms(v, M, nu, nu, np.zeros(nv), ydot, L, nu.copy(), grip)
+    derivative(y, nu, 2, terms)
+    euler(0, 0.001, joints, terms, nu, y)
     rk4_stage(0, 0.001, y, ydot, y.copy(), y.copy())
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from .. import kinematic
 from ..compiled import compiled, copy_to
-from ..sensing.exact import exact
+from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 
 TIME, POSITION, NU, FIRST_REFERENCE, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))

@@ -10,10 +10,9 @@ from ..errors import UnknownName
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
 from ..signals import Array
-from . import integrators
+from . import NO_PUSH, integrators
 
 Feedback = Callable[[float, Array, Array], Array]
-NO_PUSH: Array = np.zeros(0)
 
 
 class IdealPlant:
@@ -39,12 +38,12 @@ class IdealPlant:
         if method not in integrators.METHODS:
             raise UnknownName("integrator", method, integrators.METHODS, key="time.integrator")
         self.robot, self.dt, self.method = robot, dt, integrators.METHODS[method]
-        self.dynamics, self.to_motors = Dynamics(robot), np.ascontiguousarray(robot.E.T)
+        self.to_motors = np.ascontiguousarray(robot.E.T)
         nv, p = robot.layout.full, robot.layout.dof
         self.y, self.trial, self.ydot, self.total = (np.zeros(nv + p + 1) for _ in range(4))
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
-        self.base, self.rest, self.grip = robot.layout.base, np.zeros(p), np.zeros((nv, p + 2))
         self.hold = np.zeros(nv)
+        self._take(robot)
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot at a position (nv,) with velocity nu (p,) and no work done."""
@@ -60,12 +59,8 @@ class IdealPlant:
 
         `pushed` is the part of it that does not come from the motors, which makes no difference here.
         """
-        d = self.dynamics
         if self.method != integrators.RK4:
-            integrators.euler(
-                self.method, self.dt, d.T, d.v, d.M, d.h, d.F, d.damping, d.dry, self.hold, d.viscous, tau, self.base,
-                d.L, self.rest, self.grip, self.y, self.ydot,
-            )  # fmt: skip
+            integrators.euler(self.method, self.dt, self.joints, self.terms, tau, self.y)
             return
         self._derivative(self.y, tau)
         integrators.rk4_stage(0, self.dt, self.y, self.ydot, self.total, self.trial)
@@ -76,7 +71,7 @@ class IdealPlant:
 
     def carry(self, robot: Robot) -> None:
         """Go on with a robot that carries more."""
-        self.robot, self.dynamics = robot, Dynamics(robot)
+        self._take(robot)
         self.refresh()
 
     def motor_speeds(self, speeds: Array) -> None:
@@ -106,5 +101,12 @@ class IdealPlant:
         self._derivative(self.trial, tau)
 
     def _derivative(self, y: Array, tau: Array) -> None:
-        d = self.dynamics
-        integrators.derivative(y, d.v, d.M, d.h, d.F, tau, self.base, d.L, self.rest, self.ydot)
+        integrators.derivative(y, tau, self.joints.base, self.terms)
+
+    def _take(self, robot: Robot) -> None:
+        """Dynamics of a robot, and its arrays for the integrators."""
+        self.robot, self.dynamics = robot, Dynamics(robot)
+        d, p = self.dynamics, robot.layout.dof
+        self.joints = integrators.Joints(d.T, d.damping, d.dry, d.viscous, robot.layout.base)
+        scratch = d.L, np.zeros(p), np.zeros((robot.layout.full, p + 2))
+        self.terms = integrators.Terms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)

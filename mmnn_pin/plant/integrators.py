@@ -16,6 +16,7 @@ implicit there, too.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ..compiled import compiled
 from ..model.reduction import COULOMB_SPEED, dry_level, position_rate, solve, spread, substitute
@@ -27,32 +28,61 @@ ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 1, "stick": 1}
 SWEEPS = 100  # of Gauss-Seidel at most
 
 
-@compiled
-def derivative(
-    y: Array, v: Array, M: Array, h: Array, F: Array, tau: Array, base: int, L: Array, rest: Array, ydot: Array
-) -> None:
-    """Time derivative of y under the torque tau.
+class Joints(NamedTuple):
+    """A robot as an integrator sees it.
 
-    Args:
-        y: (nv + p + 1,) position, nu, work.
+    Attributes:
+        T: (nv, p) map from nu to the velocities of all joints.
+        damping: (nv,) viscous friction of the joints.
+        dry: (nv, 3) dry friction of the joints.
+        viscous: (p,) viscous friction on nu.
+        base: Number of base velocities.
+    """
+
+    T: Array
+    damping: Array
+    dry: Array
+    viscous: Array
+    base: int
+
+
+class Terms(NamedTuple):
+    """The terms of the dynamics at a state, and scratch.
+
+    Attributes:
         v: (nv,) `T nu`.
         M: (p, p) reduced mass matrix.
         h: (p,) `C nu + gravity + friction`.
         F: (p,) friction.
-        tau: (p,) generalized torque.
-        base: Number of base velocities.
-        L: (p, p) scratch.
+        hold: (nv,) further dry friction, of joints that are blocked.
+        ydot: (nv + p + 1,) time derivative of y, written.
+        L: (p, p) scratch: Cholesky factor of M.
         rest: (p,) scratch.
-        ydot: (nv + p + 1,) written.
+        grip: (nv, p + 2) scratch of the method `stick`.
     """
-    nv, p = v.size, tau.size
+
+    v: Array
+    M: Array
+    h: Array
+    F: Array
+    hold: Array
+    ydot: Array
+    L: Array
+    rest: Array
+    grip: Array
+
+
+@compiled
+def derivative(y: Array, tau: Array, base: int, terms: Terms) -> None:
+    """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,) with `base` base velocities."""
+    nv, p, rest, ydot = terms.v.size, tau.size, terms.rest, terms.ydot
     nu = y[nv : nv + p]
-    position_rate(y[:nv], nu, v, base, ydot[:nv])
+    position_rate(y[:nv], nu, terms.v, base, ydot[:nv])
     power = 0.0
     for i in range(p):
-        rest[i] = tau[i] - h[i]
-        power += nu[i] * (tau[i] - F[i])
-    solve(M, rest, L, ydot[nv : nv + p])
+        rest[i] = tau[i] - terms.h[i]
+        power += nu[i] * (tau[i] - terms.F[i])
+    solve(terms.M, rest, terms.L, ydot[nv : nv + p])
     ydot[nv + p] = power
 
 
@@ -87,19 +117,16 @@ def friction_ratio(v: float, damping: float, dry: Array) -> float:
 
 
 @compiled
-def stiffen(dt: float, T: Array, v: Array, damping: Array, dry: Array, viscous: Array, smooth: bool, M: Array) -> None:
+def stiffen(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
     """Add `dt S` to M, so that `(M + dt S) nudot = tau - h` gives the velocity after a step with `F = S nu_new`.
 
     Args:
         dt: Step [s].
-        T: (nv, p) map to all velocities.
-        v: (nv,) `T nu`.
-        damping: (nv,) viscous friction of the joints.
-        dry: (nv, 3) dry friction of the joints.
-        viscous: (p,) viscous friction on nu.
+        joints: The robot.
         smooth: Whether dry friction is part of F.
-        M: (p, p) changed.
+        terms: At the start of the step; M changes.
     """
+    T, viscous, damping, dry, v, M = joints.T, joints.viscous, joints.damping, joints.dry, terms.v, terms.M
     for j in range(viscous.size):
         M[j, j] += dt * viscous[j]
     for i in range(v.size):
@@ -111,10 +138,10 @@ def stiffen(dt: float, T: Array, v: Array, damping: Array, dry: Array, viscous: 
 
 
 @compiled
-def friction_ahead(
-    dt: float, T: Array, v: Array, damping: Array, dry: Array, viscous: Array, smooth: bool, nudot: Array, F: Array
-) -> None:
+def friction_ahead(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
     """Friction F (p,) at the start of a step becomes that of its end, `F + dt S nudot`; arguments as in `stiffen`."""
+    T, viscous, damping, dry, v, F = joints.T, joints.viscous, joints.damping, joints.dry, terms.v, terms.F
+    nudot = terms.ydot[v.size : v.size + F.size]
     for j in range(viscous.size):
         F[j] += dt * viscous[j] * nudot[j]
     for i in range(v.size):
@@ -128,8 +155,9 @@ def friction_ahead(
 
 
 @compiled
-def release(T: Array, v: Array, dry: Array, h: Array, F: Array) -> None:
+def release(joints: Joints, terms: Terms) -> None:
     """Take smooth dry friction out of h (p,) and F (p,)."""
+    T, dry, v, h, F = joints.T, joints.dry, terms.v, terms.h, terms.F
     for i in range(v.size):
         if dry[i, 0] != 0.0:
             force = dry_level(v[i], dry[i]) * math.tanh(v[i] / COULOMB_SPEED)
@@ -139,20 +167,17 @@ def release(T: Array, v: Array, dry: Array, h: Array, F: Array) -> None:
 
 
 @compiled
-def stick(dt: float, T: Array, v: Array, dry: Array, hold: Array, L: Array, grip: Array, new: Array, F: Array) -> None:
+def stick(dt: float, joints: Joints, terms: Terms) -> None:
     """Impulses of dry friction: each within `+-level dt`, bringing its joint to rest or as near to it as they can.
 
     Args:
         dt: Step [s].
-        T: (nv, p) map to all velocities.
-        v: (nv,) velocities at the start of the step, where the levels are taken.
-        dry: (nv, 3) dry friction of the joints.
-        hold: (nv,) further dry friction, of joints that are blocked.
-        L: (p, p) Cholesky factor of the mass matrix.
-        grip: (nv, p + 2) scratch: response of nu to an impulse, of the joint itself, the impulse.
-        new: (p,) velocity without dry friction; with it at the end.
-        F: (p,) friction, to which that of the impulses is added.
+        joints: The robot.
+        terms: With v at the start of the step, where the levels are taken. `rest` is the velocity without dry friction
+            and becomes that with it; to F is added what the impulses are. A row of `grip` becomes the response of nu to
+            an impulse on a joint, that of the joint itself, and the impulse.
     """
+    T, dry, v, hold, grip, new, F = joints.T, joints.dry, terms.v, terms.hold, terms.grip, terms.rest, terms.F
     nv, p = T.shape
     for i in range(nv):
         grip[i, p + 1] = 0.0
@@ -160,7 +185,7 @@ def stick(dt: float, T: Array, v: Array, dry: Array, hold: Array, L: Array, grip
             answer, grip[i, p] = grip[i, :p], 0.0
             for j in range(p):
                 answer[j] = T[i, j]
-            substitute(L, answer)
+            substitute(terms.L, answer)
             for j in range(p):
                 grip[i, p] += T[i, j] * answer[j]
     for _ in range(SWEEPS):
@@ -185,51 +210,39 @@ def stick(dt: float, T: Array, v: Array, dry: Array, hold: Array, L: Array, grip
 
 
 @compiled
-def euler(
-    method: int,
-    dt: float,
-    T: Array,
-    v: Array,
-    M: Array,
-    h: Array,
-    F: Array,
-    damping: Array,
-    dry: Array,
-    hold: Array,
-    viscous: Array,
-    tau: Array,
-    base: int,
-    L: Array,
-    rest: Array,
-    grip: Array,
-    y: Array,
-    ydot: Array,
-) -> None:
+def euler(method: int, dt: float, joints: Joints, terms: Terms, tau: Array, y: Array) -> None:
     """One step of semi-implicit Euler: nu first, then the position with the new nu; the work by the trapezoid of nu.
 
-    Arguments as in `derivative`, `stiffen` and `stick`, evaluated at y, which moves on; v becomes `T nu` of the new nu.
     With the methods `IMPLICIT_FRICTION` and `STICK` the friction is that of the end of the step, and M, h and F change.
+
+    Args:
+        method: One of `METHODS`, not RK4.
+        dt: Step [s].
+        joints: The robot.
+        terms: At y; v becomes `T nu` of the new nu.
+        tau: (p,) generalized torque.
+        y: (nv + p + 1,) position, nu and work, moved on.
     """
-    nv, p = v.size, tau.size
+    nv, p, v, F, rest, ydot = terms.v.size, tau.size, terms.v, terms.F, terms.rest, terms.ydot
     implicit, smooth = method in (IMPLICIT_FRICTION, STICK), method != STICK
     if not smooth:
-        release(T, v, dry, h, F)
+        release(joints, terms)
     if implicit:
-        stiffen(dt, T, v, damping, dry, viscous, smooth, M)
-    derivative(y, v, M, h, F, tau, base, L, rest, ydot)
+        stiffen(dt, joints, smooth, terms)
+    derivative(y, tau, joints.base, terms)
     if implicit:
-        friction_ahead(dt, T, v, damping, dry, viscous, smooth, ydot[nv : nv + p], F)
+        friction_ahead(dt, joints, smooth, terms)
     for i in range(p):
         rest[i] = y[nv + i] + dt * ydot[nv + i]
     if not smooth:
-        stick(dt, T, v, dry, hold, L, grip, rest, F)
+        stick(dt, joints, terms)
     work = 0.0
     for i in range(p):
         work += 0.5 * (y[nv + i] + rest[i]) * (tau[i] - F[i])
         y[nv + i] = rest[i]
     new = y[nv : nv + p]
-    spread(T, new, v)
-    position_rate(y[:nv], new, v, base, ydot[:nv])
+    spread(joints.T, new, v)
+    position_rate(y[:nv], new, v, joints.base, ydot[:nv])
     for i in range(nv):
         y[i] += dt * ydot[i]
     y[nv + p] += dt * work

@@ -7,20 +7,20 @@ with an integral against gravity. Without fresh measurements the torque ramps to
 are shorted where they brake (`actuator.brake`); so it is where feedback does not bring the robot to rest in time. Where
 the drive motors have such a brake the base is braked by it at once, for which nothing has to be measured.
 
-A program of your own makes `Safety.numbers` and `new_state` once, calls `accept` at every measurement, `supervise` at
-every control sample, and asks `may_learn` whether the controller is still to be asked.
+A program of your own makes a `Safety.supervisor` once, calls `accept` at every measurement, `supervise` at every
+control sample, and asks `may_learn` whether the controller is still to be asked.
 """
 
-from .outcome import remarks, trip_of
-from .settings import Safety, new_state
+from .settings import Safety, new_state, no_supervisor, remarks, trip_of
 from .supervisor import (
     HAS_TRIPPED,
     RAMPING,
     RUNNING,
-    SETTLE,
+    SHORT,
     STEPPED_IN,
     STOPPING,
     TRIPPED,
+    Supervisor,
     accept,
     has_ended,
     may_learn,
@@ -31,15 +31,17 @@ __all__ = [
     "HAS_TRIPPED",
     "RAMPING",
     "RUNNING",
-    "SETTLE",
+    "SHORT",
     "STEPPED_IN",
     "STOPPING",
     "TRIPPED",
     "Safety",
+    "Supervisor",
     "accept",
     "has_ended",
     "may_learn",
     "new_state",
+    "no_supervisor",
     "remarks",
     "supervise",
     "trip_of",

@@ -1,9 +1,9 @@
-"""Limits of a supervisor as settings, and as numbers for one robot."""
+"""Limits of a supervisor as settings and for one robot, and what its state tells after a run."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -11,11 +11,41 @@ from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot, limits, speed_limits
 from ..settings import Numbers, Settings, one_or_each, require_numbers
-from ..signals import Array, Layout
-from .supervisor import BLIND, COMMANDED, HEARD, MEMORY
+from ..signals import Array, IntArray, Layout
+from .supervisor import (
+    BAD,
+    BAD_WEIGHTS,
+    BLIND,
+    CODE,
+    COMMANDED,
+    DEAF,
+    HAS_TRIPPED,
+    HEARD,
+    LIMIT,
+    LOST,
+    MARKS,
+    OFF_HEADING,
+    OFF_JOINT,
+    OFF_PATH,
+    OVER_SPEED,
+    OVER_TORQUE,
+    PLACE,
+    REFUSED,
+    TIME,
+    VALUE,
+    Supervisor,
+)
 
 MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
 FRESH = 5.5  # measurements that fail to come before a stop does without
+# What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
+SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
+SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights"}
+WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
+WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of the command"}
+UNIT = {OVER_TORQUE: " N m", OVER_SPEED: " rad/s", OFF_PATH: " m", OFF_HEADING: " rad", OFF_JOINT: " rad"}
+UNIT |= {DEAF: " s", LOST: " s"}
+SLIDING = {OVER_TORQUE: " N", OVER_SPEED: " m/s", OFF_JOINT: " m"}
 
 
 class Safety(Settings, frozen=True):
@@ -63,10 +93,20 @@ class Safety(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_numbers(self, "safety", set(self.__struct_fields__) - set(MAY_BE_ZERO))
 
-    def numbers(
-        self, robot: Robot, period: float, gains: Array, K: Array, short: bool = False, arrivals: float = 0.0
-    ) -> Array:
-        """Settings as numbers for one robot.
+    def supervisor(
+        self,
+        robot: Robot,
+        period: float,
+        gains: Array,
+        K: Array,
+        *,
+        short: bool = False,
+        brakes: bool = True,
+        arrivals: float = 0.0,
+        weights: IntArray | None = None,
+        values: Array | None = None,
+    ) -> Supervisor:
+        """The supervisor of one robot.
 
         Args:
             robot: The robot.
@@ -74,28 +114,29 @@ class Safety(Settings, frozen=True):
             gains: (p,) feedback that brakes and holds, on the velocities.
             K: (n,) gain of the filtered arm error.
             short: Whether shorted windings brake the base.
+            brakes: Whether they brake anything; else nothing does but feedback.
             arrivals: Time between two measurements [s]; 0 for the control period.
+            weights: (k, 2) start and stop of every array of weights in the controller's state; None for none.
+            values: State, from `new_state`; None for a new one.
 
         Raises:
             ConfigError: Not one number per motor or per joint.
         """
         layout = robot.layout
-        own = [self.timeout, self.ramp, self.stop_time, self.torque_time]
-        own += [
-            some(self.position_error),
-            some(self.heading_error),
-            some(self.weights),
-            self._calm_rate(robot, gains),
-            period,
-        ]
-        own += [self.settle, self.rest, float(short), FRESH * (arrivals or period)]
+        position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
+        numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
+        numbers += [self._calm_rate(robot, gains), period, self.settle if brakes else math.inf, self.rest]
+        numbers += [float(short), FRESH * (arrivals or period)]
         base = BY_SIZE[layout.base].per_velocity(some(self.speed), some(self.yaw_rate))
         urdf = speed_limits(robot)[layout.motors - layout.arm :]
         joint_speed = limits(self.joint_speed, urdf, "joint", "safety.joint_speed")
         torque = limits(self.torque, robot.effort_limits, "motor", "safety.torque")
         most = math.inf if self.joint_error is None else self.joint_error
         error = one_or_each(most, layout.arm, "joint", "safety.joint_error")
-        return np.concatenate((own, torque, base, joint_speed, gains, error, K)).astype(float)
+        arrays = [numbers, torque, [*base, *joint_speed], gains, error, K, robot.E, np.linalg.pinv(robot.E)]
+        fixed = [np.array(array, float, order="C") for array in arrays]
+        places = np.zeros((0, 2), np.int64) if weights is None else weights
+        return Supervisor._make([True, *fixed, places, *views(new_state(layout) if values is None else values, layout)])
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
         """`M qddot = g (K (e + I) - qdot)`, `Idot = rate e` is stable for `rate < g / M` (Routh); half at most."""
@@ -109,10 +150,59 @@ def some(value: float | None) -> float:
     return math.inf if value is None else value
 
 
+def no_supervisor(layout: Layout, values: Array) -> Supervisor:
+    """What stands in a run that nobody supervises; it has a state (`new_state`) all the same."""
+    nothing, none = np.zeros(0), np.zeros((0, 0))
+    numbers: list[Any] = [False, *[nothing] * 6, none, none, np.zeros((0, 2), np.int64)]
+    return Supervisor._make([*numbers, *views(values, layout)])
+
+
 def new_state(layout: Layout, start: float = 0.0) -> Array:
-    """What the supervisor remembers, before its first measurement at a time [s]."""
+    """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm
-    state = np.zeros(MEMORY + message + 2 * layout.dof + layout.motors + 2 * layout.arm)
-    state[HEARD] = state[COMMANDED] = start
-    state[BLIND] = -1.0
-    return state
+    values = np.zeros(MARKS + message + 2 * layout.dof + layout.motors + 2 * layout.arm)
+    values[HEARD] = values[COMMANDED] = start
+    values[BLIND] = -1.0
+    return values
+
+
+def views(values: Array, layout: Layout) -> list[Array]:
+    """A supervisor's state and views of its parts, in the order of `Supervisor`."""
+    message, p, n = layout.pose + layout.base + 2 * layout.arm, layout.dof, layout.arm
+    return [values, *np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n]))]
+
+
+def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
+    """When a run tripped [s], the signal that passed its limit, and a line that says by how much.
+
+    Args:
+        state: Of the supervisor, (MARKS,) or all of it.
+        robot: The robot.
+    """
+    code, i, time = int(state[CODE]), int(state[PLACE]), float(state[TIME])
+    if code == BAD_WEIGHTS:
+        return time, f"weights[{i}]", f"tripped at t = {time:g} s: weights are not finite"
+    names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
+    name = names[code][i] if code in names else ""
+    unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
+    value, limit, nb = state[VALUE], state[LIMIT], robot.layout.base
+    of, over = f" of {name}" if name else "", f"{value - limit:.3g}{unit} over its limit of {limit:.4g}{unit}"
+    signal = f"{SIGNAL[code]}[{i}]" if code in SIGNAL else f"velocity[{i}]" if i < nb else f"qdot[{i - nb}]"
+    return time, signal, f"tripped at t = {time:g} s: {WHAT[code]}{of} {value:.4g}{unit}, {over}"
+
+
+def slides(robot: Robot, name: str) -> bool:
+    """Whether a velocity or a joint is one along a line."""
+    if not robot.model.existJointName(name):
+        return name != "w"
+    kind = robot.model.joints[robot.model.getJointId(name)].shortname()
+    return str(kind).startswith(("JointModelP", "JointModelMimicP"))
+
+
+def remarks(state: Array, robot: Robot, status: str) -> list[str]:
+    """Lines on a run that ended with a status: what was refused, and that it had tripped before."""
+    lines = [trip_of(state, robot)[2]] if state[HAS_TRIPPED] and status != "tripped" else []
+    for place, kind in ((BAD, "measurement"), (REFUSED, "command")):
+        if count := int(state[place]):
+            lines.append(f"refused {count} {kind}{'s' if count > 1 else ''} with numbers that are not finite")
+    return lines

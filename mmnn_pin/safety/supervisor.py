@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from ..compiled import compiled, copy_to
+from ..compiled import compiled, copy_to, spliced
 from ..model.base.holonomic import moves_sideways
-from ..signals import INDEX, Array, IntArray
+from ..signals import EARLY, INDEX, Array, IntArray
 
 POSE, VELOCITY, Q, QDOT, ALPHA = (INDEX[name] for name in ("pose", "velocity", "q", "qdot", "alpha"))
 POSE_ERROR, JOINT_ERROR, STATE = INDEX["pose_error"], INDEX["e"], INDEX["safety"]
@@ -15,22 +16,62 @@ PSI_HAT, TORQUE = INDEX["psi_hat"], INDEX["torque"]
 # What the signal `safety` says of a sample: nothing done, a torque clipped or a value held, stopping under feedback,
 # ramping to zero torque without measurements.
 RUNNING, STEPPED_IN, STOPPING, RAMPING = 0.0, 1.0, 2.0, 3.0
-# Settings: numbers, then per motor the torque limit, per velocity the speed limit and the feedback gain, per joint the
-# error limit and the gain K.
+# Numbers of the settings.
 TIMEOUT, RAMP, STOP_TIME, TORQUE_TIME, POSITION, HEADING, WEIGHTS, HOLD_RATE, H = range(9)
 SETTLE, REST, SHORT, FRESH, NUMBERS = range(9, 14)
-# Memory: numbers, then the last good measurement, the last torque (p), per motor the time above its limit, per joint
-# where it is held and the integral of its error, the last command of a controller that fell silent (p).
+# Numbers of the state.
 HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD, REFUSED, ACTED = range(13)
-ARRIVED, BLIND, GIVEN_UP, MEMORY = range(13, 17)
-EARLY = 5e-10  # half a nanosecond, as times are rounded [s]
+ARRIVED, BLIND, GIVEN_UP, MARKS = range(13, 17)
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS = range(9)
 
 
+class Supervisor(NamedTuple):
+    """A supervisor of one run: its limits and its state as arrays.
+
+    Attributes:
+        on: Whether there is one; the others are empty if not.
+        numbers: (NUMBERS,) settings that are single numbers.
+        torque: (motors,) torque limits.
+        speed: (p,) speed limits.
+        gains: (p,) feedback that brakes and holds.
+        error: (n,) limits of the joints' errors.
+        K: (n,) gain of the filtered arm error.
+        E, E_inv: (p, motors) torque on nu from motor torques, and back.
+        weights: (k, 2) start and stop of every array of weights in the controller's state.
+        values: State: all of the following.
+        state: (MARKS,) single numbers.
+        message: The last good measurement: pose, velocity, q, qdot.
+        last: (p,) the last torque.
+        above: (motors,) how long every motor has asked for more than its limit [s].
+        place: (n,) where the joints are held.
+        integral: (n,) of their errors.
+        stale: (p,) the last command of a controller that fell silent.
+    """
+
+    on: bool
+    numbers: Array
+    torque: Array
+    speed: Array
+    gains: Array
+    error: Array
+    K: Array
+    E: Array
+    E_inv: Array
+    weights: IntArray
+    values: Array
+    state: Array
+    message: Array
+    last: Array
+    above: Array
+    place: Array
+    integral: Array
+    stale: Array
+
+
 @compiled
-def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, state: Array) -> None:
+def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, message: Array, state: Array) -> None:
     """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
 
     Args:
@@ -39,18 +80,19 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, stat
         time: When it was measured [s].
         now: When it came [s].
         is_new: Whether it is another one than last time.
-        state: The supervisor's memory.
+        message: The supervisor's last good measurement.
+        state: The supervisor's state.
     """
-    first, size, fine = at[POSE], at[QDOT + 1] - at[POSE], True
-    for i in range(size):
-        fine = fine and math.isfinite(row[first + i])
+    measured, fine = row[at[POSE] : at[QDOT + 1]], True
+    for i in range(measured.size):
+        fine = fine and math.isfinite(measured[i])
     state[HELD] = 0.0 if fine else 1.0
     if fine and is_new:
-        copy_to(row[first : first + size], state[MEMORY : MEMORY + size])
+        copy_to(measured, message)
         state[HEARD], state[ARRIVED], state[GOOD] = time, now, state[GOOD] + 1.0
     elif not fine:
         state[BAD] += is_new
-        copy_to(state[MEMORY : MEMORY + size], row[first : first + size])
+        copy_to(message, measured)
 
 
 @compiled
@@ -73,19 +115,8 @@ def trip(time: float, code: int, place: int, value: float, limit: float, state: 
         state[VALUE], state[LIMIT] = value, limit
 
 
-@compiled
-def supervise(
-    row: Array,
-    at: IntArray,
-    time: float,
-    arrived: bool,
-    E: Array,
-    E_inv: Array,
-    numbers: Array,
-    state: Array,
-    places: IntArray,
-    weights: Array,
-) -> None:
+@spliced
+def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Array, supervisor: Supervisor) -> None:
     """Check a sample and write the torque that goes to the motors into the row, and what was done as `safety`.
 
     Args:
@@ -93,21 +124,15 @@ def supervise(
         at: Offsets of the signals.
         time: Of the sample [s].
         arrived: Whether a command came.
-        E: (p, motors) torque on nu from motor torques.
-        E_inv: (motors, p) its inverse.
-        numbers: Settings.
-        state: The supervisor's memory.
-        places: (k, 2) start and stop of every array of weights.
-        weights: The controller's memory.
+        weights: The controller's state.
+        supervisor: The supervisor.
     """
-    p, motors = E.shape
-    n, tau = at[JOINT_ERROR + 1] - at[JOINT_ERROR], row[at[TORQUE] : at[TORQUE + 1]]
-    last = state[MEMORY + at[QDOT + 1] - at[POSE] :]
-    step_in = bound_weights(time, numbers, state, places, weights) or state[HELD] > 0.0 or state[GOOD] == 0.0
+    tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
+    step_in = bound_weights(time, weights, supervisor) or state[HELD] > 0.0 or state[GOOD] == 0.0
     if state[GOOD] > 0.0:
-        check_motion(row, at, time, numbers, state, motors)
+        check_motion(row, at, time, supervisor)
     fine = arrived
-    for i in range(p):
+    for i in range(tau.size):
         fine = fine and math.isfinite(tau[i])
     for i in range(at[PSI_HAT], at[TORQUE]):  # what else came with a broken command is no number either
         row[i] = row[i] if math.isfinite(row[i]) else 0.0
@@ -117,7 +142,7 @@ def supervise(
         else:
             state[REFUSED] += arrived
             step_in = True
-            copy_to(last[:p], tau)
+            copy_to(supervisor.last, tau)
         if state[GOOD] == 0.0:
             tau[:] = 0.0
         if time - state[HEARD] > numbers[TIMEOUT] + EARLY:
@@ -126,36 +151,35 @@ def supervise(
             trip(time, LOST, 0, time - state[COMMANDED], numbers[TIMEOUT], state)
     row[at[STATE]] = STEPPED_IN if step_in else RUNNING
     if state[HAS_TRIPPED] > 0.0:
-        stop(row, at, time, numbers, state, n, motors)
-    clipped = clip(time, tau, E, E_inv, numbers, state, last[p : p + motors])
+        stop(row, at, time, supervisor)
+    clipped = clip(time, tau, supervisor)
     if clipped and row[at[STATE]] == RUNNING:
         row[at[STATE]] = STEPPED_IN
-    copy_to(tau, last[:p])
+    copy_to(tau, supervisor.last)
 
 
-@compiled
-def bound_weights(time: float, numbers: Array, state: Array, places: IntArray, weights: Array) -> bool:
+@spliced
+def bound_weights(time: float, weights: Array, supervisor: Supervisor) -> bool:
     """Scale weights back onto their bound; true if some were beyond it."""
-    beyond = False
+    beyond, places, most = False, supervisor.weights, supervisor.numbers[WEIGHTS]
     for k in range(places.shape[0]):
         W, squares = weights[places[k, 0] : places[k, 1]], 0.0
         for i in range(W.size):
             squares += W[i] * W[i]
         if not math.isfinite(squares):
-            trip(time, BAD_WEIGHTS, k, squares, numbers[WEIGHTS], state)
-        elif squares > numbers[WEIGHTS] * numbers[WEIGHTS]:
-            beyond, scale = True, numbers[WEIGHTS] / math.sqrt(squares)
+            trip(time, BAD_WEIGHTS, k, squares, most, supervisor.state)
+        elif squares > most * most:
+            beyond, scale = True, most / math.sqrt(squares)
             for i in range(W.size):
                 W[i] *= scale
     return beyond
 
 
-@compiled
-def check_motion(row: Array, at: IntArray, time: float, numbers: Array, state: Array, motors: int) -> None:
+@spliced
+def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Trip on measured speeds and tracking errors beyond their limits."""
     nb, n = at[ALPHA + 1] - at[ALPHA], at[JOINT_ERROR + 1] - at[JOINT_ERROR]
-    speeds = numbers[NUMBERS + motors :]
-    errors = speeds[2 * (nb + n) :]
+    speeds, errors, numbers, state = supervisor.speed, supervisor.error, supervisor.numbers, supervisor.state
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
         if moves_sideways(nb) and i < 2:  # the speed of a base that moves sideways, too
@@ -174,14 +198,11 @@ def check_motion(row: Array, at: IntArray, time: float, numbers: Array, state: A
             trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], state)
 
 
-@compiled
-def stop(row: Array, at: IntArray, time: float, numbers: Array, state: Array, n: int, motors: int) -> None:
+@spliced
+def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
-    p = at[TORQUE + 1] - at[TORQUE]
-    tau, last = row[at[TORQUE] : at[TORQUE + 1]], state[MEMORY + at[QDOT + 1] - at[POSE] :]
-    gains = numbers[NUMBERS + motors + p :]
-    K, hold = gains[p + n :], last[p + motors :]
-    stale = hold[2 * n :]
+    tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
+    p, n, stale, place = tau.size, supervisor.place.size, supervisor.stale, supervisor.place
     if time - state[TIME] > numbers[SETTLE] and moves(row, at, p, n, numbers[REST]):
         state[GIVEN_UP] = 1.0
     if state[GIVEN_UP] > 0.0 or state[GOOD] == 0.0 or time - state[ARRIVED] > numbers[FRESH]:
@@ -189,26 +210,27 @@ def stop(row: Array, at: IntArray, time: float, numbers: Array, state: Array, n:
             state[BLIND], state[ACTED] = time, 0.0
         row[at[STATE]], left = RAMPING, numbers[RAMP] - (time - state[BLIND])
         for i in range(p):  # these factors multiply to a straight line
-            tau[i] = last[i] * left / (left + numbers[H]) if left > 0.0 else 0.0
+            tau[i] = supervisor.last[i] * left / (left + numbers[H]) if left > 0.0 else 0.0
         return
     row[at[STATE]], state[BLIND] = STOPPING, -1.0
     if state[ACTED] == 0.0:  # hold the arm where it is now
         state[ACTED] = 1.0
         for i in range(n):
-            hold[i], hold[n + i] = row[at[Q] + i], 0.0
+            place[i], supervisor.integral[i] = row[at[Q] + i], 0.0
         for i in range(p):
-            stale[i] = last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
+            stale[i] = supervisor.last[i] if state[CODE] == LOST and time == state[TIME] else 0.0
     fade = max(0.0, numbers[RAMP] - (time - state[TIME])) / (numbers[RAMP] + numbers[H])
     for i in range(p - n):
-        feedback = 0.0 if numbers[SHORT] > 0.0 else -gains[i] * row[at[VELOCITY] + i]
+        feedback = 0.0 if numbers[SHORT] > 0.0 else -supervisor.gains[i] * row[at[VELOCITY] + i]
         tau[i] = fade * stale[i] + feedback
     for i in range(n):
-        e, j = hold[i] - row[at[Q] + i], p - n + i
-        hold[n + i] += numbers[H] * numbers[HOLD_RATE] * e
-        tau[j] = fade * stale[j] + gains[j] * (K[i] * (e + hold[n + i]) - row[at[QDOT] + i])
+        e, j = place[i] - row[at[Q] + i], p - n + i
+        supervisor.integral[i] += numbers[H] * numbers[HOLD_RATE] * e
+        hold = supervisor.K[i] * (e + supervisor.integral[i]) - row[at[QDOT] + i]
+        tau[j] = fade * stale[j] + supervisor.gains[j] * hold
 
 
-@compiled
+@spliced
 def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
     """Whether a measured velocity is not at rest."""
     fastest = 0.0
@@ -217,30 +239,30 @@ def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
     return fastest > rest
 
 
-@compiled
-def clip(time: float, tau: Array, E: Array, E_inv: Array, numbers: Array, state: Array, above: Array) -> bool:
+@spliced
+def clip(time: float, tau: Array, supervisor: Supervisor) -> bool:
     """Clip the motor torques, and trip when a motor has asked for too much for too long."""
-    clipped, p = False, tau.size
+    clipped, numbers, above = False, supervisor.numbers, supervisor.above
     for j in range(above.size):
-        u, limit = 0.0, numbers[NUMBERS + j]
-        for i in range(p):
-            u += E_inv[j, i] * tau[i]
+        u, limit = 0.0, supervisor.torque[j]
+        for i in range(tau.size):
+            u += supervisor.E_inv[j, i] * tau[i]
         over = abs(u) > limit
         clipped = clipped or over
         above[j] = above[j] + numbers[H] if over else 0.0
         if above[j] > numbers[TORQUE_TIME] + EARLY:
-            trip(time, OVER_TORQUE, j, abs(u), limit, state)
+            trip(time, OVER_TORQUE, j, abs(u), limit, supervisor.state)
     if clipped:
-        within(tau, E, E_inv, numbers)
+        within(tau, supervisor.E, supervisor.E_inv, supervisor.torque)
     return clipped
 
 
 @compiled
-def within(tau: Array, E: Array, E_inv: Array, numbers: Array) -> None:
-    """Tau (p,) with every motor within its limit; more motors than velocities are all scaled alike."""
+def within(tau: Array, E: Array, E_inv: Array, limits: Array) -> None:
+    """Tau (p,) with every motor within its limit (motors,); more motors than velocities are all scaled alike."""
     p, motors, scale = E.shape[0], E.shape[1], 1.0
     for j in range(motors):
-        u, limit = 0.0, numbers[NUMBERS + j]
+        u, limit = 0.0, limits[j]
         for i in range(p):
             u += E_inv[j, i] * tau[i]
         if abs(u) > limit:

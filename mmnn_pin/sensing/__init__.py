@@ -1,7 +1,9 @@
-"""From the state to the Measurement: encoders, differenced velocities, odometry, noise, delay."""
+"""From the state to the Measurement: encoders, differenced velocities, odometry, noise, delay.
 
-from .encoders import measure
-from .exact import exact
-from .settings import Sensing, Sensor
+`Sensor` in `settings` makes the list of effects, `effects` has one class for each.
+"""
 
-__all__ = ["Sensing", "Sensor", "exact", "measure"]
+from .effects import FrozenEncoders, Sensors, exact
+from .settings import Sensor
+
+__all__ = ["FrozenEncoders", "Sensor", "Sensors", "exact"]

@@ -1,9 +1,8 @@
-"""What a robot's sensors do to the truth, as settings, and as numbers for one robot and one run."""
+"""What a robot's sensors do to the truth, as settings, and as a list of effects for one robot and one run."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
@@ -12,8 +11,8 @@ import numpy as np
 from ..errors import ConfigError
 from ..model.robot import Robot
 from ..settings import Settings, one_or_each, require_gain
-from ..signals import Array, IntArray
-from .encoders import DEPTH, DIFFERENCE, FILTERED, OBSERVER, STATES, TRUE, VELOCITIES, noise_columns
+from ..signals import Array
+from .effects import CLOCK, COLUMNS, Encoders, Line, Noise, Odometry, Rates, Reading, Sensors, Velocities
 
 
 class Sensor(Settings, frozen=True):
@@ -75,92 +74,101 @@ class Sensor(Settings, frozen=True):
         """Whether the controller gets the true state at once."""
         return self == _exact(self.bandwidth, self.side)
 
-    def on(self, robot: Robot, period: float) -> Sensing:
-        """The sensors of one robot.
+    def on(
+        self,
+        robot: Robot,
+        period: float,
+        count: int,
+        rng: np.random.Generator,
+        faults: Array | None = None,
+        state: Array | None = None,
+    ) -> Sensors:
+        """The sensors of one robot for one run.
 
         Args:
             robot: The robot.
             period: Time between two measurements [s].
+            count: How many measurements there will be.
+            rng: For noise, jitter and losses; those of fewer measurements are the first of those of more.
+            faults: (count, 2) how many measurements later still every message is, negative for a lost one, and what is
+                added to all its numbers; None for none.
+            state: Of the sensors, from `init`; None for a new one.
 
         Raises:
             ConfigError: Not one number per joint, or wheels to be measured on a robot that has none.
         """
+        layout, period = robot.layout, float(period)
+        faults = np.zeros((count, 2)) if faults is None else faults
+        state = self.init(robot, faults) if state is None else state
+        wheels, nw, n, p = self._wheels(robot), len(self._wheels(robot)), layout.arm, layout.dof
+        W: Array = np.zeros((layout.base, 0))
+        if wheels:
+            W = np.ascontiguousarray(np.linalg.pinv(robot.T[wheels, : layout.base]))
+        normal, uniform = rng.spawn(2)
+        normals = np.split(normal.standard_normal((count, nw + n + p + layout.pose)), [nw + n, nw + n + p], axis=1)
+        uniforms = uniform.random((count, 2))
+        angles, rates, poses = (np.ascontiguousarray(part) for part in normals)
+        size = layout.pose + layout.base + 2 * n
+        ends = np.cumsum([CLOCK, COLUMNS * (nw + n), layout.pose, size])
+        clock, joints, pose, received, slots = np.split(state, ends)
+        joints = joints.reshape(-1, COLUMNS)
+        wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, np.zeros(size), received)
+        spread = np.array(one_or_each(self.velocity_noise, p, "velocity", "sensor.velocity_noise"))
+        effects = (
+            Encoders(
+                np.array([*wheels, *robot.arm_index], np.int64),
+                self._per_encoder(nw, n, "resolution", self.wheel_resolution),
+                self._per_encoder(nw, n, "offset", 0.0),
+                self._per_encoder(nw, n, "noise", self.wheel_noise),
+                angles,
+            ),
+            Rates(self.velocity == "observer", period, *self._derivative(period)),
+            Velocities(self.velocity == "true", W),
+            Odometry(self.pose == "odometry", W, pose),
+            Noise(spread, np.array(self.pose_noise[: layout.pose], float), rates, poses),
+            Line(self.delay, self.jitter, float(self.loss), uniforms, faults, slots.reshape(-1, size)),
+        )
+        return Sensors(period, wire, effects)
+
+    def init(self, robot: Robot, faults: Array | None = None) -> Array:
+        """State before the first measurement: clock, encoders, odometry, what was received, the line."""
         layout = robot.layout
-        wheels = [robot.position_names.index(wheel.joint) for wheel in robot.base.wheels] if layout.base else []
-        if layout.base and not wheels and (self.velocity != "true" or self.pose != "true"):
+        size = layout.pose + layout.base + 2 * layout.arm
+        latest = 0 if faults is None else int(max(faults[:, 0].max(initial=0.0), 0.0))
+        depth = self.delay + self.jitter + 1 + latest
+        return np.zeros(CLOCK + COLUMNS * (len(self._wheels(robot)) + layout.arm) + layout.pose + (depth + 1) * size)
+
+    def _wheels(self, robot: Robot) -> list[int]:
+        """Places of the wheels with encoders in the position.
+
+        Raises:
+            ConfigError: They are to be read, and there are none.
+        """
+        if not robot.layout.base:
+            return []
+        wheels = [robot.position_names.index(wheel.joint) for wheel in robot.base.wheels]
+        if not wheels and (self.velocity != "true" or self.pose != "true"):
             key = "sensor.velocity" if self.velocity != "true" else "sensor.pose"
             fix = "use 'true'"
             raise ConfigError(f"'{robot.name}' has no wheels with encoders", why="forces drive it", fix=fix, key=key)
-        W = np.linalg.pinv(robot.T[wheels, : layout.base]) if wheels else np.zeros((layout.base, 0))
-        parts = [
-            [VELOCITIES[self.velocity], self.pose == "odometry", period, *self._derivative(period)],
-            [self.delay, self.jitter, self.loss, self.delay + self.jitter + 1],
-            *(self._encoders(name, len(wheels), layout.arm) for name in ("resolution", "offset", "noise")),
-            one_or_each(self.velocity_noise, layout.dof, "velocity", "sensor.velocity_noise"),
-            self.pose_noise if layout.base else (),
-        ]
-        return Sensing(
-            encoders=np.array([*wheels, *robot.arm_index], np.int64),
-            W=np.ascontiguousarray(W),
-            numbers=np.concatenate([np.asarray(part, float) for part in parts]),
-            pose=layout.pose,
-            velocities=layout.dof,
-            message=layout.pose + layout.base + 2 * layout.arm,
-        )
+        return wheels
 
     def _derivative(self, period: float) -> tuple[float, float]:
-        """Coefficients of the derivative: of a first-order filter, or alpha and beta / period of the observer."""
-        mode = VELOCITIES[self.velocity]
-        if mode == FILTERED:
+        """Coefficients of the rates: of a first-order filter, or alpha and beta / period of the observer."""
+        if self.velocity == "filtered":
             return self.bandwidth * period / (1.0 + self.bandwidth * period), 0.0
-        if mode == OBSERVER:
+        if self.velocity == "observer":
             pole = math.exp(-self.bandwidth * period)
             return 1.0 - pole**2, (1.0 - pole) ** 2 / period
-        return float(mode in (TRUE, DIFFERENCE)), 0.0
+        return 1.0, 0.0
 
-    def _encoders(self, name: str, wheels: int, joints: int) -> Array:
+    def _per_encoder(self, wheels: int, joints: int, name: str, of_wheels: float) -> Array:
         """One number per encoder: the wheels', then the arm's."""
-        of_wheels = {"resolution": self.wheel_resolution, "offset": 0.0, "noise": self.wheel_noise}[name]
-        of_joints = one_or_each(getattr(self, name), joints, "joint", f"sensor.{name}")
-        return np.concatenate((np.full(wheels, of_wheels), of_joints))
+        return np.concatenate(
+            (np.full(wheels, of_wheels), one_or_each(getattr(self, name), joints, "joint", f"sensor.{name}"))
+        )
 
 
 @lru_cache(maxsize=100)
 def _exact(bandwidth: float, side: Literal["joint", "motor"]) -> Sensor:
     return Sensor(bandwidth=bandwidth, side=side)
-
-
-@dataclass(frozen=True, eq=False)
-class Sensing:
-    """The sensors of one robot as arrays; arguments of `encoders.measure`.
-
-    Attributes:
-        encoders: (nw + n,) places in the position: wheels, then arm joints.
-        W: (nb, nw) base velocity from the rates of the wheels.
-        numbers: Settings in the order given in `encoders`.
-        pose: Number of pose coordinates.
-        velocities: Number of velocities that are sent.
-        message: Size of a measurement.
-    """
-
-    encoders: IntArray
-    W: Array
-    numbers: Array
-    pose: int
-    velocities: int
-    message: int
-
-    def init(self) -> Array:
-        """Memory before the first measurement."""
-        depth = int(self.numbers[DEPTH])
-        return np.zeros(STATES + 4 * self.encoders.size + self.pose + (depth + 1) * self.message)
-
-    def noise(self, count: int, rng: np.random.Generator) -> Array:
-        """Random numbers for `count` measurements, (count, columns); those of fewer are the first of them.
-
-        The last two columns are zero: no message later than its line makes it, none corrupted.
-        """
-        columns = noise_columns(self.encoders.size, self.velocities, self.pose)
-        normal, uniform = rng.spawn(2)
-        normals, uniforms = normal.standard_normal((count, columns - 4)), uniform.random((count, 2))
-        return np.hstack((normals, uniforms, np.zeros((count, 2))))

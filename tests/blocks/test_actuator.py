@@ -1,7 +1,7 @@
 """Motors: every imperfection with and without, against closed forms, circuit equations and a two-mass integration.
 
 Friction of gears that sticks is tested in test_stick.py, friction in a URDF's `<dynamics>` in test_plant.py and
-test_dynamics.py; both engines are compared in test_rig.py.
+test_dynamics.py; both engines are compared in test_hardware.py.
 """
 
 from __future__ import annotations
@@ -20,8 +20,9 @@ from scipy.optimize import brentq
 
 from mmnn_pin import PD, Feedback, Hold, Loop, Sine, Start, Timing, TorqueController, Trajectory, load
 from mmnn_pin import actuator as motor
-from mmnn_pin.actuator import Actuator
+from mmnn_pin.actuator import NEVER, Actuator, Backlash, Drive
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.hardware import pass_through
 from mmnn_pin.sensing import Sensor
 
 ARM = fixed_arm(2, 1)  # its URDF says 99 N m or N and 9 rad/s or m/s
@@ -32,13 +33,18 @@ patient = settings(max_examples=10 if config.DISABLE_JIT else 60, deadline=None)
 
 def driven(actuator, commands, speeds=0.0, robot=ARM, dt=DT, dead=0.0, shorted=0):
     """What motors give under commands (N,) or (N, m) at speeds (N,) or (N, m): torques (N, m), last states."""
-    table, count = actuator.motors(robot, dt), robot.layout.motors
+    count = robot.layout.motors
+    windows = np.array([(i, 0.0, math.inf) for i in range(count)]) if dead else NEVER
+    motors = actuator.motors(robot, dt, windows)
     commands, speeds = (per_motor(values, len(commands), count) for values in (commands, speeds))
-    states, torques = np.zeros((count, motor.STATES + 1)), []
-    for u, w in zip(commands, speeds, strict=True):
-        motor.drive(dt, u, w, np.full(count, dead), shorted, table, actuator.supply(), states)
-        torques.append(states[:, motor.STATES].copy())
-    return np.array(torques), states
+    return np.array([step(motors, u, w, shorted) for u, w in zip(commands, speeds, strict=True)]), motors.states
+
+
+def step(motors, command, speed, shorted=0):
+    """One step of the plant: what the joints get."""
+    motors.wire.torque[:], motors.wire.joint[:], motors.wire.shorted[:] = command, speed, shorted
+    pass_through(motors.effects, motors.wire, 0, 0.0)
+    return motors.wire.torque.copy()
 
 
 def per_motor(values, samples, motors):
@@ -115,10 +121,9 @@ def test_a_dc_motor_gives_the_torque_of_its_circuit(u, w):
 def test_a_free_motor_runs_up_to_the_speed_where_its_voltage_is_used_up():
     """J dw/dt = kt (V - kt w) / R under full voltage has w = V/kt (1 - exp(-t kt^2 / (R J)))."""
     inertia, dt, w, actuator = 0.02, 1e-4, 0.0, Actuator(**MOTOR)
-    table, states, speeds = actuator.motors(ARM, dt), np.zeros((2, motor.STATES + 1)), []
+    motors, speeds = actuator.motors(ARM, dt), []
     for _ in range(3000):
-        motor.drive(dt, np.full(2, 1e3), np.full(2, w), np.zeros(2), 0, table, actuator.supply(), states)
-        w += dt * states[0, motor.STATES] / inertia
+        w += dt * step(motors, 1e3, w)[0] / inertia
         speeds.append(w)
     times, rate = dt * np.arange(1, 3001), 0.4**2 / (0.5 * inertia)
     np.testing.assert_allclose(speeds, 60.0 * (1 - np.exp(-rate * times)), rtol=2e-3)
@@ -171,15 +176,16 @@ GEAR = {"gap": 0.02, "rotor_inertia": 0.01, "stiffness": 500.0, "damping": 0.5}
 
 def two_masses(torque, duration, dt, inertia=0.05, gear=None, rotor=(0.0, 0.0), speed=0.0):
     """Rotor and joint of a given inertia by our backlash: times, (N, 5) lead, rotor's speed, joint's, torque, angle."""
-    m, table = gear or GEAR, np.zeros(motor.WIDTH)
-    table[motor.GAP], table[motor.ROTOR] = m["gap"], m["rotor_inertia"]
-    table[motor.STIFFNESS], table[motor.DAMPING] = m["stiffness"], m["damping"]
-    table[motor.FRICTION] = m.get("rotor_friction", 0.0)
-    state, rows, angle = np.zeros(motor.STATES + 1), [], 0.0
+    names = "gap", "rotor_inertia", "stiffness", "damping", "rotor_friction"
+    numbers = (np.array([(gear or GEAR).get(name, 0.0)]) for name in names)
+    states, rows, angle = np.zeros((1, motor.STATES)), [], 0.0
+    backlash, wire, state = Backlash(dt, *numbers, states), Drive(*np.zeros((3, 1)), np.zeros(1, np.int64)), states[0]
     state[motor.AHEAD], state[motor.ROTOR_SPEED] = rotor
     times = dt * np.arange(round(duration / dt))
     for t in times:
-        flank = motor.through_gap(dt, torque(t + 0.5 * dt), speed, table, state)
+        wire.torque[0], wire.joint[0] = torque(t + 0.5 * dt), speed
+        backlash.act(wire, 0, t)
+        flank = wire.torque[0]
         speed += dt * flank / inertia
         angle += dt * speed
         rows.append((state[motor.AHEAD], state[motor.ROTOR_SPEED], speed, flank, angle))
@@ -414,10 +420,10 @@ def test_a_brake_too_strong_for_the_step_is_refused():
     Actuator(brake=49.0).motors(robot, DT)
     with pytest.raises(ConfigError, match=r"actuator\.brake.*'axle'.*less than 50"):
         Actuator(brake=51.0).motors(robot, DT)
-    actuator, states = Actuator(brake=1e4, gap=0.1, rotor_inertia=0.01), np.zeros((1, motor.STATES + 1))
-    table, states[0, motor.ROTOR_SPEED] = actuator.motors(robot, DT), 3.0
-    motor.drive(DT, np.zeros(1), np.zeros(1), np.zeros(1), 1, table, actuator.supply(), states)
-    assert states[0, motor.ROTOR_SPEED] == pytest.approx(3.0 / (1 + DT * 1e4 / 0.01))
+    motors = Actuator(brake=1e4, gap=0.1, rotor_inertia=0.01).motors(robot, DT)
+    motors.states[0, motor.ROTOR_SPEED] = 3.0
+    step(motors, 0.0, 0.0, 1)
+    assert motors.states[0, motor.ROTOR_SPEED] == pytest.approx(3.0 / (1 + DT * 1e4 / 0.01))
 
 
 def test_a_battery_that_breaks_down_is_refused():

@@ -1,6 +1,6 @@
 """Disturbances: pushes against momentum and energy, a payload against a robot built with it, faults one by one.
 
-Both engines are compared in test_rig.py.
+Both engines are compared in test_hardware.py.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from mmnn_pin import (
     load,
     load_experiment,
 )
-from mmnn_pin.disturbance import Block, Commands, DeadMotor, Frozen, Messages, Payload, Push, push, pushes
+from mmnn_pin.disturbance import Block, Commands, DeadMotor, Forces, Frozen, Messages, Payload, Push, pushes
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
@@ -70,12 +70,11 @@ def run_of(*events, **more):
 
 def forces(event, duration=0.3, dt=DT, robot=ROBOT):
     """What a push gives in every step of the plant, (steps, p)."""
-    table, force = pushes((event,), robot), np.zeros(robot.layout.dof)
-    rows = []
-    for n in range(round(duration / dt)):
-        push(n * dt, dt, table, np.zeros(1), force)
-        rows.append(force.copy())
-    return np.array(rows)
+    effect = pushes((event,), robot, dt, 1, np.random.default_rng(0))
+    rows = np.zeros((round(duration / dt), robot.layout.dof))
+    for n, force in enumerate(rows):
+        effect.act(Forces(force), 0, n * dt)
+    return rows
 
 
 times = st.integers(0, 200).map(lambda n: n * DT)

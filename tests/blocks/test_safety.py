@@ -1,4 +1,4 @@
-"""The supervisor: each behaviour has one test with its name. Both engines are compared in test_rig.py."""
+"""The supervisor: each behaviour has one test with its name. Both engines are compared in test_hardware.py."""
 
 from __future__ import annotations
 
@@ -34,6 +34,7 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Block, Commands, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.robot import speed_limits
 from mmnn_pin.safety import RAMPING, RUNNING, STEPPED_IN, STOPPING, Safety
 from mmnn_pin.sensing import Sensor
 
@@ -100,8 +101,8 @@ def test_motor_torques_are_clipped():
     np.testing.assert_array_equal(states(run), np.where(clipped, STEPPED_IN, RUNNING))
     np.testing.assert_allclose(run["torque"], run["motor_torque"] @ ROBOT.E.T, atol=1e-9)
     assert run.outcome.status == "completed"
-    other = Safety(torque="urdf").numbers(ROBOT, H, np.full(4, 1e3), np.ones(2))
-    assert set(ROBOT.effort_limits) < set(other)
+    other = Safety(torque="urdf").supervisor(ROBOT, H, np.full(4, 1e3), np.ones(2))
+    np.testing.assert_array_equal(other.torque, ROBOT.effort_limits)
 
 
 def test_torque_that_is_asked_for_too_long_trips():
@@ -115,9 +116,9 @@ def test_torque_that_is_asked_for_too_long_trips():
 
 
 def test_more_motors_than_velocities_keep_the_direction_of_the_force():
-    from mmnn_pin.safety.supervisor import NUMBERS, within
+    from mmnn_pin.safety.supervisor import within
 
-    E, limits = np.array([[1.0, 1.0, 1.0]]), np.array([0.0] * NUMBERS + [2.0, 2.0, 2.0])
+    E, limits = np.array([[1.0, 1.0, 1.0]]), np.array([2.0, 2.0, 2.0])
     tau = np.array([9.0])
     within(tau, E, np.linalg.pinv(E), limits)
     np.testing.assert_allclose(tau, 6.0)
@@ -145,7 +146,10 @@ def test_a_joint_that_is_too_fast_trips():
     run = run_of(Safety(joint_speed=(5.0, 0.5), stop_time=0.02), disturbances=(Push(on=name, force=30.0, start=0.04),))
     require_tripped(run, "qdot[1]")
     assert f"speed of {name}" in run.outcome.message
-    assert np.isfinite(Safety(joint_speed="urdf").numbers(mobile_arm(2, 1), H, np.full(4, 1e3), np.ones(2))).sum() > 10
+    robot = mobile_arm(2, 1)
+    supervisor = Safety(joint_speed="urdf").supervisor(robot, H, np.full(4, 1e3), np.ones(2))
+    np.testing.assert_array_equal(supervisor.speed, [np.inf, np.inf, *speed_limits(robot)[2:]])
+    assert np.isfinite(supervisor.speed[2:]).all()
 
 
 def test_a_base_that_is_too_far_away_trips():
@@ -375,16 +379,17 @@ def test_a_stop_brakes_the_base():
 
 
 def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
+    from mmnn_pin.safety import new_state, no_supervisor
     from mmnn_pin.safety.supervisor import NUMBERS, check_motion
     from mmnn_pin.signals import INDEX, Layout
 
     layout = Layout(base=3, arm=0, full=3, motors=3, hardware=1)
-    row, at, state = layout.new_row(), layout.offsets, np.zeros(50)
+    row, at = layout.new_row(), layout.offsets
+    supervisor = no_supervisor(layout, new_state(layout))._replace(numbers=np.full(NUMBERS, np.inf))
     row[at[INDEX["velocity"]] : at[INDEX["velocity"]] + 3] = 0.3, 0.4, 0.0
     for limit, tripped in ((0.51, 0.0), (0.49, 1.0)):
-        numbers = np.concatenate((np.full(NUMBERS + 3, np.inf), [limit, limit, np.inf], np.zeros(3)))
-        check_motion(row, at, 0.0, numbers, state, 3)
-        assert state[0] == tripped
+        check_motion(row, at, 0.0, supervisor._replace(speed=np.array([limit, limit, np.inf])))
+        assert supervisor.state[0] == tripped
 
 
 def test_a_stop_works_under_a_controller_whose_gains_are_not_known():
@@ -546,6 +551,6 @@ def test_the_integral_of_a_stop_never_swings_the_arm(gain):
     robot = heavy_arm()
     inertia = Dynamics(robot).mass_matrix(np.zeros(2))[0, 0]
     assert np.roots([inertia, gain, 3.0 * gain, 3.0 * gain * 1.1 * gain / inertia]).real.max() > 0
-    rate = Safety(hold_rate=20.0).numbers(robot, H, np.full(2, gain), np.full(2, 3.0))[HOLD_RATE]
+    rate = Safety(hold_rate=20.0).supervisor(robot, H, np.full(2, gain), np.full(2, 3.0)).numbers[HOLD_RATE]
     assert np.roots([inertia, gain, 3.0 * gain, 3.0 * gain * rate]).real.max() < 0
     assert rate == pytest.approx(min(20.0, 0.5 * gain / inertia))

@@ -31,8 +31,9 @@ from mmnn_pin import (
     simulate_many,
 )
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.hardware import pass_through
 from mmnn_pin.recording.metrics import metrics
-from mmnn_pin.sensing import Sensor, measure
+from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement
 
 ROBOT = load("platform_arm")
@@ -44,12 +45,13 @@ seeds = st.integers(0, 2**31)
 
 def measured(sensor, position, nu, robot=ROBOT, period=PERIOD, seed=0):
     """Measurements along a motion: positions (N, nv) and velocities (N, p)."""
-    sensing, layout = sensor.on(robot, period), robot.layout
-    row, state = layout.new_row(), sensing.init()
-    noise = sensing.noise(len(position), np.random.default_rng(seed))
+    layout, sensors = robot.layout, sensor.on(robot, period, len(position), np.random.default_rng(seed))
+    row, wire = layout.new_row(), sensors.wire
     view, out = Measurement.of(row, layout), {name: [] for name in ("pose", "velocity", "q", "qdot")}
-    for y, v, random in zip(position, nu, noise, strict=True):
-        measure(row, layout.offsets, y, v, sensing.encoders, sensing.W, sensing.numbers, random, state)
+    for k, (y, v) in enumerate(zip(position, nu, strict=True)):
+        wire.position[:], wire.nu[:] = y, v
+        pass_through(sensors.effects, wire, k, k * period)
+        row[layout.where("pose").start : layout.where("qdot").stop] = wire.received
         for name, values in out.items():
             values.append(np.array(getattr(view, name)))
     return {name: np.array(values) for name, values in out.items()}
@@ -248,7 +250,7 @@ def test_numbers_out_of_range_are_refused(arguments, text):
 
 def test_numbers_that_do_not_fit_the_robot_are_refused():
     with pytest.raises(ConfigError, match=r"sensor.offset.*3 numbers for 2 joints"):
-        Sensor(offset=(0.0, 0.0, 0.0)).on(ROBOT, PERIOD)
+        Sensor(offset=(0.0, 0.0, 0.0)).on(ROBOT, PERIOD, 1, np.random.default_rng(0))
 
 
 # --- In the loop ------------------------------------------------------------------------------------------------------

@@ -663,8 +663,7 @@ def test_networks_know_no_robot_and_learners_no_model() -> None:
         "torque.law",
         "torque.controller",
         "kinematic",
-        "sensing.encoders",
-        "sensing.exact",
+        "sensing.effects",
     ):
         assert not [name for name in known(edges, module) if name.split(".")[0] in {"model", "plant"}], module
 

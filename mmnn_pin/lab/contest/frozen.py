@@ -27,7 +27,7 @@ def said(loop: Loop, layout: Layout, state: Any, rows: Array) -> Array:
 
     Args:
         loop: Of the controller, which learns from the rows unless it is frozen.
-        layout: Of the rows; they may lack what the loop's rig adds.
+        layout: Of the rows; they may lack what the loop's hardware model adds.
         state: What it remembers, changed in place.
         rows: The rows; they are not changed.
     """

@@ -16,7 +16,7 @@ from ...loop.start import Bounds, Start
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
-from ...plant.contact.floor import Contact
+from ...plant.contact.feet import Contact
 from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor

@@ -1,4 +1,4 @@
-"""What a run's rig gave to its robot: the torque of the motors, pushes, a payload; all constant over a control period.
+"""What the hardware of a run gave to its robot: motor torques, pushes, a payload; constant over a control period.
 
 A recording holds the means over every control period. Motors with lag, limits of speed or backlash, and pushes that
 change, vary within one that has several steps of the plant; then the motion cannot be made again from the recording.

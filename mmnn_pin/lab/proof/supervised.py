@@ -9,7 +9,7 @@ import numpy as np
 
 from ...model.robot import Robot
 from ...safety import Safety
-from ...safety.supervisor import HEADING, NUMBERS, POSITION
+from ...safety.supervisor import HEADING, POSITION
 from ...signals import Array
 from .subject import Subject
 
@@ -37,10 +37,9 @@ class Supervisor:
     @classmethod
     def of(cls, safety: Safety, robot: Robot, period: float) -> Supervisor:
         """From settings."""
-        layout, m = robot.layout, robot.layout.motors
-        numbers = safety.numbers(robot, period, np.zeros(layout.dof), np.zeros(layout.arm))
-        torque, speed, _, joints, _ = np.split(numbers[NUMBERS:], np.cumsum([m, layout.dof, layout.dof, layout.arm]))
-        return cls(torque, speed, numbers[POSITION], numbers[HEADING], joints, np.asarray(np.linalg.inv(robot.E)))
+        its = safety.supervisor(robot, period, np.zeros(robot.layout.dof), np.zeros(robot.layout.arm))
+        position, heading = its.numbers[[POSITION, HEADING]]
+        return cls(its.torque, its.speed, position, heading, its.error, np.asarray(np.linalg.inv(robot.E)))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from rich.text import Text
 
-from ...plant.contact.slip import SLIPPING
+from ...plant.contact.plant import SLIPPING
 from ...recording.metrics import as_columns
 from ...recording.recording import Recording
 from ..experiments.runner import Result

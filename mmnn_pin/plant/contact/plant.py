@@ -1,4 +1,4 @@
-"""The contact plant: a free base on wheels that grip by friction, stepped by MuJoCo; the same face as the ideal plant.
+"""The contact plant: a free base on wheels that grip by friction, stepped by MuJoCo; a `Plant`, as the ideal one.
 
 State and torques are those of the ideal plant: `nu` is the forward speed and yaw rate of the control frame and the
 rates of the arm, whatever the wheels do. What only this plant knows goes into the row by `observe`.
@@ -7,22 +7,83 @@ rates of the arm, whatever the wheels do. What only this plant knows goes into t
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...signals import Array
-from .feet import feet_of
-from .floor import Contact
-from .free_base import BaseMotion, FreeBase, tilt
-from .friction import Friction, on_base
-from .slip import Slip, sliding_rows
-from .tree import NO_FRICTION, compile_tree, engine
+from .. import NO_PUSH
+from .feet import Contact, feet_of
+from .tree import NO_FRICTION, BaseMotion, FreeBase, Friction, compile_tree, engine, on_base, tilt
 
 FALLEN = 0.5  # inclination at which the base counts as fallen over [rad]
-NO_PUSH = np.zeros(0)
 LOST = 1e5  # speed of anything at which the engine's state counts as lost [rad/s or m/s]
+SLIPPING = 0.01  # a wheel whose contact point moves faster than this slips; contacts creep by less than 2 mm/s [m/s]
+
+
+@dataclass
+class Slip:
+    """What the wheels did in a run: when they slipped, how fast, and what ended it.
+
+    Args:
+        wheels: Their joints.
+        dt: Time between two samples [s].
+
+    Attributes:
+        samples: Samples so far.
+        slipping: Those in which a wheel slipped.
+        first: The first of them, -1 for none.
+        fastest: Largest slip [m/s].
+        wheel: The wheel that had it.
+        ended: What ended the run, with its time; empty if nothing did.
+    """
+
+    wheels: tuple[str, ...]
+    dt: float
+    samples: int = 0
+    slipping: int = 0
+    first: int = -1
+    fastest: float = 0.0
+    wheel: str = ""
+    ended: str = ""
+
+    def take(self, speed: Array) -> None:
+        """Take the speeds (wheels,) of the contact points over the floor [m/s]."""
+        self.samples += 1
+        worst = float(speed.max(initial=0.0))
+        if worst <= SLIPPING:
+            return
+        self.slipping += 1
+        if self.first < 0:
+            self.first = self.samples
+        if worst > self.fastest:
+            self.fastest, self.wheel = worst, self.wheels[int(speed.argmax())]
+
+    def end(self, what: str) -> None:
+        """Say what ended the run; the first word counts."""
+        self.ended = self.ended or f"{what} at t = {self.samples * self.dt:.3g} s"
+
+    def findings(self) -> list[str]:
+        """One line per thing to tell, none for wheels that rolled."""
+        found = []
+        if self.slipping:
+            found.append(
+                f"the wheels slipped for {self.slipping * self.dt:.3g} s, first at t = {self.first * self.dt:.3g} s, "
+                f"by up to {self.fastest:.3g} m/s ('{self.wheel}')"
+            )
+        return [*found, self.ended] if self.ended else found
+
+
+def sliding_rows(robot: Robot) -> tuple[Array, Array]:
+    """Two (wheels, nv) maps from all velocities to each contact point's over the floor: along the wheel and across."""
+    base, names = robot.base, robot.full_velocity_names
+    along, across = np.zeros((2, len(base.wheels), len(names)))
+    for i, wheel in enumerate(base.wheels):
+        along[i, :3], across[i, :3] = base.rolling_rows[i], base.to_control[1] + wheel.x * base.to_control[2]
+        along[i, names.index(wheel.joint)] = -wheel.sign * wheel.radius
+    return along, across
 
 
 class ContactPlant:

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ....plant.contact.slip import SLIPPING
+from ....plant.contact.plant import SLIPPING
 from ....recording.metrics import as_columns
 from ....recording.recording import Recording
 from ....safety import RAMPING, STEPPED_IN, STOPPING

@@ -1,0 +1,304 @@
+"""The hardware model: what stands between a controller and an ideal robot.
+
+Every effect is one class of a block (`sensing`, `actuator`, `disturbance`), made of its numbers, views of its part of
+the state and its function `act`; a list has them in the order in which the signal meets them:
+
+    sample k:   sense ─▶ controller ─▶ send: the command's line, the supervisor ─▶ command of the motors
+    plant step: act: the motors' effects and what the world does ─▶ torque on nu
+
+Both engines call the same functions. A loop around a robot that is measured exactly and driven perfectly has no
+`Hardware` (None), and compiled loops without one are compiled without all this. `new_hardware` makes one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from .. import actuator as motor
+from .. import safety
+from ..actuator import Motors
+from ..compiled import compiled, copy_to, spliced
+from ..disturbance import Forces
+from ..safety import Supervisor
+from ..sensing import Sensors, exact
+from ..sensing.effects import COUNT, RECEIVED, Reading
+from ..signals import INDEX, Array, IntArray
+
+APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
+TORQUE, PSI_HAT, POSE, QDOT = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["qdot"]
+ARRIVES, IS_LOST, IS_BROKEN = 0.0, 1.0, 2.0  # what becomes of a command
+
+
+class Command(NamedTuple):
+    """What goes from the controller to the motors: torque (p,), and whether one arrived (1,), 0 or 1."""
+
+    torque: Array
+    arrived: Array
+
+
+class CommandLine(NamedTuple):
+    """Commands that are lost, so that the motors keep what they had, or that arrive as no numbers.
+
+    Attributes:
+        fates: (samples,) what becomes of every command.
+        sent: (p,) state: the last torque that reached the motors.
+    """
+
+    fates: Array
+    sent: Array
+
+    @spliced
+    def act(self, wire: Command, k: int, time: float) -> None:
+        """Let the command through, or not."""
+        wire.arrived[0] = 0.0 if self.fates[k] == IS_LOST else 1.0
+        if self.fates[k] == IS_BROKEN:
+            wire.torque[:] = np.nan
+        elif self.fates[k] == IS_LOST:
+            copy_to(self.sent, wire.torque)
+
+
+class MotorSide(NamedTuple):
+    """Encoders on the motors instead of the joints, from which backlash separates them.
+
+    Attributes:
+        geared: (k, 3) motor, its joint's place in the position, and in nu (negative for a wheel).
+        states: (motors, STATES) state of the motors.
+    """
+
+    geared: IntArray
+    states: Array
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Put positions and speeds of the motors in place of those of their joints."""
+        for i in range(self.geared.shape[0]):
+            state = self.states[self.geared[i, 0]]
+            wire.position[self.geared[i, 1]] += state[motor.AHEAD]
+            if self.geared[i, 2] >= 0:
+                wire.nu[self.geared[i, 2]] = state[motor.ROTOR_SPEED]
+
+
+class World(NamedTuple):
+    """What the world does to the robot.
+
+    Attributes:
+        pushes: Whether anything does.
+        wire: The force of a step.
+        effects: In the order in which they add up.
+        blocked: (k, 3) joints that are blocked: place in the position, start, end.
+        pick: When a payload is picked up, inf for never [s].
+        shift: (2,) the energy that came with it [J], and 1 once it did.
+    """
+
+    pushes: bool
+    wire: Forces
+    effects: tuple[Any, ...]
+    blocked: Array
+    pick: float
+    shift: Array
+
+
+class Totals(NamedTuple):
+    """What is recorded of a control period.
+
+    Attributes:
+        imperfect: Whether the motors are.
+        states: (motors, STATES) state of the motors, with the sum of what they gave.
+        command: (motors,) torques that reach the motors [N m or N].
+        force: (p,) sum of what the world did.
+    """
+
+    imperfect: bool
+    states: Array
+    command: Array
+    force: Array
+
+
+class Hardware(NamedTuple):
+    """The hardware model of one run.
+
+    Attributes:
+        exact: Whether the state is measured as it is.
+        sensors: The sensors.
+        line, lines: The command under way, and the effects that it meets.
+        supervisor: What stands before the motors.
+        motors: The motors.
+        world: The disturbances from outside.
+        E, E_inv: (p, motors) torque on nu from motor torques, and back.
+        totals: Command of the motors, and what they and the world gave.
+        sent: (p,) the last torque that reached the motors, part of the state.
+        tau: (p,) generalized torque of motors and world.
+        state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent.
+    """
+
+    exact: bool
+    sensors: Sensors
+    line: Command
+    lines: tuple[Any, ...]
+    supervisor: Supervisor
+    motors: Motors
+    world: World
+    E: Array
+    E_inv: Array
+    totals: Totals
+    sent: Array
+    tau: Array
+    state: Array
+
+
+def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> None:
+    """Let a signal pass effects, one after the other.
+
+    Args:
+        effects: Each with a function `act(wire, k, time)`.
+        wire: The signal, which they change.
+        k: Number of the sample or measurement.
+        time: [s].
+    """
+    for effect in effects:
+        effect.act(wire, k, time)
+
+
+@overload(pass_through, strict=False)
+def unrolled(effects: Any, wire: Any, k: int, time: float) -> Any:
+    """The same for compiled code, a line per effect: its class, which is its type, says which function it is."""
+    names: dict[str, Any] = {f"act_{i}": kind.instance_class.act for i, kind in enumerate(effects.types)}
+    lines = [f"    {name}(effects[{i}], wire, k, time)" for i, name in enumerate(names)]
+    exec("\n".join(["def every_effect(effects, wire, k, time):", *lines]), names)
+    return names["every_effect"]
+
+
+@compiled
+def sense(
+    number: int, time: float, row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray, hardware: Hardware
+) -> None:
+    """Take the measurement of this number into the row.
+
+    Args:
+        number: Of the measurement.
+        time: [s].
+        row: (width,) row of signals.
+        at: Offsets of the signals.
+        position: (nv,) true position.
+        nu: (p,) true velocity.
+        arm: (n,) places of the arm joints in the position.
+        hardware: The hardware model.
+    """
+    is_new, measured = True, time
+    if hardware.exact:
+        exact(row, at, position, nu, arm)
+    else:
+        wire = hardware.sensors.wire
+        copy_to(position, wire.position)
+        copy_to(nu, wire.nu)
+        before = wire.clock[RECEIVED] if wire.clock[COUNT] > 0.0 else -1.0
+        pass_through(hardware.sensors.effects, wire, number, time)
+        copy_to(wire.received, row[at[POSE] : at[QDOT + 1]])
+        is_new = wire.clock[RECEIVED] != before
+        measured = wire.clock[RECEIVED] * hardware.sensors.period
+    if hardware.supervisor.on:
+        safety.accept(row, at, measured, time, is_new, hardware.supervisor.message, hardware.supervisor.state)
+
+
+@compiled
+def is_stopped(on: bool, state: Array) -> bool:
+    """Whether a supervisor that is there does without the controller, by its state."""
+    return on and not safety.may_learn(state)
+
+
+@compiled
+def send(k: int, time: float, row: Array, at: IntArray, weights: Array, hardware: Hardware) -> None:
+    """The torque of control sample k on its way to the motors: what is lost or broken, and what the supervisor does.
+
+    Args:
+        k: Number of the control sample.
+        time: [s].
+        row: (width,) row of signals; its torque becomes the one that reaches the motors.
+        at: Offsets of the signals.
+        weights: The controller's state.
+        hardware: The hardware model.
+    """
+    tau, supervisor, motors, line = (
+        row[at[TORQUE] : at[TORQUE + 1]],
+        hardware.supervisor,
+        hardware.motors,
+        hardware.line,
+    )
+    if is_stopped(supervisor.on, supervisor.state):
+        for i in range(at[PSI_HAT], at[TORQUE + 1]):  # the controller was not asked
+            row[i] = 0.0
+    copy_to(tau, line.torque)
+    pass_through(hardware.lines, line, k, time)
+    copy_to(line.torque, tau)
+    if supervisor.on:
+        safety.supervise(row, at, time, line.arrived[0] > 0.0, weights, supervisor)
+        motors.wire.shorted[0] = shorted(row[at[SAFETY]], supervisor)
+    copy_to(tau, hardware.sent)
+    command = hardware.totals.command
+    for j in range(command.size):
+        command[j] = 0.0
+        for i in range(tau.size):
+            command[j] += hardware.E_inv[j, i] * tau[i]
+        motors.states[j, motor.SUM] = 0.0
+    hardware.totals.force[:] = 0.0
+
+
+@spliced
+def shorted(doing: float, supervisor: Supervisor) -> int:
+    """How many motors, from the first on, have their windings shorted by a supervisor that does this."""
+    if doing < safety.STOPPING:
+        return 0
+    if doing == safety.RAMPING:
+        return int(supervisor.torque.size)
+    return int(supervisor.torque.size - supervisor.K.size) if supervisor.numbers[safety.SHORT] > 0.0 else 0
+
+
+@compiled
+def rotate(nu: Array, E: Array, speeds: Array) -> None:
+    """Speeds (motors,) of the motors of a robot whose wheels roll, `E' nu`."""
+    for j in range(speeds.size):
+        speeds[j] = 0.0
+        for i in range(nu.size):
+            speeds[j] += E[i, j] * nu[i]
+
+
+@compiled
+def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> None:
+    """Generalized torque over one step of the plant, of motors and world, into `hardware.tau`.
+
+    Args:
+        k: Number of the control sample.
+        time: Start of the step [s].
+        row: (width,) row of signals.
+        at: Offsets of the signals.
+        hardware: The hardware model; the speeds of its motors' joints are set.
+    """
+    motors, world, tau = hardware.motors, hardware.world, hardware.tau
+    copy_to(row[at[TORQUE] : at[TORQUE + 1]], tau)
+    if motors.imperfect:
+        copy_to(hardware.totals.command, motors.wire.torque)
+        pass_through(motors.effects, motors.wire, k, time)
+        for i in range(tau.size):
+            tau[i] = 0.0
+            for j in range(motors.wire.torque.size):
+                tau[i] += hardware.E[i, j] * motors.wire.torque[j]
+    if world.pushes:
+        world.wire.force[:] = 0.0
+        pass_through(world.effects, world.wire, k, time)
+        for i in range(tau.size):
+            tau[i] += world.wire.force[i]
+            hardware.totals.force[i] += world.wire.force[i]
+
+
+@compiled
+def note(steps: int, row: Array, at: IntArray, totals: Totals) -> None:
+    """What motors and pushes gave on average over a control period, into its row, once it is over."""
+    for j in range(at[APPLIED + 1] - at[APPLIED]):
+        mean = totals.states[j, motor.SUM] / steps if totals.imperfect else totals.command[j]
+        row[at[APPLIED] + j] = mean if math.isfinite(mean) else 0.0  # the motion has just left all bounds
+    for i in range(at[DISTURBANCE + 1] - at[DISTURBANCE]):
+        row[at[DISTURBANCE] + i] = totals.force[i] / steps

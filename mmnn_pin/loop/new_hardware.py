@@ -1,0 +1,199 @@
+"""The hardware model of a loop, made from its settings: every list of effects is put together here or in its block."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .. import actuator as motor
+from .. import disturbance, safety
+from ..disturbance import Forces
+from ..errors import ConfigError
+from ..given_arrays import given_array
+from ..model.dynamics import Dynamics
+from ..safety import Supervisor
+from ..sensing import FrozenEncoders
+from ..signals import Array, IntArray
+from ..torque.controller import CompiledController, ControllerState
+from ..torque.learning_law import LearningLaw
+from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, World
+
+if TYPE_CHECKING:
+    from .loop import Loop
+
+STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
+
+
+def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: Array | None = None) -> Hardware | None:
+    """The hardware model of a loop; None where there is nothing but an ideal robot.
+
+    Args:
+        loop: The closed loop.
+        nu: (p,) where it starts from.
+        state: The controller's state.
+        given: The hardware's state to start from, copied; None for a new one.
+
+    Raises:
+        ConfigError: Settings that do not fit the robot; a state of wrong shape or not finite.
+        UnknownName: A joint that does not exist.
+    """
+    robot, layout, timing, events = loop.robot, loop.robot.layout, loop.timing, loop.disturbances
+    disturbance.require_long_enough(events, timing.plant_step)
+    faults = np.column_stack((disturbance.lateness(events, timing), disturbance.corruption(events, timing)))
+    frozen, geared = frozen_encoders(loop), geared_motors(loop)
+    dead = disturbance.windows(disturbance.DeadMotor, events, robot.actuator_names)
+    is_exact = loop.sensor.exact and not (faults.any() or len(frozen) or len(geared))
+    states = np.zeros((layout.motors, motor.STATES))
+    states[:, motor.ROTOR_SPEED] = robot.E.T @ nu
+    sensed = loop.sensor.init(robot, faults)
+    parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof))
+    values, (sensed, states, guard, held, sent) = flat(parts)
+    motors = loop.actuator.motors(robot, timing.plant_step, dead, states)
+    require_read_encoders(loop)
+    if is_exact and not layout.hardware:
+        if given is not None:
+            given_array("rig_memory", given, (0,))
+        return None
+    sensor_rng, gust_rng = loop.streams()
+    count = 0 if is_exact else timing.measurements
+    sensors = loop.sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
+    before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
+    if given is not None:  # messages of no numbers may be under way
+        values[:] = given_array("rig_memory", given, values.shape, finite=not np.isnan(faults[:, 1]).any())
+    return Hardware(
+        exact=is_exact,
+        sensors=sensors._replace(effects=(*before, *sensors.effects)),
+        line=Command(np.zeros(layout.dof), np.zeros(1)),
+        lines=(CommandLine(disturbance.commands(events, timing), sent),),
+        supervisor=supervisor_of(loop, state, guard),
+        motors=motors,
+        world=world_of(loop, gust_rng),
+        E=np.ascontiguousarray(robot.E),
+        E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
+        totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
+        sent=sent,
+        tau=np.zeros(layout.dof),
+        state=values,
+    )
+
+
+def flat(parts: tuple[Array, ...]) -> tuple[Array, list[Array]]:
+    """One flat array with the values of all parts, and views of their shapes into it."""
+    values = np.concatenate([part.ravel() for part in parts])
+    pieces = np.split(values, np.cumsum([part.size for part in parts])[:-1])
+    return values, [piece.reshape(part.shape) for piece, part in zip(pieces, parts, strict=True)]
+
+
+def geared_motors(loop: Loop) -> IntArray:
+    """Motors whose encoder backlash separates from the joint, (k, 3), see `MotorSide`."""
+    layout, found = loop.robot.layout, []
+    places = motor.motor_places(loop.robot)
+    if loop.sensor.side == "motor":
+        gaps = np.broadcast_to(loop.actuator.gap, layout.motors)
+        first = layout.motors - layout.arm
+        found = [(j, places[j], layout.base + j - first if j >= first else -1) for j in np.flatnonzero(gaps > 0)]
+    return np.array(found, np.int64).reshape(-1, 3)
+
+
+def frozen_encoders(loop: Loop) -> Array:
+    """Windows of the frozen encoders, (k, 4), see `FrozenEncoders`.
+
+    Raises:
+        UnknownName: A joint that does not exist.
+    """
+    robot = loop.robot
+    wheels = [wheel.joint for wheel in robot.base.wheels] if robot.layout.base else []
+    names = [*wheels, *robot.joint_names]
+    windows = disturbance.windows(disturbance.Frozen, loop.disturbances, names)
+    found = [
+        (
+            robot.position_names.index(names[int(i)]),
+            start,
+            end,
+            robot.layout.base + i - len(wheels) if i >= len(wheels) else -1,
+        )
+        for i, start, end in windows
+    ]
+    return np.array(found, float).reshape(-1, 4)
+
+
+def world_of(loop: Loop, rng: np.random.Generator) -> World:
+    """What the world does in a run.
+
+    Raises:
+        ConfigError: Blocked joints, and the integrator has no friction that holds them; two payloads.
+        UnknownName: A joint or velocity that does not exist.
+    """
+    robot, timing, first = loop.robot, loop.timing, loop.robot.layout.pose
+    pushes = disturbance.pushes(loop.disturbances, robot, timing.plant_step, timing.samples, rng)
+    blocked = disturbance.windows(disturbance.Block, loop.disturbances, robot.position_names[first:])
+    blocked[:, 0] += first
+    if len(blocked) and timing.integrator != "stick" and loop.plant == "ideal":
+        why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
+        raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
+    _, load = disturbance.payload(loop.disturbances)
+    pick = math.inf if load is None else float(load.start)
+    return World(len(pushes.table) > 0, Forces(np.zeros(robot.layout.dof)), (pushes,), blocked, pick, np.zeros(2))
+
+
+def supervisor_of(loop: Loop, state: ControllerState | object, values: Array) -> Supervisor:
+    """The supervisor of a loop with a state (see `safety.new_state`)."""
+    layout, timing, actuator = loop.robot.layout, loop.timing, loop.actuator
+    weights = places_of_weights(loop, state)
+    if loop.safety is None:
+        return safety.no_supervisor(layout, values)
+    brakes = np.broadcast_to(actuator.brake, layout.motors)
+    return loop.safety.supervisor(
+        loop.robot,
+        timing.control_period,
+        stopping_gains(loop),
+        loop.kinematic.arm_gains(layout),
+        short=bool(layout.base) and bool(np.all(brakes[: layout.motors - layout.arm] > 0.0)),
+        brakes=bool(np.any(brakes > 0)),
+        arrivals=max(timing.control_period, timing.measurement_period),
+        weights=weights,
+        values=values,
+    )
+
+
+def require_read_encoders(loop: Loop) -> None:
+    """A frozen encoder of a wheel is felt only where the sensors read the wheels.
+
+    Raises:
+        ConfigError: They do not.
+    """
+    if loop.sensor.velocity != "true" or loop.sensor.pose != "true":
+        return
+    for i, one in enumerate(loop.disturbances):
+        if isinstance(one, disturbance.Frozen) and one.joint in [wheel.joint for wheel in loop.robot.base.wheels]:
+            why = "pose and velocity of the base are measured as they are"
+            fix = "use sensor.velocity = 'difference' or sensor.pose = 'odometry'"
+            raise ConfigError(f"nobody reads the encoder of '{one.joint}'", why=why, fix=fix, key=f"disturbances.{i}")
+
+
+def stopping_gains(loop: Loop) -> Array:
+    """Gains on nu by which a supervisor brakes, (p,): the controller's feedback, or 20 1/s times the inertias.
+
+    In the latter case `G M^-1` has no eigenvalue beyond half of what would be deadbeat in one control period.
+    """
+    if isinstance(loop.controller, CompiledController | LearningLaw):
+        return loop.controller.feedback_gain(loop.robot.layout)
+    M = Dynamics(loop.nominal or loop.robot).mass_matrix(loop.robot.neutral_position())
+    fastest = float(np.linalg.eigvals(np.linalg.solve(M, np.diag(np.diag(M)))).real.max())
+    return min(STOP_BANDWIDTH, 0.5 / (loop.timing.control_period * fastest)) * np.diag(M)
+
+
+def places_of_weights(loop: Loop, state: ControllerState | object) -> IntArray:
+    """Start and stop of every array of weights in a controller's state, (k, 2)."""
+    names, ends = list[str](), np.zeros(1, np.int64)
+    if isinstance(state, ControllerState):
+        names, ends = list(state.shapes), np.cumsum([0, *(int(np.prod(shape)) for shape in state.shapes.values())])
+    found = loop.controller.weights(state)  # type: ignore[arg-type]
+    if loop.safety is not None and loop.safety.weights is not None and not set(found) <= set(names):
+        what = f"the weights of '{loop.controller.name}' cannot be bounded"
+        why, fix = "they are not parts of a `ControllerState`", "let its init return one, or leave safety.weights out"
+        raise ConfigError(what, why=why, fix=fix, key="safety.weights")
+    places = [names.index(name) for name in found if name in names]
+    return np.array([(ends[i], ends[i + 1]) for i in places], np.int64).reshape(-1, 2)

@@ -1,0 +1,289 @@
+"""What happens to a measurement on its way from the robot to the controller: one class per effect, compiled.
+
+It passes through them in this order:
+
+    truth ─▶ encoders ─▶ rates ─▶ velocities ─▶ odometry ─▶ noise ─▶ line ─▶ controller
+
+Every encoder reads an angle, `step * round((angle + offset + noise) / step)`. Rates of the joints and of the wheels are
+made of the readings; the base's velocity is the least-squares solution over its wheels, and odometry integrates their
+increments. A message leaves through a line that delays, jitters and loses it; what was received last is held. The loop
+puts before them what motors and faults do to the encoders (`MotorSide` of the loop's hardware, `FrozenEncoders`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from ..compiled import compiled, copy_to, spliced
+from ..model.base.holonomic import moves_sideways
+from ..signals import EARLY, INDEX, Array, IntArray
+
+POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["qdot"]
+# State of the line: measurements so far, number of the one received last. State of an encoder: its reading, how far
+# that has moved since the one before, a tracked angle and the rate.
+COUNT, RECEIVED, CLOCK = range(3)
+READING, MOVED, ESTIMATE, RATE, COLUMNS = range(5)
+
+
+@compiled
+def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
+    """Exact measurement of pose, base velocity, arm joints and their rates.
+
+    Args:
+        row: (width,) row of signals; pose, velocity, q, qdot are written.
+        at: Offsets of the signals.
+        position: (nv,) true position.
+        nu: (p,) true velocity.
+        arm: (n,) places of the arm joints in the position.
+    """
+    pose, velocity, q, qdot = (
+        row[at[POSE] : at[POSE + 1]],
+        row[at[VELOCITY] : at[VELOCITY + 1]],
+        row[at[Q] : at[Q + 1]],
+        row[at[QDOT] : at[QDOT + 1]],
+    )
+    for i in range(pose.size):
+        pose[i] = position[i]
+    for i in range(velocity.size):
+        velocity[i] = nu[i]
+    for i in range(q.size):
+        q[i] = position[arm[i]]
+        qdot[i] = nu[velocity.size + i]
+
+
+class Reading(NamedTuple):
+    """What goes from the robot to the controller; the effects change it one after the other.
+
+    Attributes:
+        position: (nv,) true position, on which the encoders sit.
+        nu: (p,) true velocity.
+        clock: (CLOCK,) state: how many measurements there were, and which was received last.
+        joints: (nw + n, COLUMNS) state of the encoders: of the wheels, then of the arm.
+        message: What is sent: pose, base velocity, q, qdot.
+        received: (the same,) what the controller has.
+    """
+
+    position: Array
+    nu: Array
+    clock: Array
+    joints: Array
+    message: Array
+    received: Array
+
+
+class Sensors(NamedTuple):
+    """The sensors of one run: time between two measurements [s], what they pass on, and the effects."""
+
+    period: float
+    wire: Reading
+    effects: tuple[Any, ...]
+
+
+class FrozenEncoders(NamedTuple):
+    """Encoders that keep their reading for a while.
+
+    Attributes:
+        windows: (k, 4) place in the position, start and end [s], place in nu, negative for a wheel.
+        held: (k,) state: what they keep.
+    """
+
+    windows: Array
+    held: Array
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Put what they keep in place of the truth."""
+        for i in range(self.windows.shape[0]):
+            window, joint = self.windows[i], int(self.windows[i, 0])
+            if wire.clock[COUNT] == 0.0 or time + EARLY < window[1] or time + EARLY >= window[2]:
+                self.held[i] = wire.position[joint]
+            else:
+                wire.position[joint] = self.held[i]
+                if window[3] >= 0.0:
+                    wire.nu[int(window[3])] = 0.0
+
+
+class Encoders(NamedTuple):
+    """Readings in whole steps of angles with an offset and noise.
+
+    Attributes:
+        places: (nw + n,) of the encoders in the position.
+        step: (nw + n,) resolution, 0 for none [rad or m].
+        offset: (nw + n,) zero error [rad or m].
+        spread: (nw + n,) standard deviation of the noise [rad or m].
+        normals: (measurements, nw + n) standard normal numbers.
+    """
+
+    places: IntArray
+    step: Array
+    offset: Array
+    spread: Array
+    normals: Array
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Read all encoders."""
+        for i in range(self.places.size):
+            angle = wire.position[self.places[i]] + (self.offset[i] + self.spread[i] * self.normals[k, i])
+            if self.step[i] > 0.0:
+                angle = self.step[i] * math.floor(angle / self.step[i] + 0.5)
+            wire.joints[i, MOVED] = 0.0 if wire.clock[COUNT] == 0.0 else angle - wire.joints[i, READING]
+            wire.joints[i, READING] = angle
+
+
+class Rates(NamedTuple):
+    """Rates from readings: differences and their first-order filter, or an observer that tracks angle and rate.
+
+    Attributes:
+        observer: Whether it is the observer.
+        period: Between two measurements [s].
+        alpha: Share of a new difference, 1 for plain ones; or the observer's correction of the angle.
+        beta: The observer's correction of the rate [1/s].
+    """
+
+    observer: bool
+    period: float
+    alpha: float
+    beta: float
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Rates of wheels and joints."""
+        for i in range(wire.joints.shape[0]):
+            joint = wire.joints[i]
+            if wire.clock[COUNT] == 0.0:
+                joint[ESTIMATE], joint[RATE] = joint[READING], 0.0
+            elif self.observer:
+                predicted = joint[ESTIMATE] + self.period * joint[RATE]
+                joint[ESTIMATE] = predicted + self.alpha * (joint[READING] - predicted)
+                joint[RATE] += self.beta * (joint[READING] - predicted)
+            else:
+                joint[RATE] += self.alpha * (joint[MOVED] / self.period - joint[RATE])
+
+
+class Velocities(NamedTuple):
+    """The message's velocities and joint positions.
+
+    Attributes:
+        exact: Whether velocities are the true ones.
+        W: (nb, nw) base velocity from the rates of the wheels; (nb, 0) if no wheel is measured.
+    """
+
+    exact: bool
+    W: Array
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Write base velocity, q and qdot."""
+        nb, nw = self.W.shape
+        n = wire.joints.shape[0] - nw
+        pose = wire.message.size - nb - 2 * n
+        for i in range(nb):
+            rate = wire.nu[i]
+            if not self.exact:
+                rate = 0.0
+                for j in range(nw):
+                    rate += self.W[i, j] * wire.joints[j, RATE]
+            wire.message[pose + i] = rate
+        for i in range(n):
+            wire.message[pose + nb + i] = wire.joints[nw + i, READING]
+            wire.message[pose + nb + n + i] = wire.nu[nb + i] if self.exact else wire.joints[nw + i, RATE]
+
+
+class Odometry(NamedTuple):
+    """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading).
+
+    Attributes:
+        integrated: Whether it is integrated; the first one is true.
+        W: (nb, nw) base velocity from the rates of the wheels.
+        pose: (3,) state; (0,) for a fixed arm.
+    """
+
+    integrated: bool
+    W: Array
+    pose: Array
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Write the pose."""
+        if self.pose.size:
+            if self.integrated and wire.clock[COUNT] != 0.0:
+                ahead = aside = turn = 0.0
+                for j in range(self.W.shape[1]):
+                    moved = wire.joints[j, MOVED]
+                    ahead += self.W[0, j] * moved
+                    turn += self.W[self.W.shape[0] - 1, j] * moved
+                    if moves_sideways(self.W.shape[0]):
+                        aside += self.W[1, j] * moved
+                heading = self.pose[2] + 0.5 * turn
+                c, s = math.cos(heading), math.sin(heading)
+                self.pose[0] += c * ahead - s * aside
+                self.pose[1] += s * ahead + c * aside
+                self.pose[2] += turn
+            else:
+                copy_to(wire.position, self.pose)
+            for i in range(3):
+                wire.message[i] = self.pose[i]
+
+
+class Noise(NamedTuple):
+    """Noise of velocities and pose as they are sent.
+
+    Attributes:
+        velocity: (p,) standard deviations [m/s, rad/s].
+        pose: (3,) or (0,) standard deviations [m, m, rad].
+        velocity_normals: (measurements, p) standard normal numbers.
+        pose_normals: (measurements, 3) or (measurements, 0).
+    """
+
+    velocity: Array
+    pose: Array
+    velocity_normals: Array
+    pose_normals: Array
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Add it to the message."""
+        p, pose = self.velocity.size, self.pose.size
+        n = wire.message.size - pose - p
+        for i in range(p):
+            wire.message[pose + i + (0 if i < p - n else n)] += self.velocity[i] * self.velocity_normals[k, i]
+        for i in range(pose):
+            wire.message[i] += self.pose[i] * self.pose_normals[k, i]
+
+
+class Line(NamedTuple):
+    """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts.
+
+    Attributes:
+        delay: Measurements by which every message is late.
+        jitter: Largest further delay, equally likely.
+        loss: Probability that a message is lost.
+        uniforms: (measurements, 2) numbers in [0, 1) for jitter and loss.
+        faults: (measurements, 2) how many measurements later still, negative for lost, and what is added.
+        slots: (longest delay + 1, message) state: what is under way.
+    """
+
+    delay: int
+    jitter: int
+    loss: float
+    uniforms: Array
+    faults: Array
+    slots: Array
+
+    @spliced
+    def act(self, wire: Reading, k: int, time: float) -> None:
+        """Send the message off, and receive what has come."""
+        count, late, added = int(wire.clock[COUNT]), self.faults[k, 0], self.faults[k, 1]
+        slot = self.slots[count % self.slots.shape[0]]
+        copy_to(wire.message, slot)
+        if added != 0.0:  # or not a number
+            for i in range(slot.size):
+                slot[i] += added
+        arrived = count - self.delay - int(self.uniforms[k, 0] * (self.jitter + 1.0)) - int(late)
+        wire.clock[COUNT] = count + 1.0
+        newer = self.uniforms[k, 1] >= self.loss and late >= 0.0 and arrived > wire.clock[RECEIVED]
+        if count == 0 or newer:
+            wire.clock[RECEIVED] = max(arrived, 0)
+            copy_to(self.slots[max(arrived, 0) % self.slots.shape[0]], wire.received)
