@@ -15,8 +15,7 @@ from test_contest import NAMES, SET, quick
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.contest.contest import opened, run_contest
-from mmnn_pin.lab.contest.demand import demand
-from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.contest.task import demand, tasks_of
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.contest import figures
@@ -59,14 +58,14 @@ def test_later_commands_add_to_a_folder_and_missing_rows_are_told(tmp_path, monk
     more = run_contest(quick(("poor",), controllers=("pd",)), "contest", out=tmp_path)
     both = opened(tmp_path)
     assert list(both.tasks) == ["eight", "poor"] and set(both.controllers) == {*first.controllers, *more.controllers}
-    assert len(both.rows) == len(first.rows) + len(more.rows) and not both.interrupted
+    assert len(both.results) == len(first.results) + len(more.results) and not both.interrupted
     kept = json.loads((tmp_path / "rows.json").read_text())
     del kept["poor/pd"]
     (tmp_path / "rows.json").write_text(json.dumps(kept))
     rest = opened(tmp_path)
     assert rest.missing == ("poor/pd",) and rest.interrupted and not rest.completed
     anew = run_contest(quick(("poor",), controllers=("pd",), more=["contest.beside=[]"]), "c", out=tmp_path, force=True)
-    assert list(opened(tmp_path).tasks) == ["poor"] and len(opened(tmp_path).rows) == len(anew.rows)
+    assert list(opened(tmp_path).tasks) == ["poor"] and len(opened(tmp_path).results) == len(anew.results)
 
 
 def test_broken_and_old_folders_are_refused(tmp_path, folder, capsys):
