@@ -15,6 +15,7 @@ from test_contest import NAMES, SET, quick
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.contest.contest import opened, run_contest
+from mmnn_pin.lab.contest.result import Trial
 from mmnn_pin.lab.contest.task import demand, tasks_of
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
@@ -200,3 +201,9 @@ def test_a_law_that_says_inf_at_once_is_a_lost_run(capsys, tmp_path):
     code, out, err = call(capsys, "run", "contest", "--case", "eight", *SET, *words)
     assert code == 1 and "2 of 2 lost" in out and "diverged at 0 s" in out and err == "", err
     assert not opened(tmp_path / "out").completed
+
+
+def test_files_of_trials_have_the_keys_that_older_versions_wrote() -> None:
+    text = b'{"fingerprint":"a","step_time":null,"rows":[]}'
+    trial = msgspec.json.decode(text, type=Trial)
+    assert trial.results == [] and msgspec.json.encode(trial) == text
