@@ -100,7 +100,7 @@ def test_frozen_weights_say_what_the_regressor_times_the_estimate_says(standing)
     state = state_after(task, controller, row.seed, Run(run.outcome, {}, run.final))
     regressor, layout, found = Regressor.of(task.robot), task.robot.layout, []
     for name, rows in task.rows.items():
-        loop = task.trial(controller, row.seed, name, False)
+        loop = task.held_out_loop(controller, row.seed, name, False)
         theta = state["theta"]
         at = [np.ascontiguousarray(rows[:, layout.where(k)]) for k in ("position", "nu", "nu_ref", "nudot_ref")]
         at[0][:, 5:] = 0.0  # the turn of the wheels, which is not measured
@@ -131,7 +131,7 @@ def test_held_out_runs_are_those_of_the_final_weights(standing):
     (task,) = tasks_of(quick(), NAMES)
     controller, row = task.controller("two_layer"), standing.of("eight", "two_layer")[0]
     for how in ("frozen", "learning"):
-        loop = task.trial(controller, row.seed, "circle", how == "learning")
+        loop = task.held_out_loop(controller, row.seed, "circle", how == "learning")
         state = controller.init(loop.context())
         state.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["memory"]
         run = loop.run(state=state)
@@ -152,7 +152,7 @@ def test_the_held_out_robot_carries_what_was_picked_up():
         sum(i.mass for i in task.robot.model.inertias) + 3.0
     )
     assert gained > 3.0 and task.since == 0.8
-    loop = task.trial(task.controller("computed_torque"), 1, "circle", True)
+    loop = task.held_out_loop(task.controller("computed_torque"), 1, "circle", True)
     assert loop.robot.model.inertias != task.robot.model.inertias and not loop.disturbances
     assert loop.nominal is not None  # the oracle is not told
 
