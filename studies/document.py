@@ -1,10 +1,18 @@
-"""A document out of a template and a summary that is kept beside it: no number in it is written by hand."""
+"""What the studies share: a document out of a template and a summary that is kept beside it, a clock, rows as CSV.
+
+No number in a document is written by hand.
+"""
 
 from __future__ import annotations
 
+import csv
 import json
+import os
 import re
 import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +45,65 @@ def kept(summary: Path) -> dict[str, Any]:
     return content
 
 
-def renew_figures(out: Path, document: Path) -> None:
-    """Copy the figures that a document shows."""
-    (DOCS / "figures").mkdir(exist_ok=True)
-    for name in re.findall(r"\(figures/([^)]+)\)", document.read_text(encoding="utf-8")):
-        shutil.copyfile(out / "figures" / name, DOCS / "figures" / name)
+@dataclass(frozen=True)
+class Document:
+    """A document of docs/ and the summary that it is made from.
+
+    Attributes:
+        name: Of the document, without its ending.
+        summary: Where the summary is kept.
+        render: Makes the text of a summary.
+    """
+
+    name: str
+    summary: Path
+    render: Callable[[dict[str, Any]], str]
+
+    def publish(self, out: Path) -> None:
+        """Renew the summary that is kept, the document and the figures that it shows."""
+        shutil.copyfile(out / "summary.json", self.summary)
+        self.write()
+        (DOCS / "figures").mkdir(exist_ok=True)
+        for name in re.findall(r"\(figures/([^)]+)\)", (DOCS / f"{self.name}.md").read_text(encoding="utf-8")):
+            shutil.copyfile(out / "figures" / name, DOCS / "figures" / name)
+
+    def write(self) -> None:
+        """The document from the summary that is kept."""
+        text = self.render(kept(self.summary))
+        (DOCS / f"{self.name}.md").write_text(text, encoding="utf-8")
+
+    def save(self, summary: dict[str, Any], out: Path, publish: bool) -> None:
+        """Write a summary and its document to a folder, and publish them if asked to."""
+        (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+        (out / f"{self.name}.md").write_text(self.render(summary), encoding="utf-8")
+        if publish:
+            self.publish(out)
+
+
+class Clock:
+    """Says what is done and when, and how long all of it took."""
+
+    def __init__(self) -> None:
+        self.begin, self.processor, self.load = time.perf_counter(), time.process_time(), os.getloadavg()[0]
+
+    def say(self, text: str) -> None:
+        """Print a line with the time since the start."""
+        print(f"{time.perf_counter() - self.begin:6.1f} s  {text}", flush=True)
+
+    def facts(self) -> dict[str, Any]:
+        """Wall-clock and processor time so far, and how busy the machine was."""
+        return {
+            "wall_s": time.perf_counter() - self.begin,
+            "processor_s": time.process_time() - self.processor,
+            "cores": os.cpu_count(),
+            "load_before": self.load,
+            "load_after": os.getloadavg()[0],
+        }
+
+
+def write_rows(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Rows as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, rows[0])
+        writer.writeheader()
+        writer.writerows(rows)

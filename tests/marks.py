@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.lab.experiments.files import read_toml
+from mmnn_pin.lab.experiments.config import read_toml
 
 MARKS = ("printed", "assumed", "calibrated")
 

@@ -6,11 +6,10 @@ import math
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.lab.study.execution import fill
+from mmnn_pin.lab.study.execution import Pool, fill, threads
 from mmnn_pin.lab.study.plan import Plan, plan_of
-from mmnn_pin.lab.study.pools import Pool, threads
-from mmnn_pin.lab.study.reading import load_study
 from mmnn_pin.lab.study.session import missing_rows, probe
+from mmnn_pin.lab.study.settings import load_study
 from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
 
 SHORT = """

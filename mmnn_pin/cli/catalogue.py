@@ -23,8 +23,8 @@ def list_(as_json: bool) -> int:
 
     A contest's cases are its tasks. Controllers are listed with what they are told and what they learn.
     """
+    from ..lab.experiments.config import bundled, read_toml, variants
     from ..lab.experiments.controllers import CONTROLLERS
-    from ..lab.experiments.files import bundled, read_toml, variants
     from ..lab.experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots
     from ..model.robots import extra

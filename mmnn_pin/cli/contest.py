@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from .output import DONE, FAILED, STOPPED, say, say_json, warn
 
 if TYPE_CHECKING:
-    from ..lab.contest.contest import Standing
+    from ..lab.contest.standing import Standing
     from ..lab.experiments.experiment import Experiment
 
 
@@ -37,13 +37,13 @@ def tell_contest(standing: Standing, folder: Path, as_json: bool) -> int:
             say(f"failed: {controller} on {task}: {error}")
         for note in findings(standing):
             say(f"note: {note}")
-        for file in (folder / "rows.json", folder / "rows.csv", *drawn.values()) if standing.heats else ():
+        for file in (folder / "rows.json", folder / "rows.csv", *drawn.values()) if standing.trials else ():
             say(f"wrote {file}")
         say(
             f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay;"
             f" mmnn report {folder} --html contest.html makes one page of all"
         )
         if standing.interrupted:
-            done, rest = len(standing.heats), len(standing.missing)
+            done, rest = len(standing.trials), len(standing.missing)
             say(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
     return STOPPED if standing.interrupted else DONE if standing.completed else FAILED

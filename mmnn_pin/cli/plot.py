@@ -120,7 +120,7 @@ def figures_of(folder: Path, whats: tuple[str, ...]) -> dict[str, Figure]:
     from ..lab.show.contest.figures import FIGURES
 
     standing = opened(folder)
-    if not any(row.completed for row in standing.rows):
+    if not any(row.completed for row in standing.results):
         raise RecordingError("nothing to draw", why="no run reached its end", file=folder)
     return {what: FIGURES[what](standing) for what in whats}
 

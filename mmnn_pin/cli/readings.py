@@ -31,13 +31,13 @@ def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as
     """
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.readings import readings as turn
-    from ..lab.experiments.readings import told
+    from ..lab.experiments.readings import summaries
     from ..lab.show import effects
 
     asked, name = load_experiment(experiment, settings, variant), Path(experiment).stem
     compile_if_cold()
     with progress_bar() as show:
-        rows = told(turn(asked, name, show))
+        rows = summaries(turn(asked, name, show))
     if as_json:
         say_json({"experiment": name, "variant": asked.variant, "readings": rows})
     else:

@@ -96,14 +96,14 @@ def run(
     """
     from ..lab.experiments.cases import chosen_cases, run_cases
     from ..lab.experiments.config import load_experiment
-    from ..lab.experiments.runner import has_rig, run_experiment
+    from ..lab.experiments.runner import has_hardware, run_experiment
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
     overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
     asked, name = chosen_cases(load_experiment(experiment, overrides, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     require_no_pictures([] if force else [folder / f"{plot}.png" for plot in asked.plots])
-    compile_if_cold(bool(asked.cases) or has_rig(asked))
+    compile_if_cold(bool(asked.cases) or has_hardware(asked))
     with progress_bar() as show, remembered_interrupt() as stop_if_pressed:
 
         def progress(controller: str, fraction: float) -> None:

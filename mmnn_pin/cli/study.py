@@ -15,10 +15,10 @@ from .output import DONE, FAILED, STOPPED, compile_if_cold, say, say_json, warn
 from .run import remembered_interrupt
 
 if TYPE_CHECKING:
+    from ..lab.study.execution import Pool
     from ..lab.study.plan import Plan
-    from ..lab.study.pools import Pool
     from ..lab.study.session import Probe
-    from ..lab.study.worker import Done
+    from ..lab.study.worker import JobResult
 
 
 @click.command(
@@ -56,17 +56,17 @@ def study(
     A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
     same command goes on with what is missing. The file is explained in docs/studies.md.
     """
-    from ..lab.experiments.windows import window_notes
+    from ..lab.experiments.runner import window_notes
     from ..lab.study.plan import plan_of
-    from ..lab.study.reading import load_study
     from ..lab.study.session import probe
+    from ..lab.study.settings import load_study
 
     plan = plan_of(load_study(file, settings))
     folder = out or Path("runs") / plan.study.name
     found = probe(plan)
     compile_if_cold()
     if row is not None:
-        return replay(plan, row, folder, force, as_json)
+        return run_again(plan, row, folder, force, as_json)
     require_at_hand(plan, cluster)
     for note in window_notes(plan.base):
         warn(note)
@@ -93,7 +93,7 @@ def require_at_hand(plan: Plan, cluster: str | None) -> None:
 def choose(found: Probe, workers: int | None, processes: bool, cluster: str | None) -> AbstractContextManager[Pool]:
     """Where the runs are made."""
     from ..errors import ConfigError
-    from ..lab.study import pools
+    from ..lab.study import execution
     from ..lab.study.cluster import cluster as dask
     from ..lab.study.session import require_room
 
@@ -102,8 +102,8 @@ def choose(found: Probe, workers: int | None, processes: bool, cluster: str | No
             fix = "say on the cluster how many workers there are"
             raise ConfigError("--cluster with --workers or --processes", fix=fix, key="--cluster")
         return dask(cluster)
-    require_room(found, pools.number_of(workers))
-    return pools.processes(workers) if processes or not found.compiled else pools.threads(workers)
+    require_room(found, execution.number_of(workers))
+    return execution.processes(workers) if processes or not found.compiled else execution.threads(workers)
 
 
 def make(plan: Plan, found: Probe, folder: Path, where: AbstractContextManager[Pool], force: bool) -> bool:
@@ -119,7 +119,7 @@ def make(plan: Plan, found: Probe, folder: Path, where: AbstractContextManager[P
         try:
             with where as pool, remembered_interrupt() as stop_if_pressed, bar(plan, missing, pool) as advance:
 
-                def progress(done: Done) -> None:
+                def progress(done: JobResult) -> None:
                     stop_if_pressed()
                     advance(done)
 
@@ -130,7 +130,7 @@ def make(plan: Plan, found: Probe, folder: Path, where: AbstractContextManager[P
 
 
 @contextmanager
-def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[Done], None]]:
+def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[JobResult], None]]:
     """Runs done of all, their rate and the time left, on standard error: a bar on a terminal, else a first line."""
     done, total = len(plan) - len(missing), len(plan)
     begun = f", {done} of them done" if done else ""
@@ -154,7 +154,7 @@ def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[Done],
         task = shown.add_task("", total=total, completed=done, rate="", lost="")
         lost = 0
 
-        def advance(finished: Done) -> None:
+        def advance(finished: JobResult) -> None:
             nonlocal lost
             lost += finished.status != "completed"
             speed = shown.tasks[0].speed
@@ -164,15 +164,15 @@ def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[Done],
         yield advance
 
 
-def replay(plan: Plan, number: int, folder: Path, force: bool, as_json: bool) -> int:
+def run_again(plan: Plan, number: int, folder: Path, force: bool, as_json: bool) -> int:
     """Run one row alone with all its signals and compare its numbers with those stored."""
-    from ..lab.study.replay import replay as again
+    from ..lab.study.session import rerun
 
-    result = again(plan, number, folder, force)
+    result = rerun(plan, number, folder, force)
     if as_json:
         say_json(result.to_dict())
     else:
-        say(result.told())
+        say(result.describe())
     return DONE if result.same in (True, None) else FAILED
 
 

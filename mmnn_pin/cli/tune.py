@@ -52,8 +52,8 @@ def tune(
     `pip install 'mmnn_pin[tune]'`.
     """
     from ..lab.study.plan import plan_of
-    from ..lab.study.reading import load_study
     from ..lab.study.session import probe
+    from ..lab.study.settings import load_study
     from ..lab.study.tuning import imported, result, search, tuned_part
 
     imported()

@@ -8,32 +8,31 @@ from __future__ import annotations
 
 import argparse
 import csv
-import json
-import os
-import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mmnn_pin import load_experiment, run_experiment
+from mmnn_pin.lab.experiments.config import find, variants
+from mmnn_pin.lab.experiments.readings import readings, summaries
+from mmnn_pin.lab.experiments.runner import Result
 from mmnn_pin.lab.show.figure import save
+from mmnn_pin.lab.show.gallery import write_pictures
 from mmnn_pin.loop.precompile import precompile
 
+from ..document import Clock, write_rows
 from .calibration import Budget as Searches
-from .calibration import Trials, calibrate
+from .calibration import Effort, Trials, calibrate, flatness
 from .claim import Row, accuracy, claim, conditions
-from .document import publish, render, same_fit
-from .draws import PERIODS, RANGES, REFERENCES
-from .flatness import Effort, flatness
-from .judging import PARTS
+from .document import DOCUMENT, same_fit
+from .draws import PARTS, PERIODS, RANGES, REFERENCES
 from .plots import claim_figure, flatness_figure, intervals_figure, ranges_of
 from .tuning import Budget as Tuning
 from .tuning import tunings
 from .unstated import CASES
-from .variants import read_otherwise, run_variants
 from .verdict import verdict, what_decides
 
 FITTED = CASES[0]  # the variant `figures` takes its values from it
@@ -80,18 +79,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     precompile()
     amount = QUICK if options.quick else Amount(draws=options.draws)
     summary = study(amount, options.out)
-    (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    (options.out / "chapter4.md").write_text(render(summary), encoding="utf-8")
-    if options.publish:
-        publish(options.out)
+    DOCUMENT.save(summary, options.out, options.publish)
 
 
 def study(amount: Amount, out: Path) -> dict[str, Any]:
     """Run all of it; figures and rows go to `out`, the numbers of the document are returned."""
     figures = out / "figures"
     figures.mkdir(parents=True, exist_ok=True)
-    begin, load = time.perf_counter(), os.getloadavg()[0]
-    say = partial(told, begin)
+    clock = Clock()
+    say = clock.say
     summary: dict[str, Any] = {"variants": run_variants(figures, say), "readings": read_otherwise(say)}
     summary["calibration"], tried = calibrate(amount.searches, say)
     write_trials(out / "trials.csv", tried)
@@ -109,14 +105,7 @@ def study(amount: Amount, out: Path) -> dict[str, Any]:
         "claim": claim_figure(rows),
     }.items():
         save(figure, figures / f"{name}.png")
-    wall = time.perf_counter() - begin
-    summary["run"] = {
-        "wall_s": wall,
-        "processor_s": time.process_time(),
-        "cores": os.cpu_count(),
-        "load_before": load,
-        "load_after": os.getloadavg()[0],
-    }
+    summary["run"] = clock.facts()
     say("done")
     return summary
 
@@ -150,19 +139,6 @@ def fits(summary: dict[str, Any]) -> dict[str, Any]:
     return shown | {"best fit with equal gains": summary["calibration"]["equal_22"]["intervals"]}
 
 
-def told(begin: float, text: str) -> None:
-    """Say what is done and when."""
-    print(f"{time.perf_counter() - begin:6.1f} s  {text}", flush=True)
-
-
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Rows as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def write_trials(path: Path, tried: dict[str, list[Trials]]) -> None:
     """Every trial of every search: case, seed, cost, twelve extremes, and its place in the ranges, 0 to 1."""
     with path.open("w", newline="", encoding="utf-8") as file:
@@ -176,3 +152,44 @@ def write_trials(path: Path, tried: dict[str, list[Trials]]) -> None:
 
 if __name__ == "__main__":
     main()
+
+
+PICTURES = ("figure-4.2", "figure-4.3", "figure-4.4", "psi", "gains")
+
+
+def run_variants(folder: Path, say: Callable[[str], None]) -> dict[str, Any]:
+    """Run every variant, write its pictures as `VARIANT-NAME.png`, and give the numbers for JSON."""
+    found = {}
+    for variant in variants(find("chapter4")):
+        result = run_experiment(load_experiment("chapter4", variant=variant), "chapter4")
+        for name, file in write_pictures(result.recordings, PICTURES, folder).items():
+            file.replace(folder / f"{variant}-{name}.png")
+        found[variant] = numbers_of(result)
+        say(f"variant {variant}: {found[variant]['met']} of {len(found[variant]['intervals'])}")
+    return found
+
+
+def numbers_of(result: Result) -> dict[str, Any]:
+    """What the document takes from a variant."""
+    as_json = result.to_dict()
+    ranges = as_json["comparison"]["figure_ranges"]
+    kept = ("effective_gain.", "learned_share.", "pose_error.x", "e.arm_1_joint", "z.v")
+    metrics = {
+        name: {key: value for key, value in run["metrics"].items() if key.startswith(kept)}
+        for name, run in as_json["runs"].items()
+    }
+    return {
+        "intervals": ranges,
+        "met": sum(row["inside"] for row in ranges),
+        "metrics": metrics,
+        "improvement": as_json["comparison"]["improvement"],
+        "unfair": as_json["comparison"]["unfair"],
+        "messages": [run["message"] for run in as_json["runs"].values() if run["message"]],
+    }
+
+
+def read_otherwise(say: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Every switch that the thesis leaves open, turned alone from the default variant."""
+    rows = summaries(readings(load_experiment("chapter4"), "chapter4"))
+    say(f"{len(rows)} readings")
+    return rows

@@ -12,7 +12,7 @@ from scipy.special import erf
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.signals import Array
 
-from .unstated import Number, at
+from ..search import Number, at
 
 Choice = Mapping[str, Any]  # name of a number or a switch to what was chosen
 

@@ -9,10 +9,9 @@ import numpy as np
 
 from mmnn_pin import PD, ScheduledPD
 
+from ..rollouts import Rollout, roll_out
 from .choices import Choice, integral_only
-from .draws import Draw, draw, loop, motion
-from .judging import KEPT, PARTS, WINDOWS, errors, run_all
-from .rollouts import Rollout, roll_out
+from .draws import KEPT, PARTS, WINDOWS, Draw, draw, errors, loop, motion, run_all
 from .unstated import LEARNERS
 
 Row = dict[str, Any]

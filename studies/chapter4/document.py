@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-import shutil
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from mmnn_pin.lab.experiments.controllers import EFFECTIVE
 
-from ..document import DOCS, environment, filled, kept, renew_figures
+from ..document import Document, environment, filled
 from .unstated import LEARNERS
 
 HERE = Path(__file__).parent
@@ -129,13 +128,4 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(names) or "none"
 
 
-def publish(out: Path) -> None:
-    """Renew the summary that is kept, the document and the figures that it shows."""
-    shutil.copyfile(out / "summary.json", SUMMARY)
-    write_document()
-    renew_figures(out, DOCS / "chapter4.md")
-
-
-def write_document() -> None:
-    """docs/chapter4.md from the summary that is kept."""
-    (DOCS / "chapter4.md").write_text(render(kept(SUMMARY)), encoding="utf-8")
+DOCUMENT = Document("chapter4", SUMMARY, render)

@@ -1,8 +1,8 @@
-"""Draws of everything that the thesis does not state, and the motions on which the two networks are compared."""
+"""Draws of everything that the thesis does not state, the motions, and the errors of runs on them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
@@ -14,11 +14,16 @@ from mmnn_pin import Circle, Eight, Hold, Line, Loop, Robot, Sine, Trajectory, l
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.torque.controller import CompiledController
 
-from .rollouts import with_centre_of_mass, with_mount
+from ..rollouts import Rollout, roll_out, with_centre_of_mass, with_mount
+from .choices import Choice, with_choice
 from .unstated import chapter4
 
 ARM = (Sine(amplitude=np.pi / 4, period=4.0), Hold(np.pi / 4))  # the thesis's
+
+
 LINE = Line(speed=0.3)
+
+
 REFERENCES: dict[str, tuple[str, Trajectory]] = {
     "line": ("the thesis's line, joint 1 swinging", Trajectory(LINE, ARM)),
     "circle": ("a circle of 0.8 m at 0.3 m/s, the same arm motion", Trajectory(Circle(radius=0.8, speed=0.3), ARM)),
@@ -31,8 +36,14 @@ REFERENCES: dict[str, tuple[str, Trajectory]] = {
         Trajectory(LINE, (Sine(np.pi / 4, 2.0), Sine(np.pi / 6, 1.5, np.pi / 4))),
     ),
 }
+
+
 BODIES = ("root", "arm_1_joint", "arm_2_joint")
+
+
 MASSES = "mass factor of platform, link 1, link 2"
+
+
 # What is drawn: from where to where, uniformly or (log) uniformly in the logarithm. K, Kz1, Kz2 and ZB are the same for
 # both networks of a draw, and so is everything else that both have. What the thesis prints is not drawn.
 RANGES: dict[str, tuple[float, float, str, str]] = {
@@ -51,6 +62,8 @@ RANGES: dict[str, tuple[float, float, str, str]] = {
     "start behind": (0.0, 0.02, "m", ""),
     "start aside": (-0.005, 0.005, "m", ""),
 }
+
+
 PERIODS = (0.001, 0.002, 0.0025, 0.004)  # sample times, equally likely [s]
 
 
@@ -143,3 +156,37 @@ def loop(experiment: Experiment, robot: Robot, reference: str, controller: Compi
         weights_interval=experiment.time.duration,
         check_gains=False,
     )
+
+
+KEPT = ("pose_error", "e", "effective_gain")
+
+
+WINDOWS = {"whole": 0.0, "tracking": 1.0}  # from when on an error counts [s]
+
+
+PARTS = ("base", "arm")
+
+
+Wanted = tuple[Draw, str, str, Choice | None]  # a draw, its motion, a controller, what was chosen of it
+
+
+def run_all(wanted: Sequence[Wanted], finer: int = 1) -> list[Rollout]:
+    """Runs of `pd` or a learner, so many plant steps per control sample."""
+    loops = []
+    for d, reference, name, chosen in wanted:
+        experiment = with_choice(d.experiment(finer), name, chosen)
+        loops.append(loop(experiment, d.robot, reference, experiment.controller(name)))
+    return roll_out(loops, KEPT)
+
+
+def error(run: Rollout, part: str, start: float, period: float) -> float:
+    """RMS distance of base [m] or arm [rad] from the reference, from a time on; inf for a run that was lost."""
+    if not run.completed:
+        return float("inf")
+    table = run.signals["pose_error"][:, :2] if part == "base" else run.signals["e"]
+    return float(np.sqrt(np.mean(np.sum(table[round(start / period) :] ** 2, axis=1))))
+
+
+def errors(run: Rollout, period: float) -> dict[str, float]:
+    """All errors of a run."""
+    return {f"{part}.{name}": error(run, part, start, period) for part in PARTS for name, start in WINDOWS.items()}

@@ -9,9 +9,10 @@ import numpy as np
 
 from mmnn_pin.lab.show.figure import Look, add_legend, new_figure, styled
 
+from ..search import Number
 from .claim import Row
 from .draws import REFERENCES
-from .unstated import MOUNT, Number
+from .unstated import MOUNT
 from .verdict import JUDGED, across
 
 if TYPE_CHECKING:

@@ -11,14 +11,15 @@ import numpy as np
 
 from mmnn_pin.signals import Array
 
+from ..rollouts import Rollout
+from ..search import search
 from .choices import TUNED, Choice, choice, level
-from .draws import Draw, draw, motion
-from .judging import errors, run_all
-from .rollouts import Rollout
-from .search import search
+from .draws import Draw, draw, errors, motion, run_all
 from .unstated import LEARNERS
 
 TRAINING = 1  # stream of draws
+
+
 LOST = 10.0  # error of a run that diverged, relative to PD alone
 
 

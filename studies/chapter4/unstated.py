@@ -11,45 +11,22 @@ from msgspec.structs import replace as with_settings
 
 from mmnn_pin import Loop, Robot, load_experiment
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.figure_ranges import figure_intervals
+from mmnn_pin.lab.experiments.thesis import figure_intervals
 from mmnn_pin.signals import Array
 
-from .rollouts import Rollout, roll_out, with_mount
+from ..rollouts import Rollout, roll_out, with_mount
+from ..search import Number
 
 Values = Mapping[str, float]
+
+
 LEARNERS = ("two_layer", "one_layer")
+
+
 SIGNALS = ("pose_error", "z", "e")
+
+
 WORST = 1e3  # distance of a run that diverged, in widths of an interval
-
-
-@dataclass(frozen=True)
-class Number:
-    """A number that the thesis does not state.
-
-    Attributes:
-        name: Key.
-        lower: Lower end of its range.
-        upper: Upper end.
-        unit: Unit.
-        log: Whether the range is searched in its logarithm.
-    """
-
-    name: str
-    lower: float
-    upper: float
-    unit: str
-    log: bool = False
-
-    def place(self, value: float) -> float:
-        """Where a value lies in the range, 0 to 1."""
-        a, b, v = np.log([self.lower, self.upper, value]) if self.log else (self.lower, self.upper, value)
-        return float((v - a) / (b - a))
-
-    def at(self, place: float) -> float:
-        """Value at a place, 0 to 1."""
-        if self.log:
-            return float(self.lower * (self.upper / self.lower) ** place)
-        return float(self.lower + place * (self.upper - self.lower))
 
 
 SHARED = (
@@ -59,12 +36,18 @@ SHARED = (
     Number("friction_arm", 0.1, 4, "N m s", log=True),
     Number("behind", 0.002, 0.02, "m"),
 )
+
+
 MOUNT, AS_DRAWN = Number("mount", 0.0, 0.3, "m"), 0.12  # the URDF has it at 0.12 m
+
+
 ROBUST = (
     Number("Kz1", 1, 200, "", log=True),
     Number("Kz2", 0.02, 5, "", log=True),
     Number("ZB", 0.2, 15, "", log=True),
 )
+
+
 V_RANGE, WIDTH = Number("v_range", 0.05, 2, ""), Number("width", 1, 12, "", log=True)
 
 
@@ -174,8 +157,3 @@ def cost_of(found: Array) -> Array:
     away = distances(found)
     off_middle = np.minimum(np.abs(np.nan_to_num(found, nan=np.inf) - (lower + upper) / 2) / (upper - lower), 1.0)
     return np.sum((away > 0) + away / (1 + away), axis=-1) + 0.1 * np.mean(off_middle, axis=-1)
-
-
-def at(numbers: Sequence[Number], place: Array) -> dict[str, float]:
-    """Values at a place of the unit cube, to four significant digits: what is judged can be written down."""
-    return {number.name: float(f"{number.at(u):.4g}") for number, u in zip(numbers, place, strict=True)}

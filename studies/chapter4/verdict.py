@@ -10,10 +10,9 @@ from scipy.stats import spearmanr
 
 from mmnn_pin.signals import Array
 
+from ..crossed import middle, share
 from .claim import THESIS, Row
-from .crossed import middle, share
-from .draws import RANGES, REFERENCES
-from .judging import PARTS, WINDOWS
+from .draws import PARTS, RANGES, REFERENCES, WINDOWS
 from .unstated import LEARNERS
 
 IDLE = 0.01  # a learner within this of PD at its own gain has learned nothing that shows

@@ -7,13 +7,8 @@ the ranking over drawn rigs, and writes figures, tables and the document itself.
 from __future__ import annotations
 
 import argparse
-import csv
-import json
-import os
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +17,12 @@ from mmnn_pin.lab.show.figure import save
 from mmnn_pin.lab.show.gallery import write_pictures
 from mmnn_pin.loop.precompile import precompile
 
+from ..document import Clock, write_rows
 from .calibration import CASES, Budget, calibrate, deviation, largest, taken
-from .compare import SETTLED, Row, accuracy, ranking
-from .document import publish, render
+from .compare import SETTLED, accuracy, ranking, repeatability, sweep
+from .document import DOCUMENT
 from .plots import sweep_figure
-from .repeats import repeatability, sweep
-from .rigs import DRAWN, PERIODS, TIGHT, chapter5
-from .saturation import saturation
+from .rigs import DRAWN, PERIODS, TIGHT, chapter5, saturation
 from .verdict import verdict
 
 
@@ -70,18 +64,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     precompile()
     summary = study(QUICK if options.quick else Amount(rigs=options.rigs), options.out)
-    (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    (options.out / "chapter5.md").write_text(render(summary), encoding="utf-8")
-    if options.publish:
-        publish(options.out)
+    DOCUMENT.save(summary, options.out, options.publish)
 
 
 def study(amount: Amount, out: Path) -> dict[str, Any]:
     """Run all of it; figures and rows go to `out`, the numbers of the document are returned."""
     figures = out / "figures"
     figures.mkdir(parents=True, exist_ok=True)
-    begin, load = time.perf_counter(), os.getloadavg()[0]
-    say = partial(told, begin)
+    clock = Clock()
+    say = clock.say
     summary: dict[str, Any] = {"experiment": run(figures), "saturation": saturation()}
     say("the experiment")
     summary["calibration"] = found = calibrate(amount.searches, say)
@@ -90,14 +81,7 @@ def study(amount: Amount, out: Path) -> dict[str, Any]:
     summary["sweep"] = sweep(taken(), amount.moved, say)
     save(sweep_figure(summary["sweep"]), figures / "chapter5-sweep.png")
     summary["ranking"] = ranked(amount, out, say)
-    wall = time.perf_counter() - begin
-    summary["run"] = {
-        "wall_s": wall,
-        "processor_s": time.process_time(),
-        "cores": os.cpu_count(),
-        "load_before": load,
-        "load_after": os.getloadavg()[0],
-    }
+    summary["run"] = clock.facts()
     say("done")
     return summary
 
@@ -139,19 +123,6 @@ def ranked(amount: Amount, out: Path, say: Callable[[str], None]) -> dict[str, A
         "verdict": verdict(rows),
         "accuracy": accuracy(amount.checked),
     }
-
-
-def told(begin: float, text: str) -> None:
-    """Say what is done and when."""
-    print(f"{time.perf_counter() - begin:6.1f} s  {text}", flush=True)
-
-
-def write_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Rows as CSV."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 if __name__ == "__main__":

@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.largest_errors import THESIS
+from mmnn_pin.lab.experiments.thesis import PRINTED
 from mmnn_pin.signals import Array
 
-from ..chapter4.rollouts import roll_out
-from ..chapter4.search import search
-from ..chapter4.unstated import Number, at
+from ..rollouts import roll_out
+from ..search import Number, at, search
 from .rigs import DEGREES, chapter5, loop_of, robot_of, with_rig
 
 SEARCHED = (
@@ -92,7 +91,7 @@ def of_run(run: Any) -> Array:
 
 def printed(names: Sequence[str]) -> Array:
     """The thesis's numbers of these controllers [deg], (names, 2)."""
-    return np.array([THESIS[name.removesuffix("_zero")] for name in names])
+    return np.array([PRINTED[name.removesuffix("_zero")] for name in names])
 
 
 def deviation(found: Array, names: Sequence[str]) -> Array:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 from typing import Any
 
 from ..chapter4.document import median, percent, ratio, share, three, within
-from ..document import DOCS, environment, filled, kept, renew_figures
+from ..document import Document, environment, filled
 
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
@@ -33,13 +32,4 @@ def missed(intervals: list[dict[str, Any]]) -> str:
     return ", ".join(figures) or "none"
 
 
-def publish(out: Path) -> None:
-    """Renew the summary that is kept, the document and the figures that it shows."""
-    shutil.copyfile(out / "summary.json", SUMMARY)
-    write_document()
-    renew_figures(out, DOCS / "chapter5.md")
-
-
-def write_document() -> None:
-    """docs/chapter5.md from the summary that is kept."""
-    (DOCS / "chapter5.md").write_text(render(kept(SUMMARY)), encoding="utf-8")
+DOCUMENT = Document("chapter5", SUMMARY, render)

@@ -9,8 +9,7 @@ import numpy as np
 
 from mmnn_pin.lab.show.figure import STYLES, Look, add_legend, new_figure, styled
 
-from .compare import MEASURES, NAMES
-from .repeats import MOVED, SCALE
+from .compare import MEASURES, MOVED, NAMES, SCALE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

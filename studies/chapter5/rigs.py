@@ -1,4 +1,7 @@
-"""Rigs: chapter 5 with other friction, backlash, encoders, sample rate and unstated numbers of the controllers."""
+"""Rigs: chapter 5 with other friction, backlash, encoders, sample rate and unstated numbers of the controllers.
+
+Also how much of a two-layer network is left when its input is in degrees: the share of hidden outputs at either end.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,30 @@ from typing import Any
 
 import numpy as np
 from msgspec.structs import replace as with_settings
+from scipy.special import expit
 
-from mmnn_pin import Loop, Robot, load_experiment
+from mmnn_pin import Loop, Recording, Robot, load_experiment
 from mmnn_pin.lab.experiments.experiment import Experiment
+from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import CompiledController
 
-from ..chapter4.unstated import Number
+from ..search import Number
 
 Values = Mapping[str, Any]
+
+
 DEGREES = 180.0 / np.pi
+
+
 # How the network takes the error that teaches it: in degrees, as its input, or in radians.
 UNITS = {"degrees": DEGREES, "radians": 1.0}
+
+
 THESIS_PERIOD = 0.005  # 200 Hz, for which the rates are printed [s]
+
+
 PERIODS = (0.008, 0.005, 0.0025, 0.001)  # sample times that are drawn, equally likely [s]
+
 
 # What is drawn for the ranking, each uniformly or (log) uniformly in the logarithm, the same for all controllers.
 DRAWN = (
@@ -36,6 +50,8 @@ DRAWN = (
     Number("Kz", 1e-5, 1e-3, "", log=True),
     Number("v_range", 0.003, 0.3, "", log=True),
 )
+
+
 TIGHT = 0.25  # share of the rigs without backlash
 
 
@@ -143,3 +159,31 @@ def draw(number: int) -> Rig:
         "seed": int(rng.integers(2**31)),
     }
     return Rig(number, values)
+
+
+LEARNED = 0.2  # from when on outputs count [s]
+
+
+END = 0.01  # an output this near to 0 or 1 is at that end
+
+
+def saturation() -> dict[str, Any]:
+    """Of both starts of the network on the rig of the experiment's file: shares of hidden outputs near 1 and near 0."""
+    e = with_settings(chapter5(), weights_interval=0.02)
+    names = ("two_layer_zero", "two_layer_random")
+    runs = {name: loop_of(e, robot_of(e), e.controller(name)).run() for name in names}
+    return {name: ends(hidden_outputs(e, run)) for name, run in runs.items()}
+
+
+def ends(outputs: Array) -> Mapping[str, float]:
+    """Share of hidden outputs that are near 1, and near 0."""
+    return {"on": float(np.mean(outputs > 1 - END)), "off": float(np.mean(outputs < END))}
+
+
+def hidden_outputs(experiment: Experiment, run: Recording) -> Array:
+    """Outputs of the arm's hidden units wherever the weights were recorded after `LEARNED`, (k, hidden)."""
+    times, V = run.weights["time"], run.weights["V2"]
+    samples = np.rint(times / experiment.time.control_period).astype(int)
+    counted = (times > LEARNED) & (samples < len(run))
+    x = experiment.inputs.scale * np.hstack([run[name] for name in experiment.inputs.signals])[samples[counted]]
+    return np.asarray(expit(np.einsum("ki,kih->kh", x, V[counted])))

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin.lab.experiments.largest_errors import mean_ratio, thesis_ratios
+from mmnn_pin.lab.experiments.thesis import mean_ratio, thesis_ratios
 from mmnn_pin.signals import Array
 
-from ..chapter4.crossed import middle, share
-from .compare import CONDITIONS, LEARNERS, MEASURES, NAMES, Row
-from .repeats import column
+from ..crossed import middle, share
+from .compare import CONDITIONS, LEARNERS, MEASURES, NAMES, Row, column
 
 TWO, ONE = "two_layer_zero", "one_layer"
 USABLE = 3.0  # largest error of PD on a rig that one would use [deg]

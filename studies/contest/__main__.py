@@ -6,24 +6,20 @@ Runs the contest, writes tables, figures and the document; with `--tune` it sear
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.lab.contest.contest import Standing, run_contest
+from mmnn_pin.lab.contest.contest import run_contest
+from mmnn_pin.lab.contest.standing import Standing
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.show.contest.figures import write_figures
 from mmnn_pin.loop.precompile import precompile
 
-from .document import publish, render
-from .search import SOON, Bench, Say, search
-from .summary import summed
-from .tunings import TRIES, TUNINGS, keep, spaces, tuned
+from ..document import Clock
+from .document import DOCUMENT, summed
+from .search import SOON, TRIES, TUNINGS, Bench, Say, keep, search, spaces, tuned
 
 QUICK = (
     *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
@@ -50,17 +46,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not options.tune and (options.only or options.learner):
         parser.error("--only and --learner go with --tune")
     precompile()
-    say = partial(told, time.perf_counter())
+    clock = Clock()
     if options.tune:
         for tuning in (options.only,) if options.only else TUNINGS:
-            tune(tuning, options.learner or tuple(spaces(tuning)), options.tries or TRIES[tuning], say)
+            tune(tuning, options.learner or tuple(spaces(tuning)), options.tries or TRIES[tuning], clock.say)
         return
     overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
-    summary = study(options.out, overrides, cases, options.force, say)
-    (options.out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    (options.out / "contest.md").write_text(render(summary), encoding="utf-8")
-    if options.publish:
-        publish(options.out)
+    summary = study(options.out, overrides, cases, options.force, clock)
+    DOCUMENT.save(summary, options.out, options.publish)
 
 
 def each(numbers: dict[str, int]) -> str:
@@ -75,22 +68,15 @@ def tune(tuning: str, learners: Sequence[str], tries: int, say: Say) -> None:
         keep(tuning, learner, search(bench, learner, spaces(tuning)[learner], tries, say))
 
 
-def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, say: Say) -> dict[str, Any]:
+def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, clock: Clock) -> dict[str, Any]:
     """Run all of it; rows and figures go to `out`, the numbers of the document are returned."""
-    begin, processor, load = time.perf_counter(), time.process_time(), os.getloadavg()[0]
-    standing = made(out, overrides, cases, force, say)
+    standing = made(out, overrides, cases, force, clock.say)
     write_figures(standing, out / "figures")
     return {
         **summed(standing),
         "tuned": {tuning: {name: short(one) for name, one in found.items()} for tuning, found in tuned().items()},
         "soon": SOON,
-        "run": {
-            "wall_s": time.perf_counter() - begin,
-            "processor_s": time.process_time() - processor,
-            "cores": os.cpu_count(),
-            "load_before": load,
-            "load_after": os.getloadavg()[0],
-        },
+        "run": clock.facts(),
     }
 
 
@@ -117,11 +103,6 @@ def made(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool,
     if standing.interrupted:
         raise KeyboardInterrupt
     return standing
-
-
-def told(begin: float, text: str) -> None:
-    """Say what is done and when."""
-    print(f"{time.perf_counter() - begin:6.1f} s  {text}", flush=True)
 
 
 if __name__ == "__main__":

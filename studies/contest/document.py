@@ -1,14 +1,18 @@
-"""docs/contest.md out of a summary: no number in it is written by hand."""
+"""docs/contest.md: a contest as smallest, median and largest numbers, and the text that shows them."""
 
 from __future__ import annotations
 
-import shutil
+import math
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+from mmnn_pin.lab.contest.standing import Standing
+from mmnn_pin.lab.contest.task import held_out_torque, tasks_of
+from mmnn_pin.lab.show.contest.columns import KNOWLEDGE, TRAINING
 from mmnn_pin.lab.show.table import number
 
-from ..document import DOCS, environment, filled, kept, renew_figures
+from ..document import Document, environment, filled
 
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
@@ -45,13 +49,57 @@ def setting(value: Any) -> str:
     return f"[{', '.join(f'{each:g}' for each in value)}]" if isinstance(value, list) else f"{value:g}"
 
 
-def publish(out: Path) -> None:
-    """Renew the summary that is kept, the document and the figures that it shows."""
-    shutil.copyfile(out / "summary.json", SUMMARY)
-    write_document()
-    renew_figures(out, DOCS / "contest.md")
+Cell = list[float | str | None] | None
 
 
-def write_document() -> None:
-    """docs/contest.md from the summary that is kept."""
-    (DOCS / "contest.md").write_text(render(kept(SUMMARY)), encoding="utf-8")
+def summed(standing: Standing) -> dict[str, Any]:
+    """Tasks with their tables, targets, findings."""
+    held_out = {task.name: held_out_torque(task) for task in tasks_of(standing.experiment, ("pd",))}
+    return {
+        "tasks": {task: about(standing, task) | {"held_out": held_out[task]} for task in standing.tasks},
+        "targets": [target.to_dict() for target in standing.targets()],
+        "seeds": standing.contest.seeds,
+        "learned": standing.contest.learned,
+        "window": standing.contest.window,
+        "start": standing.contest.start,
+        "told": {name: standing.contest.knowledge_of(name) for name in standing.controllers},
+        "poor": findings(standing, standing.contest.targets.poor),
+    }
+
+
+def about(standing: Standing, task: str) -> dict[str, Any]:
+    """One task: what its reference asks, and a cell per controller and column."""
+    demand = standing.demands[task]
+    return {
+        "title": standing.tasks[task],
+        "speed": max(demand.speed, default=0.0),
+        "torque": max(demand.torque, default=0.0),
+        "rows": {
+            name: {column.key: spread(column.values(standing, task, name)) for column in (*TRAINING, *KNOWLEDGE)}
+            for name in standing.controllers
+            if standing.of(task, name)
+        },
+        "lost": {
+            name: sum(not row.completed for row in standing.of(task, name))
+            for name in standing.controllers
+            if standing.of(task, name)
+        },
+    }
+
+
+def spread(values: list[float]) -> Cell:
+    """Smallest, median, largest; "inf" for what is not finite, None where a number is missing."""
+    if not values or any(map(math.isnan, values)):
+        return None
+    ordered = sorted(values)
+    return [value if math.isfinite(value) else "inf" for value in (ordered[0], median(ordered), ordered[-1])]
+
+
+def findings(standing: Standing, task: str) -> dict[str, list[str]]:
+    """What every controller said at the end of a task, on the first seed."""
+    if not task:
+        return {}
+    return {name: list(rows[0].findings) for name in standing.controllers if (rows := standing.of(task, name))}
+
+
+DOCUMENT = Document("contest", SUMMARY, render)

@@ -3,36 +3,47 @@
 What counts is the geometric mean, over the tuning tasks, of three errors over those of PD: in the last window of the
 training, on the held-out trajectories while learning, and there with the final weights held fixed; where the robot
 picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are driven with it, too.
+
+There are two searches. `eight` searches the settings of every learner that its space names, on a robot that does not
+change; `payload` after it those that forget and follow, on one that picks something up.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import tomllib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
 
 from mmnn_pin.errors import InputError
-from mmnn_pin.lab.contest.heat import heat
-from mmnn_pin.lab.contest.row import Row, nan
+from mmnn_pin.lab.contest.result import TrialResult, nan
 from mmnn_pin.lab.contest.task import Task, tasks_of
-from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.contest.trial import run_trial
+from mmnn_pin.lab.experiments.cases import with_case
+from mmnn_pin.lab.experiments.config import load_experiment, override, value_at
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.files import override
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.objective import settings_of
 from mmnn_pin.lab.study.tuning import imported, own_gains, suggested
 
-from .tunings import tuning_file
-
 SEED = 20100
+
+
 SOON = 2.0  # after a pick-up [s]
+
+
 LOST = 1e3  # error over PD's that a lost run counts for
+
+
 TORQUE = 1.0 - 1e-6  # of the motors' limits; a run that comes to them at any time counts as lost
+
+
 Say = Callable[[str], None]
 
 
@@ -46,13 +57,13 @@ class Bench:
     """
 
     tasks: tuple[Task, ...]
-    pd: dict[str, list[Row]]
+    pd: dict[str, list[TrialResult]]
 
     @classmethod
     def made(cls, tuning: str, *overrides: str) -> Bench:
         """The tasks of a tuning experiment, with PD run on them."""
         tasks = tuple(tasks_of(load_experiment(tuning_file(tuning), overrides), ("pd",)))
-        return cls(tasks, {task.name: heat(task, "pd", None, None, quiet, False)[0] for task in tasks})
+        return cls(tasks, {task.name: run_trial(task, "pd", None, None, quiet, False)[0] for task in tasks})
 
     def score(self, learner: str, settings: Mapping[str, Any]) -> float:
         """Geometric mean of a learner's errors over PD's, see the top of this module."""
@@ -62,7 +73,7 @@ class Bench:
                 changed = replace(task, experiment=changed_by(task.experiment, settings))
             except InputError:
                 return LOST
-            rows, _ = heat(changed, learner, None, None, quiet, False)
+            rows, _ = run_trial(changed, learner, None, None, quiet, False)
             for row, pd in zip(rows, self.pd[task.name], strict=True):
                 logs += [math.log(ratio) for ratio in ratios(row, pd, task.contest.window)]
         return math.exp(float(np.mean(logs)))
@@ -84,7 +95,7 @@ def changed_by(experiment: Experiment, settings: Mapping[str, Any]) -> Experimen
     return msgspec.convert(table, Experiment)
 
 
-def ratios(row: Row, pd: Row, window: float) -> list[float]:
+def ratios(row: TrialResult, pd: TrialResult, window: float) -> list[float]:
     """A row's errors over PD's, `LOST` for what was lost.
 
     Args:
@@ -107,7 +118,7 @@ def ratios(row: Row, pd: Row, window: float) -> list[float]:
     return [min(value, LOST) if math.isfinite(value) else LOST for value in found]
 
 
-def soon(row: Row, window: float) -> dict[str, float]:
+def soon(row: TrialResult, window: float) -> dict[str, float]:
     """RMS errors per axis in the first `SOON` seconds after the last change of a task.
 
     Args:
@@ -164,3 +175,45 @@ def rounded(value: Any) -> Any:
     if isinstance(value, float):
         return float(f"{value:.3g}")
     return [rounded(each) for each in value] if isinstance(value, list | tuple) else value
+
+
+HERE = Path(__file__).parent
+
+
+SPACES, TUNED = HERE / "spaces.toml", HERE / "tuned.json"
+
+
+TRIES = {"eight": 40, "payload": 30}  # sets of settings per learner
+
+
+TUNINGS = tuple(TRIES)  # each also the case of the contest that takes what was found
+
+
+def tuning_file(tuning: str) -> Path:
+    """The experiment that a search runs."""
+    return HERE / "tuning" / f"{tuning}.toml"
+
+
+def spaces(tuning: str) -> dict[str, dict[str, Factor]]:
+    """What is searched for each learner."""
+    content = tomllib.loads(SPACES.read_text(encoding="utf-8"))
+    return msgspec.convert(content[tuning], dict[str, dict[str, Factor]])
+
+
+def tuned() -> dict[str, dict[str, Any]]:
+    """What was found and is kept: tuning and learner to their search."""
+    kept = json.loads(TUNED.read_text(encoding="utf-8")) if TUNED.exists() else {}
+    return {tuning: kept.get(tuning, {}) for tuning in TUNINGS}
+
+
+def keep(tuning: str, learner: str, found: dict[str, Any]) -> None:
+    """Keep a search beside what is there."""
+    content = tuned()
+    content[tuning][learner] = found
+    TUNED.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def taken(tuning: str, learner: str) -> dict[str, Any]:
+    """What the contest's case says of what was searched for a learner: key path to value."""
+    table = json.loads(with_case(load_experiment("contest"), tuning).to_json())
+    return {path: value_at(table, path) for path in tuned()[tuning][learner]["settings"]}

@@ -17,7 +17,8 @@ from time import process_time
 import numpy as np
 
 from mmnn_pin import ControllerState, Loop, Recording, load_experiment
-from mmnn_pin.lab.contest.frozen import frozen, said
+from mmnn_pin.lab.contest.task import frozen
+from mmnn_pin.lab.contest.trial import psi_hat_along
 from mmnn_pin.lab.proof.fvu import fvu
 from mmnn_pin.signals import Array, Layout
 
@@ -71,7 +72,7 @@ def rows_of(run: Recording, layout: Layout) -> Array:
 def frozen_fvu(learned: Loop, state: ControllerState, rows: Array) -> float:
     """FVU of a learner that no longer learns, mean of the components."""
     layout = learned.robot.layout
-    told = said(replace(learned, controller=frozen(learned.controller)), layout, state.snapshot(), rows)
+    told = psi_hat_along(replace(learned, controller=frozen(learned.controller)), layout, state.snapshot(), rows)
     return float(fvu(rows[250:, layout.where("psi")], told[250:]).mean())
 
 

@@ -17,9 +17,8 @@ import pytest
 
 from mmnn_pin import Dynamics, Recording, load
 from mmnn_pin.cli import main
-from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.experiments.config import bundled, load_experiment
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS
-from mmnn_pin.lab.experiments.files import bundled
 from mmnn_pin.lab.show import table, verdicts
 
 SHORT = ("--set", "time.duration=0.02")

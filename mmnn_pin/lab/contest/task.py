@@ -1,28 +1,31 @@
-"""A task of the contest: robot, training motion, and held-out trajectories recorded once for all learners."""
+"""A task of the contest: robot, training motion, held-out trajectories, and what the reference asks of the motors."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from ...disturbance import Payload, payload
 from ...errors import ConfigError, InputError, RecordingError
 from ...loop.loop import Loop
 from ...loop.start import Start
-from ...model.robot import Robot, carrying
+from ...model.dynamics import Dynamics
+from ...model.robot import Robot, carrying, speed_limits
 from ...signals import Array
-from ...torque.controller import Feedback
+from ...torque.controller import CompiledController, Feedback
 from ..experiments.cases import with_case
 from ..experiments.contest import ONLY, Contest
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment
 from ..experiments.runner import require_runnable
-from ..proof.held_out import HeldOut, all_held_out, recorded_under_computed_torque
-from .frozen import frozen
+from ..proof.held_out import HeldOut, all_held_out, recorded_under_computed_torque, whole_reference
+
+PLACES = 500  # along the reference, at which torques are computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,7 @@ class Task:
         """The closed loop of a training run."""
         return replace(self.experiment.loop(self.robot, controller), seed=seed)
 
-    def trial(self, controller: Any, seed: int, name: str, learning: bool) -> Loop | None:
+    def held_out_loop(self, controller: Any, seed: int, name: str, learning: bool) -> Loop | None:
         """The closed loop on a held-out trajectory, from its first point on; None for weights that cannot be fixed."""
         judged = controller if learning else frozen(controller)
         if judged is None:
@@ -115,6 +118,13 @@ class Task:
             disturbances=(),
             check_gains=False,
         )
+
+
+def frozen(controller: Any) -> Any:
+    """The controller with its weights held fixed; itself where it has none, None where they cannot be held fixed."""
+    if is_dataclass(controller) and any(field.name == "learning" for field in fields(controller)):
+        return replace(controller, learning=False)  # type: ignore[type-var]
+    return controller if isinstance(controller, CompiledController) else None
 
 
 def tasks_of(
@@ -153,15 +163,10 @@ def tasks_of(
     return found
 
 
-def late_windows(tasks: Sequence[Task]) -> list[str]:
-    """A note on tasks whose last window, in which the errors count, begins when the training is over; or none."""
-    found = []
-    for task in tasks:
-        (start, stop), end = task.experiment.windows[-1], task.experiment.time.duration
-        if start >= end:
-            found.append(f"{task.name} ({start:g}-{stop:g} s of {end:g} s)")
-    what = "no errors where the last window begins after the end of the training: "
-    return [what + ", ".join(found) + "; set windows, too"] if found else []
+def names_its_own(experiment: Experiment, name: str) -> bool:
+    """Whether a case says which controllers run in it; what one that starts elsewhere has, the contest says."""
+    case = experiment.cases.get(name)
+    return case is not None and not case.experiment and "controllers" in case.set
 
 
 def require_windows(experiment: Experiment) -> None:
@@ -181,7 +186,64 @@ def require_windows(experiment: Experiment) -> None:
             raise ConfigError(f"{value:g} s", fix=fix, key=f"contest.{name}")
 
 
-def names_its_own(experiment: Experiment, name: str) -> bool:
-    """Whether a case says which controllers run in it; what one that starts elsewhere has, the contest says."""
-    case = experiment.cases.get(name)
-    return case is not None and not case.experiment and "controllers" in case.set
+def late_windows(tasks: Sequence[Task]) -> list[str]:
+    """A note on tasks whose last window, in which the errors count, begins when the training is over; or none."""
+    found = []
+    for task in tasks:
+        (start, stop), end = task.experiment.windows[-1], task.experiment.time.duration
+        if start >= end:
+            found.append(f"{task.name} ({start:g}-{stop:g} s of {end:g} s)")
+    what = "no errors where the last window begins after the end of the training: "
+    return [what + ", ".join(found) + "; set windows, too"] if found else []
+
+
+@dataclass(frozen=True)
+class Demand:
+    """Largest share of the motors' limits along a reference that is followed exactly; 0 for motors without a limit.
+
+    Attributes:
+        motors: Names.
+        speed: (motors,) speed over the speed limit.
+        torque: (motors,) torque over the effort limit, that of the robot as the training starts.
+    """
+
+    motors: tuple[str, ...]
+    speed: tuple[float, ...]
+    torque: tuple[float, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Motor to its shares."""
+        each = zip(self.motors, self.speed, self.torque, strict=True)
+        return {motor: {"speed": speed, "torque": torque} for motor, speed, torque in each}
+
+
+def demand(task: Task) -> Demand:
+    """What a task's reference asks: rates `E' nu_ref` (wheels roll) and torques `E^-1 Psi` at `nudot_ref`."""
+    robot, layout = task.robot, task.robot.layout
+    rows = whole_reference(task.experiment, robot)
+    nu = np.hstack([rows[:, layout.where(name)] for name in ("velocity_ref", "qdot_ref")])
+    nudot = np.hstack([rows[:, layout.where(name)] for name in ("acceleration_ref", "qddot_ref")])
+    table = rows[:, layout.where("pose_ref").start : layout.where("qddot_ref").stop]
+    speed = np.abs(nu @ robot.E).max(axis=0) / speed_limits(robot)
+    dynamics, psi, torque = Dynamics(robot), np.zeros(layout.dof), np.zeros(len(robot.actuator_names))
+    inverse = np.linalg.pinv(robot.E)
+    for k in np.unique(np.linspace(0, len(table) - 1, PLACES).astype(int)):
+        position, _ = Start().state(robot, table[k])
+        dynamics.refresh(position, nu[k])
+        dynamics.refresh_psi(nu[k], nudot[k], psi)
+        torque = np.maximum(torque, np.abs(inverse @ psi))
+    limits = robot.effort_limits
+    return Demand(tuple(robot.actuator_names), tuple(speed.tolist()), tuple((torque / limits).tolist()))
+
+
+def held_out_torque(task: Task) -> dict[str, float]:
+    """Largest share of a motor's torque limit on each held-out trajectory, of the robot as it is there, with its load.
+
+    Raises:
+        RecordingError: The robot is lost on one of them.
+    """
+    layout, inverse = task.robot.layout, np.linalg.pinv(task.robot.E)
+    return {
+        name: float((np.abs(rows[:, layout.where("psi")] @ inverse.T) / task.robot.effort_limits).max())
+        for name, rows in task.rows.items()
+    }

@@ -16,10 +16,9 @@ import numpy as np
 from ...errors import ConfigError, InputError, UnknownName
 from ...recording.metrics import as_columns
 from ...recording.recording import Recording
-from .experiment import Experiment
-from .files import merged
+from .config import config_error, merged, require_disturbances
+from .experiment import Experiment, Tolerance
 from .runner import Result, finite, require_free, require_runnable, run_experiment
-from .tolerance import Tolerance
 
 AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
 
@@ -103,8 +102,6 @@ def with_case(experiment: Experiment, name: str) -> Experiment:
     Raises:
         ConfigError: The case sets an unknown key, or a value of the wrong type or range.
     """
-    from .config import config_error, require_disturbances
-
     case = experiment.cases[name]
     table = case.set if case.experiment else merged(msgspec.to_builtins(experiment) | {"cases": {}}, case.set)
     try:

@@ -1,9 +1,14 @@
-"""Reads an experiment's TOML, applies overrides, and names the key path of whatever is wrong with it."""
+"""From a TOML file to an experiment.
+
+Finds the file and what it starts from, applies overrides, and names the key path of whatever is wrong.
+"""
 
 from __future__ import annotations
 
+import glob
 import re
-from collections.abc import Iterable
+import tomllib
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from types import UnionType
@@ -19,8 +24,9 @@ from ...settings import wrong_type
 from .contest import ONLY
 from .controllers import CONTROLLERS
 from .experiment import Experiment
-from .files import find, find_variant, override, read_toml, whole, with_starts
 
+FOLDER = Path(__file__).parent
+ITS_OWN = ("title", "variant", "experiment", "cases")  # keys that no other experiment takes over
 UNIONS = (Union, UnionType)
 
 
@@ -39,7 +45,7 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     path, texts = find(name_or_path), tuple(overrides)
     if variant is not None:
         path = find_variant(path, variant)
-    table = whole(path)
+    table = complete(path)
     for text in texts:
         override(table, text)
     with_starts(table, read_toml(path), path, texts)
@@ -78,6 +84,190 @@ def without_null(value: Any) -> Any:
     return [without_null(item) for item in value] if isinstance(value, list) else value
 
 
+def bundled() -> dict[str, Path]:
+    """Experiments that come with the package, name to file; of one with variants the file of its default."""
+    return {path.stem: path for path in sorted(FOLDER.glob("*.toml")) if "." not in path.stem}
+
+
+def variants(path: Path) -> dict[str, Path]:
+    """Variants of an experiment, name to file, the default first.
+
+    `NAME.toml` is the default and says its variant's name itself; the others are `NAME.VARIANT.toml` beside it.
+    """
+    own = read_toml(path).get("variant")
+    others = sorted(path.parent.glob(f"{glob.escape(path.stem)}.*.toml"))
+    return ({own: path} if own else {}) | {other.stem.removeprefix(f"{path.stem}."): other for other in others}
+
+
+def find(name_or_path: str | Path) -> Path:
+    """File of an experiment.
+
+    Raises:
+        UnknownName: Neither a bundled name nor something that looks like a path.
+        ConfigError: A path without a file.
+    """
+    text = str(name_or_path)
+    if text in bundled():
+        return bundled()[text]
+    path = Path(text)
+    if path.suffix != ".toml" and len(path.parts) < 2 and not path.exists():
+        raise UnknownName("experiment", text, bundled())
+    if not path.is_file():
+        raise ConfigError("no such file", fix=f"name a TOML file, or one of: {', '.join(bundled())}", file=path)
+    return path
+
+
+def find_variant(path: Path, variant: str) -> Path:
+    """File of an experiment's variant.
+
+    Raises:
+        UnknownName: It has no such variant.
+        ConfigError: It has no variants.
+    """
+    known = variants(path)
+    if not known:
+        raise ConfigError("has no variants", fix="leave --variant out", file=path, key="--variant")
+    if variant not in known:
+        raise UnknownName("variant", variant, known, file=path, key="--variant")
+    return known[variant]
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises:
+        ConfigError: It cannot be read, is not UTF-8 or not TOML; with the line.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
+    except tomllib.TOMLDecodeError as error:
+        line = re.search(r"at line (\d+)", str(error))
+        number = int(line[1]) if line else None
+        raise ConfigError("not valid TOML", why=str(error), file=path, line=number) from error
+
+
+def complete(path: Path, before: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Content of a TOML file; where its key `experiment` names another one, on top of what that one says.
+
+    Args:
+        path: The file.
+        before: Files that have led to it.
+
+    Raises:
+        UnknownName: No such experiment.
+        ConfigError: A file cannot be read, or starts from itself.
+    """
+    table = read_toml(path)
+    name = table.pop("experiment", None)
+    if name is None:
+        return table
+    if path in before:
+        raise ConfigError("starts from itself", fix="name another experiment", file=path, key="experiment")
+    return merged(inherited(complete(beside(path, name), (*before, path))), table)
+
+
+def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overrides: tuple[str, ...]) -> None:
+    """Complete the cases that start from another experiment: that one, what this file itself says, overrides, the case.
+
+    Args:
+        table: The experiment, changed in place.
+        own: What its file itself says.
+        path: The file.
+        overrides: `key.path=value` texts.
+
+    Raises:
+        UnknownName: No such experiment.
+        ConfigError: A file cannot be read, or an override sets nothing.
+    """
+    cases = table.get("cases")
+    for name, case in cases.items() if isinstance(cases, dict) else ():
+        if not (isinstance(case, dict) and case.get("experiment")):
+            continue
+        try:
+            start = merged(inherited(complete(beside(path, case["experiment"]))), inherited(own))
+        except UnknownName as error:
+            error.file, error.key = path, f"cases.{name}.experiment"
+            raise
+        for text in overrides:
+            if not text.startswith("cases."):
+                override(start, text)
+        case["set"] = merged(start, case.get("set", {}))
+
+
+def inherited(table: Mapping[str, Any]) -> dict[str, Any]:
+    """What another experiment takes over from this one."""
+    return {key: value for key, value in table.items() if key not in ITS_OWN}
+
+
+def beside(path: Path, name: Any) -> Path:
+    """File of an experiment that a file names: a path from its folder, or as in `find`."""
+    there = path.parent / str(name)
+    return there if there.suffix == ".toml" and there.is_file() else find(str(name))
+
+
+def merged(table: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A table with the keys of another, tables in it likewise; a table of another `type` replaces the old one."""
+    result = dict(table)
+    for key, value in changes.items():
+        old = result.get(key)
+        both = isinstance(value, Mapping) and isinstance(old, Mapping)
+        same = both and value.get("type", old.get("type")) == old.get("type")  # type: ignore[union-attr]
+        result[key] = merged(old, value) if same else value  # type: ignore[arg-type]
+    return result
+
+
+def override(table: dict[str, Any], text: str) -> None:
+    """Set `key.path=value` in a table read from TOML.
+
+    Raises:
+        ConfigError: No `=`, or the path runs through something that is not a table.
+    """
+    key, equals, value = text.partition("=")
+    key = key.strip()
+    if not equals or not all(key.split(".")):
+        raise ConfigError(f"'{text}' sets nothing", fix="write key.path=value, e.g. time.duration=2", key="--set")
+    put(table, key, parse_value(value.strip()))
+
+
+def put(table: dict[str, Any], key: str, value: Any) -> None:
+    """Set a value at a key path of a table; numbers in the path are places in lists, counted from 0.
+
+    Raises:
+        ConfigError: The path runs through something that is not a table, or a list has no such place.
+    """
+    parts = key.split(".")
+    here: Any = table
+    for part in parts[:-1]:
+        here = here[place(here, part, key)] if isinstance(here, list) else here.setdefault(part, {})
+        if not isinstance(here, (dict, list)):
+            raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key)
+    last = place(here, parts[-1], key) if isinstance(here, list) else parts[-1]
+    here[last] = value
+
+
+def place(items: list[Any], part: str, key: str) -> int:
+    """Place in a list that a part of a key path names.
+
+    Raises:
+        ConfigError: The list has no such place.
+    """
+    if not (part.isdecimal() and int(part) < len(items)):
+        raise ConfigError(f"'{part}' is no place in a list of {len(items)}", fix="count from 0", key=key)
+    return int(part)
+
+
+def parse_value(text: str) -> Any:
+    """Value as TOML reads it; what TOML does not read is a text."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
+
+
 def require_names(experiment: Experiment) -> None:
     """Refuse controllers and tasks that a contest names and that do not exist.
 
@@ -102,12 +292,12 @@ def require_names(experiment: Experiment) -> None:
 
 
 def require_overrides(table: Any) -> None:
-    """Judge what is said about the robot by itself: its errors name keys of a file of its own.
+    """Judge what is declared about the robot by itself: its errors name keys of a file of its own.
 
     Raises:
         InputError: A value out of range, with the key path of an experiment.
     """
-    with suppress(msgspec.ValidationError):  # told with its path when the whole experiment is read
+    with suppress(msgspec.ValidationError):  # reported with its path when the whole experiment is read
         try:
             msgspec.convert(table, Overrides)
         except InputError as error:
@@ -122,7 +312,7 @@ def require_disturbances(items: Any) -> None:
         ConfigError: A value out of range, with the key path of an experiment.
     """
     for i, item in enumerate(items if isinstance(items, list) else ()):
-        with suppress(msgspec.ValidationError):  # told with its path when the whole experiment is read
+        with suppress(msgspec.ValidationError):  # reported with its path when the whole experiment is read
             try:
                 msgspec.convert(item, Disturbance)
             except InputError as error:
@@ -153,7 +343,7 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
         known += ("or a number",) if float in get_args(kind) else ()
     if known:
         return ConfigError(message, fix=f"there is: {', '.join(known)}", file=path, key=key)
-    what, fix = wrong_type(message, value_at(key, table))
+    what, fix = wrong_type(message, value_at(table, key))
     return ConfigError(what, fix=fix, file=path, key=key)
 
 
@@ -162,7 +352,7 @@ def with_names(key: str, table: Any) -> str:
     head, star, rest = key.partition(".*")
     if not star:
         return key
-    entries, kind = value_at(head, table), kind_at(f"{head}.*", table)
+    entries, kind = value_at(table, head), kind_at(f"{head}.*", table)
     if kind is None:
         return head
     for name, entry in entries.items() if isinstance(entries, dict) else ():
@@ -175,10 +365,10 @@ def with_names(key: str, table: Any) -> str:
     return head
 
 
-def value_at(key: str | None, table: Any) -> Any:
+def value_at(table: Any, key: str | None) -> Any:
     """What a table holds at a key path; None where it holds nothing there."""
     for part in key.split(".") if key else ():
-        table = inside(table, part)
+        table = entry_of(table, part)
     return table if key else None
 
 
@@ -187,20 +377,20 @@ def kind_at(key: str | None, table: Any = None) -> Any:
     kind: Any = Experiment
     for part in (key or "").split("."):
         if isinstance(kind, type) and issubclass(kind, msgspec.Struct) and part:
-            kind, table = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part), inside(table, part)
+            kind, table = {f.encode_name: f.type for f in msgspec.structs.fields(kind)}.get(part), entry_of(table, part)
         elif get_origin(kind) in (tuple, list) and part:
-            kind, table = get_args(kind)[0], inside(table, part)
+            kind, table = get_args(kind)[0], entry_of(table, part)
         elif part and (tables := [k for k in (kind, *get_args(kind)) if get_origin(k) is dict]):
-            kind, table = get_args(tables[0])[1], inside(table, part)
+            kind, table = get_args(tables[0])[1], entry_of(table, part)
         elif part:
             return None
         kinds = tuple(k for k in get_args(kind) if k is not type(None)) if get_origin(kind) in UNIONS else (kind,)
-        named = [k for k in kinds if len(kinds) > 1 and inside(table, "type") in tags_of(k)]
+        named = [k for k in kinds if len(kinds) > 1 and entry_of(table, "type") in tags_of(k)]
         kind = named[0] if named else kinds[0] if len(kinds) == 1 else Union[kinds]  # noqa: UP007
     return kind
 
 
-def inside(table: Any, part: str) -> Any:
+def entry_of(table: Any, part: str) -> Any:
     """What a table or a list holds at a part of a key path; None where it does not."""
     if isinstance(table, list):
         return table[int(part)] if part.isdecimal() and int(part) < len(table) else None

@@ -1,4 +1,4 @@
-"""What a contest asks: how many seeds, what counts as learned, what each learner is told, which targets it has."""
+"""What a contest asks: how many seeds, what counts as learned, what each learner knows, which targets it has."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ...errors import ConfigError
 from ...settings import Settings, require_gains
 
 ONLY = "task"  # name of the task of a contest without cases
-# What a learner is told before it starts; all others learn something of their own.
+# What a learner knows before it starts.
 KNOWS = ("kinematics", "form", "nothing", "nominal")
 
 
@@ -20,7 +20,7 @@ class Targets(Settings, frozen=True):
         printed: The same task for the thesis's networks with their printed settings.
         rich: Task of a rich one, for learners that know nothing.
         poor: Task of a poor one.
-        frozen_fvu: What a learner is told to the largest frozen FVU of the best that is told so.
+        frozen_fvu: What a learner knows before it starts to the largest frozen FVU of the best that knows it.
         better: Least ratio of the thesis's error to that of the best learner, on every axis.
         near: Largest ratio of the error of the best learner that knows the kinematics to the oracle's.
         kick: Largest torque of the start over the motors' limits.
@@ -51,14 +51,14 @@ class Contest(Settings, frozen=True):
         seeds: How many, counted from the experiment's own.
         beside: Controllers that run whatever else is chosen, because the others are measured by them: the feedback
             alone, the thesis's law, the oracle. A case that names its own controllers runs those.
-        knows: What a learner is told before it starts ("kinematics", "form", "nothing", "nominal") to their names.
+        knows: What a learner knows before it starts ("kinematics", "form", "nothing", "nominal") to their names.
         window: Length of the windows of the learning curves [s].
         learned: Error over that of PD, in every later window, that counts as learned.
         start: Length of the start in which a kick is looked for [s].
         targets: What is asked.
 
     Raises:
-        ConfigError: No seeds, a window or share out of range, a learner that is told two things.
+        ConfigError: No seeds, a window or share out of range, a learner that is listed twice.
     """
 
     seeds: int = 5
@@ -75,16 +75,16 @@ class Contest(Settings, frozen=True):
         for name in ("window", "learned", "start"):
             if not 0 < getattr(self, name) < float("inf"):
                 raise ConfigError(f"{getattr(self, name)}", fix="use a finite number > 0", key=f"contest.{name}")
-        told: dict[str, str] = {}
+        already: dict[str, str] = {}
         for name, controllers in self.knows.items():
             if name not in KNOWS:
                 fix = f"there is: {', '.join(KNOWS)}"
                 raise ConfigError(f"unknown key '{name}'", fix=fix, key=f"contest.knows.{name}")
             for one in controllers:
-                if told.setdefault(one, name) != name:
+                if already.setdefault(one, name) != name:
                     fix = "name it once"
-                    raise ConfigError(f"'{one}' is in {told[one]}, too", fix=fix, key=f"contest.knows.{name}")
+                    raise ConfigError(f"'{one}' is in {already[one]}, too", fix=fix, key=f"contest.knows.{name}")
 
-    def told(self, controller: str) -> str:
-        """What a learner is told; empty for one that is not in the list."""
+    def knowledge_of(self, controller: str) -> str:
+        """What a learner knows before it starts; empty for one that is not in the list."""
         return next((what for what, names in self.knows.items() if controller in names), "")

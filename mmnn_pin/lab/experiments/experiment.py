@@ -1,4 +1,7 @@
-"""An experiment as data: robot, reference, gains, controllers, periods. Its TOML has exactly these keys."""
+"""An experiment as data: robot, reference, gains, controllers, periods, cases.
+
+Its TOML has exactly these keys.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,24 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from scipy.linalg import expm
 
 from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
 from ...loop.loop import PLANTS, Loop
+from ...loop.sampled import viscous_friction
 from ...loop.start import Bounds, Start
 from ...model.base.overrides import Overrides
+from ...model.dynamics import Dynamics
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...plant.contact.feet import Contact
 from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor
-from ...settings import Settings
+from ...settings import Settings, require_gains
 from ...signals import Array, Layout
 from ...timing import Timing
 from ...torque.adaptive_settings import Adapting, Predicting
@@ -32,12 +38,9 @@ from ...torque.kalman_settings import KalmanTables
 from ...torque.neural_settings import OneLayer, Robust, TwoLayer
 from .contest import Contest
 from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
-from .friction import Friction
-from .inertia import effective_inertia
 from .laws import resolved
 from .nominal import Nominal
 from .references import HeldOut, ReferenceTables
-from .tolerance import Case, Tolerance
 
 # Pictures that a run can write; `show.gallery` has them.
 PLOTS = (
@@ -45,6 +48,68 @@ PLOTS = (
     *("fvu", "frozen", "shares", "ranks", "lyapunov", "lyapunov-terms", "equality"),
     *("figure-4.2", "figure-4.3", "figure-4.4", "figure-5.3", "figure-5.4", "figure-5.5"),
 )
+
+
+class Friction(Settings, frozen=True):
+    """Viscous friction on nu, beside what the URDF says of its joints.
+
+    Args:
+        base: One number or one per base velocity [N s/m, N m s].
+        arm: One number or one per joint [N m s or N s/m].
+        coulomb: Dry friction of the arm's gears, one number or one per joint [N m or N]; it sticks with the integrator
+            "stick", else it is smooth.
+        breakaway: Ratio of static to Coulomb friction.
+        stribeck: Velocity over which the one falls to the other [rad/s or m/s].
+    """
+
+    base: float | tuple[float, ...] = 0.0
+    arm: float | tuple[float, ...] = 0.0
+    coulomb: float | tuple[float, ...] = 0.0
+    breakaway: float = 1.0
+    stribeck: float = 0.05
+
+    def __post_init__(self) -> None:
+        require_gains(self, "friction")
+
+
+class Case(Settings, frozen=True):
+    """One case of an experiment.
+
+    Args:
+        title: A few words for the table.
+        set: Keys that it changes, tables in tables.
+        experiment: A bundled experiment or a file from which it starts, in place of the one that it is a case of; what
+            that one says itself holds in this case, too.
+    """
+
+    title: str
+    set: dict[str, Any] = msgspec.field(default_factory=dict)
+    experiment: str = ""
+
+
+class Tolerance(Settings, frozen=True):
+    """What a case asks of its runs.
+
+    Args:
+        settle: Time after which the errors count [s].
+        pose: Largest distance of the base from its reference [m].
+        heading: Largest heading error [rad].
+        joint: Largest error of an arm joint [rad or m].
+        runaway: Largest distance from the reference at the moment of a trip, and driven after it [m].
+        speed: Speed of the base that counts as rest [m/s, rad/s].
+        joint_speed: Speed of an arm joint that counts as rest [rad/s or m/s].
+    """
+
+    settle: float = 1.0
+    pose: float = 0.05
+    heading: float = 0.1
+    joint: float = 0.05
+    runaway: float = 0.5
+    speed: float = 0.02
+    joint_speed: float = 0.1
+
+    def __post_init__(self) -> None:
+        require_gains(self, "tolerance")
 
 
 class Experiment(Settings, frozen=True):
@@ -284,3 +349,28 @@ class Experiment(Settings, frozen=True):
     def to_json(self) -> str:
         """The complete experiment with its defaults, as text (JSON) for a recording."""
         return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
+
+
+def effective_inertia(robot: Robot, trajectory: Trajectory, duration: float, period: float, places: int = 10) -> Array:
+    """Effective inertia of every velocity, the smallest one along a reference, (p,) [kg, kg m^2].
+
+    It is `period / Gamma_ii`, with `Gamma = int_0^period exp(-M^-1 D t) dt M^-1` the velocity that a torque held for
+    one control period gives, M the reduced mass matrix and D its viscous friction. Without friction this is
+    `1 / (M^-1)_ii`: what a torque on that velocity alone accelerates while all others move freely. A link of a few
+    milligram square metres in a joint with 1 N m s weighs what its friction makes of it.
+
+    Args:
+        robot: The robot, or the one that the designer of the gains believes in.
+        trajectory: The reference.
+        duration: Its length [s].
+        period: Control period [s].
+        places: Instants, evenly spaced.
+    """
+    dynamics, D, p = Dynamics(robot), viscous_friction(robot), robot.layout.dof
+    table = trajectory.table(np.linspace(0.0, duration, places), robot.layout)
+    found = []
+    for row in table:
+        M_inv = np.linalg.inv(dynamics.mass_matrix(Start().state(robot, row)[0]))
+        held = expm(np.block([[-M_inv @ D, M_inv], [np.zeros((p, 2 * p))]]) * period)
+        found.append(period / np.diag(held[:p, p:]))
+    return np.min(found, axis=0)

@@ -79,8 +79,8 @@ def readings(
     return found
 
 
-def told(results: dict[str, Result]) -> list[dict[str, Any]]:
-    """Per reading what it gave, for JSON: RMS errors of the last window, learned shares, the figures' intervals."""
+def summaries(results: dict[str, Result]) -> list[dict[str, Any]]:
+    """Per reading, for JSON: RMS errors of the last window, learned shares, the figures' intervals."""
     return [{"reading": words, **effects(result)} for words, result in results.items()]
 
 

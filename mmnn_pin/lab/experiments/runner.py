@@ -1,9 +1,17 @@
-"""Runs all controllers of an experiment from equal starts and compares them."""
+"""Runs all controllers of an experiment from equal starts and compares them.
+
+How much of a learner's advantage over PD is gain, and how much is learning? A learner's robust term adds feedback, so
+part of what it wins it would win without its network. PD at the learner's own effective gain, sample by sample, has
+the one and not the other:
+
+    pd -> learner  =  (pd -> pd at the learner's effective gain)  +  (pd at that gain -> learner)
+      improvement  =                  gain                        +            learning
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,13 +26,9 @@ from ...recording.metrics import as_columns, metrics
 from ...recording.recording import Recording
 from ...reference import warnings
 from ...torque.controller import TorqueController
-from .controllers import EFFECTIVE, effective
+from .controllers import EFFECTIVE, LEARNERS, effective
 from .experiment import Experiment
-from .fairness import unfair
-from .figure_ranges import figure_ranges
-from .improvement import Improvement, improvements
-from .largest_errors import beside_the_thesis
-from .windows import window_notes
+from .thesis import beside_the_thesis, figure_ranges
 
 
 @dataclass(frozen=True)
@@ -125,68 +129,6 @@ class Result:
         }
 
 
-def finite(value: float | None) -> float | None:
-    """Number for JSON: nothing where there is none."""
-    return float(value) if value is not None and np.isfinite(value) else None
-
-
-def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
-    """What to know of the reference, such as stretches without stabilisation."""
-    path = experiment.trajectory_of(robot).base
-    times = np.arange(experiment.time.samples) * experiment.time.control_period
-    return warnings(path.sample(times)) if path is not None else []
-
-
-def in_order(wanted: Sequence[str]) -> list[str]:
-    """Controllers in the order to run them: a learner before the PD that takes its effective gain."""
-    learners = [learner for name, learner in effective(wanted).items() if name in wanted]
-    first = [name for name in wanted if name not in EFFECTIVE]
-    missing = [name for name in dict.fromkeys(learners) if name not in first]
-    return [*first, *missing, *(name for name in wanted if name in EFFECTIVE)]
-
-
-def require_free(files: Sequence[Path], force: bool) -> None:
-    """Refuse to write where recordings are, before anything is written; folders are made with their first recording.
-
-    Raises:
-        RecordingError: A file exists and `force` is off, or the folder cannot be made or written to.
-    """
-    for file in files:
-        if file.exists() and not force:
-            raise RecordingError(
-                "the recording exists", fix="choose another folder with --out, or replace it with --force", file=file
-            )
-    for folder in {file.parent for file in files}:
-        existing = next(place for place in (folder, *folder.parents) if place.exists())
-        if not existing.is_dir():
-            raise RecordingError("the folder cannot be made", why="there is a file of that name", file=existing)
-        if not os.access(existing, os.W_OK):
-            raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=existing)
-
-
-def has_rig(experiment: Experiment) -> bool:
-    """Whether there is more between controller and robot than wires, see `hardware`."""
-    perfect = experiment.sensor.exact and experiment.actuator.perfect
-    return not perfect or experiment.safety is not None or bool(experiment.disturbances)
-
-
-def require_runnable(experiment: Experiment, robot: Robot) -> None:
-    """Refuse what cannot run, before anything is written.
-
-    Raises:
-        InputError: Bad reference, gains or blocks.
-    """
-    for controller in in_order(experiment.controllers):
-        if controller not in EFFECTIVE:
-            loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
-            require_stable_gains(loop)
-            loop.start.state(robot, loop.table()[0])
-            if isinstance(loop.controller, TorqueController):
-                loop.rehearse()
-            if experiment.plant == "contact" or loop.robot.layout.hardware or not loop.sensor.exact:
-                loop.engine_at()
-
-
 def run_experiment(
     experiment: Experiment,
     name: str,
@@ -235,3 +177,185 @@ def run_experiment(
     kept = {controller: runs[controller] for controller in wanted if controller in runs}
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
     return Result(experiment, name, kept, numbers, tuple(notes))
+
+
+def in_order(wanted: Sequence[str]) -> list[str]:
+    """Controllers in the order to run them: a learner before the PD that takes its effective gain."""
+    learners = [learner for name, learner in effective(wanted).items() if name in wanted]
+    first = [name for name in wanted if name not in EFFECTIVE]
+    missing = [name for name in dict.fromkeys(learners) if name not in first]
+    return [*first, *missing, *(name for name in wanted if name in EFFECTIVE)]
+
+
+def require_runnable(experiment: Experiment, robot: Robot) -> None:
+    """Refuse what cannot run, before anything is written.
+
+    Raises:
+        InputError: Bad reference, gains or blocks.
+    """
+    for controller in in_order(experiment.controllers):
+        if controller not in EFFECTIVE:
+            loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
+            require_stable_gains(loop)
+            loop.start.state(robot, loop.table()[0])
+            if isinstance(loop.controller, TorqueController):
+                loop.rehearse()
+            if experiment.plant == "contact" or loop.robot.layout.hardware or not loop.sensor.exact:
+                loop.engine_at()
+
+
+def require_free(files: Sequence[Path], force: bool) -> None:
+    """Refuse to write where recordings are, before anything is written; folders are made with their first recording.
+
+    Raises:
+        RecordingError: A file exists and `force` is off, or the folder cannot be made or written to.
+    """
+    for file in files:
+        if file.exists() and not force:
+            raise RecordingError(
+                "the recording exists", fix="choose another folder with --out, or replace it with --force", file=file
+            )
+    for folder in {file.parent for file in files}:
+        existing = next(place for place in (folder, *folder.parents) if place.exists())
+        if not existing.is_dir():
+            raise RecordingError("the folder cannot be made", why="there is a file of that name", file=existing)
+        if not os.access(existing, os.W_OK):
+            raise RecordingError("the folder cannot be written to", fix="choose another with --out", file=existing)
+
+
+Window = tuple[float, float]
+
+
+def window_notes(experiment: Experiment) -> list[str]:
+    """What to know of windows that lie beyond the end of a run or go on after it; nothing where all are within."""
+    end = experiment.time.duration
+    beyond = [window for window in experiment.windows if window[0] >= end]
+    cut = [window for window in experiment.windows if window[0] < end < window[1]]
+    found = []
+    if beyond:
+        found.append(f"no errors in {words(beyond)}: the run is over after {end:g} s; --set windows=... for others")
+    if cut:
+        found.append(f"errors in {words(cut)} count to the end of the run, {end:g} s")
+    return found
+
+
+def words(windows: Sequence[Window]) -> str:
+    """Windows in words."""
+    return "the window" + "s" * (len(windows) > 1) + " " + ", ".join(f"{start:g}-{stop:g} s" for start, stop in windows)
+
+
+def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
+    """What to know of the reference, such as stretches without stabilisation."""
+    path = experiment.trajectory_of(robot).base
+    times = np.arange(experiment.time.samples) * experiment.time.control_period
+    return warnings(path.sample(times)) if path is not None else []
+
+
+def has_hardware(experiment: Experiment) -> bool:
+    """Whether there is more between controller and robot than wires, see `hardware`."""
+    perfect = experiment.sensor.exact and experiment.actuator.perfect
+    return not perfect or experiment.safety is not None or bool(experiment.disturbances)
+
+
+def finite(value: float | None) -> float | None:
+    """Number for JSON: nothing where there is none."""
+    return float(value) if value is not None and np.isfinite(value) else None
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """A learner's RMS error beside that of PD and of PD at its effective gain, in the error's unit.
+
+    Attributes:
+        pd: RMS error of PD.
+        pd_effective: RMS error of PD at the learner's effective gain.
+        learner: RMS error of the learner.
+    """
+
+    pd: float
+    pd_effective: float
+    learner: float
+
+    @property
+    def total(self) -> float:
+        """`pd - learner`; negative where the learner is worse."""
+        return self.pd - self.learner
+
+    @property
+    def gain(self) -> float:
+        """What the higher gain alone takes away from PD's error; negative where it adds to it."""
+        return self.pd - self.pd_effective
+
+    @property
+    def learning(self) -> float:
+        """What the network takes away from there; negative where it adds to it."""
+        return self.pd_effective - self.learner
+
+    @property
+    def learning_share(self) -> float | None:
+        """`learning / total`; above 1 or below 0 where the two work against each other.
+
+        None where there is no improvement to share, or no numbers.
+        """
+        return self.learning / self.total if self.total > 0 else None
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Numbers for JSON; shares are None where the learner is not better than PD."""
+        learning = self.learning_share
+        return {
+            "pd": self.pd,
+            "pd_effective": self.pd_effective,
+            "learner": self.learner,
+            "improvement": self.total,
+            "gain": self.gain,
+            "learning": self.learning,
+            "gain_share": None if learning is None else 1.0 - learning,
+            "learning_share": learning,
+        }
+
+
+def improvements(
+    metrics: Mapping[str, Mapping[str, float]], windows: tuple[tuple[float, float], ...]
+) -> dict[str, dict[str, Improvement]]:
+    """Learner to error (`pose_error.x`) to its improvement over PD, in the RMS of the last window.
+
+    Learners without PD and PD at their effective gain beside them are left out.
+
+    Args:
+        metrics: Controller to numbers, see `metrics`.
+        windows: Windows of the RMS errors [s].
+    """
+    if not windows or "pd" not in metrics:
+        return {}
+    ending = ".rms_{:g}_{:g}".format(*windows[-1])
+    rows = [key.removesuffix(ending) for key in metrics["pd"] if key.endswith(ending)]
+    return {
+        learner: {
+            row: Improvement(*(float(metrics[name][row + ending]) for name in ("pd", pd, learner))) for row in rows
+        }
+        for pd, learner in effective(metrics).items()
+        if pd in metrics and learner in metrics
+    }
+
+
+def unfair(experiment: Experiment, metrics: Mapping[str, Mapping[str, float]]) -> str:
+    """Why the learners are not compared on equal terms, with their mean effective gains; empty if they are.
+
+    Args:
+        experiment: The experiment; its learners' robust terms and hidden units are compared.
+        metrics: Controller to numbers, see `metrics`.
+    """
+    names = [name for name in LEARNERS if name in metrics]
+    reasons = []
+    if len({experiment.robust_term(name) for name in names}) > 1 and experiment.learning.robust_term:
+        reasons.append("each learner has a robust term of its own")
+    if len({experiment.network(name).hidden for name in names}) > 1:
+        reasons.append("the networks differ in size")
+    if not reasons:
+        return ""
+    gains = ", ".join(
+        f"{part} {' against '.join(f'{metrics[name][key]:.4g}' for name in names)}"
+        for part in ("base", "arm")
+        if (key := f"effective_gain.{part}") in metrics[names[0]]
+    )
+    return f"not a fair comparison: {' and '.join(reasons)}; mean effective gain {gains} ({' against '.join(names)})"

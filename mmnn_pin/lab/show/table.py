@@ -14,8 +14,7 @@ from rich.text import Text
 from ...recording.metrics import ERRORS, halves
 from ...recording.recording import Recording
 from ..experiments.controllers import ORACLES
-from ..experiments.fairness import unfair
-from ..experiments.runner import Result
+from ..experiments.runner import Result, unfair
 from . import verdicts, wheels
 from .units import column_units, milli
 

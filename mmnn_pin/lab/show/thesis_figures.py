@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording.recording import Recording
 from ...signals import Array
-from ..experiments.figure_ranges import FigureRange, figure_intervals
+from ..experiments.thesis import FigureRange, figure_intervals
 from .figure import (
     STYLES,
     TRUTH,

@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from rich.text import Text
 
-from ..experiments.improvement import Improvement
+from ..experiments.runner import Improvement
 
 SIGNALS = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 ABOUT_SHARES = (

@@ -1,4 +1,9 @@
-"""An existing Dask cluster as a pool: workers join and leave, lost runs are made again, no folder is shared."""
+"""An existing Dask cluster as a pool: workers join and leave, lost runs are made again, no folder is shared.
+
+The scheduler, and some workers, may not have this package. Dask takes a task apart on its way, so what it meets there
+is bytes, and functions that exist only inside others: those travel by value, and fail where the package is missing,
+not where they are unpacked.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +12,17 @@ import logging
 import pickle
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Executor, Future
 from contextlib import contextmanager
+from functools import cache, lru_cache
 from types import ModuleType
 from typing import Any
 
 from ...errors import MmnnError, StudyError
-from .bundle import Bundle
-from .packed import Packed, carriers, root_of
-from .pools import Pool
-from .worker import code_digest
+from ...one_thread import libraries
+from .execution import Pool, root_of
+from .worker import Bundle, Job, JobResult, code_digest, run
 
 RETRIES = 2  # of a run whose worker raised; a run whose worker died is made again by the scheduler itself
 LEAST = 64  # runs handed out at a time, at least
@@ -109,6 +115,62 @@ class State:
     def gone(self) -> MmnnError:
         """What to say of a scheduler that does not answer any more."""
         return MmnnError(f"the scheduler at {self.address} is gone; the same command goes on with what is missing")
+
+
+class Packed(Executor):
+    """An executor that packs a study's runs for another one.
+
+    Args:
+        inner: Takes functions of bytes.
+    """
+
+    def __init__(self, inner: Executor) -> None:
+        self.inner = inner
+        self.call = carriers()["call"]
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Make a run: `fn` is `worker.run`, the arguments are its job and the packed files of its robot."""
+        assert fn is run and not kwargs
+        return self.inner.submit(self.call, pickle.dumps(args[0]), args[1])
+
+
+def carriers() -> dict[str, Callable[..., Any]]:
+    """Functions that travel by value: `call` makes a run, `keep` holds bytes, `code` hashes a worker's sources."""
+
+    def call(job: bytes, bundle: bytes) -> JobResult:
+        from .cluster import run_packed
+
+        return run_packed(job, bundle)
+
+    def keep(packed: bytes) -> bytes:
+        return packed
+
+    def code() -> str:
+        from .worker import code_digest
+
+        return code_digest()
+
+    return {"call": call, "keep": keep, "code": code}
+
+
+def run_packed(job: bytes, bundle: bytes) -> JobResult:
+    """Make a run on a worker; see `worker.run`."""
+    on_one_thread()
+    made: Job = pickle.loads(job)
+    return run(made, unpacked(bundle))
+
+
+@cache
+def on_one_thread() -> None:
+    """Keep linear algebra on one thread in this process: a worker's runs come side by side."""
+    libraries().limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=4)
+def unpacked(bundle: bytes) -> Bundle:
+    """A robot's files, unpacked once."""
+    found: Bundle = pickle.loads(bundle)
+    return found
 
 
 def imported() -> ModuleType:

@@ -1,16 +1,45 @@
-"""Key paths of an experiment: does one exist, and which ones are near it."""
+"""Key paths of an experiment: the line where one stands, whether it exists, what is near it, how to change it."""
 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
 from ...errors import ConfigError, UnknownName
-from ..experiments.config import keys_of, kind_at
-from ..experiments.files import put
+from ..experiments.config import keys_of, kind_at, put, value_at
 
 NEAR = 6  # how many near keys an error names
+PART = r"""(?:"[^"\n]*"|'[^'\n]*'|[A-Za-z0-9_-]+)"""
+PATH = rf"{PART}(?:\s*\.\s*{PART})*"
+HEADER = re.compile(rf"^\s*\[\[?\s*({PATH})\s*\]\]?")
+ENTRY = re.compile(rf"^\s*({PATH})\s*=")
+
+
+def line_of(text: str, key: str) -> int | None:
+    """Line, counted from 1, of the entry or table that a key path names, or of the nearest one around it.
+
+    Args:
+        text: The file.
+        key: Key path; quotes around its parts are left out, as in the errors of a config.
+    """
+    best, found, table = 0, None, ""
+    for number, line in enumerate(text.splitlines(), start=1):
+        if header := HEADER.match(line):
+            table = path = plain(header[1])
+        elif entry := ENTRY.match(line):
+            path = f"{table}.{plain(entry[1])}" if table else plain(entry[1])
+        else:
+            continue
+        if f"{key}.".startswith(f"{path}.") and len(path) > best:
+            best, found = len(path), number
+    return found
+
+
+def plain(path: str) -> str:
+    """A key path without quotes and blanks."""
+    return ".".join(part.strip("\"'") for part in re.findall(PART, path))
 
 
 def known_keys(path: str) -> tuple[str, ...]:
@@ -90,7 +119,7 @@ def changed(table: dict[str, Any], path: str, value: Any, relative: bool = False
     """
     try:
         if relative:
-            value = times(at(table, path), value)
+            value = times(value_at(table, path), value)
         open_tables(table, path)
         put(table, path, value)
     except ConfigError as error:
@@ -104,18 +133,8 @@ def open_tables(table: dict[str, Any], path: str) -> None:
     parts = path.split(".")
     for i in range(1, len(parts)):
         above = ".".join(parts[:i])
-        if at(table, above) is None and known_keys(above):
+        if value_at(table, above) is None and known_keys(above):
             put(table, above, {})
-
-
-def at(table: Any, path: str) -> Any:
-    """What stands at a path; None where nothing does."""
-    for part in path.split("."):
-        try:
-            table = table[int(part)] if isinstance(table, list) else table[part]
-        except (KeyError, IndexError, ValueError, TypeError):
-            return None
-    return table
 
 
 def times(old: Any, factor: float) -> Any:

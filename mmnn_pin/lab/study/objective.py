@@ -1,30 +1,41 @@
-"""What tuning makes small: a quantile of a metric over all of a study's draws, for one set of gains."""
+"""What tuning makes small: a quantile of a metric over all of a study's draws, for one set of gains.
+
+Gains must satisfy constraints before runs are made with them. A constraint takes the loop of a run and raises
+`ConfigError` where its gains break it.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import msgspec
 import numpy as np
 
-from ...errors import MmnnError
+from ...actuator import Actuator
+from ...errors import ConfigError, MmnnError
+from ...loop.before_run import require_stable_gains
+from ...loop.loop import Loop
+from ...sensing import Sensor
 from ...signals import Array
-from .constraints import judged, violations
-from .execution import execute
+from ...torque.neural import Neural
+from ..experiments.config import value_at
+from ..proof.rate import rate_of
+from ..proof.subject import Subject
+from .execution import Pool, execute
 from .factors import Factor
-from .intervals import Interval, quantile
-from .keys import at, times
+from .keys import times
 from .plan import Plan, plan_of
-from .pools import Pool
-from .reading import StudyFile
 from .results import worth
-from .settings import Tune
+from .settings import StudyFile, Tune
+from .statistics import Interval, quantile
+from .worker import loop_of
 
 LOST = 1e12  # value of gains with which too many runs did not complete, times 1 + the share of those
 REFUSED = 1e15  # value of gains that break a constraint, times 1 + the share of runs that do
+LOOK = 1.0  # of a run, to see where the weights go before the learning rates are judged [s]
 
 
 @dataclass(frozen=True)
@@ -125,5 +136,53 @@ def settings_of(drawn: Mapping[str, Any], gains: Mapping[str, Factor], table: Ma
     found = {}
     for name, number in drawn.items():
         for path in gains[name].keys or (name,):
-            found[path] = times(at(table, path), number) if gains[name].relative else number
+            found[path] = times(value_at(table, path), number) if gains[name].relative else number
     return found
+
+
+def stable_when_sampled(loop: Loop) -> None:
+    """The PD loop alone is stable at the control period, on the true robot; see `loop/sampled.py`."""
+    require_stable_gains(replace(loop, check_gains=True))
+
+
+def learns_slowly_enough(loop: Loop) -> None:
+    """The loop with its network, linearised, does not grow at the first second's weights; see `lab/proof/rate.py`.
+
+    Sensors, motors and the world are left out: this is about rates, sample time and gains.
+    """
+    controller = loop.controller
+    if not isinstance(controller, Neural) or not controller.learning:
+        return
+    h, given = loop.timing.control_period, loop.timing
+    timing = msgspec.structs.replace(given, duration=h * max(2, round(min(LOOK, given.duration) / h)))
+    ideal = replace(loop, timing=timing, plant="ideal", sensor=Sensor(), actuator=Actuator(), safety=None)
+    recording = replace(ideal, disturbances=(), check_gains=False).run()
+    if recording.outcome.status != "completed":
+        return  # its runs will tell
+    rate = rate_of(Subject.of(recording))
+    if not rate.stable:
+        times = 1.0 / rate.limit.min()
+        what = f"learning at {times:.3g} times its largest rate" if times > 1 else "the leakage turns the weights over"
+        raise ConfigError(what, why=f"spectral radius {rate.radius.max():.4g}", fix="lower F, G or beta")
+
+
+# Constraints, and on how many runs of a study, evenly spread, each is judged.
+CONSTRAINTS: tuple[tuple[Callable[[Loop], None], int], ...] = ((stable_when_sampled, 64), (learns_slowly_enough, 4))
+
+
+def violations(plan: Plan) -> Iterator[str]:
+    """Complaints about the gains of a study, one per run that breaks a constraint."""
+    refused: set[int] = set()
+    for constraint, most in CONSTRAINTS:
+        for number in judged(plan, most):
+            try:
+                if number not in refused:
+                    constraint(loop_of(plan.row(number).job))
+            except ConfigError as error:
+                refused.add(number)
+                yield f"row {number}: {error.what}"
+
+
+def judged(plan: Plan, most: int = CONSTRAINTS[0][1]) -> list[int]:
+    """Runs on which gains are judged."""
+    return sorted({int(i) for i in np.linspace(0, len(plan) - 1, min(most, len(plan)))})

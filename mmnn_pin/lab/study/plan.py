@@ -1,6 +1,7 @@
 """The runs of a study: points of the factors, times seeds, times controllers; every run has a number and a fingerprint.
 
-A run is made from its number alone, so that any machine and any later session makes the same one.
+The experiment that they vary is that of the study's file with the study's changes, as a table with all defaults. A run
+is made from its number alone, so that any machine and any later session makes the same one.
 """
 
 from __future__ import annotations
@@ -17,15 +18,20 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, InputError
+from ...model.robot import bodies_of
+from ..experiments.config import config_error
 from ..experiments.experiment import Experiment
 from ..experiments.laws import LAW, digest_of, name_of
-from .base import COSMETIC, changed_base, paths_of, told
-from .bundle import Bundle
 from .factors import Factor, unit_cube
 from .keys import changed, deep, flat, require_path
-from .reading import StudyFile
-from .settings import MOST
+from .settings import MOST, StudyFile
+from .worker import Bundle, Job, code_digest, load_once
 
+# Keys that change no number of a run; a study does not vary them. Its rows are judged by its own `success`.
+COSMETIC = (
+    *("title", "variant", "controllers", "plots", "torque_limits", "weights_interval"),
+    *("cases", "tolerance", "contest"),
+)
 TRUTH = ("masses", "friction")  # of the true robot only, where the model is nominal
 
 
@@ -52,6 +58,11 @@ class Row:
     experiment: Experiment
     nominal: Experiment | None
     fingerprint: str
+
+    @property
+    def job(self) -> Job:
+        """The run as a worker gets it."""
+        return Job(self.id, self.experiment, self.nominal, code_digest())
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +107,8 @@ class Plan:
         point, rest = divmod(i, len(self.seeds) * len(self.controllers))
         which_seed, which_controller = divmod(rest, len(self.controllers))
         controller, parameters = self.controllers[which_controller], self.points[point]
-        whole, settings = self.experiment(parameters, self.seeds[which_seed])
-        experiment = msgspec.structs.replace(whole, controllers=(controller,))
+        common, settings = self.experiment(parameters, self.seeds[which_seed])
+        experiment = msgspec.structs.replace(common, controllers=(controller,))
         return Row(
             id=i,
             point=point,
@@ -106,7 +117,7 @@ class Plan:
             parameters=parameters,
             experiment=experiment,
             nominal=self.nominal(experiment),
-            fingerprint=self.fingerprint(whole, settings, controller),
+            fingerprint=self.fingerprint(common, settings, controller),
         )
 
     def experiment(self, parameters: dict[str, Any], seed: int | None) -> tuple[Experiment, dict[str, Any]]:
@@ -131,8 +142,8 @@ class Plan:
     def no_experiment(
         self, parameters: dict[str, Any], table: dict[str, Any], error: InputError | msgspec.ValidationError
     ) -> InputError:
-        """Why values of the factors make no experiment, told of the factor that is nearest to it."""
-        what, why, fix, key = told(error, table)
+        """Why values of the factors make no experiment, at the key of the factor that is nearest to it."""
+        what, why, fix, key = parts_of(error, table)
         factors = self.study.settings.factors
         blamed = [n for n in parameters for path in factors[n].keys or (n,) if touches(path, key)]
         values = ", ".join(f"{name} = {short(value)}" for name, value in parameters.items())
@@ -145,7 +156,7 @@ class Plan:
         return self.study.placed(found)
 
     def blamed(self, error: InputError) -> InputError:
-        """An error of a run, told of the factor or the change of the study that it is about, if it is about one."""
+        """An error of a run, at the key of the factor or change of the study that it is about, if it is about one."""
         if error.file is None and error.key:
             names = [n for n, f in self.study.settings.factors.items() for p in f.keys or (n,) if touches(p, error.key)]
             changes = [path for path, _ in flat(self.study.settings.set) if touches(path, error.key)]
@@ -246,6 +257,45 @@ def seeds_of(seeds: int | tuple[int, ...], first: int, factors: dict[str, Factor
     if "seed" in paths_of(factors):
         return (None,)
     return tuple(range(first, first + seeds)) if isinstance(seeds, int) else seeds
+
+
+def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
+    """The study's experiment with the changes in `set`, as a table with all defaults and as an experiment."""
+    table = deep(msgspec.to_builtins(study.base)) | {"cases": {}}
+    expand_masses(table, [*(path for path, _ in flat(study.settings.set)), *paths_of(study.settings.factors)], study)
+    known = {key: value for key, value in table.items() if key not in COSMETIC}
+    for path, value in flat(study.settings.set):
+        with study.placing():
+            require_path(known, path, f"set.{path}")
+            changed(table, path, value)
+    try:
+        return table, msgspec.convert(table, Experiment)
+    except (msgspec.ValidationError, InputError) as error:
+        what, why, fix, key = parts_of(error, table)
+        raise study.placed(ConfigError(what, why=why, fix=fix, key=f"set.{key}")) from None
+
+
+def parts_of(error: InputError | msgspec.ValidationError, table: dict[str, Any]) -> tuple[str, str, str, str]:
+    """What, why, fix and key of an error about an experiment."""
+    found = error if isinstance(error, InputError) else config_error(error, None, table)
+    return found.what, found.why, found.fix, found.key or ""
+
+
+def expand_masses(table: dict[str, Any], paths: list[str], study: StudyFile) -> None:
+    """One factor for all bodies as one per body, where single bodies are to be changed."""
+    if isinstance(table["masses"], dict) or not any(path.startswith("masses.") for path in paths):
+        return
+    try:
+        robot = load_once(study.base.robot, study.base.overrides)
+    except InputError as error:
+        error.file = error.file or study.path
+        raise
+    table["masses"] = dict.fromkeys(bodies_of(robot.model), float(table["masses"]))
+
+
+def paths_of(factors: dict[str, Factor]) -> list[str]:
+    """Key paths that factors change."""
+    return [path for name, factor in factors.items() for path in factor.keys or (name,)]
 
 
 def short(value: Any) -> str:

@@ -1,10 +1,11 @@
-"""One session of a study: judged before anything is written, then its missing rows found in the database."""
+"""What is done with a study's plan: judged before anything is written, missing rows found, a row run again."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +15,15 @@ from ... import __version__
 from ...errors import InputError, StudyError, UnknownName
 from ...loop.batch import needed_bytes, require_memory
 from ...loop.compiled import CompiledLoop
-from ...recording.metrics import Reducer
+from ...recording.metrics import Reducer, metrics
 from ...recording.recorder import versions
 from ..experiments.controllers import EFFECTIVE
 from .execution import AGAIN
-from .patterns import DEFAULT, require_patterns, units_of, value_of
-from .plan import Plan
+from .plan import Plan, Row, short
+from .results import DEFAULT, require_patterns, units_of, value_of
 from .settings import StudySettings
-from .store import Store
-from .worker import Task, loop_of, robots_of
+from .store import NAME, Store, Stored, reading
+from .worker import loop_of, robots_of
 
 COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no row
 
@@ -52,10 +53,9 @@ def probe(plan: Plan) -> Probe:
     for number in range(len(plan.controllers)):
         row = plan.row(number)
         name = EFFECTIVE.get(row.controller, row.controller)
-        task = Task.of(row)
         experiment = msgspec.structs.replace(row.experiment, controllers=(name,))
         try:
-            loop = loop_of(Task(0, experiment, task.nominal, task.code))
+            loop = loop_of(replace(row.job, experiment=experiment))
             loops.append((loop, loop.engine_at(), row))
         except InputError as error:
             raise plan.blamed(error) from None
@@ -63,7 +63,7 @@ def probe(plan: Plan) -> Probe:
     facts = loop.facts() | {"loop": engine.name}
     names = list(Reducer.of(loop.robot.layout, facts, row.experiment.windows).result())
     require_asked(plan.study.settings, names, plan)
-    units = units_of(names, robots_of(Task.of(row), None)[0])
+    units = units_of(names, robots_of(row.job, None)[0])
     size = max(needed_bytes([loop], False, 1) for loop, _, _ in loops)
     return Probe(all(isinstance(engine, CompiledLoop) for _, engine, _ in loops), units, size)
 
@@ -163,3 +163,92 @@ def differences(one: Any, other: Any, prefix: str = "") -> list[str]:
 def plain(value: Any) -> Any:
     """A value as JSON has it."""
     return msgspec.json.decode(msgspec.json.encode(value))
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """A row that was run again.
+
+    Attributes:
+        row: The row.
+        file: Its recording.
+        status: How it ended.
+        message: One line for people.
+        metrics: Its numbers.
+        stored: The row in the database; None if it is not there, or there with other settings.
+    """
+
+    row: Row
+    file: Path
+    status: str
+    message: str
+    metrics: dict[str, float]
+    stored: Stored | None
+
+    @property
+    def different(self) -> list[str]:
+        """Metrics that are not the stored ones bit for bit; "outcome" where it ended otherwise."""
+        if self.stored is None:
+            return []
+        ended = [] if self.stored.status == self.status else ["outcome"]
+        names = dict.fromkeys([*self.stored.metrics, *self.metrics])
+        return ended + [n for n in names if not same(self.stored.metrics.get(n), self.metrics.get(n))]
+
+    @property
+    def same(self) -> bool | None:
+        """Whether all its numbers are the stored ones; None where none are stored."""
+        return None if self.stored is None else not self.different
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for JSON."""
+        numbers = {name: value if math.isfinite(value) else None for name, value in self.metrics.items()}
+        about = {"row": self.row.id, "controller": self.row.controller, "seed": self.row.seed}
+        about |= {"parameters": self.row.parameters, "file": str(self.file), "outcome": self.status}
+        return about | {"message": self.message, "metrics": numbers, "same": self.same, "different": self.different}
+
+    def describe(self) -> str:
+        """The same for people."""
+        values = ", ".join(f"{name} = {short(value)}" for name, value in self.row.parameters.items())
+        lines = [f"row {self.row.id}: {self.row.controller}, seed {self.row.seed}", f"  {values}"]
+        lines.append(f"  {self.status}{': ' if self.message else ''}{self.message}")
+        if self.stored is None:
+            lines.append("  not in the database with these settings, so nothing to compare")
+        elif self.different:
+            made = f"made on {self.stored.host}"
+            lines.append(f"  OTHER numbers than the stored ones ({made}): {', '.join(self.different[:6])}")
+        else:
+            lines.append(f"  the same numbers as stored, bit for bit: all {len(self.metrics)}")
+        return "\n".join([*lines, f"wrote {self.file}"])
+
+
+def rerun(plan: Plan, number: int, folder: Path, force: bool = False) -> Rerun:
+    """Run a row alone and record all its signals in `folder/rows/NUMBER.h5`.
+
+    Args:
+        plan: The study's runs.
+        number: The row's.
+        folder: Of the database.
+        force: Replace the recording.
+
+    Raises:
+        ConfigError: No such row.
+        RecordingError: The recording exists.
+        InputError: The run cannot be made.
+    """
+    row = plan.row(number)
+    file = folder / "rows" / f"{number}.h5"
+    loop = loop_of(row.job)
+    about = {"experiment": f"{plan.study.name} row {number}", "config": row.experiment.to_json()}
+    recording = loop.run(file, force=force, meta=about | {"study_parameters": row.parameters})
+    found = None
+    if (folder / NAME).exists():
+        with reading(folder / NAME) as store:
+            found = store.row(number)
+    stored = found if found is not None and found.fingerprint == row.fingerprint else None
+    outcome = recording.outcome
+    return Rerun(row, file, outcome.status, outcome.message, metrics(recording, row.experiment.windows), stored)
+
+
+def same(one: float | None, other: float | None) -> bool:
+    """Whether two numbers are the same, nan too."""
+    return one == other or (one is not None and other is not None and math.isnan(one) and math.isnan(other))

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import StudyError
-from .worker import Done
+from .worker import JobResult
 
 FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
 NAME = "study.sqlite"
@@ -77,35 +77,35 @@ class Store:
 
     def meta(self) -> dict[str, Any]:
         """Facts about the study: format, versions, settings, experiment."""
-        with self._told("read"):
+        with self._guarded("read"):
             found = self._db.execute("SELECT key, value FROM meta").fetchall()
         return {key: json.loads(value) for key, value in found}
 
     def set_meta(self, facts: Mapping[str, Any]) -> None:
         """Write facts, all or none."""
         texts = [(key, json.dumps(value)) for key, value in facts.items()]
-        with self._told("write"), self._db:
+        with self._guarded("write"), self._db:
             self._db.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", texts)
 
     def fingerprints(self) -> dict[str, tuple[int, str]]:
         """Fingerprint of every row to its number and status."""
-        with self._told("read"):
+        with self._guarded("read"):
             found = self._db.execute("SELECT fingerprint, id, status FROM rows").fetchall()
         return {fingerprint: (number, status) for fingerprint, number, status in found}
 
     def rows(self) -> list[Stored]:
         """All rows in order."""
-        with self._told("read"):
+        with self._guarded("read"):
             found = self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM rows ORDER BY id").fetchall()
         return [stored(row) for row in found]
 
     def row(self, number: int) -> Stored | None:
         """One row; None if it is not there."""
-        with self._told("read"):
+        with self._guarded("read"):
             found = self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM rows WHERE id = ?", (number,)).fetchone()
         return None if found is None else stored(found)
 
-    def add(self, fingerprint: str, point: int, controller: str, seed: int, parameters: Any, done: Done) -> None:
+    def add(self, fingerprint: str, point: int, controller: str, seed: int, parameters: Any, done: JobResult) -> None:
         """Store a finished run; it is on disk, as far as a killed process matters, when this returns.
 
         Raises:
@@ -117,7 +117,7 @@ class Store:
             datetime.now(UTC).isoformat(timespec="seconds"),
         )
         marks = ", ".join("?" * len(values))
-        with self._told("write"), self._db:
+        with self._guarded("write"), self._db:
             self._db.execute(f"INSERT OR REPLACE INTO rows VALUES ({marks})", values)
 
     def renumber(self, numbers: Mapping[str, int]) -> None:
@@ -127,7 +127,7 @@ class Store:
             numbers: Fingerprint to number.
         """
         kept = [(row, numbers[row.fingerprint]) for row in self.rows() if row.fingerprint in numbers]
-        with self._told("write"), self._db:
+        with self._guarded("write"), self._db:
             self._db.execute("UPDATE rows SET id = -1 - id")
             for row, number in kept:
                 self._db.execute("UPDATE rows SET id = ? WHERE id = ?", (number, -1 - row.id))
@@ -139,8 +139,8 @@ class Store:
             self._db.close()
 
     @contextmanager
-    def _told(self, verb: str) -> Iterator[None]:
-        with told(self.path, verb):
+    def _guarded(self, verb: str) -> Iterator[None]:
+        with sqlite_errors(self.path, verb):
             yield
 
 
@@ -155,7 +155,7 @@ def writing(path: Path) -> Iterator[Store]:
         is_new = not path.exists() or not path.stat().st_size
         store = Store(path, connect(path, "rwc"))
         try:
-            with told(path, "write"):
+            with sqlite_errors(path, "write"):
                 if is_new:
                     create(store._db)
             require_ours(store)
@@ -183,7 +183,7 @@ def reading(path: Path) -> Iterator[Store]:
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
     """A connection to a file."""
-    with told(path, "open"):
+    with sqlite_errors(path, "open"):
         return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=30.0)
 
 
@@ -248,7 +248,7 @@ def locked(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def told(path: Path, verb: str) -> Iterator[None]:
+def sqlite_errors(path: Path, verb: str) -> Iterator[None]:
     """Errors of SQLite as ours."""
     try:
         yield

@@ -16,13 +16,13 @@ import msgspec
 
 from ... import __version__
 from ...errors import ConfigError, StudyError
-from .base import changed_base
+from ..experiments.config import value_at
+from .execution import Pool
 from .factors import Factor
-from .keys import at, require_path
+from .keys import require_path
 from .objective import Score, Scorer, settings_of
-from .pools import Pool
-from .reading import StudyFile
-from .settings import Tune
+from .plan import changed_base
+from .settings import StudyFile, Tune
 from .store import locked
 
 NAME = "tune.sqlite"
@@ -179,7 +179,7 @@ def own_gains(gains: dict[str, Factor], table: dict[str, Any]) -> dict[str, Any]
     """The experiment's own gains as a trial; None where one is outside its bounds or no single number."""
     found = {}
     for name, gain in gains.items():
-        old = 1.0 if gain.relative else at(table, (gain.keys or (name,))[0])
+        old = 1.0 if gain.relative else value_at(table, (gain.keys or (name,))[0])
         if gain.choice is not None:
             inside = old in gain.choice
         else:

@@ -1,38 +1,51 @@
-"""One run of a study, made wherever it is sent: in a thread, in a process, on another machine."""
+"""One run of a study, made wherever it is sent: in a thread, in a process, on another machine.
+
+A `Job` goes out and a `JobResult` comes back. The robot's files travel beside it as a `Bundle`: the URDF, its meshes,
+and what is declared about it. On the other side the meshes lie beside the URDF under names of their own, so that no
+folder of the first machine needs to exist there.
+"""
 
 from __future__ import annotations
 
+import atexit
+import copy
 import hashlib
 import importlib.util
+import shutil
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property, lru_cache
 from pathlib import Path
 
 import msgspec
+from lxml import etree
 
 import mmnn_pin
 
 from ...errors import InputError, StudyError
 from ...loop.batch import simulate
 from ...loop.loop import Loop
+from ...model.base.overrides import Overrides, folders_of, with_file
+from ...model.loading import load_with
 from ...model.robot import Robot
+from ...model.robots import find
+from ...model.urdf.reading import read
+from ...model.urdf.shapes import locate
 from ...recording.metrics import as_columns
 from ...signals import Array
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment
-from .bundle import Bundle, load_once
-from .plan import Row
 
 STOP = threading.Event()  # set in a process whose runs are to end
 
 
 @dataclass(frozen=True)
-class Task:
-    """What a worker is told of a run.
+class Job:
+    """What a worker gets of a run.
 
     Attributes:
         id: The row's number.
@@ -46,15 +59,10 @@ class Task:
     nominal: Experiment | None
     code: str
 
-    @classmethod
-    def of(cls, row: Row) -> Task:
-        """The task of a row."""
-        return cls(row.id, row.experiment, row.nominal, code_digest())
-
 
 @dataclass(frozen=True)
-class Done:
-    """What came of a run.
+class JobResult:
+    """What a worker sends back.
 
     Attributes:
         id: The row's number.
@@ -77,75 +85,149 @@ class Done:
     host: str = ""
 
 
-def run(task: Task, bundle: Bundle | None = None, stop: Callable[[], bool] | None = None) -> Done:
+def run(job: Job, bundle: Bundle | None = None, stop: Callable[[], bool] | None = None) -> JobResult:
     """Make a run; whatever is wrong with it is part of the result.
 
     Args:
-        task: The run.
+        job: The run.
         bundle: Files of its robot; None where they are on this machine.
         stop: Asked now and then; true ends the run as interrupted.
 
     Raises:
         StudyError: This worker has other sources, or lacks a package that the run needs.
     """
-    require_worker(task)
+    require_worker(job)
     start = time.perf_counter()
     host = socket.gethostname()
     stop = stop or STOP.is_set
     try:
-        found = simulate(loop_of(task, bundle, stop), None, task.experiment.windows, False, stop)
+        found = simulate(loop_of(job, bundle, stop), None, job.experiment.windows, False, stop)
     except Exception as error:
         if stop():
-            return Done(task.id, "interrupted", host=host)
+            return JobResult(job.id, "interrupted", host=host)
         refused = isinstance(error, InputError)
         message = str(error) if refused else f"{type(error).__name__}: {error}"
-        return Done(task.id, "refused" if refused else "failed", message=" ".join(message.split()), host=host)
+        return JobResult(job.id, "refused" if refused else "failed", message=" ".join(message.split()), host=host)
     took, end = time.perf_counter() - start, found.outcome
-    return Done(task.id, end.status, end.time, end.signal, end.message, found.metrics, took, host)
+    return JobResult(job.id, end.status, end.time, end.signal, end.message, found.metrics, took, host)
 
 
-def loop_of(task: Task, bundle: Bundle | None = None, stop: Callable[[], bool] = STOP.is_set) -> Loop:
+def loop_of(job: Job, bundle: Bundle | None = None, stop: Callable[[], bool] = STOP.is_set) -> Loop:
     """The closed loop of a run. Its gains are not judged: a loop that is unstable when sampled diverges, and counts.
 
     Raises:
         InputError: It cannot be made.
     """
-    experiment = task.experiment
+    experiment = job.experiment
     (name,) = experiment.controllers
-    robot, nominal = robots_of(task, bundle)
+    robot, nominal = robots_of(job, bundle)
     gains = None
     if name in EFFECTIVE:  # PD at a learner's gain needs the learner's run
         learner = msgspec.structs.replace(experiment, controllers=(EFFECTIVE[name],))
-        gains = effective_gain(replace(task, experiment=learner), bundle, stop)
+        gains = effective_gain(replace(job, experiment=learner), bundle, stop)
     loop = experiment.loop(robot, experiment.controller(name, gains, nominal or robot))
     return replace(loop, nominal=nominal, check_gains=False)
 
 
-def effective_gain(task: Task, bundle: Bundle | None, stop: Callable[[], bool]) -> Array:
+def effective_gain(job: Job, bundle: Bundle | None, stop: Callable[[], bool]) -> Array:
     """The effective gain of a learner over its run, (samples, p)."""
-    found = simulate(loop_of(task, bundle, stop), None, task.experiment.windows, True, stop)
+    found = simulate(loop_of(job, bundle, stop), None, job.experiment.windows, True, stop)
     assert found.recording is not None
     return as_columns(found.recording["effective_gain"])
 
 
-def robots_of(task: Task, bundle: Bundle | None) -> tuple[Robot, Robot | None]:
+def robots_of(job: Job, bundle: Bundle | None) -> tuple[Robot, Robot | None]:
     """The true robot of a run, and the one that its controller is made for where it is another."""
-    experiment = task.experiment
+    experiment = job.experiment
     robot = load_once(experiment.robot, experiment.overrides) if bundle is None else bundle.load()
-    return experiment.made_true(robot), None if task.nominal is None else task.nominal.made_true(robot)
+    return experiment.made_true(robot), None if job.nominal is None else job.nominal.made_true(robot)
 
 
-def require_worker(task: Task) -> None:
+@dataclass(frozen=True)
+class Bundle:
+    """The files of a robot.
+
+    Attributes:
+        urdf: File name of the URDF among the files.
+        files: Relative name to content.
+        said: What is said about the robot, in the call and in the file beside its URDF; it names no folders.
+    """
+
+    urdf: str
+    files: dict[str, bytes] = field(repr=False)
+    said: Overrides
+
+    @classmethod
+    def of(cls, robot: str, said: Overrides) -> Bundle:
+        """Files of a robot that loads; a mesh that is not there stays away.
+
+        Raises:
+            InputError: As `load`.
+        """
+        path = find(robot)
+        said, _ = with_file(path, said)
+        folders = folders_of(path, said)
+        root = copy.deepcopy(read(path, said.strict, folders).root)
+        files: dict[str, bytes] = {}
+        places: dict[str, str] = {}
+        for element in root.iterfind("link/*/geometry/mesh"):
+            name = element.get("filename", "")
+            if name not in places:
+                mesh = locate(name, path, folders).file
+                places[name] = name if mesh is None else f"meshes/{len(files)}{mesh.suffix.lower()}"
+                if mesh is not None:
+                    files[places[name]] = mesh.read_bytes()
+            element.set("filename", places[name])
+        files[path.name] = etree.tostring(root, encoding="utf-8", xml_declaration=True)
+        return cls(path.name, files, msgspec.structs.replace(said, package_dirs=()))
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of all of it."""
+        found = hashlib.sha256(msgspec.json.encode(self.said))
+        for name, content in sorted(self.files.items()):
+            found.update(f"\0{name}\0{len(content)}\0".encode() + content)
+        return found.hexdigest()
+
+    @property
+    def size(self) -> int:
+        """Bytes of its files."""
+        return sum(map(len, self.files.values()))
+
+    def load(self) -> Robot:
+        """The robot, loaded from a temporary folder of this process, once."""
+        with _unpacking:
+            if self.digest not in _folders:
+                folder = Path(tempfile.mkdtemp(prefix="mmnn_pin-"))
+                atexit.register(shutil.rmtree, folder, ignore_errors=True)
+                for name, content in self.files.items():
+                    (folder / name).parent.mkdir(exist_ok=True)
+                    (folder / name).write_bytes(content)
+                _folders[self.digest] = folder
+        return load_once(str(_folders[self.digest] / self.urdf), self.said)
+
+
+_unpacking = threading.Lock()
+_folders: dict[str, Path] = {}
+
+
+@lru_cache(maxsize=16)
+def load_once(robot: str, said: Overrides) -> Robot:
+    """`load_with`, remembered: a study makes thousands of robots from one file."""
+    return load_with(robot, said)
+
+
+def require_worker(job: Job) -> None:
     """Refuse to run with other sources than the study's, or without a package that the run needs.
 
     Raises:
         StudyError: With the worker's machine.
     """
     here = socket.gethostname()
-    if task.code != code_digest():
+    if job.code != code_digest():
         fix = "install the same version of mmnn_pin on all machines"
         raise StudyError(f"the worker on {here} runs other code of mmnn_pin than this machine", fix=fix)
-    if task.experiment.plant == "contact" and not has("mujoco"):
+    if job.experiment.plant == "contact" and not has("mujoco"):
         what, fix = f"the worker on {here} has no mujoco", "pip install 'mmnn_pin[contact]' there"
         raise StudyError(what, why="the contact plant needs it", fix=fix)
 

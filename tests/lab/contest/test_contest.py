@@ -16,13 +16,11 @@ import pytest
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.lab.contest import contest as running
-from mmnn_pin.lab.contest.contest import learning_time, run_contest
-from mmnn_pin.lab.contest.frozen import frozen, said
-from mmnn_pin.lab.contest.heat import Stopped, heat, memory_of, trained
-from mmnn_pin.lab.contest.row import Row, Tracking, arm_of, base_of
-from mmnn_pin.lab.contest.store import Store
-from mmnn_pin.lab.contest.targets import targets
-from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.contest.contest import Store, run_contest
+from mmnn_pin.lab.contest.result import Tracking, TrialResult, arm_of, base_of
+from mmnn_pin.lab.contest.standing import learning_time, targets
+from mmnn_pin.lab.contest.task import frozen, tasks_of
+from mmnn_pin.lab.contest.trial import Stopped, psi_hat_along, run_trial, state_after, train
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment, recorded_experiment
 from mmnn_pin.lab.experiments.contest import Contest, Targets
@@ -99,15 +97,15 @@ def test_frozen_weights_say_what_the_regressor_times_the_estimate_says(standing)
     (task,) = tasks_of(quick(), NAMES)
     controller, row = task.controller("adaptive"), standing.of("eight", "adaptive")[1]
     run = task.training(controller, row.seed).run()
-    state = memory_of(task, controller, row.seed, Run(run.outcome, {}, run.final))
+    state = state_after(task, controller, row.seed, Run(run.outcome, {}, run.final))
     regressor, layout, found = Regressor.of(task.robot), task.robot.layout, []
     for name, rows in task.rows.items():
-        loop = task.trial(controller, row.seed, name, False)
+        loop = task.held_out_loop(controller, row.seed, name, False)
         theta = state["theta"]
         at = [np.ascontiguousarray(rows[:, layout.where(k)]) for k in ("position", "nu", "nu_ref", "nudot_ref")]
         at[0][:, 5:] = 0.0  # the turn of the wheels, which is not measured
         wanted = np.array([regressor.matrix(*line) @ theta for line in zip(*at, strict=True)])
-        np.testing.assert_allclose(said(loop, layout, state.snapshot(), rows), wanted, rtol=1e-7, atol=1e-7)
+        np.testing.assert_allclose(psi_hat_along(loop, layout, state.snapshot(), rows), wanted, rtol=1e-7, atol=1e-7)
         late = rows[:, layout.where("time")][:, 0] > 0.499
         psi = rows[late][:, layout.where("psi")]
         found.append((np.mean((psi - wanted[late]) ** 2, axis=0) / psi.var(axis=0)).mean())
@@ -133,7 +131,7 @@ def test_held_out_runs_are_those_of_the_final_weights(standing):
     (task,) = tasks_of(quick(), NAMES)
     controller, row = task.controller("two_layer"), standing.of("eight", "two_layer")[0]
     for how in ("frozen", "learning"):
-        loop = task.trial(controller, row.seed, "circle", how == "learning")
+        loop = task.held_out_loop(controller, row.seed, "circle", how == "learning")
         state = controller.init(loop.context())
         state.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["memory"]
         run = loop.run(state=state)
@@ -154,7 +152,7 @@ def test_the_held_out_robot_carries_what_was_picked_up():
         sum(i.mass for i in task.robot.model.inertias) + 3.0
     )
     assert gained > 3.0 and task.since == 0.8
-    loop = task.trial(task.controller("computed_torque"), 1, "circle", True)
+    loop = task.held_out_loop(task.controller("computed_torque"), 1, "circle", True)
     assert loop.robot.model.inertias != task.robot.model.inertias and not loop.disturbances
     assert loop.nominal is not None  # the oracle is not told
 
@@ -163,7 +161,7 @@ def test_the_held_out_robot_carries_what_was_picked_up():
 
 
 def row(**changes):
-    one = Row(
+    one = TrialResult(
         task="t", controller="c", seed=1, outcome="completed", ended=4.0, rms={"x": 2.0, "a": 0.5}, peak={}, curve=[],
         peak_of_all={}, effort=0.0, torque=0.0, kick=0.0, online_fvu=None, online_worst=None, frozen_fvu=None,
         frozen_worst=None, frozen_on={}, held_out={}, findings=(), since=0.0,
@@ -213,19 +211,21 @@ def test_it_goes_on_where_it_was_stopped(standing, tmp_path, monkeypatch):
         if len(done) == 2:
             raise Stopped
         done.append(name)
-        return heat(task, name, *rest)
+        return run_trial(task, name, *rest)
 
-    monkeypatch.setattr(running, "heat", stops)
+    monkeypatch.setattr(running, "run_trial", stops)
     first = run_contest(quick(), "contest", out=tmp_path)
-    assert first.interrupted and not first.completed and [name for _, name in first.heats] == ["pd", "two_layer"]
+    assert first.interrupted and not first.completed and [name for _, name in first.trials] == ["pd", "two_layer"]
     kept = json.loads((tmp_path / "rows.json").read_text())
     assert list(kept) == ["eight/pd", "eight/two_layer"]
     assert "two_layer" in render(first) and first.to_dict()["comparison"]["interrupted"]
     done[:] = [None, None, None]
-    monkeypatch.setattr(running, "heat", lambda task, name, *rest: (done.append(name), heat(task, name, *rest))[1])
+    monkeypatch.setattr(
+        running, "run_trial", lambda task, name, *rest: (done.append(name), run_trial(task, name, *rest))[1]
+    )
     second = run_contest(quick(), "contest", out=tmp_path)
     assert done[3:] == ["adaptive", "computed_torque"] and second.completed
-    assert plain(second.rows) == plain(standing.rows)
+    assert plain(second.results) == plain(standing.results)
 
 
 def test_ctrl_c_ahead_of_the_first_run_is_no_error_of_a_trajectory(monkeypatch):
@@ -241,7 +241,7 @@ def test_ctrl_c_within_a_batch_drops_what_was_under_way(monkeypatch):
         raise KeyboardInterrupt
 
     with pytest.raises((Stopped, KeyboardInterrupt)):
-        trained(task, task.controller("pd"), None, 1, press)
+        train(task, task.controller("pd"), None, 1, press)
 
 
 def test_rows_of_other_settings_are_not_mixed(standing, folder):
@@ -250,7 +250,7 @@ def test_rows_of_other_settings_are_not_mixed(standing, folder):
         run_contest(quick(more=["feedback.arm=29.0"]), "contest", out=folder)
     assert (folder / "rows.json").read_bytes() == kept
     again = run_contest(quick(), "another name, title and targets do not count", out=folder)
-    assert plain(again.rows) == plain(standing.rows)
+    assert plain(again.results) == plain(standing.results)
 
 
 def test_a_broken_file_of_rows_is_refused(tmp_path):
@@ -262,8 +262,8 @@ def test_a_broken_file_of_rows_is_refused(tmp_path):
 def test_the_table_holds_the_same_numbers(standing, folder):
     with (folder / "rows.csv").open() as file:
         lines = list(csv.DictReader(file))
-    assert len(lines) == len(standing.rows)
-    for line, one in zip(lines, standing.rows, strict=True):
+    assert len(lines) == len(standing.results)
+    for line, one in zip(lines, standing.results, strict=True):
         assert (line["controller"], int(line["seed"])) == (one.controller, one.seed)
         assert float(line["rms_base"]) == base_of(one.rms) and float(line["frozen_on.tight"]) == one.frozen_on["tight"]
         assert float(line["held_out.circle.frozen.rms.x"]) == one.held_out["circle"]["frozen"].rms["x"]

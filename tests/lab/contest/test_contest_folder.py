@@ -15,8 +15,8 @@ from test_contest import NAMES, SET, quick
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.contest.contest import opened, run_contest
-from mmnn_pin.lab.contest.demand import demand
-from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.contest.result import Trial
+from mmnn_pin.lab.contest.task import demand, tasks_of
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.contest import figures
@@ -59,14 +59,14 @@ def test_later_commands_add_to_a_folder_and_missing_rows_are_told(tmp_path, monk
     more = run_contest(quick(("poor",), controllers=("pd",)), "contest", out=tmp_path)
     both = opened(tmp_path)
     assert list(both.tasks) == ["eight", "poor"] and set(both.controllers) == {*first.controllers, *more.controllers}
-    assert len(both.rows) == len(first.rows) + len(more.rows) and not both.interrupted
+    assert len(both.results) == len(first.results) + len(more.results) and not both.interrupted
     kept = json.loads((tmp_path / "rows.json").read_text())
     del kept["poor/pd"]
     (tmp_path / "rows.json").write_text(json.dumps(kept))
     rest = opened(tmp_path)
     assert rest.missing == ("poor/pd",) and rest.interrupted and not rest.completed
     anew = run_contest(quick(("poor",), controllers=("pd",), more=["contest.beside=[]"]), "c", out=tmp_path, force=True)
-    assert list(opened(tmp_path).tasks) == ["poor"] and len(opened(tmp_path).rows) == len(anew.rows)
+    assert list(opened(tmp_path).tasks) == ["poor"] and len(opened(tmp_path).results) == len(anew.results)
 
 
 def test_broken_and_old_folders_are_refused(tmp_path, folder, capsys):
@@ -201,3 +201,9 @@ def test_a_law_that_says_inf_at_once_is_a_lost_run(capsys, tmp_path):
     code, out, err = call(capsys, "run", "contest", "--case", "eight", *SET, *words)
     assert code == 1 and "2 of 2 lost" in out and "diverged at 0 s" in out and err == "", err
     assert not opened(tmp_path / "out").completed
+
+
+def test_files_of_trials_have_the_keys_that_older_versions_wrote() -> None:
+    text = b'{"fingerprint":"a","step_time":null,"rows":[]}'
+    trial = msgspec.json.decode(text, type=Trial)
+    assert trial.results == [] and msgspec.json.encode(trial) == text

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 
 from mmnn_pin.disturbance import payload
-from mmnn_pin.lab.contest.demand import demand, held_out_torque
-from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.contest.task import demand, held_out_torque, tasks_of
 from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.experiments.config import load_experiment
-from studies.contest import document, search, tunings
+from studies.contest import document, search
 from studies.contest.__main__ import main
-from studies.contest.tunings import TRIES, TUNINGS, spaces, taken, tuned, tuning_file
+from studies.contest.search import TRIES, TUNINGS, spaces, taken, tuned, tuning_file
 from studies.document import DOCS, kept
+
+pytestmark = pytest.mark.lab
 
 SHORT = (
     *("time.duration=1.6", "time.control_period=0.0025", "time.plant_step=0.00125", "windows=[[0, 0.5], [0.8, 1.6]]"),
@@ -70,7 +71,7 @@ def test_the_second_search_starts_from_what_the_first_found(learner):
     """A setting of the second is the first's or the experiment's own; but for how long a stack keeps its entries."""
     start = json.loads(load_experiment(tuning_file("payload")).to_json())
     for path, value in tuned()["eight"][learner]["settings"].items():
-        assert tunings.at(start, path) == value
+        assert search.value_at(start, path) == value
 
 
 @pytest.mark.parametrize("tuning", TUNINGS)

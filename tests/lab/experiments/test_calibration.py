@@ -10,8 +10,10 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from mmnn_pin import Loop, load, load_experiment
-from mmnn_pin.lab.experiments.figure_ranges import figure_intervals, figure_ranges
+from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
 from mmnn_pin.model.dynamics import Dynamics
+
+pytestmark = pytest.mark.lab
 
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
@@ -33,7 +35,7 @@ def bowl(places):
 
 
 def test_search_repeats_itself_bit_for_bit_and_another_seed_does_not():
-    from studies.chapter4.search import search
+    from studies.search import search
 
     first, again, other = (search(bowl, 3, 28, seed) for seed in (4, 4, 5))
     assert np.array_equal(first[0], again[0]) and np.array_equal(first[1], again[1])
@@ -41,7 +43,7 @@ def test_search_repeats_itself_bit_for_bit_and_another_seed_does_not():
 
 
 def test_search_goes_downhill():
-    from studies.chapter4.search import search
+    from studies.search import search
 
     places, costs = search(bowl, 3, 210, 0)
     assert costs.min() < 1e-3 < costs[:7].min()
@@ -51,7 +53,7 @@ def test_search_goes_downhill():
 
 @given(st.floats(0.01, 10), st.floats(1.01, 100), st.floats(0, 1), st.booleans())
 def test_a_number_and_its_place_are_inverse(lower, factor, place, log):
-    from studies.chapter4.unstated import Number
+    from studies.search import Number
 
     number = Number("x", lower, lower * factor, "", log)
     assert number.lower * (1 - 1e-9) <= number.at(place) <= number.upper * (1 + 1e-9)
@@ -73,7 +75,7 @@ def test_distance_counts_widths_outside_and_a_lost_run_misses_all():
 
 @pytest.mark.parametrize("kind", ["mount", "centre of mass"])
 def test_a_moved_robot_is_the_one_whose_urdf_says_so(kind, tmp_path):
-    from studies.chapter4.rollouts import with_centre_of_mass, with_mount
+    from studies.rollouts import with_centre_of_mass, with_mount
 
     robot = load("platform_arm")
     if kind == "mount":
@@ -91,7 +93,7 @@ def test_a_moved_robot_is_the_one_whose_urdf_says_so(kind, tmp_path):
 
 
 def test_rollouts_are_the_runs_of_the_loop():
-    from studies.chapter4.rollouts import roll_out
+    from studies.rollouts import roll_out
 
     experiment = load_experiment("chapter4", ["time.duration=0.1"])
     robot = experiment.load_robot()
@@ -104,41 +106,41 @@ def test_rollouts_are_the_runs_of_the_loop():
 
 def test_jacobian_of_a_linear_robot(monkeypatch):
     """Two numbers, one of which alone moves one extreme by three widths: sqrt(1 / (1 + 9)) of its range is left."""
-    from studies.chapter4 import flatness
-    from studies.chapter4.unstated import Number
+    from studies.chapter4 import calibration
+    from studies.search import Number
 
-    widths = flatness.widths()
+    widths = calibration.widths()
     slope = np.zeros((2, 12))
     slope[0, 4] = 3.0
-    monkeypatch.setattr(flatness, "run", lambda case, numbers, places: (places @ slope) * widths)
+    monkeypatch.setattr(calibration, "run", lambda case, numbers, places: (places @ slope) * widths)
     numbers = (Number("a", 0, 1, ""), Number("b", 0, 1, ""))
-    left, singular_values = flatness.left_by_jacobian(None, numbers, np.array([0.5, 0.5]))
+    left, singular_values = calibration.left_by_jacobian(None, numbers, np.array([0.5, 0.5]))
     np.testing.assert_allclose(left, [1 / np.sqrt(10), 1.0])
     assert singular_values[0] == pytest.approx(3.0)
 
 
 def test_walk_fills_what_meets_enough_and_nothing_else(monkeypatch):
     """Inside a box in two of three dimensions: the walk's quantiles are the box's."""
-    from studies.chapter4 import flatness
-    from studies.chapter4.unstated import Number
+    from studies.chapter4 import calibration
+    from studies.search import Number
 
     def meets(places):
         return np.where((np.abs(places[:, 0] - 0.3) < 0.1) & (np.abs(places[:, 1] - 0.6) < 0.3), 11, 4)
 
-    monkeypatch.setattr(flatness, "run", lambda case, numbers, places: places)
-    monkeypatch.setattr(flatness, "met", meets)
+    monkeypatch.setattr(calibration, "run", lambda case, numbers, places: places)
+    monkeypatch.setattr(calibration, "met", meets)
     numbers = tuple(Number(name, 0, 1, "") for name in "abc")
     start = np.array([0.3, 0.6, 0.5]) + 0.02 * np.random.default_rng(1).standard_normal((24, 3))
-    walked, accepted = flatness.walk(None, numbers, start, 11, flatness.Effort(chains=24, steps=600))
+    walked, accepted = calibration.walk(None, numbers, start, 11, calibration.Effort(chains=24, steps=600))
     assert np.all(meets(walked) == 11) and 0.1 < accepted < 0.9
-    assert 0 < flatness.unsure(walked) < 0.1 < flatness.unsure(np.sort(walked, axis=0))
+    assert 0 < calibration.unsure(walked) < 0.1 < calibration.unsure(np.sort(walked, axis=0))
     expected = [(0.21, 0.39), (0.33, 0.87), (0.05, 0.95)]
     for i, (low, high) in enumerate(expected):
         np.testing.assert_allclose(np.quantile(walked[:, i], (0.05, 0.95)), (low, high), atol=0.06)
 
 
 def test_a_stretch_ends_at_the_first_gap():
-    from studies.chapter4.flatness import stretch
+    from studies.chapter4.calibration import stretch
 
     grid = np.linspace(0, 1, 6)
     enough = np.array([True, False, True, True, False, True])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 
+import builders
 import msgspec
 import numpy as np
 import pytest
@@ -12,11 +13,9 @@ import pytest
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.cases import judge, run_cases, with_case
-from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.experiments.files import merged
-from mmnn_pin.lab.experiments.tolerance import Case, Tolerance
+from mmnn_pin.lab.experiments.config import load_experiment, merged
+from mmnn_pin.lab.experiments.experiment import Case, Tolerance
 from mmnn_pin.lab.show import cases as shown
-from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome
 from mmnn_pin.signals import Layout
 
@@ -27,17 +26,16 @@ LOOSE = Tolerance(settle=0.5, pose=0.05, joint=0.05, runaway=0.3)
 
 def recording(outcome=None, *, away=0.0, turned=0.0, joint=0.0, speed=0.0, drive=0.0, broken=False):
     """Two seconds in which the last second is off by the given errors, and moves at the given speed."""
-    rows, late = np.zeros((200, LAYOUT.width)), slice(100, None)
-    rows[:, LAYOUT.where("time")] = 0.01 * np.arange(200)[:, None]
-    rows[late, LAYOUT.where("true_pose_error")] = (0.6 * away, 0.8 * away, turned)
-    rows[late, LAYOUT.where("true_e")] = (0.0, -joint)
-    rows[late, LAYOUT.where("nu")] = (0.0, speed, 0.0, 0.0)
-    rows[150:, LAYOUT.where("position")] = (drive, 0, 0, 0, 0, 0, 0)
-    if broken:
-        rows[120, LAYOUT.where("psi")] = np.nan
-    with Recorder(LAYOUT, NAMES) as recorder:
-        recorder.append_block(rows, np.zeros(200))
-        return recorder.finish(outcome or Outcome("completed", 2.0))
+    time = 0.01 * np.arange(200)[:, None]
+    late = time >= 1.0
+    signals = {
+        "true_pose_error": late * (0.6 * away, 0.8 * away, turned),
+        "true_e": late * (0.0, -joint),
+        "nu": late * (0.0, speed, 0.0, 0.0),
+        "position": (time >= 1.5) * (drive, 0, 0, 0, 0, 0, 0),
+        "psi": np.where(np.arange(200)[:, None] == 120, np.nan, 0.0) if broken else 0.0,
+    }
+    return builders.recording(rows=200, period=0.01, signals=signals, outcome=outcome, **NAMES)
 
 
 TRIPPED = Outcome("tripped", 1.2, "e[0]", "tripped at t = 1.2 s: joint error of a 0.21, 0.01 over its limit of 0.2")

@@ -15,19 +15,20 @@ from marks import leaves, marked
 from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.lab.experiments.config import bundled, read_toml
 from mmnn_pin.lab.experiments.controllers import effective
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.fairness import unfair
-from mmnn_pin.lab.experiments.files import bundled, read_toml
-from mmnn_pin.lab.experiments.largest_errors import THESIS, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.lab.experiments.readings import readings
-from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.experiments.runner import Result, unfair
+from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.lab.proof.rebuild import recorded_learner
 from mmnn_pin.lab.show import table
 from mmnn_pin.recording.robot import recorded_robot
 from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.neural_settings import TwoLayer
+
+pytestmark = pytest.mark.lab
 
 FILE = bundled()["chapter5"]
 LEARNERS = ("two_layer_zero", "two_layer_random", "one_layer")
@@ -239,7 +240,7 @@ def test_a_proof_knows_both_starts_and_the_unit_of_the_error(tmp_path: Any, caps
 def test_the_thesis_s_ratio_is_eight_percent() -> None:
     assert thesis_ratios() == pytest.approx((0.92, 0.92), abs=0.005)
     assert mean_ratio((0.5, 2.0)) == pytest.approx(1.0) and mean_ratio((0.0, 2.0)) == 0.0
-    assert THESIS == {"one_layer": (1.7789, 1.7463), "two_layer": (1.6394, 1.6091)}
+    assert PRINTED == {"one_layer": (1.7789, 1.7463), "two_layer": (1.6394, 1.6091)}
 
 
 def test_largest_errors_are_those_of_the_whole_measured_run(result: Result) -> None:
@@ -260,7 +261,7 @@ def test_a_run_that_is_lost_has_no_largest_error() -> None:
 @whole
 def test_the_one_layer_network_meets_what_it_was_calibrated_on(result: Result) -> None:
     found = largest_errors(result.recordings)["one_layer"]
-    np.testing.assert_allclose(found, THESIS["one_layer"], rtol=0.03)
+    np.testing.assert_allclose(found, PRINTED["one_layer"], rtol=0.03)
     intervals = {(row["figure"], row["statistic"]): row["inside"] for row in result.figure_ranges()}
     assert len(intervals) == 12 and all(
         intervals[f"5.5 {place}", s] for place in ("top", "bottom") for s in ("max", "min")

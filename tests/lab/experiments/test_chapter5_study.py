@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from places import ROOT
 
+pytestmark = pytest.mark.lab
+
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of eight seconds, uncompiled")
@@ -66,8 +68,8 @@ def test_rates_per_second_are_the_printed_ones_at_200_hz():
 
 
 def test_errors_are_the_thesis_s_and_the_rms_of_the_truth_and_a_lost_run_has_none():
-    from studies.chapter4.rollouts import Rollout
     from studies.chapter5.compare import beyond, errors
+    from studies.rollouts import Rollout
 
     e, true = np.zeros((800, 2)), np.zeros((800, 2))
     e[7], true[100], true[400:] = np.radians([-2.0, 8.0]), 9.0, np.radians([3.0, 4.0])
@@ -169,11 +171,11 @@ def test_a_little_of_the_study_runs_and_gives_the_document_all_it_tells(saved, m
     from dataclasses import replace
 
     from studies.chapter5 import __main__ as command
-    from studies.chapter5 import repeats
+    from studies.chapter5 import compare
     from studies.chapter5.document import render
 
     for name in ("gap", "resolution", "rate"):
-        monkeypatch.delitem(repeats.MOVED, name)
+        monkeypatch.delitem(compare.MOVED, name)
     summary = json.loads(json.dumps(command.study(replace(command.QUICK, rigs=2), tmp_path)))
     assert summary.keys() == saved.keys()
     assert "| sample rate: 200 Hz |" in render(summary)

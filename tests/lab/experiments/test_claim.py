@@ -10,6 +10,8 @@ import pytest
 from places import ROOT
 from scipy.stats import binomtest
 
+pytestmark = pytest.mark.lab
+
 pytest.importorskip("optuna")
 pytest.importorskip("cmaes")
 SIMULATES = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="runs of five seconds, uncompiled")
@@ -169,8 +171,8 @@ def test_a_network_without_inputs_is_one_leaky_integral_of_the_error():
 
 
 def test_errors_are_rms_distances_and_a_lost_run_has_none():
-    from studies.chapter4.judging import errors
-    from studies.chapter4.rollouts import Rollout
+    from studies.chapter4.draws import errors
+    from studies.rollouts import Rollout
 
     pose = np.zeros((1000, 3))
     pose[:500], pose[500:] = (3.0, 4.0, 9.0), (0.6, 0.8, 9.0)
@@ -225,7 +227,7 @@ def test_splits_are_by_what_was_drawn():
 
 
 def test_interval_of_draws_alone_is_wilsons():
-    from studies.chapter4.crossed import share, wilson
+    from studies.crossed import share, wilson
 
     exact = binomtest(15, 50).proportion_ci(method="wilson")
     assert wilson(0.3, 50) == pytest.approx((exact.low, exact.high), rel=1e-6)
@@ -237,7 +239,7 @@ def test_interval_of_draws_alone_is_wilsons():
 @pytest.mark.parametrize("luck", [(0.0, 0.0, 1.0), (0.7, 0.7, 1.0), (1.0, 0.3, 0.5), (1.0, 1.0, 0.2)])
 def test_intervals_cover_the_luck_of_both_tunings_and_of_the_draws(luck):
     """Log ratios of a random effect of each; what is covered is the mean over all tunings and draws there are."""
-    from studies.chapter4.crossed import middle, share
+    from studies.crossed import middle, share
 
     rng, hits, blind = np.random.default_rng(0), np.zeros(2), 0
     for _ in range(300):
@@ -258,9 +260,8 @@ def test_a_network_that_does_not_learn_is_pd_at_its_gain():
     from msgspec.structs import replace as with_settings
 
     from studies.chapter4.claim import TEST, at_gain
-    from studies.chapter4.draws import draw, loop
-    from studies.chapter4.judging import KEPT
-    from studies.chapter4.rollouts import roll_out
+    from studies.chapter4.draws import KEPT, draw, loop
+    from studies.rollouts import roll_out
 
     d = draw(TEST, 5)
     for learns, same in ((False, True), (True, False)):

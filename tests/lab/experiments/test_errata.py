@@ -17,11 +17,13 @@ from scipy.special import expit
 
 from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
 from mmnn_pin.kinematic import command
-from mmnn_pin.lab.experiments.readings import readings, told
+from mmnn_pin.lab.experiments.readings import readings, summaries
 from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.signals import INDEX, Array, Layout
 from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.network import numerical_rank, two_layer_update
+
+pytestmark = pytest.mark.lab
 
 HERE = Path(__file__)
 DOCUMENT = ROOT / "docs" / "errata.md"
@@ -257,7 +259,7 @@ def test_the_networks_input_grows_along_a_straight_line() -> None:
 @compiled_only
 def test_without_the_position_the_one_layer_networks_arm_is_better_and_the_two_layer_networks_as_good() -> None:
     """Gap (c) over 5 s: q_vd out of the input, then Appendix B's short one."""
-    rows = told(readings(load_experiment("chapter4"), "x"))
+    rows = summaries(readings(load_experiment("chapter4"), "x"))
     rms = {row["reading"]: {name: row[name]["rms"] for name in ("two_layer", "one_layer")} for row in rows}
     for reading, falls in (("no absolute position", 0.1), ("Appendix B's short input", 0.25)):
         for key in ("pose_error.x", "pose_error.y", "pose_error.phi", "e.arm_1_joint", "e.arm_2_joint"):

@@ -5,19 +5,17 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import builders
 import numpy as np
 import pytest
 
 from mmnn_pin import InputError, Recording, load_experiment, run_experiment
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
-from mmnn_pin.lab.experiments.config import keys_of, kind_at
+from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override, parse_value
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.files import bundled, override, parse_value
 from mmnn_pin.lab.experiments.runner import Result, in_order
 from mmnn_pin.recording.metrics import as_columns, metrics
-from mmnn_pin.recording.recorder import Recorder
-from mmnn_pin.recording.recording import Outcome
 from mmnn_pin.signals import Layout
 
 SHORT = ("time.duration=0.02",)
@@ -281,21 +279,18 @@ def test_comparison_is_relative_to_pd(result: Result) -> None:
 
 def recording(rows: int = 10, period: float = 0.5) -> tuple[Recording, Layout]:
     """A recording with known signals: true_z = (k, -2k), true_e = 3, torques, gains."""
-    layout = Layout(base=2, arm=1, full=6, motors=3)
-    meta = {"control_period": period, "velocity_names": ("v", "w", "j"), "actuator_names": ("l", "r", "j")}
-    with Recorder(layout, meta) as recorder:
-        for k in range(rows):
-            row = layout.new_row()
-            row[layout.where("time")] = k * period
-            row[layout.where("true_z")] = k, -2 * k
-            row[layout.where("true_e")] = 3.0
-            row[layout.where("motor_torque")] = 1.0, 2.0, 3.0
-            row[layout.where("torque")] = 3.0, 4.0, 2.0
-            row[layout.where("psi_hat")] = 3.0, 0.0, 1.0
-            row[layout.where("effective_gain")] = 10.0, 20.0, k
-            row[layout.where("energy_residual")] = -1e-3 * k
-            recorder.append(row)
-        return recorder.finish(Outcome("completed", rows * period)), layout
+    layout, k = Layout(base=2, arm=1, full=6, motors=3), np.arange(rows)[:, None]
+    signals = {
+        "true_z": k * (1, -2),
+        "true_e": 3.0,
+        "motor_torque": (1.0, 2.0, 3.0),
+        "torque": (3.0, 4.0, 2.0),
+        "psi_hat": (3.0, 0.0, 1.0),
+        "effective_gain": np.hstack([np.full((rows, 2), (10.0, 20.0)), k]),
+        "energy_residual": -1e-3 * k,
+    }
+    names = {"velocity_names": ("v", "w", "j"), "actuator_names": ("l", "r", "j")}
+    return builders.recording("pd", layout, rows=rows, period=period, signals=signals, **names), layout
 
 
 def test_metrics_of_known_signals() -> None:

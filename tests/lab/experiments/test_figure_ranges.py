@@ -15,13 +15,14 @@ from mmnn_pin import load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.lab.experiments.controllers import EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.figure_ranges import figure_intervals, figure_ranges
-from mmnn_pin.lab.experiments.improvement import Improvement, improvements
-from mmnn_pin.lab.experiments.readings import SWITCHES, readings, told
-from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.experiments.readings import SWITCHES, readings, summaries
+from mmnn_pin.lab.experiments.runner import Improvement, Result, improvements
+from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
 from mmnn_pin.lab.show import effects, verdicts
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.inputs import MEASURED
+
+pytestmark = pytest.mark.lab
 
 LEARNERS = ("two_layer", "one_layer")
 # Distance of the ticks on the axes of the thesis's figures.
@@ -191,7 +192,7 @@ def test_inputs_without_position_hold_nothing_that_grows_on_a_line() -> None:
 
 def test_readings_give_both_learners_for_every_switch() -> None:
     results = readings(short(), "chapter4")
-    rows = json.loads(json.dumps(told(results), allow_nan=False))
+    rows = json.loads(json.dumps(summaries(results), allow_nan=False))
     assert [row["reading"] for row in rows] == ["as it is", *(switch.turned(short())[0] for switch in SWITCHES)]
     for row, result in zip(rows, results.values(), strict=True):
         for learner in LEARNERS:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import builders
 import numpy as np
 import pytest
+from builders import FIXED, MOBILE
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.lines import Line2D
@@ -14,7 +16,7 @@ from matplotlib.patches import Rectangle
 from mmnn_pin.cli.plot import WHATS
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.experiment import PLOTS
-from mmnn_pin.lab.experiments.figure_ranges import figure_intervals, figure_ranges
+from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
 from mmnn_pin.lab.show.figure import STYLES
 from mmnn_pin.lab.show.gallery import PICTURES, write_pictures
 from mmnn_pin.lab.show.plots import gains_figure, psi_figure
@@ -27,22 +29,15 @@ from mmnn_pin.lab.show.thesis_figures import (
     two_layer_figure,
     velocity_figure,
 )
-from mmnn_pin.recording.recorder import Recorder
-from mmnn_pin.recording.recording import Outcome, Recording
+from mmnn_pin.recording.recording import Recording
 from mmnn_pin.signals import Layout
 
-LAYOUT, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
+pytestmark = pytest.mark.lab
 
 
-def recording(controller: str, layout: Layout = LAYOUT, variant: str = "fair", rows: int = 40) -> Recording:
-    table = 0.01 * np.random.default_rng(len(controller)).normal(size=(rows, layout.width))
-    table[:, 0] = 0.1 * np.arange(rows)
-    names = ("v", "w", "lift", "elbow")[-layout.dof :]
-    motors = ("left", "right", "lift", "elbow")[-layout.motors :]
-    facts = {"controller": controller, "velocity_names": names, "actuator_names": motors}
-    with Recorder(layout, facts | {"config": f'{{"variant": "{variant}"}}'}) as recorder:
-        recorder.append_block(table)
-        return recorder.finish(Outcome("completed", 0.1 * rows))
+def recording(controller: str, layout: Layout = MOBILE, variant: str = "fair", rows: int = 40) -> Recording:
+    config = f'{{"variant": "{variant}"}}'
+    return builders.recording(controller, layout, rows=rows, noise=0.01, seed=len(controller), config=config)
 
 
 @pytest.fixture

@@ -16,8 +16,7 @@ from robots import dynamics, mobile_arm, place, robot_of
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.inertia import effective_inertia
+from mmnn_pin.lab.experiments.experiment import Experiment, effective_inertia
 from mmnn_pin.lab.experiments.references import Swing
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show import table

@@ -14,10 +14,11 @@ from marks import leaves, marked
 from mmnn_pin import Recording, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.lab.experiments.fairness import unfair
-from mmnn_pin.lab.experiments.files import bundled, read_toml, variants
-from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.experiments.config import bundled, read_toml, variants
+from mmnn_pin.lab.experiments.runner import Result, unfair
 from mmnn_pin.lab.show import table
+
+pytestmark = pytest.mark.lab
 
 FILES = variants(bundled()["chapter4"])
 LEARNERS = ("two_layer", "one_layer")

@@ -9,6 +9,8 @@ import pytest
 from numba import config
 from places import ROOT
 
+pytestmark = pytest.mark.lab
+
 STUDY = ROOT / "studies" / "learners" / "knowledge.py"
 
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from proofs import SLOW, learner, loop_of
 
 from mmnn_pin import ControllerState, LearningLaw, load_experiment
-from mmnn_pin.lab.contest.heat import found_in
-from mmnn_pin.lab.contest.row import KEPT
+from mmnn_pin.lab.contest.result import KEPT
 from mmnn_pin.lab.contest.task import tasks_of
+from mmnn_pin.lab.contest.trial import findings_after
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.proof.learner import Learner
 from mmnn_pin.lab.proof.subject import Subject
@@ -181,7 +181,7 @@ def test_the_networks_say_it_after_the_poor_motion_and_not_after_the_rich_one():
             (run,) = simulate_many([loop], keep={*KEPT, *signals_for(controller)})
             state = controller.init(loop.context())
             state.values[:] = run.final["memory"]
-            said[task.name, name] = " ".join(found_in(task, name, controller, 1, run, state))
+            said[task.name, name] = " ".join(findings_after(task, name, controller, 1, run, state))
     for name in ("two_layer", "two_layer_residual"):
         assert "not excited: the run leaves" in said["poor", name] and said["rich", name] == ""
     for motion in ("poor", "rich"):

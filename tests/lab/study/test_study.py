@@ -24,13 +24,12 @@ from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.study import worker
-from mmnn_pin.lab.study.execution import fill
+from mmnn_pin.lab.study.execution import fill, processes, threads
 from mmnn_pin.lab.study.plan import Plan
-from mmnn_pin.lab.study.pools import processes, threads
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.session import missing_rows, probe
 from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
-from mmnn_pin.lab.study.worker import Task, loop_of
+from mmnn_pin.lab.study.worker import loop_of
 from mmnn_pin.loop.batch import simulate
 
 compiled_only = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")
@@ -87,7 +86,7 @@ def test_the_model_is_the_nominal_one_or_the_true_one(done, tmp_path: Path) -> N
     true = run_here(planned(tmp_path, 'model = "true"\n' + SHORT), tmp_path)
     for here, there in zip(rows, true, strict=True):
         assert (told(here.metrics) == told(there.metrics)) == (here.controller != "computed_torque")
-    assert loop_of(Task.of(plan.row(2))).nominal.masses == {"root": 1.0, **dict.fromkeys(plan.table["masses"], 1.0)}
+    assert loop_of(plan.row(2).job).nominal.masses == {"root": 1.0, **dict.fromkeys(plan.table["masses"], 1.0)}
 
 
 @compiled_only
@@ -220,7 +219,7 @@ def test_a_killed_study_has_lost_nothing_and_goes_on(tmp_path: Path) -> None:
     assert [row.id for row in after] == list(range(len(plan)))
     assert all(after[i] == row for i, row in before.items()), "rows that were done are not run again"
     sample = plan.row(next(iter(set(range(len(plan))) - set(before))))
-    assert told(worker.run(Task.of(sample)).metrics) == told(after[sample.id].metrics)
+    assert told(worker.run(sample.job).metrics) == told(after[sample.id].metrics)
 
 
 @compiled_only
@@ -293,7 +292,7 @@ def test_a_database_of_another_format_or_program_is_refused(done, tmp_path: Path
 def test_numbers_keep_their_bits_in_the_database(tmp_path: Path) -> None:
     values = {"a": 0.1 + 0.2, "b": 5e-324, "c": np.inf, "d": -np.inf, "e": np.nan, 'f"': 1e300, "g": -0.0}
     with writing(tmp_path / NAME) as store:
-        store.add("f", 0, "pd", 1, {"x": 0.1}, worker.Done(7, "completed", 1.0, metrics=values))
+        store.add("f", 0, "pd", 1, {"x": 0.1}, worker.JobResult(7, "completed", 1.0, metrics=values))
         row = store.row(7)
     assert row is not None and told(row.metrics) == told(values)
     assert np.signbit(row.metrics["g"])
@@ -305,14 +304,14 @@ def test_numbers_keep_their_bits_in_the_database(tmp_path: Path) -> None:
 FULL = """
 import sys
 from pathlib import Path
-from mmnn_pin.study.store import NAME, writing
-from mmnn_pin.study.worker import Done
+from mmnn_pin.lab.study.store import NAME, writing
+from mmnn_pin.lab.study.worker import JobResult
 from mmnn_pin.errors import StudyError
 path = Path(sys.argv[1]) / NAME
 try:
     with writing(path) as store:
         for i in range(10000):
-            store.add(str(i), i, "pd", 1, {}, Done(i, "completed", metrics={f"m{k}": 1.0 for k in range(40)}))
+            store.add(str(i), i, "pd", 1, {}, JobResult(i, "completed", metrics={f"m{k}": 1.0 for k in range(40)}))
             print(i)
 except StudyError as error:
     print(error, file=sys.stderr)

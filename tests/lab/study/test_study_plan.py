@@ -18,8 +18,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.study.factors import Factor, unit_cube
-from mmnn_pin.lab.study.keys import leaves, near
-from mmnn_pin.lab.study.lines import line_of
+from mmnn_pin.lab.study.keys import leaves, line_of, near
 
 U = st.floats(0.0, 1.0, exclude_max=True)
 
@@ -243,7 +242,7 @@ def test_a_fingerprint_knows_the_content_of_the_robots_files(tmp_path: Path) -> 
 
 
 def test_an_experiment_beside_the_study_is_found_from_any_folder(tmp_path: Path, monkeypatch) -> None:
-    from mmnn_pin.lab.experiments.files import bundled
+    from mmnn_pin.lab.experiments.config import bundled
 
     (tmp_path / "mine.toml").write_text(bundled()["chapter4"].read_text())
     monkeypatch.chdir("/")

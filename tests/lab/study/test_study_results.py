@@ -24,14 +24,11 @@ from mmnn_pin.lab.show.study import plots
 from mmnn_pin.lab.show.study.page import page
 from mmnn_pin.lab.show.study.table import render
 from mmnn_pin.lab.study.factors import Factor
-from mmnn_pin.lab.study.intervals import differ, quantile, rate
-from mmnn_pin.lab.study.patterns import unit_of, value_of
-from mmnn_pin.lab.study.region import region_of
-from mmnn_pin.lab.study.results import Results, load_results
-from mmnn_pin.lab.study.sensitivity import bins_of, share_of
+from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
 from mmnn_pin.lab.study.settings import Sampling, StudySettings, Success
+from mmnn_pin.lab.study.statistics import bins_of, differ, quantile, rate, share_of
 from mmnn_pin.lab.study.store import NAME, Stored, writing
-from mmnn_pin.lab.study.verdict import sentences, verdict
+from mmnn_pin.lab.study.verdict import region_of, sentences, verdict
 
 # -- intervals --------------------------------------------------------------------------------------------------------
 

@@ -14,11 +14,10 @@ from places import ROOT
 from study_files import SHORT, planned, run_here, written
 
 from mmnn_pin.cli import main
-from mmnn_pin.lab.study.constraints import violations
-from mmnn_pin.lab.study.objective import LOST, REFUSED, Score, Scorer
-from mmnn_pin.lab.study.pools import threads
-from mmnn_pin.lab.study.reading import load_study
+from mmnn_pin.lab.study.execution import threads
+from mmnn_pin.lab.study.objective import LOST, REFUSED, Score, Scorer, violations
 from mmnn_pin.lab.study.results import load_results
+from mmnn_pin.lab.study.settings import load_study
 from mmnn_pin.lab.study.tuning import NAME
 
 optuna = pytest.importorskip("optuna")

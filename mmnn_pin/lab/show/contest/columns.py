@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from ...contest.contest import Standing
-from ...contest.row import Number, Row, Tracking, arm_of, base_of, nan
+from ...contest.result import Number, Tracking, TrialResult, arm_of, base_of, nan
+from ...contest.standing import Standing
 
 Values = Callable[[Standing, str, str], list[float]]
 
@@ -31,7 +31,7 @@ class Column:
     limit: float = math.inf
 
 
-def per_row(number: Callable[[Row], float]) -> Values:
+def per_row(number: Callable[[TrialResult], float]) -> Values:
     """Values of a column that is read off single rows."""
     return lambda standing, task, controller: [number(row) for row in standing.of(task, controller)]
 
@@ -41,7 +41,7 @@ def held_out(how: str, of_axes: Callable[[dict[str, Number]], float]) -> Values:
     return per_row(lambda row: 1e3 * over_all(row, how, of_axes))
 
 
-def over_all(row: Row, how: str, of_axes: Callable[[dict[str, Number]], float]) -> float:
+def over_all(row: TrialResult, how: str, of_axes: Callable[[dict[str, Number]], float]) -> float:
     """Root of the mean square error over all held-out trajectories; inf where one was lost, nan where none was run."""
     found: list[Tracking] = [ways[how] for ways in row.held_out.values() if how in ways]
     if not found:

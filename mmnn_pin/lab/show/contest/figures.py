@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....signals import Array
-from ...contest.contest import BASELINE, Standing
-from ...contest.row import Row, arm_of, base_of, nan
+from ...contest.result import TrialResult, arm_of, base_of, nan
+from ...contest.standing import BASELINE, Standing
 from ...experiments.controllers import ORACLES
 from ..figure import OTHERS, STYLES, Style, new_figure, plain, save, styled
 from .columns import over_all
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
-ERRORS: Mapping[str, Callable[[Row], float]] = {
+ERRORS: Mapping[str, Callable[[TrialResult], float]] = {
     "base [mm]": lambda row: 1e3 * base_of(row.rms),
     "heading [mrad]": lambda row: 1e3 * nan(row.rms.get("phi")),
     "arm [mrad]": lambda row: 1e3 * arm_of(row.rms),
 }
-HELD_OUT: Mapping[str, Callable[[Row, str], float]] = {
+HELD_OUT: Mapping[str, Callable[[TrialResult, str], float]] = {
     "base, held out [mm]": lambda row, how: 1e3 * over_all(row, how, base_of),
     "arm, held out [mrad]": lambda row, how: 1e3 * over_all(row, how, arm_of),
 }
@@ -41,7 +41,7 @@ def write_figures(standing: Standing, folder: Path) -> dict[str, Path]:
     Raises:
         RecordingError: A file that cannot be written.
     """
-    if not any(row.completed for row in standing.rows):
+    if not any(row.completed for row in standing.results):
         return {}
     return {name: save(make(standing), folder / f"{name}.png") for name, make in FIGURES.items()}
 

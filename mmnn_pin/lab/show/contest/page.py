@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from importlib import resources
 from typing import Any
 
-from ...contest.contest import Standing
+from ...contest.standing import Standing
 from ..figure import svg
 from ..html_page import HtmlPage, filled
 from ..report.page import source as source_of_report
@@ -83,6 +83,6 @@ def table_of(standing: Standing, task: str, columns: Sequence[Column]) -> tuple[
 
 def pictures(standing: Standing) -> list[dict[str, str]]:
     """The figures as SVG, each with a caption; none where no run reached its end."""
-    if not any(row.completed for row in standing.rows):
+    if not any(row.completed for row in standing.results):
         return []
     return [{"svg": svg(FIGURES[name](standing)), "caption": words} for name, words in PICTURES.items()]

@@ -12,8 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from ...contest.contest import Standing
-from ...contest.targets import Target
+from ...contest.standing import Standing, Target
 from ..table import number
 from .columns import KNOWLEDGE, TRAINING, Column
 
@@ -55,7 +54,7 @@ def caption(standing: Standing) -> str:
 def findings(standing: Standing) -> list[str]:
     """Findings of the learners, each told once with its tasks."""
     found: dict[str, list[str]] = {}
-    for row in standing.rows:
+    for row in standing.results:
         for text in row.findings:
             tasks = found.setdefault(text if text.startswith(row.controller) else f"{row.controller}: {text}", [])
             tasks += [row.task] if row.task not in tasks else []

@@ -11,9 +11,8 @@ import msgspec
 
 from ....errors import InputError
 from ....recording.recording import Recording
-from ...experiments.config import load_experiment
+from ...experiments.config import bundled, load_experiment
 from ...experiments.experiment import Experiment
-from ...experiments.files import bundled
 from ...experiments.runner import Result
 
 OWN = ("variant", "overrides", "title")  # keys that no `--set` changes

@@ -8,9 +8,7 @@ from dataclasses import dataclass
 
 from ....recording.metrics import halves
 from ...experiments.controllers import LEARNERS, ORACLES, effective
-from ...experiments.fairness import unfair
-from ...experiments.improvement import Improvement
-from ...experiments.runner import Result
+from ...experiments.runner import Improvement, Result, unfair
 from ..replay.scene import label
 from ..table import limited, notes, number
 from ..units import column_units, milli

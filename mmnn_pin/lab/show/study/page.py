@@ -6,8 +6,8 @@ import json
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from ...study.intervals import Interval, quantile, rate
 from ...study.results import Results
+from ...study.statistics import Interval, quantile, rate
 from ...study.verdict import sentences, verdict
 from ..figure import svg
 from ..html_page import HtmlPage, filled

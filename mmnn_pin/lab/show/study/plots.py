@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ....signals import Array, IntArray
-from ...study.intervals import rate
 from ...study.results import Results
-from ...study.sensitivity import Share, bins_of, levels_of, share_of
+from ...study.statistics import Share, bins_of, levels_of, rate, share_of
 from ..figure import OTHERS, STYLES, Style, add_legend, new_figure, plain, styled
 from .table import shown_unit
 

@@ -10,8 +10,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from ...study.intervals import Interval, quantile, rate
 from ...study.results import Results
+from ...study.statistics import Interval, quantile, rate
 from ...study.verdict import sentences, verdict
 from ..verdicts import heading
 

@@ -1,10 +1,11 @@
-"""One controller on one task: training with every seed, then the held-out trajectories, frozen and learning."""
+"""A trial: one controller on one task, trained with every seed, then held out, frozen and learning."""
 
 from __future__ import annotations
 
 import math
 import time as clock
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,15 +17,14 @@ from ...loop.batch import Run, simulate_many
 from ...loop.controller_state import findings_of
 from ...loop.loop import Loop
 from ...recording.recording import Recording
-from ...signals import Array
+from ...signals import Array, Layout
 from ...torque.controller import ControllerState
 from ..proof.fvu import START, fvu
-from ..proof.learner import Learner
+from ..proof.learner import Learner, Stepper
 from ..proof.subject import finite_rows
 from ..proof.unknown import not_excited, signals_for, unknown
-from .frozen import frozen, said
-from .row import ERRORS, KEPT, Row, Tracking, known, summary, tracking, training_numbers
-from .task import Task
+from .result import ERRORS, KEPT, Tracking, TrialResult, known, summary, tracking, training_numbers
+from .task import Task, frozen
 
 STEPS, REPEATS = 2000, 3  # control samples that are timed, and how often
 Progress = Callable[[float], None]
@@ -34,10 +34,10 @@ class Stopped(Exception):
     """Ctrl-C: what was under way is dropped."""
 
 
-def heat(
+def run_trial(
     task: Task, name: str, file: Path | None, workers: int | None, progress: Progress, knowledge: bool = True
-) -> tuple[list[Row], float]:
-    """All rows of one controller on one task, and the processor time of its step [s].
+) -> tuple[list[TrialResult], float]:
+    """The results of one controller on one task, one per seed, and the processor time of its step [s].
 
     Args:
         task: The task.
@@ -52,17 +52,17 @@ def heat(
         RecordingError: The recording cannot be written.
     """
     controller = task.controller(name)
-    first, runs = trained(task, controller, file, workers, lambda f: progress(0.5 * f))
-    memories = [memory_of(task, controller, seed, run) for seed, run in zip(task.seeds, runs, strict=True)]
-    trials = tried(task, controller, memories, workers, lambda f: progress(0.5 + 0.4 * f))
-    rows = []
+    first, runs = train(task, controller, file, workers, lambda f: progress(0.5 * f))
+    states = [state_after(task, controller, seed, run) for seed, run in zip(task.seeds, runs, strict=True)]
+    trials = follow_held_out(task, controller, states, workers, lambda f: progress(0.5 + 0.4 * f))
+    results = []
     for i, (seed, run) in enumerate(zip(task.seeds, runs, strict=True)):
-        rows.append(row_of(task, name, controller, seed, run, memories[i], trials[i], knowledge))
+        results.append(result_of(task, name, controller, seed, run, states[i], trials[i], knowledge))
         progress(0.9 + 0.1 * (i + 1) / len(runs))
-    return rows, step_time(task.training(controller, task.seeds[0]), first) if knowledge else math.nan
+    return results, step_time(task.training(controller, task.seeds[0]), first) if knowledge else math.nan
 
 
-def trained(
+def train(
     task: Task, controller: Any, file: Path | None, workers: int | None, progress: Progress
 ) -> tuple[Recording, list[Run]]:
     """Training runs of all seeds; that of the first is recorded whole."""
@@ -90,14 +90,14 @@ def require_going(status: str) -> None:
     """Stop where the user did.
 
     Raises:
-        Stopped: He did.
+        Stopped: They did.
     """
     if status == "interrupted":
         raise Stopped
 
 
-def memory_of(task: Task, controller: Any, seed: int, run: Run) -> Any:
-    """The memory at the end of a training run; None where it was lost or is not kept as numbers."""
+def state_after(task: Task, controller: Any, seed: int, run: Run) -> Any:
+    """The state at the end of a training run; None where it was lost or is not kept as numbers."""
     if run.outcome.status != "completed" or "memory" not in run.final:
         return None
     state = controller.init(task.training(controller, seed).context())
@@ -107,22 +107,22 @@ def memory_of(task: Task, controller: Any, seed: int, run: Run) -> Any:
     return state
 
 
-def tried(
-    task: Task, controller: Any, memories: list[Any], workers: int | None, progress: Progress
+def follow_held_out(
+    task: Task, controller: Any, states: list[Any], workers: int | None, progress: Progress
 ) -> list[dict[str, dict[str, Tracking]]]:
-    """How the held-out trajectories were followed with every memory, frozen and learning."""
-    found: list[dict[str, dict[str, Tracking]]] = [{name: {} for name in task.held_out} for _ in memories]
+    """How the held-out trajectories were followed with every state, frozen and learning."""
+    found: list[dict[str, dict[str, Tracking]]] = [{name: {} for name in task.held_out} for _ in states]
     loops: list[Loop] = []
     places = []
     ways = ("learning",) if frozen(controller) is controller else ("frozen", "learning")
-    for i, (seed, state) in enumerate(zip(task.seeds, memories, strict=True)):
+    for i, (seed, state) in enumerate(zip(task.seeds, states, strict=True)):
         for name, how in product(task.held_out if state is not None else (), ways):
-            loop = task.trial(controller, seed, name, how == "learning")
+            loop = task.held_out_loop(controller, seed, name, how == "learning")
             if loop is not None:
                 loops.append(loop)
                 places.append((i, name, how))
     if loops:
-        starts = [memories[i] for i, *_ in places]
+        starts = [states[i] for i, *_ in places]
         show = lambda done, count: progress(done / count)  # noqa: E731
         runs = simulate_many(loops, memories=starts, keep=ERRORS, workers=workers, progress=show)
         for (i, name, how), run in zip(places, runs, strict=True):
@@ -133,7 +133,7 @@ def tried(
     return found
 
 
-def row_of(
+def result_of(
     task: Task,
     name: str,
     controller: Any,
@@ -142,8 +142,8 @@ def row_of(
     state: Any,
     trials: dict[str, dict[str, Tracking]],
     knowledge: bool,
-) -> Row:
-    """The row of a run."""
+) -> TrialResult:
+    """The result of a run."""
     assert run.recording is not None
     contest, window = task.contest, task.experiment.windows[-1]
     limits = np.array(task.robot.facts()["effort_limits"], float)
@@ -151,8 +151,8 @@ def row_of(
     judged = task.held_out if knowledge else ()
     known_of = {held: frozen_fvu(task, controller, seed, state, held) for held in judged}
     mean, worst = (largest([values[k] for values in known_of.values()]) for k in (0, 1))
-    findings = found_in(task, name, controller, seed, run, state) if state is not None else []
-    return Row(
+    findings = findings_after(task, name, controller, seed, run, state) if state is not None else []
+    return TrialResult(
         task=task.name,
         controller=name,
         seed=seed,
@@ -168,8 +168,8 @@ def row_of(
     )
 
 
-def found_in(task: Task, name: str, controller: Any, seed: int, run: Run, state: Any) -> list[str]:
-    """What the memory shows at the end of a run, and whether the run excited the learner."""
+def findings_after(task: Task, name: str, controller: Any, seed: int, run: Run, state: Any) -> list[str]:
+    """What the state shows at the end of a run, and whether the run excited the learner."""
     loop = task.training(controller, seed)
     learner = Learner(controller, loop.context(), state, state, run.outcome.time, loop.believed)
     assert run.recording is not None
@@ -184,13 +184,33 @@ def largest(values: list[float]) -> float:
 
 def frozen_fvu(task: Task, controller: Any, seed: int, state: Any, held: str) -> tuple[float, float]:
     """FVU of fixed weights on a held-out trajectory, mean over the components and worst; nan where there is none."""
-    loop = None if state is None else task.trial(controller, seed, held, False)
+    loop = None if state is None else task.held_out_loop(controller, seed, held, False)
     if loop is None:
         return math.nan, math.nan
     layout, rows = task.robot.layout, task.rows[held]
     counts = rows[:, layout.where("time")][:, 0] >= START - 1e-9
-    psi_hat = said(loop, layout, state.snapshot(), rows)
+    psi_hat = psi_hat_along(loop, layout, state.snapshot(), rows)
     return summary(fvu(rows[counts][:, layout.where("psi")], psi_hat[counts]))
+
+
+def psi_hat_along(loop: Loop, layout: Layout, state: Any, rows: Array) -> Array:
+    """Psi_hat of the controller of a loop, step by step along rows (N, width); (N, p) [N, N m].
+
+    It is what the weights say, before the motors' limits take of it.
+
+    Args:
+        loop: Of the controller, which learns from the rows unless it is frozen.
+        layout: Of the rows; they may lack what the loop's hardware adds.
+        state: What it remembers, changed in place.
+        rows: The rows; they are not changed.
+    """
+    context = replace(loop.context(), layout=layout)
+    stepper = Stepper(Learner(loop.controller, context, state, state, 0.0, loop.believed), state)
+    found = np.zeros((len(rows), layout.dof))
+    for n, row in enumerate(rows):
+        stepper.step(row)
+        found[n] = stepper.known
+    return found
 
 
 def step_time(loop: Loop, recording: Recording) -> float:
@@ -202,6 +222,6 @@ def step_time(loop: Loop, recording: Recording) -> float:
     for _ in range(REPEATS):
         state = loop.controller.init(loop.context())
         begin = clock.thread_time()
-        said(loop, loop.robot.layout, state, rows)
+        psi_hat_along(loop, loop.robot.layout, state, rows)
         took.append(clock.thread_time() - begin)
     return min(took) / len(rows)

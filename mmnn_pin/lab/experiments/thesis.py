@@ -1,4 +1,9 @@
-"""The thesis's figures as far as they survive: intervals read off their axes, twelve a chapter, and who meets them."""
+"""What the thesis shows of its runs, beside ours.
+
+Its figures survive as intervals read off their axes, twelve a chapter; chapter 5 also prints the largest errors of both
+joints, one-layer and two-layer. Those are what its encoders saw, so they are compared with the measured errors `e` of a
+run, not with the true ones, which no hardware knows.
+"""
 
 from __future__ import annotations
 
@@ -12,9 +17,13 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from ...recording.metrics import as_columns
+from ...recording.recording import Recording
 from ...signals import Array
 
 FILE = Path(__file__).with_name("figure_ranges.csv")
+# Section 5.2, (joint 1, joint 2) [deg].
+PRINTED = {"one_layer": (1.7789, 1.7463), "two_layer": (1.6394, 1.6091)}
 
 
 class Signals(Protocol):
@@ -101,12 +110,60 @@ def figure_ranges(runs: Mapping[str, Signals]) -> list[dict[str, Any]]:
         Per interval `figure, curve, statistic, value, lower, upper, unit, inside`. The value of a run that is not
         finite is None, and not inside.
     """
-    found = []
+    rows = []
     for known in (*figure_intervals(4), *figure_intervals(5)):
         value = known.extreme(runs)
         if value is not None:
             about = {name: text for name, text in asdict(known).items() if name in ("figure", "curve", "statistic")}
             about["value"] = value if np.isfinite(value) else None
             limits = {"lower": known.lower, "upper": known.upper, "unit": known.unit}
-            found.append(about | limits | {"inside": bool(known.lower <= value <= known.upper)})
-    return found
+            rows.append(about | limits | {"inside": bool(known.lower <= value <= known.upper)})
+    return rows
+
+
+def largest_errors(recordings: Mapping[str, Recording], signal: str = "e") -> dict[str, list[float]]:
+    """Largest magnitude of every joint's error [deg] by controller; of a run that reached its end.
+
+    Args:
+        recordings: Controller to recording.
+        signal: "e" as measured, or "true_e".
+    """
+    return {
+        name: np.degrees(np.abs(as_columns(recording[signal])).max(axis=0)).tolist()
+        for name, recording in recordings.items()
+        if recording.outcome.status == "completed" and signal in recording
+    }
+
+
+def ratios(errors: Mapping[str, list[float]]) -> dict[str, list[float]]:
+    """Largest errors of every controller but the one-layer one divided by its; empty without it, or where it is 0."""
+    one = errors.get("one_layer", [])
+    if not one or not min(one) > 0:
+        return {}
+    return {
+        name: [value / base for value, base in zip(found, one, strict=True)]
+        for name, found in errors.items()
+        if name != "one_layer"
+    }
+
+
+def mean_ratio(joints: list[float] | tuple[float, ...]) -> float:
+    """Geometric mean of the joints' ratios."""
+    return math.exp(math.fsum(map(math.log, joints)) / len(joints)) if min(joints) > 0 else 0.0
+
+
+def thesis_ratios() -> tuple[float, ...]:
+    """Two-layer to one-layer of the thesis, (joint 1, joint 2)."""
+    return tuple(two / one for two, one in zip(PRINTED["two_layer"], PRINTED["one_layer"], strict=True))
+
+
+def beside_the_thesis(recordings: Mapping[str, Recording]) -> dict[str, Any]:
+    """Measured and true largest errors [deg], their ratios to one_layer, and the thesis's, for JSON."""
+    measured = largest_errors(recordings)
+    return {
+        "largest_errors_deg": measured,
+        "true_largest_errors_deg": largest_errors(recordings, "true_e"),
+        "thesis_largest_errors_deg": {name: list(values) for name, values in PRINTED.items()},
+        "largest_error_ratios": ratios(measured),
+        "thesis_largest_error_ratios": list(thesis_ratios()),
+    }

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
 from collections.abc import Sequence
 from statistics import median
@@ -32,7 +34,7 @@ class Tracking(msgspec.Struct, frozen=True):
     rms: dict[str, Number]
 
 
-class Row(msgspec.Struct, frozen=True, kw_only=True):
+class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     """One run: a task, a controller, a seed. Errors are the true ones, by axis `x`, `y`, `phi` and joint.
 
     Attributes:
@@ -54,7 +56,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
         frozen_worst: Of the worst component there.
         frozen_on: Per held-out trajectory, mean over the components.
         held_out: Held-out trajectory to "frozen" and "learning" to how it was followed.
-        findings: What the controller's memory showed at the end.
+        findings: What the controller's state showed at the end.
         since: When the last change of the task happened [s].
         curve: Mean squared error per window and axis.
     """
@@ -84,6 +86,20 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
     def completed(self) -> bool:
         """Whether the training reached its end."""
         return self.outcome == "completed"
+
+
+class Trial(msgspec.Struct, frozen=True, rename={"results": "rows"}):
+    """All results of one controller on one task; in files `results` is called `rows`.
+
+    Attributes:
+        fingerprint: Of all that decides them.
+        step_time: Processor time of the controller's step [s]; None where it was not measured.
+        results: One per seed.
+    """
+
+    fingerprint: str
+    step_time: float | None
+    results: list[TrialResult]
 
 
 def base_of(numbers: dict[str, Number]) -> float:
@@ -144,7 +160,7 @@ def tracking(recording: Recording | None, status: str) -> Tracking:
 def training_numbers(
     recording: Recording, limits: Array, window: tuple[float, float], bins: float, start: float
 ) -> dict[str, Any]:
-    """What a row says of its training run.
+    """What a result says of its training run.
 
     Args:
         recording: The run.
@@ -162,8 +178,8 @@ def training_numbers(
     psi, psi_hat = as_columns(recording["psi"])[late], as_columns(recording["psi_hat"])[late]
     mean, worst = summary(fvu(psi, psi_hat))
     per = max(1, round(bins / period))
-    whole = len(errors) // per
-    squares = (errors[: whole * per] ** 2).reshape(whole, per, len(axes)).mean(axis=1)
+    full = len(errors) // per
+    squares = (errors[: full * per] ** 2).reshape(full, per, len(axes)).mean(axis=1)
     return {
         "rms": rms_of(axes, errors[late]),
         "peak": peak_of(axes, errors[late]),
@@ -181,3 +197,41 @@ def summary(values: Array) -> tuple[float, float]:
     """Mean and worst of the components that have an FVU; nan where none has."""
     finite = values[np.isfinite(values)]
     return (float(finite.mean()), float(finite.max())) if len(finite) else (math.nan, math.nan)
+
+
+def as_csv(results: Sequence[TrialResult]) -> str:
+    """Results as a table, one line per run, a column per number; empty where there is none."""
+    tables = [flat(result) for result in results]
+    columns = list(dict.fromkeys(name for table in tables for name in table))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(tables)
+    return text.getvalue()
+
+
+def flat(result: TrialResult) -> dict[str, Any]:
+    """A result without its curve, one number per key."""
+    table: dict[str, Any] = {}
+    for name, value in as_json(result).items():
+        spread(table, name, value)
+    return table
+
+
+def spread(table: dict[str, Any], name: str, value: Any) -> None:
+    """Put a value into a flat table, what is inside it under `name.inner`."""
+    if isinstance(value, dict):
+        for inner, one in value.items():
+            spread(table, f"{name}.{inner}", one)
+    else:
+        table[name] = "; ".join(value) if isinstance(value, list | tuple) else value
+
+
+def as_json(result: TrialResult) -> dict[str, Any]:
+    """A result for JSON: without its curve, with the errors of base, heading and arm."""
+    table: dict[str, Any] = {k: v for k, v in msgspec.to_builtins(result).items() if k != "curve"}
+    for word in ("rms", "peak"):
+        numbers = getattr(result, word)
+        table[f"{word}_base"], table[f"{word}_arm"] = known(base_of(numbers)), known(arm_of(numbers))
+        table[f"{word}_heading"] = numbers.get("phi")
+    return table

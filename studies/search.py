@@ -1,15 +1,52 @@
-"""A seeded search with Optuna's CMA-ES, a generation of trials at a time; the same seed gives the same trials."""
+"""Numbers that are searched, and a seeded search with Optuna's CMA-ES; the same seed gives the same trials."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import optuna
 
 from mmnn_pin.signals import Array
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number that the thesis does not state.
+
+    Attributes:
+        name: Key.
+        lower: Lower end of its range.
+        upper: Upper end.
+        unit: Unit.
+        log: Whether the range is searched in its logarithm.
+    """
+
+    name: str
+    lower: float
+    upper: float
+    unit: str
+    log: bool = False
+
+    def place(self, value: float) -> float:
+        """Where a value lies in the range, 0 to 1."""
+        a, b, v = np.log([self.lower, self.upper, value]) if self.log else (self.lower, self.upper, value)
+        return float((v - a) / (b - a))
+
+    def at(self, place: float) -> float:
+        """Value at a place, 0 to 1."""
+        if self.log:
+            return float(self.lower * (self.upper / self.lower) ** place)
+        return float(self.lower + place * (self.upper - self.lower))
+
+
+def at(numbers: Sequence[Number], place: Array) -> dict[str, float]:
+    """Values at a place of the unit cube, to four significant digits: what is judged can be written down."""
+    return {number.name: float(f"{number.at(u):.4g}") for number, u in zip(numbers, place, strict=True)}
+
 
 Cost = Callable[[Array], Array]
 

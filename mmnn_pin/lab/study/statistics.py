@@ -1,18 +1,77 @@
-"""How much of a result each factor decides: first-order variance shares from the runs themselves."""
+"""What numbers of many runs show.
+
+Confidence intervals of 95 % that assume no distribution, a paired test of two rates, and how much of a result each
+factor decides: first-order variance shares from the runs themselves.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binom, binomtest, rankdata, spearmanr
 from scipy.stats import f as f_distribution
-from scipy.stats import rankdata, spearmanr
 
 from ...signals import Array, IntArray
 
+LEVEL = 0.95
 BINS = 8
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+    def to_dict(self) -> dict[str, float | None]:
+        """For JSON, which knows no inf and no nan."""
+        parts = {"value": self.value, "low": self.low, "high": self.high}
+        return {name: number if math.isfinite(number) else None for name, number in parts.items()}
+
+
+def rate(successes: int, runs: int) -> Interval:
+    """A share with Wilson's interval; nan without runs."""
+    if not runs:
+        return Interval(math.nan, 0.0, 1.0)
+    found = binomtest(successes, runs).proportion_ci(LEVEL, "wilson")
+    return Interval(successes / runs, float(found.low), float(found.high))
+
+
+def quantile(values: Array, q: float) -> Interval:
+    """A quantile with the interval between two order statistics, whose ranks are binomial.
+
+    Args:
+        values: (n,) independent draws; inf is larger than all others.
+        q: Which, between 0 and 1.
+    """
+    n = len(values)
+    if not n:
+        return Interval(math.nan, math.nan, math.nan)
+    ordered = np.sort(values)
+    low, high = (int(binom.ppf(p, n, q)) for p in ((1 - LEVEL) / 2, (1 + LEVEL) / 2))
+    return Interval(
+        float(np.quantile(ordered, q, method="inverted_cdf")),
+        float(ordered[low - 1]) if low > 0 else -math.inf,
+        float(ordered[high]) if high < n else math.inf,
+    )
+
+
+def differ(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
+    """Probability of so unequal successes by chance: McNemar's exact test on runs with equal draws.
+
+    Args:
+        one: (n,) successes of one controller.
+        other: (n,) of another one, on the same draws.
+    """
+    wins, losses = int((one & ~other).sum()), int((other & ~one).sum())
+    return float(binomtest(wins, wins + losses).pvalue) if wins + losses else 1.0
 
 
 @dataclass(frozen=True)
@@ -78,8 +137,8 @@ def bins_of(values: Sequence[Any], ordered: bool, most: int = BINS) -> IntArray:
     """
     levels = levels_of(values, ordered)
     if not ordered or len(levels) <= most:
-        place = {key(level): i for i, level in enumerate(levels)}
-        return np.array([place[key(value)] for value in values], np.int64)
+        place = {identity(level): i for i, level in enumerate(levels)}
+        return np.array([place[identity(value)] for value in values], np.int64)
     order = np.asarray(rankdata(np.asarray(values, float), method="min"), np.int64) - 1
     raw = order * most // len(values)
     return np.asarray(np.unique(raw, return_inverse=True)[1], np.int64)
@@ -87,10 +146,10 @@ def bins_of(values: Sequence[Any], ordered: bool, most: int = BINS) -> IntArray:
 
 def levels_of(values: Sequence[Any], ordered: bool) -> list[Any]:
     """Different values, in order where they have one."""
-    levels = list({key(value): value for value in values}.values())
+    levels = list({identity(value): value for value in values}.values())
     return sorted(levels) if ordered else levels
 
 
-def key(value: Any) -> str:
+def identity(value: Any) -> str:
     """What tells values apart; lists too."""
     return repr(value)

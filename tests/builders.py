@@ -1,0 +1,77 @@
+"""Trajectories, loops and recordings for tests, in one line each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from mmnn_pin import PD, Circle, Loop, Sine, Start, Timing, Trajectory, load
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import Outcome, Recording
+from mmnn_pin.signals import Layout
+
+MOBILE, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
+
+
+@cache
+def thesis_robot(friction: tuple[float, ...] = (30.0, 5.0, 0.5, 0.5)) -> Robot:
+    """The thesis's robot with viscous friction on nu."""
+    return load("platform_arm").with_friction(friction)
+
+
+def trajectory(robot: Robot, ramp: float = 0.5) -> Trajectory:
+    """A circle from rest, and a sine of its own for every joint."""
+    arm = [Sine(0.5 / (1 + 0.3 * i), 2.0 + 0.7 * i, phase=0.4 * i) for i in range(robot.layout.arm)]
+    return Trajectory(Circle(1.0, 0.4, ramp=ramp) if robot.layout.base else None, tuple(arm))
+
+
+def loop(controller: Any = None, *, robot: Robot | None = None, duration: float = 0.2, **more: Any) -> Loop:
+    """A closed loop of PD on the thesis's robot, started a little off its trajectory; `more` as in `Loop`."""
+    robot = robot or thesis_robot()
+    settings = {
+        "trajectory": trajectory(robot),
+        "timing": Timing(duration=duration),
+        "start": Start(pose_offset=(-0.02, 0.01, 0.03), joint_offset=0.04),
+    }
+    return Loop(robot=robot, controller=controller or PD(), **(settings | more))
+
+
+def recording(
+    controller: str = "pd",
+    layout: Layout = MOBILE,
+    *,
+    rows: int = 40,
+    period: float = 0.1,
+    signals: Mapping[str, Any] | None = None,
+    noise: float = 0.0,
+    seed: int = 0,
+    outcome: Outcome | None = None,
+    **facts: Any,
+) -> Recording:
+    """A recording without a run.
+
+    Args:
+        controller: Whose.
+        layout: Of its rows.
+        rows: How many.
+        period: Time between them [s].
+        signals: Name of a signal to its values, (rows, size) or what broadcasts to that; the others are 0.
+        noise: Standard deviation of all signals but these and the time.
+        seed: Of the noise.
+        outcome: How it ended; completed by default.
+        facts: What else it says of itself.
+    """
+    table = noise * np.random.default_rng(seed).normal(size=(rows, layout.width))
+    table[:, layout.where("time")] = period * np.arange(rows)[:, None]
+    for name, values in (signals or {}).items():
+        table[:, layout.where(name)] = values
+    names = ("v", "w", "lift", "elbow")
+    motors = ("left", "right", "lift", "elbow")
+    about = {"velocity_names": names[-layout.dof :], "actuator_names": motors[-layout.motors :]}
+    with Recorder(layout, {"controller": controller, "control_period": period} | about | facts) as recorder:
+        recorder.append_block(table, np.zeros(rows))
+        return recorder.finish(outcome or Outcome("completed", period * rows))
