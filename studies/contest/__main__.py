@@ -17,7 +17,7 @@ from typing import Any
 from mmnn_pin.lab.contest.contest import Standing, run_contest
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.show.contest.figures import write_figures
+from mmnn_pin.lab.show.contest_figures import write_figures
 from mmnn_pin.loop.precompile import precompile
 
 from .document import publish, render

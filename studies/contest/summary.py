@@ -9,7 +9,7 @@ from typing import Any
 from mmnn_pin.lab.contest.contest import Standing
 from mmnn_pin.lab.contest.demand import held_out_torque
 from mmnn_pin.lab.contest.task import tasks_of
-from mmnn_pin.lab.show.contest.columns import KNOWLEDGE, TRAINING
+from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
 
 Cell = list[float | str | None] | None
 

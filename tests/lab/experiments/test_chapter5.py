@@ -23,7 +23,7 @@ from mmnn_pin.lab.experiments.largest_errors import THESIS, largest_errors, mean
 from mmnn_pin.lab.experiments.readings import readings
 from mmnn_pin.lab.experiments.runner import Result
 from mmnn_pin.lab.proof.rebuild import recorded_learner
-from mmnn_pin.lab.show import table
+from mmnn_pin.lab.show import comparison as table
 from mmnn_pin.recording.robot import recorded_robot
 from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.neural import Neural

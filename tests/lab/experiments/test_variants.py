@@ -17,7 +17,7 @@ from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.lab.experiments.fairness import unfair
 from mmnn_pin.lab.experiments.files import bundled, read_toml, variants
 from mmnn_pin.lab.experiments.runner import Result
-from mmnn_pin.lab.show import table
+from mmnn_pin.lab.show import comparison as table
 
 FILES = variants(bundled()["chapter4"])
 LEARNERS = ("two_layer", "one_layer")
