@@ -31,7 +31,7 @@ import os, sys
 from mmnn_pin.recorded_robot import recorded_robot
 from mmnn_pin.model.overrides import folders_of
 from mmnn_pin.recording import Recording
-from mmnn_pin.show.replay.motion import frames_of
+from mmnn_pin.lab.show.replay.motion import frames_of
 import pinocchio as pin, pinocchio.visualize
 R = Recording.open(sys.argv[1])
 robot = recorded_robot(R)

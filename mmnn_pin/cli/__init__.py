@@ -15,21 +15,14 @@ import click
 
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
-from .catalogue import list_
-from .check import check
-from .export import export
-from .inspect import inspect
-from .model import model
+from .catalogue import list_, readings
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, printable, say, say_json
-from .plot import plot
 from .prove import prove
-from .readings import readings
-from .replay import replay
-from .report import report
+from .results import export, plot, replay, report
+from .robot import check, inspect, model
 from .run import run
-from .study import study
-from .tune import tune
+from .study import study, tune
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ.setdefault(_library, "1")  # see one_thread.py; read when numpy is imported

@@ -8,9 +8,8 @@ from pathlib import Path
 import click
 
 from ..errors import InputError, RecordingError
-from .folders import recordings_in
 from .options import examples, law, numbers, shared
-from .output import DONE, FAILED, compile_if_cold, progress_bar, say, say_json
+from .output import DONE, FAILED, compile_if_cold, progress_bar, recordings_in, say, say_json
 
 
 @click.command(

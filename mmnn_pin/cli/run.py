@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import RecordingError
-from .contest import contest, tell_contest
 from .options import examples, shared, understanding
-from .output import DONE, FAILED, STOPPED, compile_if_cold, progress_bar, say, say_json
+from .output import DONE, FAILED, STOPPED, compile_if_cold, progress_bar, require_no_pictures, say, say_json, warn
 
 if TYPE_CHECKING:
-    from ..lab.experiments.cases import Matrix
+    from ..lab.contest.standing import Standing
+    from ..lab.experiments.experiment import Experiment
     from ..lab.experiments.runner import Result
 
 
@@ -94,39 +93,112 @@ def run(
     learning on. It prints a table per task and the targets, draws figures, and goes on where it was stopped; what its
     numbers mean is in docs/contest.md. --controller leaves those in by which the others are measured.
     """
-    from ..lab.experiments.cases import chosen_cases, run_cases
+    from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
-    from ..lab.experiments.runner import has_hardware, run_experiment
+    from ..lab.experiments.runner import has_hardware
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
     overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
     asked, name = chosen_cases(load_experiment(experiment, overrides, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
-    require_no_pictures([] if force else [folder / f"{plot}.png" for plot in asked.plots])
+    drawn = [folder / f"{plot}.png" for plot in asked.plots]
+    require_no_pictures(drawn, "plot", "choose another folder with --out", force)
     compile_if_cold(bool(asked.cases) or has_hardware(asked))
+    return (run_contest if asked.contest is not None else run_cases if asked.cases else run_one)(
+        asked, name, folder, force, as_json
+    )
+
+
+def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
+    """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0."""
+    from ..lab.experiments.runner import run_experiment
+    from ..lab.show.comparison import notes, render
+
+    with shown_progress() as progress:
+        result = run_experiment(asked, name, out=folder, force=force, progress=progress)
+    pictures = draw(result, folder)
+    if as_json:
+        say_json(result.to_dict() | {"plots": {plot: str(file) for plot, file in pictures.items()}})
+    else:
+        say(render(result, colour=sys.stdout.isatty()) + "\n")
+        for note in notes(result):
+            say(f"note: {note}")
+        files = [recording.path for recording in result.recordings.values() if recording.path]
+        for file in [*files, *pictures.values()]:
+            say(f"wrote {file}")
+    if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
+        return STOPPED
+    return DONE if result.completed else FAILED
+
+
+def draw(result: Result, folder: Path) -> dict[str, Path]:
+    """Write the pictures of an experiment, as far as its runs have something for them; name to file."""
+    from ..lab.show.gallery import write_pictures
+
+    return write_pictures(result.recordings, result.experiment.plots, folder)
+
+
+def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
+    """Run all controllers in all cases and print the verdicts; the exit code."""
+    from ..lab.experiments.cases import run_cases as run_all
+    from ..lab.show.comparison import render_cases
+
+    with shown_progress() as progress:
+        matrix = run_all(asked, name, out=folder, force=force, progress=progress)
+    if as_json:
+        say_json(matrix.to_dict())
+    else:
+        look = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
+        say(render_cases(matrix, colour=sys.stdout.isatty()) + "\n")
+        say(f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {look}")
+    return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
+
+
+def run_contest(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
+    """Run a contest, draw and print what came of it; the exit code."""
+    from ..lab.contest.contest import run_contest as run_all
+    from ..lab.show.contest_figures import write_figures
+
+    with shown_progress() as progress:
+        standing = run_all(asked, name, out=folder, force=force, progress=progress, warn=warn)
+    pictures = write_figures(standing, folder)
+    if as_json:
+        say_json(standing.to_dict() | {"plots": {plot: str(file) for plot, file in pictures.items()}})
+    else:
+        say_contest(standing, folder, list(pictures.values()))
+    return STOPPED if standing.interrupted else DONE if standing.completed else FAILED
+
+
+def say_contest(standing: Standing, folder: Path, pictures: list[Path]) -> None:
+    """Print a contest: its tables, what failed, what to know, where the files are."""
+    from ..lab.show.contest import findings, render
+
+    say(render(standing, colour=sys.stdout.isatty()) + "\n")
+    for (task, controller), error in standing.failed.items():
+        say(f"failed: {controller} on {task}: {error}")
+    for note in findings(standing):
+        say(f"note: {note}")
+    for file in (folder / "rows.json", folder / "rows.csv", *pictures) if standing.trials else ():
+        say(f"wrote {file}")
+    say(
+        f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay;"
+        f" mmnn report {folder} --html contest.html makes one page of all"
+    )
+    if standing.interrupted:
+        done, rest = len(standing.trials), len(standing.missing)
+        say(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
+
+
+@contextmanager
+def shown_progress() -> Iterator[Callable[[str, float], None]]:
+    """Show how far each run is; yields what a run calls with its controller and the share that is done."""
     with progress_bar() as show, remembered_interrupt() as stop_if_pressed:
 
         def progress(controller: str, fraction: float) -> None:
             stop_if_pressed()
             show(controller, fraction)
 
-        if asked.contest is not None:
-            standing = contest(asked, name, folder, force, progress)
-        elif asked.cases:
-            matrix = run_cases(asked, name, out=folder, force=force, progress=progress)
-        else:
-            result = run_experiment(asked, name, out=folder, force=force, progress=progress)
-    if asked.contest is not None:
-        return tell_contest(standing, folder, as_json)
-    if asked.cases:
-        tell_cases(matrix, folder, as_json)
-        return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
-    drawn = draw(result, folder)
-    if as_json:
-        say_json(result.to_dict() | {"plots": {plot: str(file) for plot, file in drawn.items()}})
-    else:
-        tell(result, list(drawn.values()))
-    return exit_code(result)
+        yield progress
 
 
 @contextmanager
@@ -165,52 +237,3 @@ def about_robot(robot: str | None, said: dict[str, Any]) -> list[str]:
     """Overrides for what the options say about the robot; of another robot nothing is left of what the TOML says."""
     anew = ["overrides={}"] if robot is not None else []
     return [*anew, *in_toml(**{f"overrides.{key}": value for key, value in said.items()})]
-
-
-def require_no_pictures(files: list[Path]) -> None:
-    """Refuse to draw over pictures.
-
-    Raises:
-        RecordingError: One exists.
-    """
-    for file in files:
-        if file.exists():
-            fix = "choose another folder with --out, or replace it with --force"
-            raise RecordingError("the plot exists", fix=fix, file=file)
-
-
-def draw(result: Result, folder: Path) -> dict[str, Path]:
-    """Write the pictures of an experiment, as far as its runs have something for them; name to file."""
-    from ..lab.show.gallery import write_pictures
-
-    return write_pictures(result.recordings, result.experiment.plots, folder)
-
-
-def tell(result: Result, pictures: list[Path]) -> None:
-    """Print the table, the notes and where the files are."""
-    from ..lab.show import table
-
-    say(table.render(result, colour=sys.stdout.isatty()) + "\n")
-    for note in table.notes(result):
-        say(f"note: {note}")
-    files = [recording.path for recording in result.recordings.values() if recording.path]
-    for file in [*files, *pictures]:
-        say(f"wrote {file}")
-
-
-def tell_cases(matrix: Matrix, folder: Path, as_json: bool) -> None:
-    """Print the verdicts on all cases, and where the recordings are."""
-    from ..lab.show import cases
-
-    if as_json:
-        say_json(matrix.to_dict())
-        return
-    say(cases.render(matrix, colour=sys.stdout.isatty()) + "\n")
-    say(f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5")
-
-
-def exit_code(result: Result) -> int:
-    """130 if stopped, 1 if a run did not reach its end, else 0."""
-    if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
-        return STOPPED
-    return DONE if result.completed else FAILED

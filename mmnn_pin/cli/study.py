@@ -1,12 +1,14 @@
-"""`mmnn study`."""
+"""`mmnn study` and `mmnn tune`: many runs, on this machine or on a cluster, gone on with after a stop."""
 
 from __future__ import annotations
 
+import json
+import shlex
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -15,10 +17,15 @@ from .output import DONE, FAILED, STOPPED, compile_if_cold, say, say_json, warn
 from .run import remembered_interrupt
 
 if TYPE_CHECKING:
+    from rich.progress import Progress, ProgressColumn
+
     from ..lab.study.execution import Pool
     from ..lab.study.plan import Plan
     from ..lab.study.session import Probe
+    from ..lab.study.tuning import Tuned
     from ..lab.study.worker import JobResult
+
+STOPPED_TEXT = "stopped by Ctrl-C; the same command goes on with what is missing"
 
 
 @click.command(
@@ -51,7 +58,7 @@ def study(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Make every run of STUDY.toml that is not in its database yet, then tell what came out.
+    """Make every run of STUDY.toml that is not in its database yet, then print what came out.
 
     A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
     same command goes on with what is missing. The file is explained in docs/studies.md.
@@ -72,7 +79,7 @@ def study(
         warn(note)
     pool = choose(found, workers, processes, cluster)
     stopped = make(plan, found, folder, pool, force)
-    return tell(folder, stopped, as_json)
+    return say_results(folder, stopped, as_json)
 
 
 def require_at_hand(plan: Plan, cluster: str | None) -> None:
@@ -139,18 +146,9 @@ def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[JobRes
     if not sys.stderr.isatty():
         yield lambda finished: None
         return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import TimeRemainingColumn
 
-    columns = (
-        TextColumn("runs"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
-        TextColumn("{task.fields[lost]}"),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as shown:
+    with counter("runs", "{task.fields[rate]}", TimeRemainingColumn(), "{task.fields[lost]}") as shown:
         task = shown.add_task("", total=total, completed=done, rate="", lost="")
         lost = 0
 
@@ -158,10 +156,21 @@ def bar(plan: Plan, missing: list[int], pool: Pool) -> Iterator[Callable[[JobRes
             nonlocal lost
             lost += finished.status != "completed"
             speed = shown.tasks[0].speed
-            told = {"rate": f"{speed:.1f}/s" if speed else "", "lost": f"{lost} not completed" if lost else ""}
-            shown.update(task, advance=1, **told)  # type: ignore[arg-type]
+            texts = {"rate": f"{speed:.1f}/s" if speed else "", "lost": f"{lost} not completed" if lost else ""}
+            shown.update(task, advance=1, **texts)  # type: ignore[arg-type]
 
         yield advance
+
+
+def counter(what: str, *more: str | ProgressColumn) -> Progress:
+    """A bar on standard error that counts something; `more` stands behind it, texts as rich's templates."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (TextColumn(each) if isinstance(each, str) else each for each in more)
+    return Progress(
+        TextColumn(what), BarColumn(), MofNCompleteColumn(), *columns, console=Console(stderr=True), transient=True
+    )
 
 
 def run_again(plan: Plan, number: int, folder: Path, force: bool, as_json: bool) -> int:
@@ -176,17 +185,144 @@ def run_again(plan: Plan, number: int, folder: Path, force: bool, as_json: bool)
     return DONE if result.same in (True, None) else FAILED
 
 
-def tell(folder: Path, stopped: bool, as_json: bool) -> int:
-    """Tell what the database holds, and give the exit code."""
-    from ..lab.show.study import table
+def say_results(folder: Path, stopped: bool, as_json: bool) -> int:
+    """Print what the database holds, and give the exit code."""
+    from ..lab.show.study import render, to_dict
     from ..lab.study.results import load_results
 
     results = load_results(folder)
     if as_json:
-        say_json(table.to_dict(results) | {"stopped": stopped})
+        say_json(to_dict(results) | {"stopped": stopped})
     else:
-        say(table.render(results, colour=sys.stdout.isatty()))
+        say(render(results, colour=sys.stdout.isatty()))
         say(f"\nrows: {results.path}")
         if stopped:
-            click.echo("stopped by Ctrl-C; the same command goes on with what is missing", err=True)
+            click.echo(STOPPED_TEXT, err=True)
     return STOPPED if stopped else FAILED if results.failed else DONE
+
+
+@click.command(
+    short_help="Look for gains that hold over a study's uncertainty.",
+    epilog=examples(
+        "mmnn tune examples/tuning.toml",
+        "mmnn tune examples/tuning.toml                        again: goes on with the trials that are missing",
+        "mmnn tune examples/tuning.toml --set tune.trials=200  more of them",
+        "mmnn tune examples/tuning.toml --cluster tcp://10.0.0.1:8786",
+    ),
+)
+@makes_runs
+@click.option("--out", type=click.Path(path_type=Path), help="Folder for the trials.  [default: runs/STUDY]")
+@click.option("--force", is_flag=True, help="Drop trials of other settings and start anew.")
+@shared
+def tune(
+    file: Path,
+    workers: int | None,
+    processes: bool,
+    cluster: str | None,
+    settings: tuple[str, ...],
+    out: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
+    """Try gains within the bounds of STUDY.toml's [tune] and print the best.
+
+    Each set of gains is run on all draws of the study; a quantile of the objective over them counts, not one run. Gains
+    that make the sampled PD loop unstable, and learning rates beyond the certificate's condition, are refused without
+    the study's runs. Trials are stored as they finish: the same command goes on with what is missing. Needs
+    `pip install 'mmnn_pin[tune]'`.
+    """
+    from ..lab.study.plan import plan_of
+    from ..lab.study.session import probe
+    from ..lab.study.settings import load_study
+    from ..lab.study.tuning import imported, result, search, tuned_part
+
+    imported()
+    study = load_study(file, settings)
+    trials = tuned_part(study).trials
+    found = probe(plan_of(study))
+    compile_if_cold()
+    folder, stopped = out or Path("runs") / study.name, False
+    with choose(found, workers, processes, cluster) as pool:
+        try:
+            with (
+                remembered_interrupt() as stop_if_pressed,
+                trial_bar(trials) as show,
+            ):
+
+                def progress(done: int, best: float) -> None:
+                    stop_if_pressed()
+                    show(done, best)
+
+                search(study, folder, pool, force=force, progress=progress)
+        except KeyboardInterrupt:
+            stopped = True
+        best = result(study, folder, None if stopped else pool)
+    if as_json:
+        say_json(tuned_dict(best) | {"stopped": stopped})
+    else:
+        say(tuned_text(best))
+        if stopped:
+            click.echo(STOPPED_TEXT, err=True)
+    return STOPPED if stopped else DONE
+
+
+@contextmanager
+def trial_bar(total: int) -> Iterator[Callable[[int, float], None]]:
+    """Trials done and the best value, on standard error and only where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda done, best: None
+        return
+    from rich.progress import TimeRemainingColumn
+
+    with counter("trials", TimeRemainingColumn(), "{task.fields[best]}") as shown:
+        task = shown.add_task("", total=total, best="")
+        yield lambda done, best: shown.update(task, completed=done, best=f"best {value_words(best)}")
+
+
+def value_words(value: float | None) -> str:
+    """A value in words: also that too many runs were lost, or that the gains are refused."""
+    from ..lab.study.objective import LOST, REFUSED
+
+    if value is None:
+        return "outside the bounds"
+    if value >= REFUSED:
+        return "refused by a constraint"
+    return f"{100 * (value / LOST - 1):.0f} % of runs not completed" if value >= LOST else f"{value:.4g}"
+
+
+def tuned_text(tuned: Tuned) -> str:
+    """The result for people."""
+    t = tuned.tune
+    lines = [
+        f"{t.controller}: {tuned.trials} trials, {tuned.refused} of them refused by a constraint",
+        f"quantile {t.quantile:g} of {t.objective} over the study's draws: {value_words(tuned.value)}"
+        f" (the experiment's own gains: {value_words(tuned.own)})",
+    ]
+    if tuned.fresh is not None:
+        (own, best), names = tuned.fresh, ("own gains", "best gains")
+        lines.append(f"on {len(best.metric) or t.check} runs with fresh draws:")
+        for name, score in zip(names, (own, best), strict=True):
+            span = score.interval
+            interval = "" if score.refused else f" [{span.low:.4g}, {span.high:.4g}]"
+            lines.append(
+                f"  {name}: {value_words(score.value)}{interval}, {100 * score.lost:.1f} % of runs not completed"
+            )
+    lines += [
+        "best gains:",
+        *(f"  --set {shlex.quote(f'{path}={json.dumps(value)}')}" for path, value in tuned.best.items()),
+    ]
+    return "\n".join(lines)
+
+
+def tuned_dict(tuned: Tuned) -> dict[str, Any]:
+    """The result for JSON."""
+    fresh = None
+    if tuned.fresh is not None:
+        fresh = {
+            name: {"quantile": score.interval.to_dict(), "lost": score.lost, "refused": score.refused}
+            for name, score in zip(("own", "best"), tuned.fresh, strict=True)
+        }
+    t = tuned.tune
+    about = {"controller": t.controller, "objective": t.objective, "quantile": t.quantile}
+    counts = {"trials": tuned.trials, "refused": tuned.refused}
+    return about | counts | {"own": tuned.own, "best": tuned.value, "gains": tuned.best, "fresh": fresh}

@@ -118,7 +118,7 @@ class Recording:
 
     def _repr_html_(self) -> str:
         """Summary, plots and replay in a notebook; what shows recordings stands above them, so it is found by name."""
-        return str(import_module("mmnn_pin.lab.show.notebook").notebook_html(self))
+        return str(import_module("mmnn_pin.lab.show.gallery").notebook_html(self))
 
     @property
     def names(self) -> tuple[str, ...]:

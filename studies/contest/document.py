@@ -9,7 +9,7 @@ from typing import Any
 
 from mmnn_pin.lab.contest.standing import Standing
 from mmnn_pin.lab.contest.task import held_out_torque, tasks_of
-from mmnn_pin.lab.show.contest.columns import KNOWLEDGE, TRAINING
+from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
 from mmnn_pin.lab.show.table import number
 
 from ..document import Document, environment, filled

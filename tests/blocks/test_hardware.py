@@ -40,7 +40,7 @@ from mmnn_pin.disturbance import Block, Commands, DeadMotor, Frozen, Messages, P
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.show.plots import torque_figure
-from mmnn_pin.lab.show.replay.events import events_of
+from mmnn_pin.lab.show.replay.motion import events_of
 from mmnn_pin.loop.hardware import sense
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor

@@ -19,7 +19,8 @@ from mmnn_pin import Dynamics, Recording, load
 from mmnn_pin.cli import main
 from mmnn_pin.lab.experiments.config import bundled, load_experiment
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS
-from mmnn_pin.lab.show import table, verdicts
+from mmnn_pin.lab.show import comparison as table
+from mmnn_pin.lab.show.table import broken, number
 
 SHORT = ("--set", "time.duration=0.02")
 ARM = ("--robot", "two_axis_arm", "--controller", "pd", "--set", "feedback.arm=1")
@@ -289,12 +290,13 @@ def test_rank_one_weights_are_told(call: Call) -> None:
 
 def test_best_of_a_row_is_marked_but_never_the_oracle() -> None:
     cells = table.marked({"pd": 2.0, "two_layer": 1.0, "one_layer": float("nan"), "computed_torque": 0.1})
-    assert [cell.plain.strip() for cell in cells] == ["2.00", "1.00 *", "-", "0.100"]
-    assert table.marked({"pd": 2.0, "two_layer": 1.0, "computed_torque": 1.0})[2].plain.strip() == "1.00"
+    assert [f"{cell.text} {cell.mark}".strip() for cell in cells] == ["2.00", "1.00 *", "-", "0.100"]
+    last = table.marked({"pd": 2.0, "two_layer": 1.0, "computed_torque": 1.0})[2]
+    assert (last.text, last.mark) == ("1.00", "")
 
 
 def test_a_single_controller_is_not_best_of_anything() -> None:
-    assert "*" not in table.marked({"pd": 2.0, "computed_torque": 3.0})[0].plain
+    assert table.marked({"pd": 2.0, "computed_torque": 3.0})[0].mark == ""
 
 
 @pytest.mark.parametrize(
@@ -302,12 +304,12 @@ def test_a_single_controller_is_not_best_of_anything() -> None:
     [(0.0, "0"), (31.4159, "31.4"), (-0.0123456, "-0.0123"), (1234.5, "1234"), (1e-9, "1.0e-09"), (np.inf, "-")],
 )
 def test_three_digits(value: float, text: str) -> None:
-    assert table.number(value) == text
+    assert number(value) == text
 
 
 @pytest.mark.parametrize("name", ALL)
 def test_headings_are_short_and_keep_the_name(name: str) -> None:
-    lines = verdicts.heading(name).split("\n")
+    lines = broken(name, 9).split("\n")
     assert "_".join(lines) == name and max(map(len, lines)) <= 9
 
 
@@ -626,7 +628,7 @@ def test_bad_plots_are_refused(call: Call, short_run: Path, tmp_path: Path) -> N
 
 
 def test_equal_controllers_are_told_apart_by_file(call: Call, short_run: Path, tmp_path: Path) -> None:
-    from mmnn_pin.cli.plot import named
+    from mmnn_pin.cli.results import named
 
     runs = [Recording.open(short_run / "pd.h5")] * 2
     runs[1] = Recording.open(short_run / "../short/pd.h5")

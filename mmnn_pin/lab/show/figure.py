@@ -1,4 +1,7 @@
-"""What all figures share: one look per controller, marks, limits, legend, and files written whole.
+"""What all figures share: their register, one look per controller, marks, limits, legend, and how they are written.
+
+A figure is a function with one line above it: `@figure("name")`. `mmnn plot`, an experiment's `plots`, the notebook and
+the pages of contests and studies find it by that name.
 
 Colours are from Okabe and Ito's palette, which colour-blind eyes tell apart; the dashes survive a print in grey.
 matplotlib is imported when the first figure is made, and never its state machine pyplot: no display is needed.
@@ -10,21 +13,24 @@ import io
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
+from itertools import cycle
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ParamSpec
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 
 import numpy as np
 
 from ...errors import RecordingError
 from ...recording.recording import Recording
 from ...signals import Array
-from .whole import whole
+from .files import atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
+Subject = Literal["runs", "contest", "study"]
 Dash = tuple[float, tuple[float, ...] | None]
 Look = Mapping[str, Any]  # keywords of matplotlib's `plot`
 
@@ -87,13 +93,82 @@ OTHERS = tuple(
 TRUTH: Look = {"color": "0.65", "linewidth": 3.5, "solid_capstyle": "round", "zorder": 1.9}
 
 
+@dataclass(frozen=True)
+class Entry:
+    """A figure in the register.
+
+    Attributes:
+        make: Draws it: runs by name, the standing of a contest, or the results of a study.
+        lacks: Why it cannot be drawn of these; empty where it can.
+        caption: What to know of it, for a page.
+    """
+
+    make: Callable[[Any], Figure]
+    lacks: Callable[[Any], str]
+    caption: str
+
+
+FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "contest": {}, "study": {}}
+
+
+def figure(
+    name: str, of: Subject = "runs", *, needs: Callable[[Any], str] | None = None, caption: str = ""
+) -> Callable[[Callable[P, Figure]], Callable[P, Figure]]:
+    """Register a figure, and draw it in our look.
+
+    Args:
+        name: By which it is asked for.
+        of: What it shows: runs by name, a contest, or a study.
+        needs: Tells why it cannot be drawn of these, nothing where it can; see `signals`.
+        caption: What to know of it, for a page.
+    """
+    lacks: Callable[[Any], str] = needs or (signals() if of == "runs" else lambda shown: "")
+
+    def register(make: Callable[P, Figure]) -> Callable[P, Figure]:
+        drawn = styled(make)
+
+        @wraps(make)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> Figure:
+            if why := lacks(args[0]):
+                raise RecordingError(f"nothing to plot for {name}", why=why, fix="choose another figure or recording")
+            return drawn(*args, **kwargs)
+
+        FIGURES[of][name] = Entry(checked, lacks, caption)
+        return checked
+
+    return register
+
+
+def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
+    """What a figure of runs needs: one of these signals in one of the runs, or only runs."""
+
+    def lacks(recordings: Mapping[str, Recording]) -> str:
+        if not recordings:
+            return "no recording was given"
+        known = not names or any(name in recording for recording in recordings.values() for name in names)
+        return "" if known else f"its signals are not in {', '.join(recordings)}"
+
+    return lacks
+
+
+def style_of(controller: str) -> Style | None:
+    """The style that a controller has everywhere; None for one of the user's."""
+    return STYLES.get(controller)
+
+
+def styles_of_controllers(controllers: Iterable[str]) -> dict[str, Style]:
+    """Style of every controller: its own, else the next that is free."""
+    others = cycle(OTHERS)
+    return {name: style_of(name) or next(others) for name in controllers}
+
+
 def styles_of(recordings: Mapping[str, Recording]) -> dict[str, Style]:
     """Style of every recording: by its key, else by its controller, else the next that is free."""
-    styles = {name: STYLES[name] for name in recordings if name in STYLES}
-    others = iter(OTHERS * (1 + len(recordings) // len(OTHERS)))
+    styles = {name: style for name in recordings if (style := style_of(name))}
+    others = cycle(OTHERS)
     for name, recording in recordings.items():
         if name not in styles:
-            own = STYLES.get(str(recording.meta.get("controller")))
+            own = style_of(str(recording.meta.get("controller")))
             styles[name] = own if own is not None and own not in styles.values() else next(others)
     return styles
 
@@ -117,6 +192,26 @@ def new_figure(width: float, height: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def axes_grid(count: int, most: int, width: float, height: float, margin: float) -> tuple[Figure, list[Axes]]:
+    """A figure and so many axes of this size [inch], at most `most` beside each other, with a margin for the title."""
+    columns = min(most, count)
+    rows = -(-count // columns)
+    picture = new_figure(width * columns, height * rows + margin)
+    grid: Any = picture.subplots(rows, columns, squeeze=False)
+    for axes in grid.flat[count:]:
+        axes.set_axis_off()
+    return picture, list(grid.flat[:count])
+
+
+def log_ticks(axis: Axis, steps: Sequence[float]) -> None:
+    """Plain numbers on a logarithmic axis, at these steps of every power of ten."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    axis.set_major_locator(LogLocator(subs=steps, numticks=8))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def require_found(recordings: Mapping[str, Recording], found: Collection[object], what: str) -> None:
@@ -156,10 +251,20 @@ def add_legend(figure: Figure, title: str, looks: Sequence[tuple[str, Look]]) ->
     legend.get_title().set(fontsize=12, fontweight="bold")
 
 
-def legend_label(name: str, recording: Recording) -> str:
-    """Name of a curve, with how it ended if it ended early."""
+def run_label(name: str, recording: Recording) -> str:
+    """Name of a run, with how it ended if it ended early."""
     outcome = recording.outcome
-    return plain(name if outcome.status == "completed" else f"{name} ({outcome.status} at {outcome.time:.3g} s)")
+    return name if outcome.status == "completed" else f"{name} ({outcome.status} at {outcome.time:.3g} s)"
+
+
+def legend_label(name: str, recording: Recording) -> str:
+    """The same for matplotlib."""
+    return plain(run_label(name, recording))
+
+
+def style_looks(recordings: Mapping[str, Recording], styles: Mapping[str, Style]) -> list[tuple[str, Look]]:
+    """Entries of a legend for runs."""
+    return [(legend_label(name, recording), styles[name].line) for name, recording in recordings.items()]
 
 
 def plain(text: str) -> str:
@@ -198,7 +303,7 @@ def mark_end(axes: Axes, recording: Recording, style: Style, x: Array, y: Array)
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as PNG, SVG or PDF, by the suffix; the file appears whole or not at all.
+    """Write a figure as PNG, SVG or PDF, by the suffix; atomically.
 
     Raises:
         RecordingError: Another suffix, or a place that cannot be written.
@@ -210,7 +315,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         fix = f"end its name in {', '.join(f'.{known}' for known in FORMATS)}"
         raise RecordingError("cannot write the figure", why=f"unknown format '{path.suffix}'", fix=fix, file=path)
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(suffix, {})
-    with whole(path, "figure") as part, rc_context(RC):
+    with atomic_file(path, "figure") as part, rc_context(RC):
         figure.savefig(part, format=suffix, dpi=160, metadata=undated)
         if suffix == "png":
             thin(part)

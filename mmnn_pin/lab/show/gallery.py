@@ -1,28 +1,34 @@
-"""All pictures by name, and which of them an experiment's run writes."""
+"""All figures by name: for `mmnn plot`, for an experiment's run, and for a recording in a notebook.
+
+Importing this module fills the register: every module with figures is imported here.
+"""
 
 from __future__ import annotations
 
+import base64
+import html
+import io
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...errors import RecordingError
+from ...errors import InputError, RecordingError
 from ...recording.recording import Recording
-from .figure import save
-from .monitors import MONITORS
-from .plots import FIGURES
+from . import contest_figures, plots, thesis_figures
+from .figure import FIGURES, RC, save
 from .proof.figures import PROOF_FIGURES
-from .thesis_figures import THESIS_FIGURES
+from .replay import page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+MODULES = (plots, thesis_figures, contest_figures)
 PICTURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {
-    **FIGURES,
-    **MONITORS,
+    **{name: entry.make for name, entry in FIGURES["runs"].items()},
     **PROOF_FIGURES,
-    **THESIS_FIGURES,
 }
+NOTEBOOK = ("errors", "path", "torque")
+MOST = 5_000_000  # bytes of a replay that goes into a notebook
 
 
 def write_pictures(recordings: Mapping[str, Recording], names: Iterable[str], folder: Path) -> dict[str, Path]:
@@ -39,3 +45,35 @@ def write_pictures(recordings: Mapping[str, Recording], names: Iterable[str], fo
         except RecordingError:  # such as a figure of two learners where only one was run
             continue
     return {name: save(figure, folder / f"{name}.png") for name, figure in figures.items()}
+
+
+def notebook_html(recording: Recording) -> str:
+    """A recording in a notebook: its summary, its plots, its replay; what it has nothing for is left out."""
+    name = str(recording.meta.get("controller", "run"))
+    pictures = "".join(image_of(name, recording, what) for what in NOTEBOOK)
+    return f"<pre>{html.escape(recording.summary())}</pre>{pictures}{replay_in(name, recording)}"
+
+
+def image_of(name: str, recording: Recording, what: str) -> str:
+    """A figure as an image; nothing where there is nothing to plot."""
+    from matplotlib import rc_context
+
+    try:
+        figure = PICTURES[what]({name: recording})
+    except InputError:
+        return ""
+    data = io.BytesIO()
+    with rc_context(RC):
+        figure.savefig(data, format="png", dpi=110)
+    return f'<img alt="{what}" src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}">'
+
+
+def replay_in(name: str, recording: Recording) -> str:
+    """The replay, or why it is not there."""
+    try:
+        made = page({name: recording})
+    except InputError as error:
+        return f"<p>no replay: {html.escape(error.what)}</p>"
+    if made.size > MOST:
+        return f"<p>the replay has {made.size / 1e6:.0f} MB: <code>mmnn replay</code> shows it</p>"
+    return made.iframe()

@@ -1,59 +1,62 @@
-"""Figures of one or more recordings of the same task, overlaid.
+"""Pictures of one or more recordings of the same task, over each other.
 
-Every controller has one colour and one line style wherever it appears (`figure.STYLES`). A curve that ends early ends
-in a cross; a diverged one does not set the scale of the others.
+A curve that ends early ends in a cross; a diverged one does not set the scale of the others. What most pictures show
+comes from `curves`, as in the report.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ...errors import RecordingError
+from ...recording.metrics import as_columns
 from ...recording.recording import Recording
-from ..experiments.controllers import ORACLES, effective
+from ...safety import STOPPING
+from ...signals import Array
+from ..experiments.controllers import effective
+from . import curves
+from .curves import Curves, Panel, Recordings, controller_of
 from .figure import (
     TRUTH,
+    Look,
     add_legend,
+    figure,
     legend_label,
     limits,
+    mark_end,
     new_figure,
     plain,
     require_found,
     scale_rows,
-    styled,
+    signals,
+    style_looks,
     styles_of,
 )
-from .overlay import columns_of, draw_curve, overlay
-from .panels import base_labels, error_panels, panels_of
-from .path_plot import path_figure
-from .rig_marks import draw_given, looks_of_given
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Recordings = Mapping[str, Recording]
+PANELS_PER_COLUMN = 4
+GIVEN: Look = {"linewidth": 0.8, "alpha": 0.65}
+STOP: Look = {"color": "#d62728", "alpha": 0.12}
 
 
-@styled
+@figure("errors", needs=signals("pose_error", "z", "e"))
 def errors_figure(recordings: Recordings) -> Figure:
     """True tracking errors over time: pose in the base frame, velocity `z` (3.6), arm `e` (3.10).
 
     Raises:
         RecordingError: No recording, or none that holds these signals.
     """
-    columns = [
-        ("Pose error, in the base frame", error_panels(recordings, "pose_error")),
-        ("Velocity error z", error_panels(recordings, "z")),
-        *columns_of("Arm error e", error_panels(recordings, "e")),
-    ]
-    return overlay("Tracking errors", recordings, columns)
+    groups = {"pose": "Pose error, in the base frame", "velocity": "Velocity error z", "joint": "Arm error e"}
+    return overlay("Tracking errors", recordings, columns_of(groups, curves.errors(recordings)))
 
 
-@styled
+@figure("torque", needs=signals("torque", "motor_torque"))
 def torque_figure(recordings: Recordings) -> Figure:
     """Generalized force on the base and torques of the motors, these with `meta["effort_limits"]` if it is there.
 
@@ -62,52 +65,74 @@ def torque_figure(recordings: Recordings) -> Figure:
     Raises:
         RecordingError: No recording, or none that holds these signals.
     """
-    panels, motors = panels_of(recordings, "torque"), panels_of(recordings, "motor_torque")
-    on_base = {label for recording in recordings.values() for label in base_labels(recording)}
-    base = [panel for panel in panels if panel.label in on_base]
-    arm = [] if motors else [panel for panel in panels if panel.label not in on_base]
-    columns = [("Force on the base", base), *columns_of("Arm", arm), *columns_of("Motors", motors)]
-    figure = overlay("Torques", recordings, columns, "steps-post", looks_of_given(recordings))
-    known = effort_limits(recordings)
-    for axes, panel in zip(figure.axes, (panel for _, column in columns for panel in column), strict=True):
-        if panel.signal != "motor_torque":
+    groups = {"base": "Force on the base", "arm": "Arm", "motors": "Motors"}
+    columns = columns_of(groups, curves.torques(recordings))
+    imperfect = {name: recording for name, recording in recordings.items() if gives_other(recording)}
+    more = [("given by the motors", {"color": "0.3", **GIVEN})] if imperfect else []
+    picture = overlay("Torques", recordings, columns, more)
+    styles = styles_of(recordings)
+    for axes, panel in zip(picture.axes, (panel for _, column in columns for panel in column), strict=True):
+        if panel.group != "motors":
             continue
-        draw_given(axes, panel.label, recordings, styles_of(recordings))
-        if np.isfinite(limit := known.get(panel.label, np.inf)):
-            draw_effort_limit(axes, limit, panel.unit)
-    return figure
+        for name, recording in imperfect.items():
+            if panel.label in (labels := recording.labels("applied")):
+                given = as_columns(recording["applied"])[:, labels.index(panel.label)]
+                axes.plot(recording.time, given, color=styles[name].color, drawstyle="steps-post", zorder=2.5, **GIVEN)
+        if np.isfinite(panel.limit):
+            draw_effort_limit(axes, panel.limit, panel.unit)
+    return picture
 
 
-@styled
+def gives_other(recording: Recording) -> bool:
+    """Whether motors gave something else than what was commanded."""
+    return "applied" in recording and not np.array_equal(recording["applied"], recording["motor_torque"])
+
+
+def draw_effort_limit(axes: Axes, limit: float, unit: str) -> None:
+    """Lines at an actuator's limits if the curves come near, else a note of it."""
+    lower, upper = axes.get_ylim()
+    if max(-lower, upper) < 0.5 * limit:
+        place: Look = {"transform": axes.transAxes, "ha": "right", "va": "top", "backgroundcolor": "#ffffffc0"}
+        axes.text(0.99, 0.96, rf"limit $\pm${limit:g} {unit}", fontsize=8, color="0.3", **place)
+        return
+    for side in (-limit, limit):
+        axes.axhline(side, color="0.25", linewidth=0.9, linestyle=(0, (4, 3)))
+    axes.set_ylim(min(lower, -1.1 * limit), max(upper, 1.1 * limit))
+
+
+@figure("psi", needs=signals("psi_hat"))
 def psi_figure(recordings: Recordings) -> Figure:
     """The unknown terms Psi (3.20), (3.21) and what was learned of them, per component; one column per learner.
 
     Raises:
         RecordingError: No recording, or none of a learner that holds these signals.
     """
-    runs = learners(recordings)
-    panels, styles = panels_of(runs, "psi"), styles_of(runs)
+    runs = curves.learners(recordings)
+    panels = {(panel.label, panel.group): panel for panel in curves.psi(recordings)}
     require_found(recordings, panels, "psi")
-    figure = new_figure(3.0 * max(len(runs), 1.5) + 0.8, 1.5 * len(panels) + 1.3)
-    grid = figure.subplots(len(panels), len(runs), sharex=True, sharey="row", squeeze=False)
-    for row, panel in zip(grid, panels, strict=True):
-        learned = replace(panel, signal="psi_hat")
-        scale = [p.values(*item) for item in scale_rows(runs.values()) for p in (panel, learned)]
-        row[0].set_ylabel(plain(f"{panel.title} [{panel.unit}]"))
-        row[0].set_ylim(limits(scale))
-        for axes, (name, recording) in zip(row, runs.items(), strict=True):
-            draw_curve(axes, panel, recording, TRUTH)
-            draw_curve(axes, learned, recording, styles[name].line)
+    labels, styles = list(dict.fromkeys(label for label, _ in panels)), styles_of(runs)
+    picture = new_figure(3.0 * max(len(runs), 1.5) + 0.8, 1.5 * len(labels) + 1.3)
+    grid = picture.subplots(len(labels), len(runs), sharex=True, sharey="row", squeeze=False)
+    for row, label in zip(grid, labels, strict=True):
+        shown = {name: panels[label, name] for name in runs if (label, name) in panels}
+        truth = {name: panel.truth for name, panel in shown.items() if panel.truth}
+        learned = {name: panel.curves[name] for name, panel in shown.items()}
+        row[0].set_ylabel(plain(next(iter(shown.values())).axis))
+        row[0].set_ylim(limits([*calm_values(truth, runs), *calm_values(learned, runs)]))
+        for axes, name in zip(row, runs, strict=True):
+            if name in shown:
+                axes.plot(*truth[name], **TRUTH)
+                axes.plot(*learned[name], **styles[name].line)
     for column, (name, recording) in zip(grid.T, runs.items(), strict=True):
         column[0].set_title(legend_label(name, recording))
         column[-1].set_xlabel("time [s]")
-    figure.align_ylabels(list(grid[:, 0]))
+    picture.align_ylabels(list(grid[:, 0]))
     looks = [(rf"$\hat\Psi$ of {plain(name)}", styles[name].line) for name in runs]
-    add_legend(figure, r"Unknown terms $\Psi$, true and learned", [(r"true $\Psi$", TRUTH), *looks])
-    return figure
+    add_legend(picture, r"Unknown terms $\Psi$, true and learned", [(r"true $\Psi$", TRUTH), *looks])
+    return picture
 
 
-@styled
+@figure("gains", needs=signals("effective_gain"))
 def gains_figure(recordings: Recordings) -> Figure:
     """Effective gains over time: all that multiplies z and r in the torque, `k + Kz (|Z| + ZB)` for a learner.
 
@@ -117,60 +142,183 @@ def gains_figure(recordings: Recordings) -> Figure:
         RecordingError: No recording, or none that holds these signals.
     """
     drawn = {controller_of(*item) for item in recordings.items()}
-    learners = effective(drawn)
-    kept = {name: rec for name, rec in recordings.items() if learners.get(controller_of(name, rec)) not in drawn}
-    panels, on_base = panels_of(kept, "effective_gain"), {label for rec in kept.values() for label in base_labels(rec)}
-    base = [panel for panel in panels if panel.label in on_base]
-    columns = [("Base, on z", base), *columns_of("Arm, on r", [panel for panel in panels if panel not in base])]
-    return overlay("Effective gains", kept, columns, drawstyle="steps-post")
+    learner = effective(drawn)
+    kept = {name: rec for name, rec in recordings.items() if learner.get(controller_of(name, rec)) not in drawn}
+    columns = columns_of({"base": "Base, on z", "arm": "Arm, on r"}, curves.gains(kept))
+    return overlay("Effective gains", kept, columns)
 
 
-FIGURES: Mapping[str, Callable[[Recordings], Figure]] = {
-    "errors": errors_figure,
-    "torque": torque_figure,
-    "psi": psi_figure,
-    "gains": gains_figure,
-    "path": path_figure,
-}
+@figure("path", needs=signals("pose_ref"))
+def path_figure(recordings: Recordings) -> Figure:
+    """Path in the plane with headings, wanted and driven; below it the distance to the wanted position over time.
+
+    Raises:
+        RecordingError: No recording, or none of a robot with a base.
+    """
+    panels = list(curves.path(recordings))
+    require_found(recordings, panels, "path")
+    tracks, gaps = panels[0].tracks, panels[1].curves
+    driven, styles = {name: recordings[name] for name in gaps}, styles_of(recordings)
+    picture = new_figure(7.5, 7.5)
+    plane, below = picture.subplots(2, 1, height_ratios=(3, 1))
+    plane.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+    below.set(xlabel="time [s]", ylabel="distance to the\nreference [mm]")
+    for name, pose in tracks:
+        draw_path(plane, pose, TRUTH if name is None else styles[name].line)
+    for name, gap in gaps.items():
+        below.plot(*gap, **styles[name].line)
+    frame_paths(plane, scale_rows(driven.values()))
+    below.set_ylim(0.0, limits(calm_values(gaps, driven))[1])
+    for name, recording in driven.items():
+        mark_end(plane, recording, styles[name], *recording["pose"][:, :2].T)
+        mark_end(below, recording, styles[name], *gaps[name])
+    add_legend(picture, "Path of the base", [("reference", TRUTH), *style_looks(driven, styles)])
+    return picture
 
 
-def controller_of(name: str, recording: Recording) -> str:
-    """Controller of a recording."""
-    return str(recording.meta.get("controller", name))
+def draw_path(axes: Axes, pose: Array, look: Look) -> None:
+    """Path with ten arrows along the heading, evenly spaced in time."""
+    axes.plot(pose[:, 0], pose[:, 1], **look)
+    x, y, phi = pose[np.unique(np.linspace(0, len(pose) - 1, 10).astype(int))].T
+    look = {"color": look["color"], "zorder": look.get("zorder", 3), "scale": 30, "width": 0.003, "headwidth": 4}
+    axes.quiver(x, y, np.cos(phi), np.sin(phi), angles="xy", **look)
 
 
-def learners(recordings: Recordings) -> dict[str, Recording]:
-    """Recordings of controllers that learn Psi: those with an estimate of their own."""
-    return {
-        name: rec
-        for name, rec in recordings.items()
-        if controller_of(name, rec) not in ORACLES and "psi_hat" in rec and rec["psi_hat"].any()
-    }
+def frame_paths(axes: Axes, scale: Sequence[tuple[Recording, slice]]) -> None:
+    """Limits that show the paths of some recordings, of a fixed shape so that a straight line has room around it."""
+    points = np.concatenate([recording[name][rows, :2] for recording, rows in scale for name in ("pose", "pose_ref")])
+    points = points[np.isfinite(points).all(axis=1)]
+    lower, upper = points.min(axis=0), points.max(axis=0)
+    shape = np.array([1.6, 1.0])  # width to height
+    (x, y), (dx, dy) = (lower + upper) / 2, 0.56 * max(*((upper - lower) / shape), 0.05) * shape
+    axes.set(xlim=(x - dx, x + dx), ylim=(y - dy, y + dy))
 
 
-def effort_limits(recordings: Recordings) -> dict[str, float]:
-    """Largest torques of the motors by name, where the recordings tell them."""
-    metas = [recording.meta for recording in recordings.values() if "effort_limits" in recording.meta]
-    return {k: v for m in metas for k, v in zip(m["actuator_names"], m["effort_limits"], strict=True)}
+@figure("weights", needs=signals("weight_norm"))
+def weights_figure(recordings: Recordings) -> Figure:
+    """Frobenius norms of all weights of the base's and of the arm's network.
+
+    Raises:
+        RecordingError: No recording of a controller with weights.
+    """
+    return stack("Norms of the weights", recordings, list(curves.weights(recordings)))
 
 
-def draw_effort_limit(axes: Axes, limit: float, unit: str) -> None:
-    """Lines at an actuator's limits if the curves come near, else a note of it."""
-    lower, upper = axes.get_ylim()
-    if max(-lower, upper) < 0.5 * limit:
-        note = rf"limit $\pm${limit:g} {unit}"
-        axes.text(
-            0.99,
-            0.96,
-            note,
-            transform=axes.transAxes,
-            ha="right",
-            va="top",
-            fontsize=8,
-            color="0.3",
-            backgroundcolor="#ffffffc0",
-        )
-        return
-    for side in (-limit, limit):
-        axes.axhline(side, color="0.25", linewidth=0.9, linestyle=(0, (4, 3)))
-    axes.set_ylim(min(lower, -1.1 * limit), max(upper, 1.1 * limit))
+@figure("residuals", needs=signals(*curves.RESIDUALS))
+def residuals_figure(recordings: Recordings) -> Figure:
+    """What should be zero: motion that the wheels forbid (contact plant), and energy that came from nowhere.
+
+    Raises:
+        RecordingError: No recording that holds one of them.
+    """
+    return stack("Residuals", recordings, list(curves.residuals(recordings)))
+
+
+@figure("step-times")
+def step_times_figure(recordings: Recordings) -> Figure:
+    """Histogram of the wall-clock time from measurement to torque.
+
+    Raises:
+        RecordingError: No recording in which it was measured: the compiled loop does not.
+    """
+    times = {name: 1e6 * recording.step_times for name, recording in recordings.items()}
+    times = {name: values[values > 0] for name, values in times.items() if (values > 0).any()}
+    if not times:
+        why = "the compiled loop does not measure its steps"
+        raise RecordingError("nothing to plot for step times", why=why, fix="run with engine = 'ordinary'")
+    styles = styles_of(recordings)
+    picture = new_figure(7.5, 4.0)
+    axes = picture.subplots()
+    edges = np.geomspace(min(v.min() for v in times.values()), 1.001 * max(v.max() for v in times.values()), 60)
+    for name, values in times.items():
+        axes.hist(values, edges.tolist(), histtype="step", **styles[name].line)
+    axes.set(xscale="log", xlabel="time from measurement to torque [\u00b5s]", ylabel="steps")
+    add_legend(picture, "Times of the steps", style_looks({name: recordings[name] for name in times}, styles))
+    return picture
+
+
+# -- how panels are drawn ----------------------------------------------------------------------------------------------
+
+
+def columns_of(groups: Mapping[str, str], panels: Iterable[Panel]) -> list[tuple[str, list[Panel]]]:
+    """Panels in columns by group, each with its heading; a group takes as few columns as possible, nearly equal."""
+    every = list(panels)
+    columns = []
+    for group, heading in groups.items():
+        members = [panel for panel in every if panel.group == group]
+        parts = np.array_split(np.arange(len(members)), max(-(-len(members) // PANELS_PER_COLUMN), 1))
+        columns += [(" " if i else heading, [members[k] for k in part]) for i, part in enumerate(parts) if len(part)]
+    return columns
+
+
+def overlay(
+    title: str,
+    recordings: Recordings,
+    columns: Sequence[tuple[str, list[Panel]]],
+    more: Sequence[tuple[str, Look]] = (),
+) -> Figure:
+    """All runs in every panel; a column's panels share its height and its time axis; `more` is in the legend."""
+    require_found(recordings, columns, title.lower())
+    rows = max(len(panels) for _, panels in columns)
+    picture = new_figure(3.6 * len(columns) + 0.4, 1.75 * max(rows, 2) + 1.1)
+    grid = picture.add_gridspec(1, len(columns))
+    for i, (heading, panels) in enumerate(columns):
+        axes = grid[i].subgridspec(len(panels), 1).subplots(sharex=True, squeeze=False)[:, 0]
+        axes[0].set_title(heading)
+        draw_column(picture, list(axes), panels, recordings)
+    looks = style_looks(recordings, styles_of(recordings))
+    add_legend(picture, title, [*looks, *more, *shade_stops(picture.axes, recordings)])
+    return picture
+
+
+def stack(title: str, recordings: Recordings, panels: Sequence[Panel]) -> Figure:
+    """Panels above each other on one time axis, in the legend the runs that they show.
+
+    Raises:
+        RecordingError: There is no panel.
+    """
+    require_found(recordings, panels, title.lower())
+    picture = new_figure(7.5, 2.3 * len(panels) + 1.2)
+    axes = picture.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    draw_column(picture, list(axes), panels, recordings)
+    shown = {name: r for name, r in recordings.items() if any(name in panel.curves for panel in panels)}
+    add_legend(picture, title, style_looks(shown, styles_of(recordings)))
+    return picture
+
+
+def stacked(title: str, recordings: Recordings, panels: Mapping[str, Curves]) -> Figure:
+    """The same of curves by label, with those labels left out that no run has a curve for."""
+    return stack(title, recordings, [Panel(label, "", shown) for label, shown in panels.items() if shown])
+
+
+def draw_column(picture: Figure, axes: Sequence[Axes], panels: Sequence[Panel], recordings: Recordings) -> None:
+    """Panels above each other: every run's curve, and the marks where they end above all curves."""
+    styles = styles_of(recordings)
+    for each, panel in zip(axes, panels, strict=True):
+        each.axhline(0.0, color="0.75", linewidth=0.8, zorder=1)
+        each.set_ylabel(plain(panel.axis))
+        each.set_ylim(limits(calm_values(panel.curves, recordings)))
+        look: Look = {"drawstyle": "steps-post" if panel.step else "default"}
+        for name, curve in panel.curves.items():
+            each.plot(*curve, **styles[name].line, **look)
+        for name, curve in panel.curves.items():
+            mark_end(each, recordings[name], styles[name], *curve)
+    axes[-1].set_xlabel("time [s]")
+    picture.align_ylabels(axes)
+
+
+def calm_values(curves: Curves, recordings: Recordings) -> list[Array]:
+    """Values of the curves that may set the scale of an axes; see `scale_rows`."""
+    calm = scale_rows(recordings[name] for name in curves)
+    until = {id(recording): recording.time[rows][-1] for recording, rows in calm}
+    return [v[t <= until[id(recordings[n])]] for n, (t, v) in curves.items() if id(recordings[n]) in until]
+
+
+def shade_stops(every: Sequence[Axes], recordings: Recordings) -> list[tuple[str, Look]]:
+    """Shade the time in which a supervisor stops a run; the entry of a legend for that, if there is any."""
+    supervised = [recording for recording in recordings.values() if "safety" in recording]
+    stops = [times for r in supervised if len(times := r.time[r["safety"] >= STOPPING])]
+    for times in stops:
+        for axes in every:
+            axes.axvspan(times[0], times[-1], linewidth=0, zorder=0, **STOP)
+    return [("stopped by the supervisor", {"linewidth": 7, **STOP})] if stops else []

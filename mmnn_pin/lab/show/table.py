@@ -1,183 +1,176 @@
-"""One table that compares the controllers of an experiment, for a terminal."""
+"""A table as data, and how a terminal shows it; the pages have a macro of their own for the same data (`pages.html`).
+
+What makes a table (a comparison, a contest, a study, a proof) says what stands in its cells and which of them are good
+or bad. It knows nothing of colours, widths or tags.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
 
-from rich.box import SIMPLE_HEAD
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+if TYPE_CHECKING:
+    from rich.table import Table as RichTable
 
-from ...recording.metrics import ERRORS, halves
-from ...recording.recording import Recording
-from ..experiments.controllers import ORACLES
-from ..experiments.runner import Result, unfair
-from . import verdicts, wheels
-from .units import column_units, milli
-
-WIDTH = 100
-NOT_ENFORCED = "which this plant does not enforce"
-TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
-CAPTION = (
-    "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
-    "effective gain: mean of all that multiplies z (base) or r (arm)."
-)
+WIDTH = 100  # columns of a terminal
+Kind = Literal["", "best", "good", "bad", "warn", "dim"]
+STYLES: dict[Kind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
 
 
-def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
-    """The table with what it shows beneath it and its caption, as text of at most `width` columns.
+@dataclass(frozen=True)
+class Cell:
+    """Text of a cell, what to think of it, and a mark beside it such as a star."""
 
-    A comparison that is not fair says so before anything else.
+    text: str
+    kind: Kind = ""
+    mark: str = ""
+
+
+@dataclass(frozen=True)
+class Column:
+    """Head of a column.
+
+    Attributes:
+        heading: Its name; line breaks are for a terminal.
+        unit: Unit of its numbers; empty for pure numbers and for texts.
+        group: Name of the columns that it belongs to with its neighbours.
+        text: Whether it holds texts, from the left; numbers end at the right.
+        fold: Whether a terminal may break its texts, to have room.
+        letters: Names longer than this are broken at underscores on a terminal.
     """
+
+    heading: str = ""
+    unit: str = ""
+    group: str = ""
+    text: bool = False
+    fold: bool = False
+    letters: int = 0
+
+    @property
+    def title(self) -> str:
+        """The heading on one line, with group and unit."""
+        words = " ".join(self.heading.split())
+        unit = f" [{self.unit}]" if self.unit else ""
+        return f"{self.group}: {words}{unit}" if self.group else words + unit
+
+
+@dataclass(frozen=True)
+class Row:
+    """Cells of a row; whether a group of rows ends with it."""
+
+    cells: tuple[Cell, ...]
+    ends: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        title: What it shows.
+        columns: Their heads; those of texts stand at the left.
+        rows: Its rows, a cell per column.
+        notes: What marks and words mean, a sentence each.
+        gap: Spaces between columns on a terminal, beside one.
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...] = ()
+    gap: int = 2
+
+    @property
+    def caption(self) -> str:
+        """The notes as one text."""
+        return " ".join(self.notes)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of text in a style of the terminal."""
+
+    text: str
+    style: str = ""
+
+
+def row_of(*cells: str | Cell, ends: bool = False) -> Row:
+    """A row of cells or of their texts."""
+    return Row(tuple(cell if isinstance(cell, Cell) else Cell(cell) for cell in cells), ends)
+
+
+def grouped(*groups: Iterable[Row]) -> tuple[Row, ...]:
+    """Rows in groups, with a line after each."""
+    every = [list(rows) for rows in groups]
+    return tuple(Row(row.cells, row is rows[-1]) for rows in every for row in rows)
+
+
+def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, width: int = WIDTH) -> str:
+    """Lines and tables as text of at most `width` columns.
+
+    Args:
+        parts: What to show, in order.
+        colour: Whether the terminal shows styles.
+        width: Its columns.
+    """
+    from rich.console import Console
+    from rich.text import Text
+
     console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
     with console.capture() as capture:
-        if warning := unfair(result.experiment, result.metrics):
-            console.print(f"{warning[0].upper()}{warning[1:]}", style="bold red", highlight=False)
-        console.print(title(result), style="bold", highlight=False)
-        for part in (comparison(result), *verdicts_of(result)):
-            console.print(part)
-        console.print(caption(result), style="italic", highlight=False)
+        for part in parts:
+            if isinstance(part, Table):
+                console.print(terminal_table(part))
+            else:
+                line = Line(part) if isinstance(part, str) else part
+                console.print(Text(line.text), style=line.style or None)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
-def comparison(result: Result) -> Table:
-    """Rows: errors, torques of motors with a limit, effort, learned share, gain, outcome. Columns: controllers."""
-    table = Table(box=SIMPLE_HEAD, padding=0)
-    table.add_column("", overflow="fold")
-    table.add_column("", no_wrap=True)
-    for name in result.recordings:
-        table.add_column(verdicts.heading(name), justify="right", no_wrap=True)
-    for group in (errors(result), wheels.rows(result), torques(result), others(result)):
-        for row in group:
-            table.add_row(*row)
-        table.add_section()
-    return table
+def terminal_table(table: Table) -> RichTable:
+    """A table for rich; the cells of a column leave room for marks if any of them has one."""
+    from rich.box import SIMPLE_HEAD
+    from rich.table import Table as RichTable
+    from rich.text import Text
+
+    made = RichTable(box=SIMPLE_HEAD, padding=(0, 0, 0, table.gap), pad_edge=False)
+    marked = {i for row in table.rows for i, cell in enumerate(row.cells) if cell.mark}
+    group = ""
+    for column in table.columns:
+        above = f"{broken(column.group, column.letters)}\n" if column.group != group else ""
+        unit = f" [{column.unit}]" if column.unit else ""
+        head = Text(f"{above if column.group else ''}{broken(column.heading, column.letters)}{unit}")
+        justify: Literal["left", "right"] = "left" if column.text else "right"
+        made.add_column(head, justify=justify, no_wrap=not column.fold, overflow="fold" if column.fold else "ellipsis")
+        group = column.group
+    for row in table.rows:
+        cells = []
+        for i, cell in enumerate(row.cells):
+            room = f" {cell.mark or ' '}" if i in marked and cell.text else ""
+            cells.append(Text("\n".join(f"{line}{room}" for line in cell.text.split("\n")), STYLES.get(cell.kind, "")))
+        made.add_row(*cells, end_section=row.ends)
+    return made
 
 
-def verdicts_of(result: Result) -> Iterator[Table]:
-    """Gain or learning, and the thesis's figures, where the experiment has what it takes."""
-    if improvements := result.improvements():
-        yield verdicts.shares(improvements, result.experiment.windows[-1])
-    if found := result.largest_errors():
-        yield verdicts.largest(found)
-    if ranges := result.figure_ranges():
-        yield verdicts.figures(ranges)
+def broken(name: str, letters: int) -> str:
+    """A name in lines of at most so many letters, as far as its words allow; 0 for one line."""
+    if not letters:
+        return name
+    lines = [""]
+    for word in name.split("_"):
+        longer = f"{lines[-1]}_{word}" if lines[-1] else word
+        lines = [*lines[:-1], longer] if len(longer) <= letters or not lines[-1] else [*lines, word]
+    return "\n".join(lines)
 
 
-def title(result: Result) -> str:
-    """What was run, which variant of it, on what, for how long, from which seed."""
-    experiment = result.experiment
-    variant = f"variant {experiment.variant}, " if experiment.variant else ""
-    variant += "contact plant, " if experiment.plant == "contact" else ""
-    about = f"{variant}{experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed}"
-    return f"{experiment.title or result.name} ({about})"
-
-
-def caption(result: Result) -> str:
-    """What the marks and the words of the table mean."""
-    oracles = [name for name in result.recordings if name in ORACLES]
-    marks = "* best of the row. " if len(result.recordings) - len(oracles) > 1 else ""
-    if oracles:
-        marks = (
-            marks.replace(".", f" but for {oracles[0]}.")
-            + f"{oracles[0]} knows the true model: its share in brackets. "
-        )
-    if any(map(exceeded, limited(result))):
-        enforced = result.experiment.actuator.torque_limit is not None
-        marks += f"! asked for above the motor's effort limit, {'all that it gives' if enforced else NOT_ENFORCED}. "
-    shares = f" {verdicts.ABOUT_SHARES}" if result.improvements() else ""
-    outside = " ! outside of its interval." if any(not row["inside"] for row in result.figure_ranges()) else ""
-    return marks + CAPTION + shares + outside
-
-
-def exceeded(row: dict[str, Any]) -> bool:
-    """Whether a peak torque is above its motor's effort limit."""
-    return any(peak is not None and peak > row["limit"] for peak in row["peak"].values())
-
-
-def limited(result: Result) -> list[dict[str, Any]]:
-    """Peak torques of the motors that have an effort limit, see `Result.torque_limits`."""
-    return [row for row in result.torque_limits() if row["limit"] is not None]
-
-
-def errors(result: Result) -> Iterator[list[str | Text]]:
-    """Peak and RMS of every error; the best value of a row is marked."""
-    recording = next(iter(result.recordings.values()))
-    statistics = {"peak": "peak"} | {f"rms_{a:g}_{b:g}": f"RMS {a:g}-{b:g} s" for a, b in result.experiment.windows}
-    for name in ERRORS:
-        if name not in recording:
-            continue
-        for label, unit in zip(recording.labels(name), column_units(recording, name), strict=True):
-            first = f"{TITLES[name]} {label} [{milli(unit)}]"
-            for key, words in statistics.items():
-                values = {c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()}
-                yield [Text(first), Text(words), *marked(values)]
-                first = ""
-
-
-def marked(values: dict[str, float]) -> list[Text]:
-    """Values with a star at the smallest one of the controllers without the true model."""
-    fair = [v for c, v in values.items() if c not in ORACLES and math.isfinite(v)]
-    best = min(fair) if len(fair) > 1 else None
-    cells = []
-    for controller, value in values.items():
-        wins = value == best and controller not in ORACLES
-        cells.append(Text(f"{number(value)} {'*' if wins else ' '}", style="bold" if wins else ""))
-    return cells
-
-
-def torques(result: Result) -> Iterator[list[str | Text]]:
-    """Peak torques of motors with an effort limit: all if the experiment asks for it, else of those that exceed it."""
-    for row in limited(result):
-        limit, cells = row["limit"], []
-        for controller in result.recordings:
-            peak = row["peak"].get(controller)
-            value = math.inf if peak is None else peak
-            cells.append(Text(f"{number(value)} {'!' if value > limit else ' '}", style="bold red" * (value > limit)))
-        if result.experiment.torque_limits or exceeded(row):
-            yield [f"peak torque {row['actuator']}", f"of {number(limit)}", *cells]
-
-
-def others(result: Result) -> Iterator[list[str | Text]]:
-    """Effort, learned share, effective gain and outcome."""
-    recording, metrics = next(iter(result.recordings.values())), result.metrics
-    yield ["torque effort [N^2 m^2 s]", "", *(f"{number(m['effort'])}  " for m in metrics.values())]
-    for part in halves(recording):
-        shares = {c: number(m[f"learned_share.{part}"]) for c, m in metrics.items()}
-        yield ["learned share", part, *(f"({s}) " if c in ORACLES else f"{s}  " for c, s in shares.items())]
-    for part in halves(recording):
-        gains = (m[f"effective_gain.{part}"] for m in metrics.values())
-        yield ["mean effective gain", part, *(f"{number(gain)}  " for gain in gains)]
-    yield ["outcome", "", *(outcome(r) for r in result.recordings.values())]
-
-
-def outcome(recording: Recording) -> Text:
-    """How a run ended, in red unless it was completed."""
-    status = recording.outcome.status
-    if status == "completed":
-        return Text("done  ", style="green")
-    return Text(f"{status}\nat {recording.outcome.time:.3g} s", style="bold red")
-
-
-def number(value: float) -> str:
-    """Three significant digits; a dash where there is no number."""
+def number(value: float, infinite: str = "-") -> str:
+    """Three significant digits; a dash where there is no number, a word for infinity."""
     if not math.isfinite(value):
-        return "-"
+        return infinite if value > 0 else "-"
     if value == 0:
         return "0"
     if not 1e-3 <= abs(value) < 1e5:
         return f"{value:.1e}"
     return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
-
-
-def notes(result: Result) -> list[str]:
-    """What the user should know: how runs ended, what their weights show, and notes on the settings."""
-    found = [
-        message if message.startswith(controller) else f"{controller}: {message}"
-        for controller, recording in result.recordings.items()
-        if (message := recording.outcome.message)
-    ]
-    return [*found, *result.notes]

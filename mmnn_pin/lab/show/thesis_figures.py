@@ -16,24 +16,24 @@ from ...errors import RecordingError
 from ...recording.recording import Recording
 from ...signals import Array
 from ..experiments.thesis import FigureRange, figure_intervals
+from .curves import Recordings
 from .figure import (
-    STYLES,
     TRUTH,
     Look,
     add_legend,
-    legend_label,
+    figure,
     limits,
     mark_end,
     new_figure,
     scale_rows,
-    styled,
+    style_looks,
+    styles_of_controllers,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Recordings = Mapping[str, Recording]
 Curve = tuple[str, Recording, int, Look]  # controller, recording, column, look
 
 BAND: Look = {"facecolor": "0.87", "linewidth": 0, "zorder": 0.5}
@@ -44,7 +44,7 @@ COMPONENTS: dict[str, Look] = {
 }
 
 
-@styled
+@figure("figure-4.2")
 def pose_figure(recordings: Recordings) -> Figure:
     """Figure 4.2: pose error (x, y, heading) with the one-layer network above, with the two-layer network below.
 
@@ -52,50 +52,51 @@ def pose_figure(recordings: Recordings) -> Figure:
         RecordingError: Not one recording of each learner, or none of a robot with a base.
     """
     learners = learners_of(recordings, "pose_error")
+    styles = styles_of_controllers(learners)
     panels = {
         f"{name}: pose error\n[mm, mrad]": [
-            (name, recording, column, {**look, "color": STYLES[name].color, "zorder": 2 + 0.1 * column})
+            (name, recording, column, {**look, "color": styles[name].color, "zorder": 2 + 0.1 * column})
             for column, look in enumerate(COMPONENTS.values())
         ]
         for name, recording in learners.items()
     }
     legend = [(label, {**look, "color": "0.2"}) for label, look in COMPONENTS.items()]
-    return _arranged("4.2", "pose error of the platform", learners, "pose_error", panels, legend)
+    return arrange("4.2", "pose error of the platform", learners, "pose_error", panels, legend)
 
 
-@styled
+@figure("figure-4.3")
 def velocity_figure(recordings: Recordings) -> Figure:
     """Figure 4.3: velocity error z1 above and z2 below, both learners in each; errors as in `pose_figure`."""
-    return _both("4.3", "velocity error of the platform", recordings, "z", ("z1 [mm/s]", "z2 [mrad/s]"))
+    return compare_learners("4.3", "velocity error of the platform", recordings, "z", ("z1 [mm/s]", "z2 [mrad/s]"))
 
 
-@styled
+@figure("figure-4.4")
 def arm_figure(recordings: Recordings) -> Figure:
     """Figure 4.4: arm error e1 above and e2 below, both learners in each; errors as in `pose_figure`."""
-    return _both("4.4", "error of the arm", recordings, "e", ("e1 [mrad]", "e2 [mrad]"))
+    return compare_learners("4.4", "error of the arm", recordings, "e", ("e1 [mrad]", "e2 [mrad]"))
 
 
-@styled
+@figure("figure-5.3")
 def one_layer_figure(recordings: Recordings) -> Figure:
     """Figure 5.3: measured angle of joint 1 above, of joint 2 below, over the reference, under the one-layer network.
 
     Raises:
         RecordingError: Not one recording of the one-layer controller.
     """
-    return _angles("5.3", "the one-layer network's joints", recordings, ("one_layer",))
+    return show_angles("5.3", "the one-layer network's joints", recordings, ("one_layer",))
 
 
-@styled
+@figure("figure-5.4")
 def two_layer_figure(recordings: Recordings) -> Figure:
     """Figure 5.4: the same under the two-layer network, that with weights from zero where it was run, as the thesis's.
 
     Raises:
         RecordingError: Not one recording of a two-layer controller.
     """
-    return _angles("5.4", "the two-layer network's joints", recordings, (two_layer_of(recordings),))
+    return show_angles("5.4", "the two-layer network's joints", recordings, (two_layer_of(recordings),))
 
 
-@styled
+@figure("figure-5.5")
 def joints_figure(recordings: Recordings) -> Figure:
     """Figure 5.5: measured error of joint 1 above and of joint 2 below, both learners in each.
 
@@ -103,17 +104,7 @@ def joints_figure(recordings: Recordings) -> Figure:
         RecordingError: Not one recording of each learner.
     """
     names = ("one_layer", two_layer_of(recordings))
-    return _both("5.5", "error of the joints", recordings, "e", ("joint 1 [deg]", "joint 2 [deg]"), names)
-
-
-THESIS_FIGURES: Mapping[str, Callable[[Recordings], Figure]] = {
-    "figure-4.2": pose_figure,
-    "figure-4.3": velocity_figure,
-    "figure-4.4": arm_figure,
-    "figure-5.3": one_layer_figure,
-    "figure-5.4": two_layer_figure,
-    "figure-5.5": joints_figure,
-}
+    return compare_learners("5.5", "error of the joints", recordings, "e", ("joint 1 [deg]", "joint 2 [deg]"), names)
 
 
 def two_layer_of(recordings: Recordings) -> str:
@@ -141,7 +132,7 @@ def learners_of(
     return found
 
 
-def _both(
+def compare_learners(
     number: str,
     what: str,
     recordings: Recordings,
@@ -151,26 +142,27 @@ def _both(
 ) -> Figure:
     """A plot per component, both learners in each."""
     learners = learners_of(recordings, signal, names)
+    styles = styles_of_controllers(learners)
     panels = {
-        label: [(name, recording, column, STYLES[name].line) for name, recording in learners.items()]
+        label: [(name, recording, column, styles[name].line) for name, recording in learners.items()]
         for column, label in enumerate(labels)
     }
-    legend = [(legend_label(name, recording), STYLES[name].line) for name, recording in learners.items()]
-    return _arranged(number, what, learners, signal, panels, legend)
+    return arrange(number, what, learners, signal, panels, style_looks(learners, styles))
 
 
-def _angles(number: str, what: str, recordings: Recordings, names: Sequence[str]) -> Figure:
+def show_angles(number: str, what: str, recordings: Recordings, names: Sequence[str]) -> Figure:
     """A plot per joint, its measured angle over its reference."""
     learners = learners_of(recordings, "q", names)
+    styles = styles_of_controllers(learners)
     panels = {
-        f"joint {column + 1} [deg]": [(name, rec, column, STYLES[name].line) for name, rec in learners.items()]
+        f"joint {column + 1} [deg]": [(name, rec, column, styles[name].line) for name, rec in learners.items()]
         for column in range(2)
     }
-    legend = [("reference", TRUTH), *((legend_label(name, rec), STYLES[name].line) for name, rec in learners.items())]
-    return _arranged(number, what, learners, "q", panels, legend, "q_ref")
+    legend = [("reference", TRUTH), *style_looks(learners, styles)]
+    return arrange(number, what, learners, "q", panels, legend, "q_ref")
 
 
-def _arranged(
+def arrange(
     number: str,
     what: str,
     learners: Recordings,
@@ -180,30 +172,31 @@ def _arranged(
     reference: str = "",
 ) -> Figure:
     """Two plots above each other, as the thesis has them, on the bands of its axes; beneath it all a reference."""
-    figure = new_figure(7.2, 6.4)
-    stack = figure.subplots(2, 1, sharex=True)
+    picture = new_figure(7.2, 6.4)
+    stack = picture.subplots(2, 1, sharex=True)
     stack[-1].set_xlabel("time [s]")
     for axes, place, (label, curves) in zip(stack, ("top", "bottom"), panels.items(), strict=True):
         ranges = [known for known in figure_intervals(int(number[0])) if known.figure == f"{number} {place}"]
         axes.set_ylabel(label)
-        _draw_bands(axes, ranges)
+        draw_bands(axes, ranges)
         for _, recording, column, _ in curves if reference else ():
             axes.plot(recording.time, shown(recording[reference][:, column], ranges), **TRUTH)
-        _draw_curves(axes, signal, curves, ranges)
-    figure.align_ylabels(list(stack))
+        draw_curves(axes, signal, curves, ranges)
+    picture.align_ylabels(list(stack))
     band = {"color": BAND["facecolor"], "linewidth": 7, "solid_capstyle": "butt"}
     title = f"Figure {number}: {what}{variant_of(learners)}"
-    add_legend(figure, title, [*legend, ("thesis's extremes", band)])
-    return figure
+    add_legend(picture, title, [*legend, ("thesis's extremes", band)])
+    return picture
 
 
-def _draw_bands(axes: Axes, ranges: Sequence[FigureRange]) -> None:
+def draw_bands(axes: Axes, ranges: Sequence[FigureRange]) -> None:
+    """The intervals of an axes, and its zero."""
     for known in ranges:
         axes.axhspan(*(shown(np.array([known.lower, known.upper]) / known.scale, ranges)), **BAND)
     axes.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
 
 
-def _draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange]) -> None:
+def draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange]) -> None:
     """Curves, rings at their common extremes, crosses where a run ended early."""
     seen = [rec[signal][rows, column] for _, each, column, _ in curves for rec, rows in scale_rows([each])]
     edges = np.array([edge / known.scale for known in ranges for edge in (known.lower, known.upper)])
@@ -211,9 +204,10 @@ def _draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Seque
     for _, recording, column, look in curves:
         axes.plot(recording.time, shown(recording[signal][:, column], ranges), **look)
     for statistic in {known.statistic for known in ranges}:
-        _ring(axes, signal, curves, ranges, np.nanargmax if statistic == "max" else np.nanargmin)
+        mark_extreme(axes, signal, curves, ranges, np.nanargmax if statistic == "max" else np.nanargmin)
+    styles = styles_of_controllers([name for name, *_ in curves])
     for name, recording, column, _ in curves:
-        mark_end(axes, recording, STYLES[name], recording.time, shown(recording[signal][:, column], ranges))
+        mark_end(axes, recording, styles[name], recording.time, shown(recording[signal][:, column], ranges))
 
 
 def shown(values: Array, ranges: Sequence[FigureRange]) -> Array:
@@ -221,7 +215,7 @@ def shown(values: Array, ranges: Sequence[FigureRange]) -> Array:
     return (180.0 / np.pi if any(known.unit == "deg" for known in ranges) else 1e3) * values
 
 
-def _ring(
+def mark_extreme(
     axes: Axes,
     signal: str,
     curves: Sequence[Curve],
@@ -237,7 +231,7 @@ def _ring(
 
 
 def variant_of(recordings: Recordings) -> str:
-    """`, variant NAME` as the recordings' config says; nothing if it says none or they differ."""
+    """` (variant NAME)` as the recordings' config says; nothing if it says none or they differ."""
     configs = [recording.config_text for recording in recordings.values()]
     names = {json.loads(text).get("variant", "") if text else "" for text in configs}
     return f" (variant {names.pop()})" if len(names) == 1 and names != {""} else ""

@@ -150,24 +150,24 @@ class Bundle:
     Attributes:
         urdf: File name of the URDF among the files.
         files: Relative name to content.
-        said: What is said about the robot, in the call and in the file beside its URDF; it names no folders.
+        overrides: What is stated about the robot, in the call and in the file beside its URDF; it names no folders.
     """
 
     urdf: str
     files: dict[str, bytes] = field(repr=False)
-    said: Overrides
+    overrides: Overrides
 
     @classmethod
-    def of(cls, robot: str, said: Overrides) -> Bundle:
+    def of(cls, robot: str, overrides: Overrides) -> Bundle:
         """Files of a robot that loads; a mesh that is not there stays away.
 
         Raises:
             InputError: As `load`.
         """
         path = find(robot)
-        said, _ = with_file(path, said)
-        folders = folders_of(path, said)
-        root = copy.deepcopy(read(path, said.strict, folders).root)
+        overrides, _ = with_file(path, overrides)
+        folders = folders_of(path, overrides)
+        root = copy.deepcopy(read(path, overrides.strict, folders).root)
         files: dict[str, bytes] = {}
         places: dict[str, str] = {}
         for element in root.iterfind("link/*/geometry/mesh"):
@@ -179,12 +179,12 @@ class Bundle:
                     files[places[name]] = mesh.read_bytes()
             element.set("filename", places[name])
         files[path.name] = etree.tostring(root, encoding="utf-8", xml_declaration=True)
-        return cls(path.name, files, msgspec.structs.replace(said, package_dirs=()))
+        return cls(path.name, files, msgspec.structs.replace(overrides, package_dirs=()))
 
     @cached_property
     def digest(self) -> str:
         """Hash of all of it."""
-        found = hashlib.sha256(msgspec.json.encode(self.said))
+        found = hashlib.sha256(msgspec.json.encode(self.overrides))
         for name, content in sorted(self.files.items()):
             found.update(f"\0{name}\0{len(content)}\0".encode() + content)
         return found.hexdigest()
@@ -204,7 +204,7 @@ class Bundle:
                     (folder / name).parent.mkdir(exist_ok=True)
                     (folder / name).write_bytes(content)
                 _folders[self.digest] = folder
-        return load_once(str(_folders[self.digest] / self.urdf), self.said)
+        return load_once(str(_folders[self.digest] / self.urdf), self.overrides)
 
 
 _unpacking = threading.Lock()

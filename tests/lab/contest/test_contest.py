@@ -24,7 +24,7 @@ from mmnn_pin.lab.contest.trial import Stopped, psi_hat_along, run_trial, state_
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment, recorded_experiment
 from mmnn_pin.lab.experiments.contest import Contest, Targets
-from mmnn_pin.lab.show.contest.text import cell, render
+from mmnn_pin.lab.show.contest import cell, render
 from mmnn_pin.loop.batch import Run
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model.regressor import Regressor
@@ -371,11 +371,11 @@ def test_nobody_to_judge_is_not_met():
 
 
 def test_a_cell_tells_the_median_and_the_spread():
-    assert cell([1.0, 3.0, 2.0]).plain == "2.00\n±50 %"
-    assert cell([2.0, 2.001, 2.002]).plain == "2.00"
-    assert cell([1.0, 3.0]).plain == "2.00\n±50 %"
-    assert cell([1.0, math.inf, 2.0], "never").plain == "2.00\n(1.00 to never)"
-    assert cell([1.0, math.nan]).plain == "-" and cell([90.0, 120.0, 130.0], above=100.0).style == "bold red"
+    assert cell([1.0, 3.0, 2.0]).text == "2.00\n±50 %"
+    assert cell([2.0, 2.001, 2.002]).text == "2.00"
+    assert cell([1.0, 3.0]).text == "2.00\n±50 %"
+    assert cell([1.0, math.inf, 2.0], "never").text == "2.00\n(1.00 to never)"
+    assert cell([1.0, math.nan]).text == "-" and cell([90.0, 120.0, 130.0], above=100.0).kind == "bad"
 
 
 def test_the_text_names_everyone_and_what_was_asked(standing):

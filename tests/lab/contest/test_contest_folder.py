@@ -19,8 +19,8 @@ from mmnn_pin.lab.contest.result import Trial
 from mmnn_pin.lab.contest.task import demand, tasks_of
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
-from mmnn_pin.lab.show.contest import figures
-from mmnn_pin.lab.show.contest.text import render
+from mmnn_pin.lab.show import contest_figures as figures
+from mmnn_pin.lab.show.contest import render
 from mmnn_pin.lab.show.table import number
 
 FEW = ("pd", "two_layer", "adaptive")
@@ -88,7 +88,7 @@ def test_broken_and_old_folders_are_refused(tmp_path, folder, capsys):
 def test_plot_draws_the_figures_of_a_contest_again(folder, tmp_path, capsys):
     code, out, _ = call(capsys, "plot", folder, "--out", tmp_path, "--json")
     files = json.loads(out)["files"]
-    assert code == 0 and list(files) == list(figures.FIGURES)
+    assert code == 0 and list(files) == list(figures.FIGURES["contest"])
     assert call(capsys, "plot", folder, "--what", "contest-fvu", "--out", tmp_path / "one.svg")[0] == 0
     assert (tmp_path / "one.svg").read_text().lstrip().startswith("<?xml")
     code, _, err = call(capsys, "plot", folder, "--out", tmp_path)
@@ -132,7 +132,7 @@ def test_the_page_has_all_tables_targets_and_figures(standing, folder, tmp_path,
     code, out, _ = call(capsys, "report", folder, "--html", tmp_path / "page.html", "--json")
     page = (tmp_path / "page.html").read_text()
     assert code == 0 and json.loads(out)["bytes"] == len(page.encode())
-    assert page.count("<svg") == len(figures.FIGURES)
+    assert page.count("<svg") == len(figures.FIGURES["contest"])
     assert not re.findall(r"(?:src|href)=.http", page)
     for task in ("eight", "poor"):
         for name in FEW:

@@ -15,7 +15,7 @@ from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.experiments.cases import judge, run_cases, with_case
 from mmnn_pin.lab.experiments.config import load_experiment, merged
 from mmnn_pin.lab.experiments.experiment import Case, Tolerance
-from mmnn_pin.lab.show import cases as shown
+from mmnn_pin.lab.show import comparison as shown
 from mmnn_pin.recording.recording import Outcome
 from mmnn_pin.signals import Layout
 
@@ -176,7 +176,7 @@ def test_a_robot_that_runs_on_while_its_sensors_see_nothing_fails():
     assert matrix.verdicts["none"]["pd"].kind == "tracked"
     assert matrix.verdicts["frozen"]["pd"].kind == "failed" and "joint" in matrix.verdicts["frozen"]["pd"].text
     assert not matrix.completed and matrix.count("failed") == 1
-    text = shown.render(matrix)
+    text = shown.render_cases(matrix)
     assert "FAILED: not stopped: joint" in text and "2 runs: 1 tracked, 0 stopped, 1 failed" in text
 
 

@@ -22,7 +22,7 @@ from mmnn_pin.lab.experiments.readings import readings
 from mmnn_pin.lab.experiments.runner import Result, unfair
 from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.lab.proof.rebuild import recorded_learner
-from mmnn_pin.lab.show import table
+from mmnn_pin.lab.show import comparison as table
 from mmnn_pin.recording.robot import recorded_robot
 from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.neural import Neural

@@ -18,7 +18,8 @@ from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.readings import SWITCHES, readings, summaries
 from mmnn_pin.lab.experiments.runner import Improvement, Result, improvements
 from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
-from mmnn_pin.lab.show import effects, verdicts
+from mmnn_pin.lab.show import comparison as effects
+from mmnn_pin.lab.show import comparison as verdicts
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.inputs import MEASURED
 
@@ -141,7 +142,7 @@ def test_an_improvement_is_gain_and_learning(pd: float, effective: float, learne
     ],
 )
 def test_what_the_table_says_of_an_improvement(numbers: tuple[float, ...], shown: tuple[str, ...]) -> None:
-    assert verdicts.parts(Improvement(*numbers)) == shown
+    assert verdicts.improvement_cells(Improvement(*numbers)) == shown
 
 
 def test_improvements_take_the_last_window_and_each_learner_s_own_pd(result: Result) -> None:
@@ -200,7 +201,7 @@ def test_readings_give_both_learners_for_every_switch() -> None:
             assert row[learner]["rms"]["e.arm_1_joint"] == pytest.approx(np.sqrt(np.mean(x**2)))
             assert row[learner]["outcome"] == "completed"
         assert row["of"] == 12 and row["met"] == sum(each["inside"] for each in row["figure_ranges"])
-    text = effects.render("Title", rows)
+    text = effects.render_readings("Title", rows)
     assert max(map(len, text.splitlines())) <= 100 and text.count("two_layer") == text.count("one_layer") == len(rows)
     e1 = 1e3 * rows[-1]["one_layer"]["rms"]["e.arm_1_joint"]
     assert f"{e1:.3g}" in text.splitlines()[-4]

@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from mmnn_pin.cli.plot import WHATS
+from mmnn_pin.cli.results import whats
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.experiment import PLOTS
 from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
@@ -21,7 +21,6 @@ from mmnn_pin.lab.show.figure import STYLES
 from mmnn_pin.lab.show.gallery import PICTURES, write_pictures
 from mmnn_pin.lab.show.plots import gains_figure, psi_figure
 from mmnn_pin.lab.show.thesis_figures import (
-    THESIS_FIGURES,
     arm_figure,
     joints_figure,
     one_layer_figure,
@@ -76,10 +75,10 @@ def test_components_above_each_other_with_both_controllers(make, signal, runs: d
             assert to_hex(line.get_color()).upper() == STYLES[name].color
 
 
-@pytest.mark.parametrize("name", THESIS_FIGURES)
+@pytest.mark.parametrize("name", [name for name in PICTURES if name.startswith("figure-")])
 def test_bands_are_the_intervals_and_rings_the_values_of_the_table(name: str, runs: dict[str, Recording]) -> None:
     rows = figure_ranges(runs)
-    for axes, place in zip(THESIS_FIGURES[name](runs).axes, ("top", "bottom"), strict=True):
+    for axes, place in zip(PICTURES[name](runs).axes, ("top", "bottom"), strict=True):
         here = f"{name.removeprefix('figure-')} {place}"
         known = [each for each in figure_intervals(int(here[0])) if each.figure == here]
         unit = 1e3 if here[0] == "4" else 1.0  # figures of chapter 5 are in degrees, as their intervals
@@ -151,7 +150,7 @@ def test_gains_are_drawn_once_where_two_are_equal_by_construction(runs: dict[str
 
 
 def test_names_of_pictures_agree_everywhere() -> None:
-    assert sorted(PLOTS) == sorted(WHATS) == sorted(PICTURES)
+    assert sorted(PLOTS) == sorted(whats()) == sorted(PICTURES)
 
 
 def test_a_run_writes_what_it_has_something_for(runs: dict[str, Recording], tmp_path: Path) -> None:

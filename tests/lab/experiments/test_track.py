@@ -19,7 +19,7 @@ from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.experiment import Experiment, effective_inertia
 from mmnn_pin.lab.experiments.references import Swing
 from mmnn_pin.lab.experiments.runner import run_experiment
-from mmnn_pin.lab.show import table
+from mmnn_pin.lab.show import comparison as table
 from mmnn_pin.loop.before_run import require_stable_gains
 from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
 from mmnn_pin.model.dynamics import Dynamics

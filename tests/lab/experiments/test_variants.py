@@ -16,7 +16,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.lab.experiments.config import bundled, read_toml, variants
 from mmnn_pin.lab.experiments.runner import Result, unfair
-from mmnn_pin.lab.show import table
+from mmnn_pin.lab.show import comparison
 
 pytestmark = pytest.mark.lab
 
@@ -154,7 +154,7 @@ def figures() -> Result:
 
 
 def test_the_first_line_says_that_figures_is_not_fair_and_with_which_gains(figures: Result) -> None:
-    text = table.render(figures)
+    text = comparison.render(figures)
     assert text.startswith("Not a fair comparison: ") and "robust term of its own" in text.splitlines()[0]
     head = " ".join(text.partition("\nChapter 4")[0].split())
     gains = [figures.recordings[name]["effective_gain"] for name in LEARNERS]
@@ -181,7 +181,7 @@ def test_figures_meets_at_least_eleven_intervals(figures: Result) -> None:
 @each_variant
 def test_tables_show_pd_at_both_gains_shares_and_intervals(variant: str) -> None:
     e = load_experiment("chapter4", ["time.duration=1.5"], variant)
-    text = table.render(run_experiment(e, "chapter4"))
+    text = comparison.render(run_experiment(e, "chapter4"))
     assert max(map(len, text.splitlines())) <= 100
     for words in ("pd\neffective", "= gain", "+ learning", "intervals of the figures met", "4.4 bottom  arm error e2"):
         assert all(part in text for part in words.split("\n")), words

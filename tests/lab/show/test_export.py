@@ -16,9 +16,9 @@ from robots import mobile_arm
 from mmnn_pin import load
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError, UnknownName
+from mmnn_pin.lab.show.bag import field_names
+from mmnn_pin.lab.show.curves import column_units
 from mmnn_pin.lab.show.export import FORMATS, export
-from mmnn_pin.lab.show.export.schemas import field_names
-from mmnn_pin.lab.show.units import column_units
 from mmnn_pin.recording.metrics import as_columns
 from mmnn_pin.recording.recording import Outcome, Recording
 
@@ -178,7 +178,7 @@ def test_a_file_is_not_replaced_unasked(tmp_path: Path, monkeypatch: pytest.Monk
     file.write_text("mine")
     with pytest.raises(RecordingError, match="exists"):
         export(rec, file)
-    monkeypatch.setattr("mmnn_pin.lab.show.export.tables.about", lambda recording: 1 / 0)
+    monkeypatch.setattr("mmnn_pin.lab.show.export.about", lambda recording: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         export(rec, file, force=True)
     assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]
@@ -187,7 +187,7 @@ def test_a_file_is_not_replaced_unasked(tmp_path: Path, monkeypatch: pytest.Monk
 def test_what_is_not_installed_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for package in ("pyarrow", "mcap_ros2.writer"):
         monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.delitem(sys.modules, "mmnn_pin.lab.show.export.bag", raising=False)
+    monkeypatch.delitem(sys.modules, "mmnn_pin.lab.show.bag", raising=False)
     for to, package in (("parquet", "pyarrow"), ("mcap", "mcap_ros2")):
         with pytest.raises(RecordingError) as error:
             export(run(), tmp_path / f"run.{to}")

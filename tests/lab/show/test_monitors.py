@@ -8,10 +8,10 @@ from numba import config
 from test_holonomic import PATHS
 
 from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory, TwoLayer, load
-from mmnn_pin.cli.plot import WHATS
+from mmnn_pin.cli.results import whats
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.show.gallery import PICTURES
-from mmnn_pin.lab.show.monitors import MONITORS, residuals_figure, step_times_figure, weights_figure
+from mmnn_pin.lab.show.plots import residuals_figure, step_times_figure, weights_figure
 
 
 def test_figures_draw_what_was_recorded() -> None:
@@ -42,4 +42,4 @@ def test_figures_draw_what_was_recorded() -> None:
 
 
 def test_the_command_offers_every_picture() -> None:
-    assert set(WHATS) == set(PICTURES) and set(MONITORS) <= set(PICTURES)
+    assert {"weights", "residuals", "step-times", "errors", "fvu", "figure-4.2"} < set(whats()) == set(PICTURES)

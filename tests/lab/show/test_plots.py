@@ -12,14 +12,15 @@ from matplotlib.figure import Figure
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments import controllers
 from mmnn_pin.lab.show.figure import OTHERS, STYLES, save, styles_of
-from mmnn_pin.lab.show.path_plot import path_figure
-from mmnn_pin.lab.show.plots import FIGURES, errors_figure, psi_figure, torque_figure
+from mmnn_pin.lab.show.gallery import PICTURES
+from mmnn_pin.lab.show.plots import errors_figure, path_figure, psi_figure, torque_figure
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import Layout
 
 MOBILE, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
 CONTROLLERS = ("two_layer", "one_layer", "pd", "pd_effective", "pd_effective_one_layer", "computed_torque")
+OVERLAID = ("errors", "torque", "psi", "gains", "path")
 SLIDING = "<robot name='r'><joint name='lift' type='prismatic'/><joint name='elbow' type='revolute'/></robot>"
 
 
@@ -81,7 +82,7 @@ def test_a_controller_looks_the_same_everywhere():
     runs = {name: recording(name, seed=k) for k, name in enumerate(CONTROLLERS)}
     for what in ("errors", "torque", "path"):
         for some in (runs, dict(reversed(runs.items())), {"pd": runs["pd"]}):
-            axes = FIGURES[what](some).axes[-1]
+            axes = PICTURES[what](some).axes[-1]
             for line, name in zip(curves(axes), some, strict=True):
                 assert to_hex(line.get_color()).upper() == STYLES[name].color
                 assert line.get_linewidth() == STYLES[name].width
@@ -159,10 +160,10 @@ def test_a_reference_that_several_runs_share_is_drawn_once():
     assert len(curves(path_figure({"two_layer": whole, "pd": recording("pd", seed=2)}).axes[0])) == 4
 
 
-@pytest.mark.parametrize("what", FIGURES)
+@pytest.mark.parametrize("what", OVERLAID)
 def test_a_diverged_run_ends_in_a_cross_and_leaves_the_scale_alone(what):
-    alone = FIGURES[what]({"two_layer": recording()})
-    both = FIGURES[what]({"two_layer": recording(), "pd": diverged()})
+    alone = PICTURES[what]({"two_layer": recording()})
+    both = PICTURES[what]({"two_layer": recording(), "pd": diverged()})
     if what == "path":  # its reference is another
         assert max(map(abs, both.axes[0].get_xlim())) < 30
     else:
@@ -181,8 +182,8 @@ def test_a_diverged_run_ends_in_a_cross_and_leaves_the_scale_alone(what):
 @pytest.mark.parametrize(("what", "layout"), [("errors", FIXED), ("path", MOBILE)])
 def test_huge_values_can_be_drawn(what, layout, tmp_path):
     runs = {"two_layer": recording(layout=layout), "pd": diverged(layout=layout)}
-    save(FIGURES[what](runs), tmp_path / "both.png")
-    save(FIGURES[what]({"pd": runs["pd"]}), tmp_path / "alone.png")
+    save(PICTURES[what](runs), tmp_path / "both.png")
+    save(PICTURES[what]({"pd": runs["pd"]}), tmp_path / "alone.png")
 
 
 def test_a_fixed_arm_shows_what_it_has():
@@ -201,14 +202,14 @@ def test_robots_without_motors_show_the_arm_s_torque_and_long_arms_take_columns(
     assert len(left) == 2
 
 
-@pytest.mark.parametrize("what", FIGURES)
+@pytest.mark.parametrize("what", OVERLAID)
 def test_empty_runs_and_strange_names_do_no_harm(what, tmp_path):
     with pytest.raises(RecordingError, match="no recording was given"):
-        FIGURES[what]({})
+        PICTURES[what]({})
     layout = MOBILE if what == "path" else FIXED
     none = recording(layout=layout, rows=0, outcome=Outcome("tripped", 0.0))
     runs = {"$x_{$": recording(layout=layout), "none": none, "one": recording(layout=layout, rows=1)}
-    save(FIGURES[what](runs), tmp_path / "odd.svg")
+    save(PICTURES[what](runs), tmp_path / "odd.svg")
 
 
 @pytest.mark.parametrize(("name", "magic"), [("a.png", b"\x89PNG"), ("new/a.SVG", b"<?xml"), ("a.pdf", b"%PDF")])

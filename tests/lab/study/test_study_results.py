@@ -20,9 +20,9 @@ from study_files import SHORT, planned, run_here
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
-from mmnn_pin.lab.show.study import plots
-from mmnn_pin.lab.show.study.page import page
-from mmnn_pin.lab.show.study.table import render
+from mmnn_pin.lab.show import study as page
+from mmnn_pin.lab.show import study_figures as plots
+from mmnn_pin.lab.show.study import render
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
 from mmnn_pin.lab.study.settings import Sampling, StudySettings, Success

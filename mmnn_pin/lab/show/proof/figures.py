@@ -10,7 +10,7 @@ from ....errors import RecordingError
 from ....recording.recording import Recording
 from ...proof.proof import Proof
 from ..figure import save
-from ..whole import require_free
+from ..files import require_free
 from .cache import keep
 from .lyapunov_figures import equality_figure, lyapunov_figure, terms_figure
 from .psi_figures import frozen_figure, fvu_figure, ranks_figure, shares_figure

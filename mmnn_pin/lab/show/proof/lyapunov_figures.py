@@ -11,7 +11,7 @@ from ....recording.recording import Recording
 from ...proof.balance import TOLERANCE
 from ...proof.lyapunov import TERMS
 from ..figure import Look, add_legend, legend_label, new_figure, plain, styled, styles_of
-from ..monitors import Curves, stacked
+from ..plots import Curves, stacked
 from .psi_figures import having
 
 if TYPE_CHECKING:

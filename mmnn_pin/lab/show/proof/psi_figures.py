@@ -13,6 +13,7 @@ from ....signals import Array
 from ...experiments.controllers import ORACLES
 from ...proof.fvu import error_in, windows
 from ...proof.proof import Proof
+from ..curves import column_units
 from ..figure import (
     TRUTH,
     Look,
@@ -25,7 +26,6 @@ from ..figure import (
     styled,
     styles_of,
 )
-from ..units import column_units
 from .cache import proofs_with
 
 if TYPE_CHECKING:

@@ -1,21 +1,122 @@
-"""What moved in a run, at the rate of a display: rows of positions, and those that the reference asked for."""
+"""What a replay shows of a run: the robot's moving bodies, where they were at the rate of a display, and what happened.
+
+Links fixed to one another are one body. An event colours the bodies of its joints, or the whole robot, and a stretch of
+the scrub bar; another kind of event is another function in `SOURCES`.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ....errors import RecordingError
 from ....model.robot import Robot
+from ....model.urdf.document import Document, Joint
+from ....plant.contact.plant import SLIPPING
 from ....recording.metrics import as_columns
 from ....recording.recording import Recording
 from ....recording.robot import recorded_position
+from ....safety import RAMPING, STEPPED_IN, STOPPING
 from ....signals import Array, IntArray
-from .blob import Blob
+from ..curves import prismatic_joints
+from ..files import Blob
 
+Kind = Literal["stop", "slip", "limit"]
 FAR = 1e6  # a coordinate beyond this is as good as infinite: it is not drawn [m or rad]
+MOST_TIPS = 4  # more ends than this are fingers: only the one with the most joints before it is traced
+GAP = 0.1  # two stretches that are nearer than this are one [s]
+AT_LIMIT = 1 - 1e-6
+
+
+# -- bodies ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """A moving body: the root, or what one joint carries.
+
+    Attributes:
+        parent: Index of the body it hangs on; -1 for the root.
+        origin: (4, 4) its placement on the parent with the joint at 0.
+        joint: The joint that carries it; None for the root.
+    """
+
+    parent: int
+    origin: Array
+    joint: Joint | None
+
+    def for_page(self, robot: Robot) -> dict[str, Any]:
+        """What the page needs to move it: `column` is the joint's place in a position."""
+        if self.joint is None:
+            return {"parent": -1, "origin": columns(np.eye(4)), "kind": "root"}
+        kind = "prismatic" if self.joint.type == "prismatic" else "revolute"
+        column = robot.position_names.index(self.joint.name)
+        moved = {"kind": kind, "axis": self.joint.axis.tolist(), "column": column}
+        return {"parent": self.parent, "origin": columns(self.origin), **moved}
+
+
+@dataclass(frozen=True, eq=False)
+class Tree:
+    """The bodies of a robot.
+
+    Attributes:
+        document: The URDF.
+        bodies: Parents before their children.
+        places: For every link the index of its body and its (4, 4) placement on it.
+    """
+
+    document: Document
+    bodies: list[Body]
+    places: dict[str, tuple[int, Array]]
+
+    @classmethod
+    def of(cls, document: Document) -> Tree:
+        """Tree of a URDF whose joints are fixed, revolute, continuous or prismatic."""
+        root = document.root_link
+        bodies, places = [Body(-1, np.eye(4), None)], {root: (0, np.eye(4))}
+        pending = [root]
+        while pending:
+            link = pending.pop()
+            body, place = places[link]
+            for joint in document.children[link]:
+                at = place @ joint.origin
+                places[joint.child] = (len(bodies), np.eye(4)) if joint.moves else (body, at)
+                bodies += [Body(body, at, joint)] if joint.moves else []
+                pending.append(joint.child)
+        return cls(document, bodies, places)
+
+    def tips(self, robot: Robot) -> list[dict[str, Any]]:
+        """The tips of a robot's arms, as the page reads them: a body and a point on it [m]."""
+        named = robot.overrides.arm_tip
+        links = [named] if named else [self.end_of(joint) for joint in self.last_joints(robot)]
+        return [{"body": self.places[link][0], "point": self.places[link][1][:3, 3].tolist()} for link in links]
+
+    def last_joints(self, robot: Robot) -> list[str]:
+        """The last joint of every arm."""
+        arm, joints = set(robot.joint_names), self.document.joints
+        before = {name: arm & {j.name for j in self.document.moving_ancestors(joints[name].parent)} for name in arm}
+        ends = [name for name in robot.joint_names if not any(name in others for others in before.values())]
+        return ends if len(ends) <= MOST_TIPS else [max(ends, key=lambda name: len(before[name]))]
+
+    def end_of(self, joint: str) -> str:
+        """The link that is farthest from a joint, of those on the body that it carries."""
+        return max(
+            self.document.body(self.document.joints[joint].child),
+            key=lambda link: math.hypot(*self.places[link][1][:3, 3]),
+        )
+
+
+def columns(transform: Array) -> list[float]:
+    """The 16 numbers of a (4, 4) transform, column after column as three.js has them."""
+    return [round(float(number), 9) for number in transform.T.ravel()]
+
+
+# -- frames ------------------------------------------------------------------------------------------------------------
 
 
 def drawable(table: Array) -> NDArray[np.bool_]:
@@ -70,3 +171,95 @@ def packed(recording: Recording, robot: Robot, rows: IntArray, blob: Blob) -> di
         "position": blob.add(position, "f4"),
         "reference": None if reference is None else blob.add(reference, "f4"),
     }
+
+
+# -- events ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something to see.
+
+    Attributes:
+        kind: `stop` (in red), `slip` (in purple) or `limit` (in amber).
+        start: When it begins [s].
+        end: When it is over [s]; inf for the rest of the replay.
+        text: One line for people.
+        joints: Whose bodies are coloured; the whole robot if empty.
+    """
+
+    kind: Kind
+    start: float
+    end: float
+    text: str
+    joints: tuple[str, ...] = ()
+
+    def for_page(self, bodies: dict[str, int]) -> dict[str, Any]:
+        """What the page needs of it; bodies by the name of the joint that carries them."""
+        end = self.end if np.isfinite(self.end) else None
+        on = [bodies[joint] for joint in self.joints if joint in bodies]
+        return {"kind": self.kind, "start": self.start, "end": end, "text": self.text, "bodies": on}
+
+
+def early_end(recording: Recording) -> Iterator[Event]:
+    """A run that did not complete: diverged, tripped by the safety layer, or interrupted."""
+    outcome = recording.outcome
+    if outcome.status != "completed":
+        why = outcome.message.partition(";")[0] or f"at t = {outcome.time:.3g} s"
+        yield Event("stop", outcome.time, np.inf, f"{outcome.status}: {why}")
+
+
+def supervised(recording: Recording) -> Iterator[Event]:
+    """What a supervisor did: a torque clipped or a value held, and a stop, under feedback or without."""
+    if "safety" not in recording:
+        return
+    state = np.asarray(recording["safety"])
+    for kind, code, text in SUPERVISED:
+        if code == STOPPING and recording.outcome.status == "tripped":
+            continue  # its end says so, with the reason
+        for start, end in stretches(recording.time, state == code):
+            yield Event(kind, start, end, text)
+
+
+def slipping(recording: Recording) -> Iterator[Event]:
+    """Wheels that slip, on the contact plant, a stretch of time each."""
+    if "slip" not in recording:
+        return
+    for name, speed in zip(recording.labels("slip"), as_columns(recording["slip"]).T, strict=True):
+        for start, end in stretches(recording.time, speed > SLIPPING):
+            yield Event("slip", start, end, f"{name} slips", (name,))
+
+
+def at_limits(recording: Recording) -> Iterator[Event]:
+    """Motors that are asked for their largest torque or more, a stretch of time each."""
+    limits = recording.meta.get("effort_limits")
+    if limits is None or "motor_torque" not in recording:
+        return
+    sliding = prismatic_joints(recording.urdf)
+    torques = as_columns(recording["motor_torque"]).T
+    for name, limit, torque in zip(recording.labels("motor_torque"), limits, torques, strict=True):
+        text = f"{name} at its limit of {limit:g} {'N' if name in sliding else 'N m'}"
+        for start, end in stretches(recording.time, np.abs(torque) >= AT_LIMIT * limit):
+            yield Event("limit", start, end, text, (name,))
+
+
+def stretches(time: Array, holds: NDArray[np.bool_]) -> Iterator[tuple[float, float]]:
+    """First and last time of every stretch in which something holds; short pauses are no pauses."""
+    rows = np.flatnonzero(holds)
+    for part in np.split(rows, np.flatnonzero(np.diff(time[rows]) > GAP) + 1):
+        if len(part):
+            yield float(time[part[0]]), float(time[part[-1]])
+
+
+SUPERVISED: tuple[tuple[Kind, float, str], ...] = (
+    ("limit", STEPPED_IN, "the supervisor clips a torque or holds a value"),
+    ("stop", STOPPING, "the supervisor stops the robot"),
+    ("stop", RAMPING, "stopped without feedback: the torque goes to zero"),
+)
+SOURCES: tuple[Callable[[Recording], Iterator[Event]], ...] = (early_end, supervised, slipping, at_limits)
+
+
+def events_of(recording: Recording) -> list[Event]:
+    """All events of a run, as they began."""
+    found = [event for source in SOURCES for event in source(recording)]
+    return sorted(found, key=lambda event: event.start)

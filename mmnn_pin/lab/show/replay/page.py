@@ -10,19 +10,121 @@ import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
+
+import numpy as np
 
 from ....errors import RecordingError
+from ....model.robot import Robot
+from ....model.urdf.reading import parse
 from ....recording.recording import Recording
-from ..html_page import HtmlPage
-from .blob import compressed
-from .scene import Scene, extent_of
+from ....recording.robot import recorded_robot
+from ..figure import run_label, scale_rows, styles_of
+from ..files import Blob, HtmlPage, compressed, fill_template, web_file
+from .motion import Tree, drawable, events_of, frames_of, packed
+from .shapes import Shapes
 
 FPS = 60.0
 LARGE = 50_000_000  # bytes of a page that the user is warned of
 SCRIPTS = ("unpack.js", "geometry.js", "robot.js", "stage.js", "run.js", "player.js", "main.js")
+
+
+class Scene:
+    """Robots and runs as the page reads them.
+
+    Args:
+        package_dirs: Folders to look for meshes in before those that the recordings know.
+
+    Attributes:
+        blob: The arrays.
+        frames: Frames of all runs.
+        samples: Samples of all runs.
+    """
+
+    def __init__(self, package_dirs: Sequence[str | Path] = ()) -> None:
+        self.blob, self.frames, self.samples = Blob(), 0, 0
+        self._shapes = Shapes(self.blob, package_dirs)
+        self._robots: dict[str, tuple[int, Robot, Tree]] = {}
+        self._for_page: list[dict[str, Any]] = []
+        self._runs: list[dict[str, Any]] = []
+
+    @classmethod
+    def of(cls, recordings: Mapping[str, Recording], fps: float, package_dirs: Sequence[str | Path] = ()) -> Scene:
+        """Scene of runs by name; each has the colour that it has in the plots.
+
+        Raises:
+            RecordingError: No run, one without anything to show, or one that does not tell its robot.
+            InputError: The robot of a run cannot be built.
+        """
+        if not recordings:
+            raise RecordingError("no recording to replay")
+        scene, styles = cls(package_dirs), styles_of(recordings)
+        for name, recording in recordings.items():
+            scene.add(name, recording, styles[name].color, fps)
+        return scene
+
+    def add(self, name: str, recording: Recording, color: str, fps: float) -> None:
+        """Add a run.
+
+        Args:
+            name: For the legend.
+            recording: The run.
+            color: As `#RRGGBB`.
+            fps: Frames per second that are kept.
+
+        Raises:
+            RecordingError: It has nothing to show, or does not tell its robot.
+            InputError: Its robot cannot be built.
+        """
+        rows = frames_of(recording, fps)
+        index, robot, tree = self._robot(recording)
+        bodies = {body.joint.name: i for i, body in enumerate(tree.bodies) if body.joint}
+        events = [event.for_page(bodies) for event in events_of(recording)]
+        about = {"name": name, "label": run_label(name, recording), "robot": index, "color": color, "events": events}
+        self._runs.append(about | packed(recording, robot, rows, self.blob))
+        self.frames += len(rows)
+        self.samples += len(recording)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is not shown as the URDF says, one line each."""
+        return self._shapes.warnings
+
+    def header(self, extent: list[float]) -> dict[str, Any]:
+        """All but the arrays, as the page reads it; `extent` as from `extent_of`."""
+        scene = {"geometries": self._shapes.geometries, "robots": self._for_page, "runs": self._runs}
+        return scene | {"extent": extent, "warnings": list(self.warnings)}
+
+    def _robot(self, recording: Recording) -> tuple[int, Robot, Tree]:
+        robot = recorded_robot(recording)
+        key = f"{robot.frame.tolist()} {robot.urdf}"
+        if key not in self._robots:
+            tree = Tree.of(parse(robot.urdf.encode(), robot.path))
+            self._robots[key] = len(self._robots), robot, tree
+            self._for_page.append(
+                {
+                    "name": robot.name,
+                    "mobile": robot.layout.pose > 0,
+                    "frame": [*robot.frame.tolist(), robot.base.floor],
+                    "bodies": [body.for_page(robot) for body in tree.bodies],
+                    "visuals": self._shapes.visuals(robot, tree),
+                    "tips": tree.tips(robot),
+                }
+            )
+        index, _, tree = self._robots[key]
+        return index, robot, tree
+
+
+def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
+    """Where the bases were and should be: least x and y, largest x and y [m]; what diverged counts little."""
+    points = [np.zeros((1, 2))]
+    for recording, rows in scale_rows(recordings.values()):
+        for signal in {"pose", "pose_ref"} & set(recording):
+            part = recording[signal][rows, :2]
+            points.append(part[drawable(part)])
+    every = np.vstack(points)
+    return [*every.min(axis=0).tolist(), *every.max(axis=0).tolist()]
 
 
 @dataclass(frozen=True)
@@ -66,19 +168,15 @@ def page(
         RecordingError: No run, one without anything to show, or one that does not tell its robot.
         InputError: The robot of a run cannot be built.
     """
-    from jinja2 import Environment
-
     scene = Scene.of(recordings, fps, package_dirs)
-    text = (
-        Environment(autoescape=True)
-        .from_string(source("page.html"))
-        .render(
-            title=title or title_of(recordings),
-            style=source("page.css"),
-            scripts="\n".join(map(source, SCRIPTS)),
-            viewer=viewer(),
-            data=scene.blob.pack(scene.header(extent_of(recordings))),
-        )
+    text = fill_template(
+        "page.html",
+        __package__,
+        title=title or title_of(recordings),
+        scripts="\n".join(web_file(name, __package__) for name in SCRIPTS),
+        style=web_file("page.css", __package__),
+        viewer=viewer(),
+        data=scene.blob.pack(scene.header(extent_of(recordings))),
     )
     warnings = scene.warnings
     if len(text) > LARGE:
@@ -92,11 +190,6 @@ def title_of(recordings: Mapping[str, Recording]) -> str:
     metas = [recording.meta for recording in recordings.values()]
     what = dict.fromkeys(str(meta[key]) for key in ("experiment", "robot") for meta in metas if key in meta)
     return ", ".join(what) or "replay"
-
-
-def source(name: str) -> str:
-    """A file of the page."""
-    return resources.files(__package__).joinpath("web", name).read_text("utf-8")
 
 
 @cache

@@ -1,17 +1,20 @@
-"""What a robot looks like: the shapes of its links, each geometry once.
+"""What a robot looks like: the shapes of its links, each geometry once; meshes as triangles, small.
 
 A mesh that cannot be shown becomes a box of `STAND_IN` metres in a colour of its own, with a warning; so does every
-body of a robot whose file has no shapes at all.
+body of a robot whose file has no shapes at all. A mesh takes 16 bits per coordinate, with equal vertices merged and one
+colour per part: the grid of 65,536 steps spans the part's own box, so a part 1 m long is off by 8 micrometres at most.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from lxml import etree
+from numpy.typing import NDArray
 
 from ....model.base.overrides import folders_of
 from ....model.robot import Robot
@@ -19,17 +22,18 @@ from ....model.urdf.document import placement
 from ....model.urdf.shapes import locate
 from ....model.urdf.xml import number, vector
 from ....signals import Array
-from .blob import Blob
-from .bodies import Tree, columns
-from .meshes import BrokenMesh, Color, Part, read_mesh
+from ..files import Blob
+from .motion import Tree, columns
+
+Color = tuple[float, float, float, float]  # red, green, blue, opacity, each in [0, 1]
+Placed = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
 
 STAND_IN = 0.1  # edge of the box in the place of a mesh [m]
 STANDS_IN = f"a box of {STAND_IN:g} m stands in"
 MISSING: Color = (0.93, 0.36, 0.62, 1.0)
 PLAIN: Color = (0.72, 0.74, 0.77, 1.0)
 WHY = {"remote": "is remote and never fetched", "outside": "lies outside its package"}
-
-Placed = tuple[int, Color | None]  # a geometry's index, and the colour that its file gives
+STEPS = 65535
 
 
 class Shapes:
@@ -45,7 +49,7 @@ class Shapes:
 
     def __init__(self, blob: Blob, package_dirs: Sequence[str | Path] = ()) -> None:
         self.geometries: list[dict[str, Any]] = []
-        self._told: list[str] = []
+        self._warned: list[str] = []
         self._missing: dict[str, None] = {}
         self._blob, self._folders = blob, tuple(package_dirs)
         self._files: dict[Path, list[Placed]] = {}
@@ -53,13 +57,13 @@ class Shapes:
     @property
     def warnings(self) -> tuple[str, ...]:
         """A line for everything that is not shown as the URDF says."""
-        told = dict.fromkeys(self._told)
+        lines = dict.fromkeys(self._warned)
         if self._missing:
             first, *others = self._missing
             more = f" and {len(others)} more are" if others else " is"
             fix = "give the folder of their packages (--package-dir), or put them there"
-            told[f"mesh '{first}'{more} missing: {STANDS_IN}: {fix}"] = None
-        return tuple(told)
+            lines[f"mesh '{first}'{more} missing: {STANDS_IN}: {fix}"] = None
+        return tuple(lines)
 
     def visuals(self, robot: Robot, tree: Tree) -> list[dict[str, Any]]:
         """The shapes of a robot, as the page reads them: body, placement, geometry, colour."""
@@ -68,7 +72,7 @@ class Shapes:
         tag = next((t for t in ("visual", "collision") if any(e.find(t) is not None for e in links.values())), "")
         if tag != "visual":
             shown = "its collision shapes are shown" if tag else "a box marks every body"
-            self._told.append(f"{robot.name} has no visual shapes: {shown}")
+            self._warned.append(f"{robot.name} has no visual shapes: {shown}")
         found = []
         for link, element in links.items():
             body, place = tree.places[link]
@@ -102,7 +106,7 @@ class Shapes:
             if found.problem == "missing":
                 self._missing[name] = None
             else:
-                self._told.append(f"mesh '{name}' {error}: {STANDS_IN}")
+                self._warned.append(f"mesh '{name}' {error}: {STANDS_IN}")
             yield at, (self._box(STAND_IN), MISSING)
             return
         scaled = at @ np.diag([*vector(solid, "scale", (1.0, 1.0, 1.0)), 1.0])
@@ -145,3 +149,93 @@ def rgba(material: etree._Element) -> Color | None:
         return None
     red, green, blue, opacity = (min(max(float(word), 0.0), 1.0) for word in words)
     return red, green, blue, opacity
+
+
+# -- meshes ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Triangles of one colour.
+
+    Attributes:
+        grid: (k, 3) vertices in steps of the grid, uint16.
+        corner: (3,) the grid's lowest corner [m, in the mesh's own scale].
+        step: (3,) its steps.
+        triangles: (m, 3) indices of vertices.
+        color: The colour that the file gives; None when it gives none.
+    """
+
+    grid: NDArray[np.uint16]
+    corner: Array
+    step: Array
+    triangles: NDArray[np.int64]
+    color: Color | None
+
+
+class BrokenMesh(Exception):
+    """A mesh file that cannot be shown; the text says why."""
+
+
+def read_mesh(file: Path) -> list[Part]:
+    """The parts of a mesh file: STL, Collada, OBJ and whatever else trimesh reads.
+
+    The file's up axis is ignored, its unit is not: as RViz does.
+
+    Raises:
+        BrokenMesh: It cannot be read, or holds no triangles.
+    """
+    import trimesh  # slow to import
+
+    try:
+        loaded: Any = trimesh.load(file, process=False)
+        meshes = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
+        parts = [part_of(mesh) for mesh in meshes if len(getattr(mesh, "faces", ()))]
+    except BrokenMesh:
+        raise
+    except Exception as error:  # whatever a damaged file makes a decoder raise
+        raise BrokenMesh(f"cannot be read ({str(error) or type(error).__name__})") from error
+    if not parts:
+        raise BrokenMesh("holds no triangles")
+    return parts
+
+
+def part_of(mesh: Any) -> Part:
+    """Part of a trimesh.
+
+    Raises:
+        BrokenMesh: A vertex is not finite.
+    """
+    points = np.asarray(mesh.vertices, dtype=float) * unit_of(mesh)
+    if not np.isfinite(points).all():
+        raise BrokenMesh("holds a vertex that is not finite")
+    corner = points.min(axis=0)
+    step = np.maximum((points.max(axis=0) - corner) / STEPS, np.finfo(float).tiny)
+    grid, triangles = merged(np.rint((points - corner) / step).astype(np.uint64), np.asarray(mesh.faces))
+    return Part(grid, corner, step, triangles, mesh_color(mesh))
+
+
+def merged(grid: NDArray[np.uint64], triangles: NDArray[Any]) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
+    """Vertices without doubles, and the triangles that are left: those with three different corners."""
+    keys, index = np.unique(grid @ np.array([1 << 32, 1 << 16, 1], dtype=np.uint64), return_inverse=True)
+    corners = index.reshape(-1)[triangles]
+    a, b, c = corners.T
+    vertices = np.column_stack([(keys >> np.uint64(shift)) & np.uint64(0xFFFF) for shift in (32, 16, 0)])
+    return vertices.astype(np.uint16), corners[(a != b) & (b != c) & (c != a)]
+
+
+def unit_of(mesh: Any) -> float:
+    """Metres per unit, which Collada files state; trimesh has it as `0.01 * meters`."""
+    stated, _, rest = str(mesh.metadata.get("units", "")).partition(" * ")
+    return float(stated) if rest else 1.0
+
+
+def mesh_color(mesh: Any) -> Color | None:
+    """The main colour that a file gives a mesh; one without any opacity is an exporter's slip and counts as full."""
+    if not mesh.visual.defined:
+        return None
+    rgba = getattr(getattr(mesh.visual, "material", mesh.visual), "main_color", None)
+    if rgba is None:
+        return None
+    red, green, blue, opacity = (float(value) / 255 for value in rgba)
+    return red, green, blue, opacity or 1.0

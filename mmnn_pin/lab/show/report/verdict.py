@@ -1,18 +1,34 @@
-"""The verdict in sentences: which controller, how good, why, and what to beware of."""
+"""The verdict in sentences: which controller, how good, why, what to beware of, and what the runs prove."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from ....recording.metrics import halves
+from ....recording.recording import Recording
 from ...experiments.controllers import LEARNERS, ORACLES, effective
 from ...experiments.runner import Improvement, Result, unfair
-from ..replay.scene import label
-from ..table import limited, notes, number
-from ..units import column_units, milli
-from .results import controller_of
+from ...proof.balance import TOLERANCE
+from ...proof.fvu import worst
+from ...proof.proof import Proof
+from ..comparison import limited, notes
+from ..curves import column_units, controller_of, milli
+from ..figure import run_label
+from ..proof.cache import proofs_with
+from ..proof.text import small, verdicts
+from ..table import Cell, Column, Row, Table, number, row_of
+
+ABOUT_PROOF = (
+    "FVU: fraction of variance unexplained of \u03a8, its worst component; 1 is the best constant. Online: while the "
+    "weights move. Frozen: with the weights as they were at the end. Equality: "
+    "d/dt (s\u1d40Ms/2) = s\u1d40(\u03a8 - \u03c4 + d) over control periods, worst relative error, "
+    f"tolerance {TOLERANCE:g}. mmnn prove tells more of each run."
+)
+FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a payload"}
 
 
 @dataclass(frozen=True)
@@ -128,9 +144,9 @@ def points(result: Result) -> Iterator[str]:
     for name, recording in result.recordings.items():
         if (kind := controller_of(name, recording)) in (*LEARNERS, "adaptive"):
             shares = {part: percent(result.metrics[name][f"learned_share.{part}"]) for part in halves(recording)}
-            told = " and ".join(f"{share} of the {part}'s" for part, share in shares.items())
+            words = " and ".join(f"{share} of the {part}'s" for part, share in shares.items())
             what = "networks carry" if kind in LEARNERS else "estimate carries"
-            yield f"{name}: its {what} {told} torque (RMS)."
+            yield f"{name}: its {what} {words} torque (RMS)."
     if ranges := result.figure_ranges():
         met = sum(row["inside"] for row in ranges)
         yield f"{met} of {len(ranges)} extremes lie where the axes of the thesis's figures have them."
@@ -146,8 +162,8 @@ def gain_or_learning(learner: str, rows: Mapping[str, Improvement]) -> str:
     smaller = 1 - math.exp(-learning)
     change = f"{percent(smaller)} smaller" if smaller >= 0 else f"{percent(-smaller)} larger"
     most = f"so most of its advantage over pd is {'learning' if learning > total / 2 else 'gain'}"
-    told = f"{learner}: its errors are {change} than those of pd at the same effective gain, which does not learn"
-    return f"{told}, {most}." if total > 0 else f"{told}; it is no better than pd."
+    words = f"{learner}: its errors are {change} than those of pd at the same effective gain, which does not learn"
+    return f"{words}, {most}." if total > 0 else f"{words}; it is no better than pd."
 
 
 def warnings(result: Result) -> Iterator[str]:
@@ -156,7 +172,7 @@ def warnings(result: Result) -> Iterator[str]:
         yield f"{text[0].upper()}{text[1:]}."
     for name, recording in result.recordings.items():
         if recording.outcome.status != "completed":
-            yield f"{label(name, recording)}: it does not compete."
+            yield f"{run_label(name, recording)}: it does not compete."
     yield from (f"{note}." for note in notes(result))
     yield from torques(result)
     yield from unlike(result)
@@ -171,9 +187,9 @@ def torques(result: Result) -> Iterator[str]:
     for row in limited(result):
         above = {name: peak for name, peak in row["peak"].items() if peak is None or peak > row["limit"]}
         if above:
-            told = ", ".join(f"{name} {number(math.inf if peak is None else peak)}" for name, peak in above.items())
+            words = ", ".join(f"{name} {number(math.inf if peak is None else peak)}" for name, peak in above.items())
             yield (
-                f"{row['actuator']} is asked for more than its limit of {number(row['limit'])} ({told}); "
+                f"{row['actuator']} is asked for more than its limit of {number(row['limit'])} ({words}); "
                 f"{'it gives no more' if enforced else 'the plant does not enforce limits'}."
             )
 
@@ -191,3 +207,75 @@ def unlike(result: Result) -> Iterator[str]:
             yield f"The runs have different {words}."
     if len({recording.config_text for recording in runs}) > 1:
         yield "The runs have different configs; those of the first are shown."
+
+
+# -- what the runs prove -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Proved:
+    """What the page says of it.
+
+    Attributes:
+        sentences: One per network.
+        table: A column per run.
+    """
+
+    sentences: tuple[str, ...]
+    table: Table
+
+
+def proved(recordings: Mapping[str, Recording]) -> Proved | None:
+    """What some runs prove; None where nothing can be told of any."""
+    proofs, _ = proofs_with(recordings, "subject")
+    rows = tuple(proof_rows(proofs))
+    if not rows:
+        return None
+    learners = {name: proof for name, proof in proofs.items() if proof.has("psi") and proof.psi.frozen}
+    sentences = tuple(f"{name}, {text}" for name, proof in learners.items() for text in verdicts(proof.psi))
+    heads = (Column(text=True), Column(text=True), *map(Column, proofs))
+    return Proved(sentences, Table("Proof", heads, rows, (ABOUT_PROOF,)))
+
+
+def proof_rows(proofs: Mapping[str, Proof]) -> Iterator[Row]:
+    """Rows of the table; those that no run has a number for are left out."""
+    halves = {half: None for proof in proofs.values() if proof.has("psi") for half in proof.psi.halves}
+
+    def online(half: str) -> Callable[[Proof], Cell]:
+        return lambda proof: fvu_cell(worst(proof.psi.online[proof.psi.halves[half]])) if proof.has("psi") else Cell("")
+
+    def frozen(kind: str, half: str) -> Callable[[Proof], Cell]:
+        def cell(proof: Proof) -> Cell:
+            if not (proof.has("psi") and kind in proof.psi.frozen):
+                return Cell("")
+            return fvu_cell(worst(proof.psi.frozen[kind].fvu[proof.psi.halves[half]]))
+
+        return cell
+
+    wanted = [("FVU online", half, online(half)) for half in halves]
+    wanted += [(f"FVU frozen, {words}", half, frozen(kind, half)) for kind, words in FROZEN.items() for half in halves]
+    wanted += [("V grows in", "% of the periods", growing), ("equality", "worst error", equality)]
+    before = ""
+    for title, second, make in wanted:
+        cells = [make(proof) for proof in proofs.values()]
+        if any(cell.text for cell in cells):
+            yield row_of("" if title == before else title, second, *cells)
+            before = title
+
+
+def fvu_cell(value: float) -> Cell:
+    """An FVU; one that is no better than a constant is bad."""
+    return Cell(number(value), "bad" if value >= 1 else "")
+
+
+def growing(proof: Proof) -> Cell:
+    """How much of the time V grows."""
+    return Cell(f"{100 * proof.growth.samples:.0f}") if proof.has("lyapunov") else Cell("")
+
+
+def equality(proof: Proof) -> Cell:
+    """The worst error of the equality that the run is held to."""
+    if not proof.has("balance"):
+        return Cell("")
+    found = proof.balance
+    return Cell(small(np.nanmax((found.identity, found.steps))), "" if found.holds else "bad")

@@ -1,0 +1,127 @@
+"""`mmnn inspect`, `check` and `model`: what a robot is, whether its model holds, and the model at a state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from ..errors import RobotError
+from .options import examples, shared, understanding
+from .output import BAD_INPUT, DONE, FAILED, progress_bar, say, say_json
+
+
+@click.command(
+    short_help="Check the properties of a robot's model, with numbers.",
+    epilog=examples(
+        "mmnn check platform_arm",
+        "mmnn check my_robot.urdf --samples 1000 --seed 7",
+        "mmnn check tiago --json",
+    ),
+)
+@click.argument("robot")
+@click.option("--samples", type=click.IntRange(1, 1_000_000), default=100, show_default=True, help="Random states.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Their seed.")
+@understanding
+@shared
+def check(robot: str, samples: int, seed: int, said: dict[str, Any], as_json: bool) -> int:
+    """Check ROBOT: M, properties 1-5, A S = 0, passivity, bounds of M and C, and whether its base is nonholonomic.
+
+    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. Every property is a scale-free
+    residual, its worst value over random states held against a tolerance; exit code 1 when one fails.
+    """
+    from ..lab.show.robots import properties_dict, properties_text
+    from ..model.checks.properties import check_properties
+    from ..model.loading import load
+
+    loaded = load(robot, **said)
+    with progress_bar() as show:
+        progress = None if show is None else lambda fraction: show("checking", fraction)
+        report = check_properties(loaded, samples, seed, progress=progress)
+    if as_json:
+        say_json(properties_dict(report))
+    else:
+        say(properties_text(report))
+    return DONE if report.passed else FAILED
+
+
+@click.command(
+    short_help="Show what the loader understood of a robot, and every finding.",
+    epilog=examples(
+        "mmnn inspect my_robot.urdf",
+        "mmnn inspect my_robot.urdf --wheels left_joint,right_joint --radius 0.1",
+        "mmnn inspect tiago --lock torso_lift_joint=0.2 --arm-tip arm_7_link",
+        "mmnn inspect my_robot.urdf --strict --json",
+    ),
+)
+@click.argument("robot")
+@understanding
+@shared
+def inspect(robot: str, said: dict[str, Any], as_json: bool) -> int:
+    """Show what the loader understood of ROBOT: base, wheels, arm with limits, locked joints, mass, and all findings.
+
+    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. What is said in the options can
+    stand in NAME.mmnn.toml beside NAME.urdf too. Exit code 2 when the robot cannot be used or its base is undecided.
+    """
+    from ..lab.show.robots import inspection_text, refusal_text
+    from ..model.base.overrides import Overrides
+    from ..model.inspection import inspection_of, refusal_of
+    from ..model.loading import load
+    from ..model.robots import find
+
+    try:
+        content, code = inspection_of(load(robot, **said)), DONE
+    except RobotError as error:
+        path = find(robot)
+        content, code = refusal_of(error, path, Overrides(**said)), BAD_INPUT
+    for finding in content["findings"]:
+        if finding["severity"] == "error":
+            click.echo(finding["text"], err=True)
+    if as_json:
+        say_json(without_texts(content))
+    elif code == DONE:
+        say(inspection_text(content))
+    elif text := refusal_text(content):
+        say(text)
+    return code
+
+
+def without_texts(content: dict[str, Any]) -> dict[str, Any]:
+    """The content without the lines that a terminal shows."""
+    findings = [{k: v for k, v in finding.items() if k != "text"} for finding in content["findings"]]
+    return content | {"findings": findings}
+
+
+@click.command(
+    short_help="Print a robot's reduced model at one state.",
+    epilog=examples(
+        "mmnn model platform_arm",
+        """echo '{"base_velocity": [0.3, 0], "joints": {"arm_2_joint": 0.8}}' > state.json""",
+        "mmnn model platform_arm --at state.json --json",
+    ),
+)
+@click.argument("robot")
+@click.option("--at", "state", metavar="STATE.json", type=click.Path(path_type=Path), help="The state; else at rest.")
+@understanding
+@shared
+def model(robot: str, state: Path | None, said: dict[str, Any], as_json: bool) -> int:
+    """Print the reduced model of ROBOT at one state: M, C, gravity, friction, T, A, E with names.
+
+    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. STATE.json has the keys
+    pose [x, y, phi], base_velocity [v, w], joints {name: rad or m}, joint_velocities {name: rad/s or m/s}; what is left
+    out is at rest and zero.
+    """
+    from ..model.inspection import NamedState, model_at, read_state
+    from ..model.loading import load
+
+    loaded = load(robot, **said)
+    position, nu = read_state(state, loaded) if state else NamedState().of(loaded)
+    at = model_at(loaded, position, nu)
+    if as_json:
+        say_json(at)
+    else:
+        from ..lab.show.robots import model_text
+
+        say(model_text(at))
+    return DONE

@@ -1,0 +1,318 @@
+"""A recording as MCAP, in the messages of ROS 2, for Foxglove, PlotJuggler, Rerun and `ros2 bag`.
+
+CDR with ros2msg definitions is the one encoding whose joint states, transforms and odometry all of these read: joint
+states and odometry have no counterpart in Foxglove's own JSON schemas, and PlotJuggler's parsers are those of ROS.
+
+    /joint_states, /tf, /tf_static, /robot_description     where the robot truly was
+    /odom                                                  what the sensors say of the base
+    /joint_states_reference, /odom_reference               what was asked for
+    /signals/NAME                                          every signal, a number per column
+
+Time is the run's own and starts at 0. Config, URDF and facts are attached.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap_ros2.writer import Writer
+from scipy.spatial.transform import Rotation
+
+from ...model.robot import Robot
+from ...model.urdf.document import Document, Joint
+from ...model.urdf.reading import parse
+from ...recording.metrics import as_columns
+from ...recording.recording import Recording
+from ...recording.robot import recorded_position, recorded_robot
+from ...signals import Array
+from .curves import column_units
+from .export import about
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A frame in its parent's.
+
+    Attributes:
+        parent: Name of the parent frame.
+        name: Name of the frame.
+        translation: (N, 3) [m], or (1, 3) for one that stands still.
+        rotation: (N, 4) or (1, 4) quaternion x, y, z, w.
+    """
+
+    parent: str
+    name: str
+    translation: Array
+    rotation: Array
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is not the same at every sample."""
+        return len(self.translation) > 1
+
+
+def frames_of(recording: Recording, robot: Robot) -> list[Frame]:
+    """All frames of a robot in a run, parents first; where the robot truly was, if the recording knows."""
+    document = parse(robot.urdf.encode(), robot.path)
+    position = dict(zip(robot.position_names, recorded_position(recording, robot).T, strict=True))
+    base = base_frames(document, robot, position) if robot.layout.pose else []
+    joints = (joint_frame(joint, position.get(joint.name)) for joint in document.joints.values())
+    return [*base, *joints]
+
+
+def world_names(document: Document) -> tuple[str, str]:
+    """Names of the world's and of the base's control frame that no link has."""
+    links = {document.root_link, *(joint.child for joint in document.joints.values())}
+    world, control = (next(n for n in endless(name) if n not in links) for name in ("world", "control_frame"))
+    return world, control
+
+
+def endless(name: str) -> Iterator[str]:
+    """A name, and that name with more and more underscores."""
+    while True:
+        yield name
+        name += "_"
+
+
+def base_frames(document: Document, robot: Robot, position: dict[str, Array]) -> list[Frame]:
+    """The control frame in the world, and the root link in the control frame."""
+    world, control = world_names(document)
+    x, y, phi = (position[name] for name in ("x", "y", "phi"))
+    turn = np.stack([0 * phi, 0 * phi, np.sin(phi / 2), np.cos(phi / 2)], axis=1)
+    moving = Frame(world, control, np.stack([x, y, 0 * x], axis=1), turn)
+    heading = Rotation.from_rotvec([[0.0, 0.0, -robot.frame[2]]])
+    root = heading.apply(-np.array([[robot.frame[0], robot.frame[1], robot.base.floor]]))
+    return [moving, Frame(control, document.root_link, root, heading.as_quat())]
+
+
+def joint_frame(joint: Joint, position: Array | None) -> Frame:
+    """The link that a joint carries, at its positions (N,); None or a joint that stays where it is stands still.
+
+    Where a position is not finite, the frame is NaN.
+    """
+    values = np.zeros(1) if position is None else position
+    values = values[:1] if len(values) and np.all(values == values[0]) else values
+    known = np.isfinite(values)
+    along = np.where(known, values, 0.0)[:, None] * joint.axis
+    placed, origin = Rotation.from_matrix(joint.origin[:3, :3]), joint.origin[:3, 3]
+    slides = joint.type == "prismatic"
+    translation = origin + slides * placed.apply(along)
+    rotation = (placed * Rotation.from_rotvec(0.0 * along if slides else along)).as_quat()
+    translation[~known] = rotation[~known] = np.nan
+    return Frame(joint.parent, joint.child, translation, rotation)
+
+
+RULE = "\n" + "=" * 80 + "\n"
+TIME = "int32 sec\nuint32 nanosec"
+HEADER = "builtin_interfaces/Time stamp\nstring frame_id"
+VECTOR = "float64 x\nfloat64 y\nfloat64 z"
+QUATERNION = f"{VECTOR}\nfloat64 w"
+PARTS = {
+    "builtin_interfaces/Time": TIME,
+    "std_msgs/Header": HEADER,
+    "geometry_msgs/Vector3": VECTOR,
+    "geometry_msgs/Point": VECTOR,
+    "geometry_msgs/Quaternion": QUATERNION,
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular",
+    "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation",
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform"
+    ),
+}
+
+
+def definition(text: str) -> str:
+    """A definition followed by those of all messages in it, as the files of rosbag2 have it."""
+    found: list[str] = []
+    pending = text
+    while names := [name for name in PARTS if re.search(rf"\b{name}\b", pending) and name not in found]:
+        found += names
+        pending = "\n".join(PARTS[name] for name in names)
+    return text + "".join(f"{RULE}MSG: {name}\n{PARTS[name]}" for name in found)
+
+
+JOINT_STATE = (
+    "sensor_msgs/msg/JointState",
+    definition("std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort"),
+)
+ODOMETRY = (
+    "nav_msgs/msg/Odometry",
+    definition(
+        "std_msgs/Header header\nstring child_frame_id\n"
+        "geometry_msgs/PoseWithCovariance pose\ngeometry_msgs/TwistWithCovariance twist"
+    ),
+)
+TRANSFORMS = "tf2_msgs/msg/TFMessage", definition("geometry_msgs/TransformStamped[] transforms")
+TEXT = "std_msgs/msg/String", "string data"
+
+
+def signal_message(signal: str, fields: Sequence[str], units: Sequence[str]) -> tuple[str, str]:
+    """Name and definition of a message with one number per column of a signal, units as comments."""
+    name = "".join(part.capitalize() for part in signal.split("_"))
+    lines = [f"float64 {field}  # [{unit}]" for field, unit in zip(fields, units, strict=True)]
+    return f"mmnn_pin/msg/{name}", "\n".join(lines)
+
+
+def field_names(labels: Sequence[str]) -> list[str]:
+    """Labels as names of ROS: small letters, digits and single underscores, each name once."""
+    names: list[str] = []
+    for label in labels:
+        name = re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")
+        name = name if name[:1].isalpha() else f"joint_{name}".rstrip("_")
+        same, number = name, 2
+        while name in names:
+            name, number = f"{same}_{number}", number + 1
+        names.append(name)
+    return names
+
+
+Message = dict[str, Any]
+At = Callable[[int, Message], Message]  # of a row and its stamp
+Topic = tuple[str, tuple[str, str], At]
+
+
+def write_bag(recording: Recording, path: Path) -> None:
+    """Write a recording as MCAP.
+
+    Raises:
+        RecordingError: It does not tell its robot.
+    """
+    robot = recorded_robot(recording)
+    frames = frames_of(recording, robot)
+    nanoseconds = np.rint(1e9 * recording.time).astype(np.int64).tolist()
+    with path.open("wb") as file, Writer(file) as writer:
+        for topic, schema, message in once(recording, frames):
+            writer.write_message(topic, writer.register_msgdef(*schema), message, 0)
+        topics = [
+            (name, writer.register_msgdef(*schema), at) for name, schema, at in topics_of(recording, robot, frames)
+        ]
+        for row, at in enumerate(nanoseconds):
+            for name, registered, message_at in topics:
+                writer.write_message(name, registered, message_at(row, stamp(at)), at, sequence=row)
+        attach(writer, recording)
+
+
+def attach(writer: Writer, recording: Recording) -> None:
+    """Add config, URDF and facts."""
+    told = about(recording)
+    config, urdf = told.pop("config"), told.pop("urdf")
+    for name, kind, text in (("config.json", "application/json", config), ("robot.urdf", "application/xml", urdf)):
+        if text:
+            writer.add_attachment(0, 0, name, kind, text.encode())
+    facts = {**told["meta"], **{f"outcome_{name}": value for name, value in told["outcome"].items()}}
+    writer.add_metadata("mmnn_pin", {k: v if isinstance(v, str) else json.dumps(v) for k, v in facts.items()})
+
+
+def once(recording: Recording, frames: Sequence[Frame]) -> Iterator[tuple[str, tuple[str, str], Message]]:
+    """What is told once: the URDF and the frames that stand still."""
+    yield "/robot_description", TEXT, {"data": recording.urdf}
+    still = [transform(frame, 0, stamp(0)) for frame in frames if not frame.moves]
+    yield "/tf_static", TRANSFORMS, {"transforms": still}
+
+
+def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> Iterator[Topic]:
+    """What is told at every row."""
+    moving = [frame for frame in frames if frame.moves]
+    yield "/tf", TRANSFORMS, lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]}
+    yield "/joint_states", JOINT_STATE, joint_states(recording, robot)
+    if "q_ref" in recording:
+        labels = list(recording.labels("q_ref"))
+        wanted = {"position": as_columns(recording["q_ref"]), "velocity": as_columns(recording["qdot_ref"])}
+        yield "/joint_states_reference", JOINT_STATE, partial(joint_state, labels, wanted)
+    if "pose" in recording:
+        names = frames[0].parent, frames[0].name
+        for topic, suffix in (("/odom", ""), ("/odom_reference", "_ref")):
+            velocity = planar(as_columns(recording[f"velocity{suffix}"]))
+            child = f"{names[1]}_reference" if suffix else names[1]
+            yield topic, ODOMETRY, partial(odometry, (names[0], child), recording[f"pose{suffix}"], velocity)
+    for signal in recording.names[1:]:  # all but the time
+        fields, table = field_names(recording.labels(signal)), as_columns(recording[signal])
+        schema = signal_message(signal, fields, column_units(recording, signal))
+        yield f"/signals/{signal}", schema, partial(numbers, fields, table)
+
+
+def joint_states(recording: Recording, robot: Robot) -> At:
+    """All joints: positions, rates, and the torques of those with a motor (NaN for the others).
+
+    The rates of joints that nu does not hold are central differences of their positions.
+    """
+    root = len(recording.labels("pose")) if "pose" in recording else 0
+    names, table = list(robot.position_names[root:]), recorded_position(recording, robot)[:, root:]
+    rates = np.gradient(table, recording.time, axis=0) if len(table) > 1 else np.zeros_like(table)
+    torques = np.full(table.shape, np.nan)
+    known = "nu" if "nu" in recording else "qdot"
+    for target, signal in ((rates, known), (torques, "motor_torque")):
+        if signal not in recording:
+            continue
+        for label, values in zip(recording.labels(signal), as_columns(recording[signal]).T, strict=True):
+            if label in names:
+                target[:, names.index(label)] = values
+    return partial(joint_state, names, {"position": table, "velocity": rates, "effort": torques})
+
+
+def joint_state(names: list[str], tables: Mapping[str, Array], row: int, at: Message) -> Message:
+    """A `sensor_msgs/JointState`."""
+    told = {key: table[row].tolist() for key, table in tables.items()}
+    return {"header": header("", at), "name": names, "velocity": [], "effort": [], **told}
+
+
+def odometry(frames: tuple[str, str], pose: Array, velocity: Array, row: int, at: Message) -> Message:
+    """A `nav_msgs/Odometry`: pose of the second frame in the first, velocity in the second; covariances unknown."""
+    x, y, phi = pose[row].tolist()
+    vx, vy, w = velocity[row].tolist()
+    placed = {"position": vector(x, y, 0.0), "orientation": quaternion(0.0, 0.0, np.sin(phi / 2), np.cos(phi / 2))}
+    twist = {"linear": vector(vx, vy, 0.0), "angular": vector(0.0, 0.0, w)}
+    unknown = [0.0] * 36
+    return {
+        "header": header(frames[0], at),
+        "child_frame_id": frames[1],
+        "pose": {"pose": placed, "covariance": unknown},
+        "twist": {"twist": twist, "covariance": unknown},
+    }
+
+
+def planar(velocity: Array) -> Array:
+    """Base velocities as (N, 3) `vx, vy, w`; a differential drive has no vy."""
+    return velocity if velocity.shape[1] == 3 else np.insert(velocity, 1, 0.0, axis=1)
+
+
+def transform(frame: Frame, row: int, at: Message) -> Message:
+    """A `geometry_msgs/TransformStamped`."""
+    translation, rotation = frame.translation[row].tolist(), frame.rotation[row].tolist()
+    placed = {"translation": vector(*translation), "rotation": quaternion(*rotation)}
+    return {"header": header(frame.parent, at), "child_frame_id": frame.name, "transform": placed}
+
+
+def numbers(fields: Sequence[str], table: Array, row: int, at: Message) -> Message:
+    """One number per field."""
+    return dict(zip(fields, table[row].tolist(), strict=True))
+
+
+def header(frame: str, at: Message) -> Message:
+    """A `std_msgs/Header`."""
+    return {"stamp": at, "frame_id": frame}
+
+
+def stamp(nanoseconds: int) -> Message:
+    """A `builtin_interfaces/Time`."""
+    return {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
+
+
+def vector(x: float, y: float, z: float) -> Message:
+    """A `geometry_msgs/Vector3` or `Point`."""
+    return {"x": x, "y": y, "z": z}
+
+
+def quaternion(x: float, y: float, z: float, w: float) -> Message:
+    """A `geometry_msgs/Quaternion`."""
+    return {"x": x, "y": y, "z": z, "w": w}

@@ -1,0 +1,342 @@
+"""The tables of an experiment: its controllers beside each other, its cases judged, its readings.
+
+A terminal shows them one after the other (`render...`); a report takes the same tables as data (`tables_of`).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from ...plant.contact.plant import SLIPPING
+from ...recording.metrics import ERRORS, as_columns, halves
+from ...recording.recording import Recording
+from ..experiments.cases import Matrix, Verdict
+from ..experiments.controllers import ORACLES
+from ..experiments.runner import Improvement, Result, unfair
+from .curves import column_units, milli
+from .table import WIDTH, Cell, Column, Kind, Line, Row, Table, grouped, number, row_of, terminal_text
+
+CASES_WIDTH = 120
+NAME = 9  # letters of a controller's name on a line
+TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
+ABOUT = (
+    "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
+    "effective gain: mean of all that multiplies z (base) or r (arm)."
+)
+ABOUT_SHARES = (
+    "better than pd = gain + learning: how much smaller the RMS error is, in % of pd's. gain: from pd to pd at the "
+    "learner's effective gain. learning: from there to the learner. shares: of the improvement, gain : learning."
+)
+ABOUT_LARGEST = (
+    "largest error: of the whole run, as measured, as in the thesis; the thesis's numbers stand beside ours."
+)
+ABOUT_READINGS = (
+    "RMS errors of the last window, in thousandths (mm, mrad). share: RMS of Psi_hat over RMS of the torque. met: "
+    "intervals of the thesis's figures. A dash: the run did not get there."
+)
+VERDICT_KINDS: dict[str, Kind] = {"tracked": "good", "stopped": "warn", "failed": "bad", "interrupted": "dim"}
+HIDDEN_ERRORS = ("pose_error.y",)  # a straight line has next to none
+
+
+# -- controllers -------------------------------------------------------------------------------------------------------
+
+
+def render(result: Result, colour: bool = False, width: int = WIDTH) -> str:
+    """All tables with their notes beneath them, as text of at most `width` columns.
+
+    A comparison that is not fair says so before anything else.
+    """
+    tables = list(tables_of(result))
+    warning = unfair(result.experiment, result.metrics)
+    head = [Line(f"{warning[0].upper()}{warning[1:]}", "bold red")] if warning else []
+    notes = Line(" ".join(table.caption for table in tables if table.notes), "italic")
+    return terminal_text([*head, Line(title(result), "bold"), *tables, notes], colour, width)
+
+
+def title(result: Result) -> str:
+    """What was run, which variant of it, on what, for how long, from which seed."""
+    experiment = result.experiment
+    variant = f"variant {experiment.variant}, " if experiment.variant else ""
+    variant += "contact plant, " if experiment.plant == "contact" else ""
+    about = f"{variant}{experiment.robot}, {experiment.time.duration:g} s, seed {experiment.seed}"
+    return f"{experiment.title or result.name} ({about})"
+
+
+def tables_of(result: Result) -> Iterator[Table]:
+    """The comparison; gain or learning; the thesis's errors and figures. Those that the result has something for."""
+    yield comparison(result)
+    if improvements := result.improvements():
+        yield improvement_table(improvements, result.experiment.windows[-1])
+    if found := result.largest_errors():
+        yield largest_table(found)
+    if ranges := result.figure_ranges():
+        yield ranges_table(ranges)
+
+
+def comparison(result: Result) -> Table:
+    """A column per controller; rows of errors, wheels, torques beyond limits, effort, learned share, gain, outcome."""
+    heads = (Column(text=True, fold=True), Column(text=True))
+    controllers = (Column(name, letters=NAME) for name in result.recordings)
+    rows = grouped(error_rows(result), wheel_rows(result), torque_rows(result), other_rows(result))
+    return Table("Comparison", (*heads, *controllers), rows, notes_of(result), gap=0)
+
+
+def notes_of(result: Result) -> tuple[str, ...]:
+    """What the marks and the words of the comparison mean."""
+    oracles = [name for name in result.recordings if name in ORACLES]
+    notes = []
+    if len(result.recordings) - len(oracles) > 1:
+        notes.append(f"* best of the row but for {oracles[0]}." if oracles else "* best of the row.")
+    if oracles:
+        notes.append(f"{oracles[0]} knows the true model: its share in brackets.")
+    if any(map(exceeded, limited(result))):
+        enforced = result.experiment.actuator.torque_limit is not None
+        then = "all that it gives" if enforced else "which this plant does not enforce"
+        notes.append(f"! asked for above the motor's effort limit, {then}.")
+    return (*notes, ABOUT)
+
+
+def error_rows(result: Result) -> Iterator[Row]:
+    """Peak and RMS of every error; the best value of a row is marked."""
+    recording = next(iter(result.recordings.values()))
+    statistics = {"peak": "peak"} | {f"rms_{a:g}_{b:g}": f"RMS {a:g}-{b:g} s" for a, b in result.experiment.windows}
+    for name in ERRORS:
+        if name not in recording:
+            continue
+        for label, unit in zip(recording.labels(name), column_units(recording, name), strict=True):
+            first = f"{TITLES[name]} {label} [{milli(unit)}]"
+            for key, words in statistics.items():
+                yield row_of(
+                    first, words, *marked({c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()})
+                )
+                first = ""
+
+
+def marked(values: dict[str, float]) -> list[Cell]:
+    """Values with a star at the smallest one of the controllers without the true model."""
+    fair = [v for c, v in values.items() if c not in ORACLES and math.isfinite(v)]
+    best = min(fair) if len(fair) > 1 else None
+    wins = (value == best and controller not in ORACLES for controller, value in values.items())
+    return [Cell(number(v), *(("best", "*") if w else ())) for v, w in zip(values.values(), wins, strict=True)]
+
+
+def wheel_rows(result: Result) -> Iterator[Row]:
+    """Peak slip and traction use of every wheel, and the time of slipping; nothing on the ideal plant."""
+    recording = next(iter(result.recordings.values()))
+    if "slip" not in recording:
+        return
+    for signal, words, scale in (("slip", "slip [mm/s]", 1e3), ("traction", "traction use", 1.0)):
+        for wheel in recording.labels(signal):
+            peaks = (scale * numbers[f"{signal}.{wheel}.peak"] for numbers in result.metrics.values())
+            yield row_of(f"{words} {wheel}", "peak", *(f"{peak:.3g}" for peak in peaks))
+    yield row_of("time slipping [s]", "", *(f"{slipping(r):.3g}" for r in result.recordings.values()))
+
+
+def slipping(recording: Recording) -> float:
+    """Time in which a wheel's contact point moved faster than it can creep [s]."""
+    fast = as_columns(recording["slip"]) > SLIPPING
+    return float(np.count_nonzero(fast.any(axis=1)) * recording.meta["control_period"])
+
+
+def limited(result: Result) -> list[dict[str, Any]]:
+    """Peak torques of the motors that have an effort limit, see `Result.torque_limits`."""
+    return [row for row in result.torque_limits() if row["limit"] is not None]
+
+
+def exceeded(row: dict[str, Any]) -> bool:
+    """Whether a peak torque is above its motor's effort limit."""
+    return any(peak is not None and peak > row["limit"] for peak in row["peak"].values())
+
+
+def torque_rows(result: Result) -> Iterator[Row]:
+    """Peak torques of motors with an effort limit: all if the experiment asks for it, else of those that exceed it."""
+    for row in limited(result):
+        limit, cells = row["limit"], []
+        for controller in result.recordings:
+            peak = row["peak"].get(controller)
+            value = math.inf if peak is None else peak
+            cells.append(Cell(number(value), *(("bad", "!") if value > limit else ())))
+        if result.experiment.torque_limits or exceeded(row):
+            yield row_of(f"peak torque {row['actuator']}", f"of {number(limit)}", *cells)
+
+
+def other_rows(result: Result) -> Iterator[Row]:
+    """Effort, learned share, effective gain and outcome."""
+    recording, metrics = next(iter(result.recordings.values())), result.metrics
+    yield row_of("torque effort [N^2 m^2 s]", "", *(number(m["effort"]) for m in metrics.values()))
+    for part in halves(recording):
+        shares = {c: number(m[f"learned_share.{part}"]) for c, m in metrics.items()}
+        yield row_of("learned share", part, *(f"({s})" if c in ORACLES else s for c, s in shares.items()))
+    for part in halves(recording):
+        yield row_of("mean effective gain", part, *(number(m[f"effective_gain.{part}"]) for m in metrics.values()))
+    yield row_of("outcome", "", *map(outcome_cell, result.recordings.values()))
+
+
+def outcome_cell(recording: Recording) -> Cell:
+    """How a run ended; bad unless it was completed."""
+    status = recording.outcome.status
+    if status == "completed":
+        return Cell("done", "good")
+    return Cell(f"{status}\nat {recording.outcome.time:.3g} s", "bad")
+
+
+def notes(result: Result) -> list[str]:
+    """What the user should know: how runs ended, what their weights show, and notes on the settings."""
+    messages = {name: recording.outcome.message for name, recording in result.recordings.items()}
+    ends = [text if text.startswith(name) else f"{name}: {text}" for name, text in messages.items() if text]
+    return [*ends, *result.notes]
+
+
+# -- gain, learning, and the thesis's numbers --------------------------------------------------------------------------
+
+
+def improvement_table(improvements: Mapping[str, Mapping[str, Improvement]], window: tuple[float, float]) -> Table:
+    """Per error and learner: the improvement over PD, in % of PD's RMS, and the shares of gain and of learning."""
+    heads = [
+        Column(head, group=learner, letters=NAME)
+        for learner in improvements
+        for head in ("better", "= gain", "+ learning", "shares")
+    ]
+    rows = []
+    for key in next(iter(improvements.values())):
+        signal, _, label = key.partition(".")
+        cells = (cell for of_learner in improvements.values() for cell in improvement_cells(of_learner[key]))
+        rows.append(row_of(f"{TITLES[signal]} {label}", *cells))
+    first = Column(f"RMS {window[0]:g}-{window[1]:g} s,\n% of pd's", text=True)
+    return Table("Gain or learning", (first, *heads), tuple(rows), (ABOUT_SHARES,), gap=0)
+
+
+def improvement_cells(improvement: Improvement) -> tuple[str, str, str, str]:
+    """Improvement, gain and learning in % of PD's RMS, and the shares; dashes where there is nothing to share."""
+    numbers = [improvement.total, improvement.gain, improvement.learning]
+    total, gain, learning = (f"{100 * v / improvement.pd:.1f}" if improvement.pd > 0 else "-" for v in numbers)
+    share = improvement.learning_share
+    ratio = "-" if share is None else f"{100 - 100 * share:.0f} : {100 * share:.0f}"
+    return total, gain, learning, f"  {ratio}"
+
+
+def largest_table(found: Mapping[str, Any]) -> Table:
+    """Largest error of every joint and controller beside the thesis's, and as a share of one_layer's."""
+    errors, ratios = found["largest_errors_deg"], found["largest_error_ratios"]
+    joints = range(len(next(iter(errors.values()), ())))
+    heads = [head for j in joints for head in (Column(f"joint {j + 1}"), Column("thesis"))]
+    heads += [head for j in joints for head in (Column(f"/ one_layer\njoint {j + 1}"), Column("thesis"))]
+    rows = []
+    for name, values in errors.items():
+        layers = name.removesuffix("_zero").removesuffix("_random")
+        printed = found["thesis_largest_errors_deg"].get(layers)
+        shares = ratios.get(name)
+        two = found["thesis_largest_error_ratios"] if layers == "two_layer" and shares else None
+        cells = [text for j in joints for text in (f"{values[j]:.4f}", f"{printed[j]:.4f}" if printed else "")]
+        cells += [
+            text for j in joints for text in (f"{shares[j]:.3f}" if shares else "", f"{two[j]:.3f}" if two else "")
+        ]
+        rows.append(row_of(name, *cells))
+    first = Column("largest error\nencoders saw [deg]", text=True)
+    title = "The largest errors that chapter 5 prints"
+    return Table(title, (first, *heads), tuple(rows), (ABOUT_LARGEST,), gap=1)
+
+
+def ranges_table(ranges: list[dict[str, Any]]) -> Table:
+    """Smallest and largest value of every plot of the thesis's figures, each with the interval that its axis leaves."""
+    met = sum(row["inside"] for row in ranges)
+    unit = "deg" if all(row["unit"] == "deg" for row in ranges) else "SI"
+    heads = [head for name in ("min", "max") for head in (Column(name, unit), Column("in"))]
+    rows = []
+    for (figure, curve), each in groupby(ranges, lambda row: (row["figure"], row["curve"])):
+        by_name = {row["statistic"]: row for row in each}
+        cells = (cell for name in ("min", "max") if name in by_name for cell in range_cells(by_name[name]))
+        rows.append(row_of(f"{figure}  {curve.partition(' (')[0]}", *cells))
+    first = Column(f"{met} of {len(ranges)} intervals of the figures met", text=True, fold=True)
+    outside = () if met == len(ranges) else ("! outside of its interval.",)
+    return Table("The thesis's figures", (first, *heads), tuple(rows), outside, gap=1)
+
+
+def range_cells(row: dict[str, Any]) -> tuple[Cell, Cell]:
+    """A value, marked where it is outside, and its interval."""
+    value = "-" if row["value"] is None else f"{row['value']:.4f}"
+    shown = Cell(value) if row["inside"] else Cell(value, "bad", "!")
+    return shown, Cell(f"{row['lower']:g} to {row['upper']:g}")
+
+
+# -- cases -------------------------------------------------------------------------------------------------------------
+
+
+def render_cases(matrix: Matrix, colour: bool = False, width: int = CASES_WIDTH) -> str:
+    """The verdicts on all cases and what they add up to, as text of at most `width` columns."""
+    head = Line(f"{matrix.experiment.title or matrix.name} ({matrix.experiment.robot})", "bold")
+    counts = {kind: matrix.count(kind) for kind in ("tracked", "stopped", "failed")}
+    total = f"{sum(counts.values())} runs: " + ", ".join(f"{count} {kind}" for kind, count in counts.items())
+    table = cases_table(matrix)
+    return terminal_text([head, table, total, Line(table.caption, "italic")], colour, width)
+
+
+def cases_table(matrix: Matrix) -> Table:
+    """A row per case, a column per controller, a verdict in every cell."""
+    controllers, t = matrix.experiment.controllers, matrix.experiment.tolerance
+    heads = (Column(head, text=True, fold=True) for head in ("case", *controllers))
+    rows = (
+        row_of(matrix.experiment.cases[case].title, *(verdict_cell(row.get(name)) for name in controllers))
+        for case, row in matrix.verdicts.items()
+    )
+    tracked = (
+        f"tracked: largest true distance of the base and joint error after {t.settle:g} s, within the case's tolerance "
+        f"({1000 * t.pose:g} mm, {1000 * t.joint:g} mrad unless it says otherwise)."
+    )
+    stopped = (
+        f"stopped: by the supervisor, at rest at the end, less than {t.runaway:g} m away when it tripped and driven "
+        "after it."
+    )
+    return Table("Cases", tuple(heads), tuple(rows), (tracked, stopped, "FAILED: neither."), gap=1)
+
+
+def verdict_cell(verdict: Verdict | None) -> Cell:
+    """A verdict in a few words: how far off the run tracked, or when and why it stopped."""
+    if verdict is None:
+        return Cell("-")
+    if verdict.kind == "tracked":
+        sizes = ((verdict.pose, "mm"), (verdict.joint, "mrad"))
+        words = "tracked " + ", ".join(f"{1000 * v:.3g} {unit}" for v, unit in sizes if not math.isnan(v))
+    elif verdict.kind == "stopped":
+        found = re.match(r"tripped at t = (\S+) s: (.*?)(,|;|$)", verdict.text)
+        words = f"stopped {found[1]} s: {found[2]}" if found else f"stopped: {verdict.text}"
+    else:
+        words = f"{verdict.kind.upper()}: {verdict.text}"
+    return Cell(words, VERDICT_KINDS[verdict.kind])
+
+
+# -- readings ----------------------------------------------------------------------------------------------------------
+
+
+def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) -> str:
+    """What each reading does to the learners, as text; rows as `experiments.readings` gives them."""
+    table = readings_table(rows)
+    return terminal_text([Line(title, "bold"), table, table.caption], width=width)
+
+
+def readings_table(rows: list[dict[str, Any]]) -> Table:
+    """Per reading a line for each learner: its RMS errors and learned shares."""
+    learners = [name for name, value in rows[0].items() if isinstance(value, dict)]
+    first = rows[0][learners[0]]
+    heads = [Column(key.partition(".")[2].removesuffix("_joint")) for key in reading_errors(first)]
+    heads += [*(Column(f"share\n{part}") for part in first["learned_share"]), Column("met")]
+    made = []
+    for row in rows:
+        for learner in learners:
+            head, met = (row["reading"], f"{row['met']} of {row['of']}") if learner == learners[0] else ("", "")
+            shares = ("-" if v is None else f"{v:.2f}" for v in row[learner]["learned_share"].values())
+            cells = (*reading_errors(row[learner]).values(), *shares, met if row["of"] else "")
+            made.append(row_of(head, learner, *cells))
+    return Table("Readings", (Column(text=True), Column(text=True), *heads), tuple(made), (ABOUT_READINGS,))
+
+
+def reading_errors(learner: dict[str, Any]) -> dict[str, str]:
+    """RMS errors of pose and joints in thousandths."""
+    kept = {k: value for k, value in learner["rms"].items() if not k.startswith("z.") and k not in HIDDEN_ERRORS}
+    return {key: "-" if value is None else number(1e3 * value) for key, value in kept.items()}

@@ -1,1 +1,0 @@
-"""What a contest shows: tables and targets as text, figures."""

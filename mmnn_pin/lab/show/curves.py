@@ -1,0 +1,279 @@
+"""The curves of recorded runs, in the units that people read: one source for the pictures and for the report's plots.
+
+A chart is a function from runs to panels; `chart` names it and says what to know of it. `plots` draws the panels with
+matplotlib, `report.charts` packs them for the page's script.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...recording.metrics import TRUE
+from ...recording.recording import Recording
+from ...signals import Array
+from ..experiments.controllers import ORACLES
+
+Recordings = Mapping[str, Recording]
+Curve = tuple[Array, Array]  # times and values, (N,) each
+Curves = Mapping[str, Curve]  # by run
+
+NETWORKS = ("base", "arm")
+RESIDUALS = {
+    "constraint_residual": ("wheels' constraint", "mm/s", 1e3),
+    "energy_residual": ("energy balance", "mJ", 1e3),
+}
+
+
+@dataclass(frozen=True)
+class Panel:
+    """What one axes shows.
+
+    Attributes:
+        title: What it is, where it stands alone.
+        unit: Of its values.
+        curves: Curve of every run that has one.
+        label: What it is among the panels of its group; by default the title.
+        group: The panels that it belongs to.
+        truth: What the curves should be, where that is known.
+        tracks: In the plane instead of curves over time: poses (N, 3) by run, of None for a reference.
+        step: Whether values hold until the next one.
+        scale: `linear`, `log`, or `symlog`: logarithmic on both sides of zero.
+        limit: Largest value that a motor gives.
+    """
+
+    title: str
+    unit: str
+    curves: Curves = field(default_factory=dict)
+    label: str = ""
+    group: str = ""
+    truth: Curve | None = None
+    tracks: tuple[tuple[str | None, Array], ...] = ()
+    step: bool = False
+    scale: str = "linear"
+    limit: float = np.inf
+
+    @property
+    def axis(self) -> str:
+        """Label of the axis of its values."""
+        return f"{self.label or self.title} [{self.unit}]" if self.unit else self.label or self.title
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A figure of runs as data.
+
+    Attributes:
+        title: Its heading.
+        about: What to know of it.
+        panels: Runs by name to its panels; none where the runs have nothing for it.
+    """
+
+    title: str
+    about: str
+    panels: Callable[[Recordings], Iterable[Panel]]
+
+
+CHARTS: dict[str, Chart] = {}
+
+
+def chart(
+    name: str, title: str, about: str
+) -> Callable[[Callable[[Recordings], Iterable[Panel]]], Callable[[Recordings], Iterable[Panel]]]:
+    """Register the panels of a chart: what the report shows, and what a figure of that name may draw."""
+
+    def register(panels: Callable[[Recordings], Iterable[Panel]]) -> Callable[[Recordings], Iterable[Panel]]:
+        CHARTS[name] = Chart(title, about, panels)
+        return panels
+
+    return register
+
+
+# -- charts ------------------------------------------------------------------------------------------------------------
+
+
+@chart("errors", "Tracking errors", "Reference minus robot. Pose errors are in the base frame.")
+def errors(recordings: Recordings) -> Iterator[Panel]:
+    """True tracking errors of pose, velocities and joints, by which runs are judged; measured ones of old runs."""
+    for signal, words in (("pose_error", "pose"), ("z", "velocity"), ("e", "joint")):
+        known = all(TRUE[signal] in recording for recording in recordings.values() if signal in recording)
+        for panel in signal_panels(recordings, TRUE[signal] if known else signal):
+            yield replace(panel, title=f"{words} {panel.label}", group=words)
+
+
+@chart("path", "Path", "Arrows show the heading, ten along each path.")
+def path(recordings: Recordings) -> Iterator[Panel]:
+    """The base in the plane, wanted and driven, and its distance to where it should be."""
+    driven = {name: r for name, r in recordings.items() if "pose" in r and "pose_ref" in r and len(r)}
+    if driven:
+        wanted = [(None, pose) for pose in distinct([r["pose_ref"] for r in driven.values()])]
+        yield Panel("y over x", "m", tracks=(*wanted, *((name, r["pose"]) for name, r in driven.items())))
+        gaps = {name: (r.time, distance(r)) for name, r in driven.items()}
+        yield Panel("distance to the reference", "mm", gaps)
+
+
+@chart(
+    "torque",
+    "Torques",
+    "Dashed lines are the motors' limits where they are near; only motors that are simulated keep them.",
+)
+def torques(recordings: Recordings) -> Iterator[Panel]:
+    """Forces on the base, torques of the motors with their limits; without motors, those on the arm."""
+    on_base, limits = base_labels(recordings), effort_limits(recordings)
+    motors = signal_panels(recordings, "motor_torque")
+    for panel in signal_panels(recordings, "torque"):
+        if panel.label in on_base:
+            yield replace(panel, title=f"on the base, {panel.label}", group="base", step=True)
+        elif not motors:
+            yield replace(panel, group="arm", step=True)
+    for panel in motors:
+        yield replace(panel, group="motors", step=True, limit=float(limits.get(panel.label, np.inf)))
+
+
+@chart(
+    "psi",
+    "\u03a8 and what was learned of it",
+    "Grey is the true \u03a8 of the Pinocchio model, what is to be learned; the curve is what was learned. A "
+    "small tracking error does not mean that \u03a8 was learned.",
+)
+def psi(recordings: Recordings) -> Iterator[Panel]:
+    """True and learned Psi, a panel per component and learner; the group is the learner."""
+    runs = learners(recordings)
+    true = signal_panels(runs, "psi")
+    learned = {panel.label: panel.curves for panel in signal_panels(runs, "psi_hat")}
+    for panel in true:
+        for name, truth in panel.curves.items():
+            curves = {name: learned[panel.label][name]}
+            yield replace(panel, title=f"{panel.label}, {name}", group=name, curves=curves, truth=truth)
+
+
+@chart(
+    "gains",
+    "Effective gains",
+    "All that multiplies z (base) or r (arm) in the torque. PD at a learner's effective gain has the same.",
+)
+def gains(recordings: Recordings) -> Iterator[Panel]:
+    """Effective gains of base and arm."""
+    on_base = base_labels(recordings)
+    for panel in signal_panels(recordings, "effective_gain"):
+        yield replace(panel, group="base" if panel.label in on_base else "arm", step=True)
+
+
+@chart("weights", "Norms of the weights", "Frobenius norm of all weights of a network.")
+def weights(recordings: Recordings) -> Iterator[Panel]:
+    """Norm of the weights of every network, of the runs that have some."""
+    for column, network in enumerate(NETWORKS):
+        norms = {n: (r.time, r["weight_norm"][:, column]) for n, r in recordings.items() if "weight_norm" in r}
+        if found := {name: curve for name, curve in norms.items() if curve[1].any()}:
+            yield Panel(f"\u2016Z\u2016 of the {network}'s network", "", found)
+
+
+@chart(
+    "residuals",
+    "Residuals",
+    "What should be zero: motion that the wheels forbid (contact plant), and energy out of nowhere.",
+)
+def residuals(recordings: Recordings) -> Iterator[Panel]:
+    """What should be zero."""
+    for signal, (words, unit, scale) in RESIDUALS.items():
+        if found := {n: (r.time, scale * r[signal]) for n, r in recordings.items() if signal in r}:
+            yield Panel(words, unit, found)
+
+
+# -- what they are made of ---------------------------------------------------------------------------------------------
+
+
+def signal_panels(recordings: Recordings, signal: str) -> list[Panel]:
+    """A panel per column of a signal, of all that any recording has, in their order; errors in thousandths."""
+    error = signal.removeprefix("true_")
+    panels: dict[str, Panel] = {}
+    for name, recording in recordings.items():
+        if signal not in recording:
+            continue
+        table = recording[signal].reshape(len(recording), -1) if len(recording) else None
+        for i, (label, unit) in enumerate(zip(recording.labels(signal), column_units(recording, signal), strict=True)):
+            shown, scale = (milli(unit), 1e3) if error in TRUE else (unit, 1.0)
+            title = "heading" if (error, label) == ("pose_error", "phi") else label
+            panel = panels.setdefault(label, Panel(title, shown, {}, title))
+            more = {} if table is None else {name: (recording.time, scale * table[:, i])}
+            panels[label] = replace(panel, curves={**panel.curves, **more})
+    return list(panels.values())
+
+
+def base_labels(recordings: Recordings) -> set[str]:
+    """Names of the base velocities; none for a fixed arm."""
+    return {label for r in recordings.values() if "velocity" in r for label in r.labels("velocity")}
+
+
+def effort_limits(recordings: Recordings) -> dict[str, float]:
+    """Largest torques of the motors by name, where the recordings know them."""
+    metas = [recording.meta for recording in recordings.values() if "effort_limits" in recording.meta]
+    return {k: v for m in metas for k, v in zip(m["actuator_names"], m["effort_limits"], strict=True)}
+
+
+def controller_of(name: str, recording: Recording) -> str:
+    """Controller of a recording."""
+    return str(recording.meta.get("controller", name))
+
+
+def learners(recordings: Recordings) -> dict[str, Recording]:
+    """Recordings of controllers that learn Psi: those with an estimate of their own."""
+    return {
+        name: rec
+        for name, rec in recordings.items()
+        if controller_of(name, rec) not in ORACLES and "psi_hat" in rec and rec["psi_hat"].any()
+    }
+
+
+def distance(recording: Recording) -> Array:
+    """Distance of the base to its reference [mm], shape (N,)."""
+    return 1e3 * np.hypot(*(recording["pose_ref"] - recording["pose"])[:, :2].T)
+
+
+def distinct(references: Sequence[Array]) -> list[Array]:
+    """References that are no beginning of another."""
+    kept: list[Array] = []
+    for reference in sorted(references, key=len, reverse=True):
+        if not any(np.allclose(reference, other[: len(reference)]) for other in kept):
+            kept.append(reference)
+    return kept
+
+
+# -- units -------------------------------------------------------------------------------------------------------------
+
+
+def column_units(recording: Recording, name: str) -> list[str]:
+    """Unit of every column of a signal: those of the base, then those of the arm by the types of its joints."""
+    labels = recording.labels(name)
+    if name in ("position", "motor_torque", "applied"):
+        return [joint_unit(name, label, prismatic_joints(recording.urdf)) for label in labels]
+    base, _, arm = recording.unit(name).partition("; ")
+    if " or " in base:
+        base, arm = "", base
+    count = len(labels) if not arm else len(recording.labels("z")) if base else 0
+    units = base.split(", ")[:count]
+    if len(units) < count:  # vx and vy share the first unit
+        units = [units[0]] * (count - len(units)) + units
+    turning, _, sliding = arm.partition(" or ")
+    slides = prismatic_joints(recording.urdf)
+    return units + [sliding if label in slides else turning for label in labels[count:]]
+
+
+def joint_unit(name: str, label: str, slides: set[str]) -> str:
+    """Unit of one joint's position, or of one motor's torque; the base is pushed along x and y and turned."""
+    sliding = label in slides or label in (("x", "y") if name == "position" else ("base_x", "base_y"))
+    return (("rad", "m") if name == "position" else ("N m", "N"))[sliding]
+
+
+def milli(unit: str) -> str:
+    """The unit in which errors are shown: a thousandth."""
+    return f"m{unit}" if unit else ""
+
+
+def prismatic_joints(urdf: str) -> set[str]:
+    """Names of the sliding joints in the text of a URDF; none without a text."""
+    joints = ElementTree.fromstring(urdf).iter("joint") if urdf else ()
+    return {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}

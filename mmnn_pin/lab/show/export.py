@@ -1,0 +1,217 @@
+"""Recordings and the rows of a study in the formats of other programs: CSV, NumPy's npz, Parquet, and MCAP.
+
+As a table, a recording has one row per control sample and one column per column of a signal, named `signal.label`, such
+as `z.v` or `torque.arm_1_joint`; a signal of one column has its own name. Foxglove and PlotJuggler read the MCAP.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from ...errors import RecordingError, UnknownName
+from ...recording.metrics import as_columns
+from ...recording.recording import Recording
+from ...signals import Array
+from ..study.results import Results
+from ..study.store import Stored
+from .curves import column_units
+from .files import atomic_file, require_free
+
+T = TypeVar("T")
+STUDY_FACTS = (
+    "id",
+    "point",
+    "controller",
+    "seed",
+    "status",
+    "time",
+    "signal",
+    "message",
+    "seconds",
+    "host",
+    "finished",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A column: its name, its unit (empty for a pure number), its values (N,), or as a list that may have gaps."""
+
+    name: str
+    unit: str
+    values: Array | list[Any]
+
+
+def columns_of(recording: Recording) -> Iterator[Column]:
+    """All columns of all signals, the time first."""
+    for signal in recording:
+        labels, units = recording.labels(signal), column_units(recording, signal)
+        for label, unit, values in zip(labels, units, as_columns(recording[signal]).T, strict=True):
+            own = label == signal or label.startswith(f"{signal}[")
+            yield Column(label if own else f"{signal}.{label}", unit, values)
+
+
+def about(recording: Recording) -> dict[str, Any]:
+    """What a recording holds beside its signals, as JSON has it: facts, outcome, config, URDF."""
+    end = recording.outcome
+    outcome = {"status": end.status, "time": end.time, "signal": end.signal, "message": end.message}
+    facts = json.loads(json.dumps(recording.meta, default=lambda array: np.asarray(array).tolist()))
+    return {"meta": facts, "outcome": outcome, "config": recording.config_text, "urdf": recording.urdf}
+
+
+def write_csv(recording: Recording, path: Path) -> None:
+    """One line of names with units, `z.v [m/s]`, then the numbers, written so that reading gives the same bits."""
+    columns = list(columns_of(recording))
+    heads = [f"{column.name} [{column.unit}]" if column.unit else column.name for column in columns]
+    write_rows(path, heads, np.column_stack([column.values for column in columns]).tolist())
+
+
+def write_rows(path: Path, heads: Iterable[str], rows: Iterable[Sequence[Any]]) -> None:
+    """A CSV file."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(heads)
+        writer.writerows(rows)
+
+
+def write_npz(recording: Recording, path: Path) -> None:
+    """Signals by name, `weights/NAME`, `final/NAME`, `step_time`, and `about`: JSON with labels, units and facts."""
+    arrays: dict[str, Any] = {name: recording[name] for name in recording} | {"step_time": recording.step_times}
+    labels = {name: {"labels": recording.labels(name), "units": column_units(recording, name)} for name in recording}
+    groups = {"weights": recording.weights, "final": recording.final}
+    arrays |= {f"{group}/{name}": array for group, found in groups.items() for name, array in found.items()}
+    arrays["about"] = np.array(json.dumps(about(recording) | {"signals": labels}))
+    with path.open("wb") as file:
+        np.savez_compressed(file, **arrays)
+
+
+def write_parquet(recording: Recording, path: Path) -> None:
+    """The table; units in the metadata of its columns, facts in that of the file, under `mmnn_pin`."""
+    write_columns(path, columns_of(recording), about(recording))
+
+
+def write_columns(path: Path, columns: Iterable[Column], facts: Mapping[str, Any]) -> None:
+    """A Parquet file of columns with their units."""
+    import pyarrow
+    import pyarrow.parquet
+
+    every = list(columns)
+    arrays = [pyarrow.array(c.values if isinstance(c.values, list) else np.ascontiguousarray(c.values)) for c in every]
+    typed = zip(every, arrays, strict=True)
+    fields = [pyarrow.field(column.name, array.type, metadata={"unit": column.unit}) for column, array in typed]
+    schema = pyarrow.schema(fields, metadata={"mmnn_pin": json.dumps(facts)})
+    pyarrow.parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), path)
+
+
+def write_mcap(recording: Recording, path: Path) -> None:
+    """Write MCAP, see `bag.write_bag`."""
+    from .bag import write_bag
+
+    write_bag(recording, path)
+
+
+FORMATS: Mapping[str, Callable[[Recording, Path], None]] = {
+    "csv": write_csv,
+    "npz": write_npz,
+    "parquet": write_parquet,
+    "mcap": write_mcap,
+}
+
+
+def export(recording: Recording, path: str | Path, to: str = "", *, force: bool = False) -> Path:
+    """Write a recording in another format, atomically.
+
+    Args:
+        recording: The run.
+        path: The file.
+        to: One of `FORMATS`; by default what the file's name ends in.
+        force: Replace an existing file.
+
+    Raises:
+        UnknownName: No such format.
+        RecordingError: The file exists or cannot be written; a package is missing; for MCAP a recording that does not
+            tell its robot.
+    """
+    path = Path(path)
+    return write_as(FORMATS, "format", recording, path, to or path.suffix[1:].lower(), force)
+
+
+def write_as(
+    formats: Mapping[str, Callable[[T, Path], None]], what: str, content: T, path: Path, to: str, force: bool
+) -> Path:
+    """Write something in one of its formats; errors as in `export`."""
+    if to not in formats:
+        raise UnknownName(what, to, formats)
+    require_free(path, force)
+    with atomic_file(path, "export") as part:
+        try:
+            formats[to](content, part)
+        except ModuleNotFoundError as error:
+            raise missing(to, error) from error
+    return path
+
+
+def missing(to: str, error: ModuleNotFoundError) -> RecordingError:
+    """What to say where a package is not installed."""
+    package, install = (error.name or "").partition(".")[0], "pip install 'mmnn_pin[export]'"
+    return RecordingError(f"cannot export to {to}", why=f"the package {package} is not installed", fix=install)
+
+
+# -- the rows of a study -----------------------------------------------------------------------------------------------
+
+
+def study_columns(results: Results) -> dict[str, list[Any]]:
+    """Column to its values, a row per run: facts, `factor NAME`, metrics by name."""
+    rows: list[Stored] = [*results.rows, *results.failed]
+    rows.sort(key=lambda row: row.id)
+    table: dict[str, list[Any]] = {name: [getattr(row, name) for row in rows] for name in STUDY_FACTS}
+    for name in results.settings.factors:
+        table[f"factor {name}"] = [simple(row.parameters.get(name)) for row in rows]
+    for name in results.units:
+        table[name] = [row.metrics.get(name) for row in rows]
+    return table
+
+
+def simple(value: Any) -> Any:
+    """A value that a cell can hold: lists as JSON."""
+    return json.dumps(value) if isinstance(value, list | tuple) else value
+
+
+def write_study_csv(results: Results, path: Path) -> None:
+    """One line of names, then the rows, numbers written so that reading gives the same bits."""
+    table = study_columns(results)
+    write_rows(path, table, zip(*table.values(), strict=True))
+
+
+def write_study_parquet(results: Results, path: Path) -> None:
+    """The table; units in the metadata of its columns, the study's facts in that of the file, under `mmnn_pin`."""
+    columns = (Column(n, results.units.get(n, ""), uniform(v)) for n, v in study_columns(results).items())
+    write_columns(path, columns, dict(results.meta))
+
+
+def uniform(values: list[Any]) -> list[Any]:
+    """Values of one type: numbers that are not all integers as floats, other mixtures as texts."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds == {int, float}:
+        return [None if value is None else float(value) for value in values]
+    return values if len(kinds) < 2 else [None if value is None else str(value) for value in values]
+
+
+def export_study(results: Results, path: Path, to: str, *, force: bool = False) -> Path:
+    """Write the rows, atomically.
+
+    Raises:
+        UnknownName: A format that has no rows.
+        RecordingError: The file exists or cannot be written; a package is missing.
+    """
+    return write_as(STUDY_FORMATS, "format for the rows of a study", results, path, to, force)
+
+
+STUDY_FORMATS: Mapping[str, Callable[[Results, Path], None]] = {"csv": write_study_csv, "parquet": write_study_parquet}

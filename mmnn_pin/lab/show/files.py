@@ -1,0 +1,150 @@
+"""Files for people: written atomically, and HTML pages that stand alone, made of templates and numbers.
+
+A file is there when it is complete, or not at all. The templates of reports lie in `web`, those of the replay in
+`replay/web`.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import RecordingError
+
+TYPES = {"f4": np.float32, "u2": np.uint16, "u4": np.uint32}  # what the page can read
+ALIGNMENT = 4
+
+
+@contextmanager
+def atomic_file(path: Path, what: str) -> Iterator[Path]:
+    """A temporary name to write to; it becomes `path` at the end of the block, or vanishes with an error.
+
+    Args:
+        path: The file; missing folders are made.
+        what: What it is, for the message of an error.
+
+    Raises:
+        RecordingError: A place that cannot be written.
+    """
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+        os.replace(part, path)
+    except OSError as error:
+        raise RecordingError(f"cannot write the {what}", why=error.strerror or str(error), file=path) from error
+    finally:
+        with suppress(OSError):
+            part.unlink()
+
+
+def require_free(path: Path, force: bool) -> None:
+    """Refuse to replace a file unasked.
+
+    Raises:
+        RecordingError: It exists, and `force` is off.
+    """
+    if path.exists() and not force:
+        raise RecordingError("the file exists", fix="choose another, or replace it with --force", file=path)
+
+
+@dataclass(frozen=True)
+class HtmlPage:
+    """A page of HTML that stands alone.
+
+    Attributes:
+        html: The whole page.
+    """
+
+    html: str = field(repr=False)
+
+    what: ClassVar[str] = "page"
+
+    @property
+    def size(self) -> int:
+        """Bytes of the page."""
+        return len(self.html.encode())
+
+    def within(self, height: str) -> str:
+        """The page as an element for another page, isolated from it, as high as a length of CSS."""
+        look = f"width:100%;height:{height};border:0"
+        return (
+            f'<iframe title="{self.what}" sandbox="allow-scripts" style="{look}" srcdoc="{escape(self.html)}"></iframe>'
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the page, atomically.
+
+        Raises:
+            RecordingError: A place that cannot be written.
+        """
+        with atomic_file(Path(path), self.what) as part:
+            part.write_text(self.html, encoding="utf-8")
+        return Path(path)
+
+
+def web_file(name: str, package: str = __package__) -> str:
+    """A file of the folder `web` of a package."""
+    return resources.files(package).joinpath("web", name).read_text("utf-8")
+
+
+def fill_template(name: str, package: str = __package__, **values: Any) -> str:
+    """A template of the folder `web` of a package with its values, and `made`: when that was.
+
+    Templates include one another by name.
+    """
+    from jinja2 import Environment, FunctionLoader
+
+    made = datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+    loader = FunctionLoader(lambda other: web_file(other, package))
+    templates = Environment(loader=loader, autoescape=True, trim_blocks=True, lstrip_blocks=True)
+    return templates.get_template(name).render(made=made, **values)
+
+
+class Blob:
+    """Arrays for the page, little endian."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+        self._size = 0
+
+    def add(self, array: NDArray[Any], kind: str) -> dict[str, Any]:
+        """Store an array, flattened.
+
+        Args:
+            array: The numbers.
+            kind: Their type in the page, one of `TYPES`.
+
+        Returns:
+            Where it is: what the JSON holds in its place.
+        """
+        data = np.ascontiguousarray(array, dtype=np.dtype(TYPES[kind]).newbyteorder("<")).tobytes()
+        reference = {"type": kind, "at": self._size, "size": int(array.size)}
+        padded = data + bytes(-len(data) % ALIGNMENT)
+        self._parts.append(padded)
+        self._size += len(padded)
+        return reference
+
+    def pack(self, header: dict[str, Any]) -> str:
+        """Header and arrays as text: the header's length (4 bytes), the header as JSON, the arrays; compressed."""
+        text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % ALIGNMENT)
+        return compressed(len(text).to_bytes(4, "little") + text + b"".join(self._parts))
+
+
+def compressed(data: bytes) -> str:
+    """Bytes as text that the page can unpack: gzip, then base64."""
+    return base64.b64encode(gzip.compress(data, 9, mtime=0)).decode()

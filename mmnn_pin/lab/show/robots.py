@@ -1,0 +1,268 @@
+"""What is shown of a robot: what was understood of its file, its reduced model, and whether its properties hold."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...model.checks.nonholonomy import RANK_TOLERANCE, Closure
+from ...model.checks.properties import Report, check_properties
+from ...model.inspection import inspection_of
+from ...recording.recording import Recording
+from ...recording.robot import recorded_robot
+
+SHOWN = 12  # locked joints listed one by one
+SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"
+CHECK_SAMPLES = 20  # random states of the property checks
+CHECK_SEED = 0
+
+
+def inspection_text(content: dict[str, Any]) -> str:
+    """The tables and the findings, as text.
+
+    Args:
+        content: What `model.inspection.inspection_of` gives.
+    """
+    findings = [f"  {finding['text']}" for finding in content["findings"]]
+    last = "\n".join([f"findings ({len(findings)})", *findings]) if findings else "no findings"
+    return f"{understood_text(content)}\n\n{last}"
+
+
+def understood_text(content: dict[str, Any]) -> str:
+    """Base, wheels, arm and what is locked."""
+    parts = (head(content), wheels(content["base"]), arm(content["arm"]), *locked(content["locked_at"]))
+    return "\n\n".join(part for part in parts if part)
+
+
+def refusal_text(content: dict[str, Any]) -> str:
+    """What there is to say of a robot that was refused, beside the errors: what its base could be, and the rest.
+
+    Args:
+        content: What `model.inspection.refusal_of` says.
+    """
+    lines = []
+    for candidate in (content["base"] or {}).get("candidates", ()):
+        lines.append(f"candidate: {candidate['kind'].replace('_', ' ')}")
+        lines += [f"  for: {text}" for text in candidate["for"]]
+        lines += [f"  against: {text}" for text in candidate["against"]]
+    lines += [f"wheel? {text}" for text in (content["base"] or {}).get("wheel_candidates", ())]
+    lines += [finding["text"] for finding in content["findings"] if finding["severity"] != "error"]
+    return "\n".join(lines)
+
+
+def head(content: dict[str, Any]) -> str:
+    """File, mass and base."""
+    base = content["base"]
+    lines = [("file", content["file"]), ("sha256", content["sha256"]), ("mass", f"{content['mass']:.4g} kg")]
+    lines.append(("base", base["kind"].replace("_", " ")))
+    if base["kind"] != "fixed":
+        x, y, heading = base["frame"]
+        frame = f"x {x:.4g} m, y {y:.4g} m, heading {math.degrees(heading):.4g} deg in the root link"
+        lines += [("track", f"{base['track']:.4g} m"), ("control frame", frame)]
+        lines.append(("floor", f"{base['floor']:.4g} m above the root link's origin"))
+    for key in ("casters", "suspensions"):
+        lines += [(key, ", ".join(base[key]))] if base[key] else []
+    return "\n".join(f"{name:16}{value}" for name, value in lines)
+
+
+def wheels(base: dict[str, Any]) -> str:
+    """Drive wheels with radius, sign and place."""
+    if not base["wheels"]:
+        return ""
+    rows = [("drive wheel", "radius [m]", "sign", "x [m]", "y [m]", "roller [deg]")]
+    for wheel in base["wheels"]:
+        roller = "-" if wheel["roller"] is None else f"{math.degrees(wheel['roller']):.4g}"
+        numbers = (f"{wheel['radius']:.4g}", f"{wheel['sign']:+d}", f"{wheel['x']:.4g}", f"{wheel['y']:.4g}", roller)
+        rows.append((wheel["joint"], *numbers))
+    return underlined(rows)
+
+
+def arm(content: dict[str, Any]) -> str:
+    """Arm joints with limits, and what follows them."""
+    if not content["joints"]:
+        return "no arm"
+    rows = [("arm joint", "lower", "upper", "effort")]
+    for name in content["joints"]:
+        limits = content["limits"][name]
+        numbers = (limits[key] for key in ("lower", "upper", "effort"))
+        rows.append((name, *("-" if limit is None else f"{limit:.4g}" for limit in numbers)))
+    slaves = [
+        f"{name} follows: {slave['multiplier']:.4g} {slave['master']} {slave['offset']:+.4g}"
+        for name, slave in content["slaves"].items()
+    ]
+    return "\n".join([underlined(rows), "angles in rad, travels in m, efforts in N m or N; - for no limit", *slaves])
+
+
+def locked(content: dict[str, Any]) -> Iterator[str]:
+    """Joints that stand still, a table per reason; long ones are cut."""
+    for why in dict.fromkeys(entry["why"] for entry in content.values()):
+        names = {name: entry["position"] for name, entry in content.items() if entry["why"] == why}
+        rows = [("locked joint", "at"), *((name, f"{at:.4g}") for name, at in list(names.items())[:SHOWN])]
+        more = f"\nand {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+        yield f"{underlined(rows)}{more}\n{why}"
+
+
+def underlined(rows: Sequence[Sequence[str]]) -> str:
+    """Rows in columns, a line under the heading."""
+    first, *others = aligned([[" ".join(cell.split()) for cell in row] for row in rows])  # a name may hold a line break
+    return "\n".join([first, "-" * len(first), *others])
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows in columns, the first one to the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    numbers = ([cell.rjust(width) for cell, width in zip(row[1:], widths[1:], strict=True)] for row in rows)
+    return ["  ".join([row[0].ljust(widths[0]), *cells]) for row, cells in zip(rows, numbers, strict=True)]
+
+
+# -- reduced model -----------------------------------------------------------------------------------------------------
+
+
+def model_text(model: dict[str, Any]) -> str:
+    """Text of what `mmnn_pin.model.inspection.model_at` gives."""
+    names, full, motors = model["velocity_names"], model["full_velocity_names"], model["actuator_names"]
+    rows = [f"constraint {i + 1}" for i in range(len(model["A"]))]
+    blocks = [
+        f"robot {model['robot']}, base {model['base']}",
+        "M nudot + C nu + gravity + friction = E u,   velocity = T nu,   A velocity = 0",
+        matrix("M", model["M"], names, names),
+        matrix("C", model["C"], names, names),
+        matrix(
+            "gravity, friction", np.transpose([model["gravity"], model["friction"]]), names, ["gravity", "friction"]
+        ),
+        matrix("T", model["T"], full, names),
+        matrix("A", model["A"], rows, full),
+        matrix("E", model["E"], names, motors),
+    ]
+    return "\n\n".join(block for block in blocks if block)
+
+
+def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str]) -> str:
+    """A matrix with names; empty if it has no rows or no columns."""
+    values = np.asarray(values, float)
+    if not values.size:
+        return ""
+    cells = ([name, *(f"{value:.5g}" for value in row)] for name, row in zip(rows, values, strict=True))
+    return "\n".join(aligned([[title, *columns], *cells]))
+
+
+# -- properties --------------------------------------------------------------------------------------------------------
+
+
+def properties_dict(report: Report) -> dict[str, Any]:
+    """The report as the command line's JSON object; what is not finite is null."""
+    tested, b = report.nonholonomic, report.bounds
+    return {
+        "robot": report.robot,
+        "samples": report.samples,
+        "seed": report.seed,
+        "ok": report.passed,
+        "properties": {
+            name: {"worst": json_number(p.worst), "tolerance": p.tolerance, "pass": p.passed, "means": p.means}
+            for name, p in report.properties.items()
+        },
+        "skipped": dict(report.skipped),
+        "bounds": {
+            "M_min": json_number(b.M_min),
+            "M_max": json_number(b.M_max),
+            "C_b": json_number(b.C_b),
+            "sampling": SAMPLING,
+        },
+        "nonholonomic": {
+            "distribution": tested.pose.distribution if tested.pose else 0,
+            "closure": tested.pose.closure if tested.pose else 0,
+            "verdict": tested.verdict,
+            "growth": list(tested.pose.growth) if tested.pose else [],
+            "with_wheel_angles": None if tested.with_wheels is None else closure_dict(tested.with_wheels),
+            "rank_tolerance": RANK_TOLERANCE,
+        },
+    }
+
+
+def closure_dict(closure: Closure) -> dict[str, Any]:
+    """A closure for JSON."""
+    names = ("coordinates", "distribution", "closure")
+    return {name: getattr(closure, name) for name in names} | {"growth": list(closure.growth)}
+
+
+def json_number(value: float) -> float | None:
+    """Number for JSON: nothing where it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def properties_text(report: Report) -> str:
+    """The report for a terminal: one line per property, the bounds, the Frobenius test."""
+    width = max(map(len, report.properties))
+    lines = [f"robot {report.robot}: {report.samples} random states, seed {report.seed}", ""]
+    lines.append(f"{'property':<{width}}  {'worst':>9}  {'allowed':>9}")
+    for name, p in report.properties.items():
+        allowed = f"{'>' if p.at_least else '<='} {p.tolerance:.0e}"
+        lines.append(f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  {p.means}")
+    lines += [f"{name:<{width}}  skipped: {why}" for name, why in report.skipped.items()]
+    b = report.bounds
+    lines += ["", f"reduced M: {b.M_min:.4g} I <= M <= {b.M_max:.4g} I (SI units);  ||C|| <= {b.C_b:.4g} ||nu||"]
+    lines += [f"  sampling: {SAMPLING}", "", f"base: {report.nonholonomic.verdict}"]
+    for where, found in (("pose", report.nonholonomic.pose), ("pose and wheels", report.nonholonomic.with_wheels)):
+        if found is not None:
+            ranks = " -> ".join(map(str, found.growth))
+            lines.append(f"  {where}: rank {ranks} of {found.coordinates} by Lie brackets")
+    failed = [name for name, p in report.properties.items() if not p.passed]
+    lines += ["", f"FAILED: {', '.join(failed)}" if failed else "all properties hold"]
+    return "\n".join(lines)
+
+
+# -- the robots of runs ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RobotShown:
+    """A robot.
+
+    Attributes:
+        name: Its name.
+        understood: Base, wheels, arm and what is locked, as text.
+        findings: Those of the audit, with `severity` and `text`.
+        checks: The property checks, as text.
+        ok: Whether all properties hold.
+    """
+
+    name: str
+    understood: str
+    findings: tuple[dict[str, Any], ...]
+    checks: str
+    ok: bool
+
+    @property
+    def counts(self) -> str:
+        """How many warnings and notes there are, in words."""
+        numbers = {kind: sum(f["severity"] == kind for f in self.findings) for kind in ("error", "warning", "note")}
+        words = [f"{n} {kind}{'s' * (n != 1)}" for kind, n in numbers.items() if n]
+        return ", ".join(words) or "nothing to remark"
+
+
+def robots_of(recordings: Mapping[str, Recording]) -> list[RobotShown]:
+    """The different robots of some runs.
+
+    Raises:
+        InputError: The robot of a run cannot be built.
+    """
+    found: dict[str, RobotShown] = {}
+    for recording in recordings.values():
+        facts = (recording.meta.get(key) for key in ("urdf_sha256", "overrides", "mass_factors", "viscous"))
+        key = repr(list(facts))
+        if key not in found:
+            found[key] = about_robot(recording)
+    return list(found.values())
+
+
+def about_robot(recording: Recording, samples: int = CHECK_SAMPLES) -> RobotShown:
+    """The robot of a run."""
+    robot = recorded_robot(recording)
+    content = inspection_of(robot) | {"file": robot.path.name, "sha256": recording.meta["urdf_sha256"]}
+    report = check_properties(robot, samples, CHECK_SEED)
+    findings = tuple(f | {"text": f["text"].replace(str(robot.path), robot.path.name)} for f in content["findings"])
+    return RobotShown(robot.name, understood_text(content), findings, properties_text(report), report.passed)
