@@ -31,7 +31,7 @@ from ..settings import plain
 from ..signals import Array, Layout
 from ..timing import Timing
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.origin import origin_of
+from ..torque.learning_law import origin_of
 from .before_run import require_first, require_nominal, require_stable_gains
 from .control import context_of
 from .controller_state import state_from, told_with

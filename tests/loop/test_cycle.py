@@ -126,7 +126,12 @@ LEARNERS = [
 ]
 QUICK = [  # so that all of them learn within 0.1 s
     *(f"kalman.{table}.state_pole=1000.0" for table in ("regressor", "bilinear", "features", "residual")),
-    *("kalman.bilinear.hidden=3", "kalman.residual.hidden=3", "kalman.features.hidden=20", "replay.pole=1000.0"),
+    *(
+        "kalman.bilinear.hidden=3",
+        "kalman.residual.hidden=3",
+        "kalman.features.hidden=20",
+        "two_layer_composite.pole=1000.0",
+    ),
     "concurrent.entries=10",
 ]
 

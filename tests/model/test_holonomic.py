@@ -27,7 +27,7 @@ from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural
-from mmnn_pin.torque.neural_settings import TwoLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 from tests.learning import assert_engines_agree, assert_frozen
 
 GAINS = np.array([2.0, 3.0, 4.0])
@@ -228,7 +228,12 @@ LEARNERS = [
 def learning_loop(name: str, duration: float) -> Loop:
     """A mecanum robot on an eight while it turns, learned of by a controller of the experiments, or PD."""
     robot, small = mecanum(1), ["kalman.bilinear.hidden=3", "kalman.residual.hidden=3", "kalman.features.hidden=30"]
-    gains = ["feedback.base=[400.0, 400.0, 40.0]", "feedback.arm=5.0", "replay.pole=500.0", "concurrent.entries=20"]
+    gains = [
+        "feedback.base=[400.0, 400.0, 40.0]",
+        "feedback.arm=5.0",
+        "two_layer_composite.pole=500.0",
+        "concurrent.entries=20",
+    ]
     quick = [f"kalman.{table}.state_pole=500.0" for table in ("regressor", "bilinear", "features", "residual")]
     experiment = load_experiment("chapter4", [*small, *gains, *quick, "robust.base=0.0", "robust.arm=0.0"])
     trajectory = Trajectory(Holonomic(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0),))

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...signals import Array
-from ...torque.neural_settings import Robust
+from ...torque.neural import Robust
 from .ideal import Ideal
-from .networks import Networks, seen
+from .learner import Networks, seen
 from .subject import Subject
 
 

@@ -22,12 +22,11 @@ from mmnn_pin.lab.experiments.files import bundled, read_toml
 from mmnn_pin.lab.experiments.largest_errors import THESIS, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.lab.experiments.readings import readings
 from mmnn_pin.lab.experiments.runner import Result
-from mmnn_pin.lab.proof.rebuild import recorded_learner
+from mmnn_pin.lab.proof.learner import recorded_learner
 from mmnn_pin.lab.show import table
 from mmnn_pin.recording.robot import recorded_robot
-from mmnn_pin.torque.inputs import Inputs
-from mmnn_pin.torque.neural import Neural
-from mmnn_pin.torque.neural_settings import TwoLayer
+from mmnn_pin.torque.neural import Inputs, Neural
+from mmnn_pin.torque.two_layer import TwoLayer
 
 FILE = bundled()["chapter5"]
 LEARNERS = ("two_layer_zero", "two_layer_random", "one_layer")

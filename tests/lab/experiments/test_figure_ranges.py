@@ -21,7 +21,7 @@ from mmnn_pin.lab.experiments.readings import SWITCHES, readings, told
 from mmnn_pin.lab.experiments.runner import Result
 from mmnn_pin.lab.show import effects, verdicts
 from mmnn_pin.signals import Array
-from mmnn_pin.torque.inputs import MEASURED
+from mmnn_pin.torque.neural import MEASURED
 
 LEARNERS = ("two_layer", "one_layer")
 # Distance of the ticks on the axes of the thesis's figures.

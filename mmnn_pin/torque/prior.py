@@ -1,15 +1,16 @@
 """What a learner that knows the kinematics takes a robot for before it has moved: balls at the joints.
 
-Which balls? A guess multiplies `nudot_ref`, which holds `K edot`, so a guess much heavier than the robot is a feedback
+Which balls? A prior multiplies `nudot_ref`, which holds `K edot`, so a prior much heavier than the robot is a feedback
 that the control period does not stand: 2 kg in every joint of a servo arm of 50 g. Masses are unknown, but the feedback
 K was chosen for this robot, and says how heavy it can be: K over the inertia is the bandwidth of a velocity. So the
-guess is made lighter, body by body, until no velocity feels more inertia of it than `slowest` times its gain.
+prior is made lighter, body by body, until no velocity feels more inertia of it than `slowest` times its gain.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..model.tree.regressor import BODY
 from ..signals import Array, Layout
@@ -20,7 +21,22 @@ SAMPLES = 100  # of random positions
 POWERS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)  # of the size in the ten numbers of a body
 
 
-def guess_of(
+def require_start(initial: str, nominal: Array | None, k: int, section: str) -> None:
+    """Refuse a start from nominal parameters without them, and others than k finite ones.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    if initial == "guess":
+        raise ConfigError("'guess' is now called 'prior'", fix="write initial = 'prior'", key=f"{section}.initial")
+    if initial == "nominal" and nominal is None:
+        fix = "give them, or use initial = 'prior'"
+        raise ConfigError("no nominal parameters", fix=fix, key=f"{section}.initial")
+    if nominal is not None and (nominal.shape != (k,) or not np.isfinite(nominal).all()):
+        raise ConfigError(f"{nominal.size} parameters", fix=f"give {k} finite ones", key=f"{section}.nominal")
+
+
+def prior_of(
     regressor: Regressor, K: Array, mass: tuple[float, float], size: tuple[float, float], slowest: float
 ) -> Array:
     """Balls at every joint and no friction, (k,).
@@ -30,7 +46,7 @@ def guess_of(
         K: (p,) feedback gains.
         mass: Masses at most (base, every other body) [kg].
         size: Radii of gyration about each axis, likewise [m].
-        slowest: Inertia that a velocity feels of the guess, over its gain, at most [s].
+        slowest: Inertia that a velocity feels of the prior, over its gain, at most [s].
     """
     theta = balls(regressor, mass, size)
     return theta * np.concatenate(
@@ -43,7 +59,7 @@ def sizes_of(
 ) -> Array:
     """How large the inertial parameters of such bodies may be, (10 bodies,): mass times powers of the size.
 
-    Arguments as in `guess_of`.
+    Arguments as in `prior_of`.
     """
     found = np.array([mass[b != "root"] * size[b != "root"] ** np.array(POWERS) for b in regressor.bodies])
     return np.asarray(found * lightness(regressor, balls(regressor, mass, size), K, slowest)[:, None]).ravel()
@@ -71,7 +87,7 @@ def lightness(regressor: Regressor, theta: Array, K: Array, slowest: float) -> A
 
 
 def inertia_of_bodies(regressor: Regressor, theta: Array, seed: int = 0) -> Array:
-    """What of the diagonal of M every body is at most, over random positions, (bodies, p) [kg, kg m^2]."""
+    """How much of the diagonal of M every body is, at most, over random positions, (bodies, p) [kg, kg m^2]."""
     rng, count, p = np.random.default_rng(seed), len(regressor.bodies), regressor.massless.nu.size
     felt, still, first = np.zeros((count, p)), np.zeros(p), regressor.inertial
     for _ in range(SAMPLES):
