@@ -67,7 +67,7 @@ class Loop:
         safety: A supervisor between controller and motors; None for none.
         disturbances: What happens to the robot during the run.
         within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves (see
-            `torque.motor_limits`); None for what the controller says: learners beyond the thesis do.
+            `torque.law`); None for what the controller says: learners beyond the thesis do.
     """
 
     robot: Robot

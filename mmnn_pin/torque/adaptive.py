@@ -28,21 +28,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-import msgspec
 import numpy as np
 from scipy.linalg import solve_triangular
 
 from ..compiled import Matrix, Vector, compiled, layout_of, views
 from ..errors import ConfigError
-from ..model.regressor import Regressor
 from ..model.tree.regressor import Massless, measured, regress
-from ..settings import Settings, plain, require_numbers
+from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
-from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told
+from .controller import Context, ControllerState, Law
 from .law import KERNELS, Kernels, constant_gain, nothing_to_keep
-from .prior import gains_of, prior_of, require_start, scales, tempo
+from .prior import ParameterLearner, gains_of, prior_of, scales, tempo
 from .pseudo_inertia import BODY, Bodies, directions, lifted, move, pseudo_inertias, vector_of
 
 POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
@@ -212,50 +210,16 @@ KERNELS[Adaptation] = Kernels(estimate, nothing_to_keep)
 
 
 @dataclass(frozen=True, eq=False)
-class Adaptive(CompiledController):
+class Adaptive(ParameterLearner):
     """`tau = Y theta_hat + K s` with `V' = -s' K s`: s goes to zero without leakage, bounds and disturbances.
 
-    Args:
-        regressor: How the robot moves.
-        feedback: K.
-        settings: Rates, start and bounds.
-        nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
-        learning: Off keeps the estimate as it starts.
-
-    Raises:
-        ConfigError: A start from nominal parameters without them, or with others than k finite ones.
+    Args and errors are those of `ParameterLearner`; the pseudo-inertias of the start are positive definite.
     """
 
-    regressor: Regressor
-    feedback: Feedback = field(default_factory=Feedback)
     settings: AdaptiveSettings = field(default_factory=AdaptiveSettings)
-    nominal: Array | None = None
-    learning: bool = True
     name: str = "adaptive"
 
-    within_limits: ClassVar[bool] = True
     lyapunov_part = "estimate"
-
-    def __post_init__(self) -> None:
-        require_start(self.settings.initial, self.nominal, self.regressor.size, "adaptive")
-
-    @classmethod
-    def build(cls, given: Given) -> Self:
-        """With how the robot moves, and the nominal parameters where it starts from them."""
-        start = given.told.parameters if given.settings.initial == "nominal" else None
-        return cls(given.told.motion, given.feedback, given.settings, start, given.learning)
-
-    @classmethod
-    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
-        """From gains, settings and start."""
-        if not facts:
-            return None
-        own = dict(facts.get("settings") or facts["adapting"])
-        own["initial"] = own["initial"].replace("guess", "prior")
-        settings = msgspec.convert(own, AdaptiveSettings)
-        start = np.array(facts["start"], float) if settings.initial == "nominal" else None
-        feedback = msgspec.convert(facts["feedback"], Feedback)
-        return cls(told.motion, feedback, settings, start, bool(facts["learning"]))
 
     @property
     def notes(self) -> list[str]:
@@ -321,11 +285,6 @@ class Adaptive(CompiledController):
         """The estimate, (k,)."""
         return {"theta": state["theta"]}
 
-    def facts(self) -> dict[str, Any]:
-        """Gains, settings and start, with the names of the parameters."""
-        named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
-        return {"feedback": plain(self.feedback), "settings": plain(self.settings)} | named
-
     def features(self, law: Law, state: ControllerState) -> Array | None:
         """Y, (p, k)."""
         learner: Adaptation = law.learner
@@ -342,10 +301,6 @@ class Adaptive(CompiledController):
             return []
         verdict = "not excited: " if 2 * excited < known else ""
         return [f"{self.name}: {verdict}the motion excited {excited} of {known} combinations of parameters that matter"]
-
-    def start(self) -> Array:
-        """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""
-        return self._start.copy()
 
     @cached_property
     def _start(self) -> Array:

@@ -266,8 +266,7 @@ class AdaptiveComposite(Adaptive):
     def build(cls, given: Given) -> Self:
         """With the settings of `adaptive`, and its own."""
         adaptive, own = given.settings
-        start = given.told.parameters if adaptive.initial == "nominal" else None
-        return cls(given.told.motion, given.feedback, adaptive, start, given.learning, composite=own)
+        return replace(super().build(replace(given, settings=adaptive)), composite=own)
 
     @classmethod
     def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:

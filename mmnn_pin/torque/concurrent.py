@@ -22,23 +22,21 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from ..compiled import Vector, compiled, layout_of, views
-from ..model.regressor import Regressor
 from ..model.tree.regressor import Massless, measured, regress
-from ..settings import Settings, plain, require_at_most, require_numbers
+from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
 from .adaptive import AdaptiveSettings
-from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told
+from .controller import Context, ControllerState, Law
 from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
 from .history import Scratch, Stack, consider, estimate_of, scratch
 from .history import shapes as stack_shapes
 from .law import KERNELS, Kernels, constant_gain
-from .prior import prior_of, require_start, scales, sizes_of
+from .prior import ParameterLearner, prior_of, scales, sizes_of
 
 TIME, POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("time", "pose", "velocity", "q", "qdot"))
 Z, R, NU_REF, NUDOT_REF = INDEX["z"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]
@@ -271,49 +269,16 @@ KERNELS[History] = Kernels(estimate, settle)
 
 
 @dataclass(frozen=True, eq=False)
-class Concurrent(CompiledController):
-    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see `torque.recall` for what holds.
+class Concurrent(ParameterLearner):
+    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see above for what holds.
 
-    Args:
-        regressor: How the robot moves.
-        feedback: K.
-        settings: Stack, rates and start.
-        nominal: (k0,) parameters to start from, needed for `initial = "nominal"`.
-        learning: Off keeps the estimate.
-
-    Raises:
-        ConfigError: A start from nominal parameters without them, or with others than k0 finite ones.
+    Args and errors are those of `ParameterLearner`.
     """
 
-    regressor: Regressor
-    feedback: Feedback = field(default_factory=Feedback)
     settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
-    nominal: Array | None = None
-    learning: bool = True
     name: str = "concurrent"
 
-    within_limits: ClassVar[bool] = True
     lyapunov_part = "stack"
-
-    def __post_init__(self) -> None:
-        require_start(self.settings.initial, self.nominal, self.regressor.size, "concurrent")
-
-    @classmethod
-    def build(cls, given: Given) -> Self:
-        """With how the robot moves, and the nominal parameters where it starts from them."""
-        start = given.told.parameters if given.settings.initial == "nominal" else None
-        return cls(given.told.motion, given.feedback, given.settings, start, given.learning)
-
-    @classmethod
-    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
-        """From gains, settings and start."""
-        if not facts:
-            return None
-        own = facts["settings"] | {"initial": facts["settings"]["initial"].replace("guess", "prior")}
-        settings = msgspec.convert(own, ConcurrentSettings)
-        start = np.array(facts["start"], float) if settings.initial == "nominal" else None
-        feedback = msgspec.convert(facts["feedback"], Feedback)
-        return cls(told.motion, feedback, settings, start, bool(facts["learning"]))
 
     @property
     def notes(self) -> list[str]:
@@ -383,10 +348,6 @@ class Concurrent(CompiledController):
         """Standard deviations of the prior of theta, (k0,)."""
         return self._typical[0]
 
-    def start(self) -> Array:
-        """The parameters before anything is learned, (k0,)."""
-        return self._start.copy()
-
     @cached_property
     def _start(self) -> Array:
         """The same, computed once: a prior looks at many positions."""
@@ -402,11 +363,6 @@ class Concurrent(CompiledController):
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The estimate, (k,)."""
         return {"w": state["w"]}
-
-    def facts(self) -> dict[str, Any]:
-        """Gains, settings and start, with the names of the parameters."""
-        own = {"feedback": plain(self.feedback), "settings": plain(self.settings), "learning": self.learning}
-        return own | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
 
     def features(self, law: Law, state: ControllerState) -> Array | None:
         """Phi, (p, k); while it learns, that of the last control period."""

@@ -8,17 +8,78 @@ prior is made lighter, body by body, until no velocity feels more inertia of it 
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
 import numpy as np
 
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..model.tree.regressor import BODY
 from ..signals import Array, Layout
-from .controller import Feedback
+from .controller import CompiledController, Feedback, Given, Told, read_facts
 
 GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
 SAMPLES = 100  # of random positions
 POWERS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)  # of the size in the ten numbers of a body
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterLearner(CompiledController):
+    """A learner that is told how the robot moves, and starts from a prior or from the numbers of a nominal robot.
+
+    Args:
+        regressor: How the robot moves.
+        feedback: K.
+        settings: Its table, with `initial`.
+        nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
+        learning: Off keeps the estimate as it starts.
+
+    Raises:
+        ConfigError: A start from nominal parameters without them, or with others than k finite ones.
+    """
+
+    regressor: Regressor
+    feedback: Feedback = field(default_factory=Feedback)
+    settings: Any = None
+    nominal: Array | None = None
+    learning: bool = True
+
+    within_limits: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        require_start(self.settings.initial, self.nominal, self.regressor.size, self.name.partition("_")[0])
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With how the robot moves, and the nominal parameters where it starts from them."""
+        start = given.told.parameters if given.settings.initial == "nominal" else None
+        return cls(given.told.motion, given.feedback, given.settings, start, given.learning)
+
+    @classmethod
+    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
+        """From gains, settings and start."""
+        if not facts:
+            return None
+        own = dict(facts.get("settings") or facts["adapting"])
+        own["initial"] = own["initial"].replace("guess", "prior")
+        made = read_facts(cls, {**facts, "settings": own}, "feedback", "settings", "learning")
+        start = np.array(facts["start"], float) if own["initial"] == "nominal" else None
+        return cls(told.motion, nominal=start, **made)
+
+    def facts(self) -> dict[str, Any]:
+        """Gains, settings and start, with the names of the parameters."""
+        return super().facts() | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
+
+    def start(self) -> Array:
+        """The parameters before anything is learned, (k,)."""
+        return self._start.copy()
+
+    @cached_property
+    def _start(self) -> Array:
+        """The same, computed once: a prior looks at many positions."""
+        raise NotImplementedError
 
 
 def require_start(initial: str, nominal: Array | None, k: int, section: str) -> None:

@@ -163,7 +163,7 @@ def learner(name, robot=ROBOT):
 def test_a_learner_learns_there_what_it_learns_in_the_loop(name, monkeypatch):
     monkeypatch.setattr("mmnn_pin.torque.kalman.SAMPLES", 20)  # of the prior: the time that plain Python takes
     monkeypatch.setattr("mmnn_pin.torque.concurrent.SAMPLES", 60)
-    monkeypatch.setattr("mmnn_pin.torque.guess.SAMPLES", 10)
+    monkeypatch.setattr("mmnn_pin.torque.prior.SAMPLES", 10)
     loop = closed(learner(name), duration=0.05 if config.DISABLE_JIT else 0.5)
     run = loop.run()
     found = replayed(loop, run)

@@ -260,7 +260,7 @@ def test_both_engines_and_fixed_weights_on_a_holonomic_base(name, monkeypatch):
     if config.DISABLE_JIT:
         monkeypatch.setattr("mmnn_pin.torque.kalman.SAMPLES", 10)  # of the prior: the time that plain Python takes
         monkeypatch.setattr("mmnn_pin.torque.concurrent.SAMPLES", 30)
-        monkeypatch.setattr("mmnn_pin.torque.guess.SAMPLES", 5)
+        monkeypatch.setattr("mmnn_pin.torque.prior.SAMPLES", 5)
     loop = learning_loop(name, 0.01 if config.DISABLE_JIT else 0.2)
     assert_engines_agree(loop)
     assert_frozen(loop)
