@@ -17,7 +17,7 @@ class LeastSquares(LearningLaw):
     prior: float = 30.0  # how far theta may be from 0 [kg, kg m, kg m^2, ...]
 
     knows_motion = True  # asks for the regressor Y
-    learned = ("theta",)  # the weights among the parts of the memory
+    learned = ("theta",)  # the weights among the parts of the state
 
     def init(self, context):
         """Everything from zero; P, the covariance of theta, as large as the prior says."""

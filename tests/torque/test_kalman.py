@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_it_resumes
 from places import ROOT
 from robots import fixed_arm, mobile_arm
 from scipy.signal import lfilter
@@ -55,7 +56,6 @@ from mmnn_pin.torque.kalman import (
 from mmnn_pin.torque.law import limit, motor_limits
 from mmnn_pin.torque.linear import Parts, estimate, project, track
 from mmnn_pin.torque.random_features import coprime
-from tests.learning import assert_engines_agree, assert_it_resumes
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 LONG = pytest.mark.skipif(PLAIN, reason="needs a long run")

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from numba import config
-from tests.test_composite import EIGHT
-from tests.test_concurrent import CIRCLE
+from test_composite import EIGHT
+from test_concurrent import CIRCLE
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.control import Torque
 from mmnn_pin.torque.neural import MEASURED, Inputs
 from mmnn_pin.torque.two_layer_composite import TwoLayerCompositeSettings, descend, estimate, keep_sample, recollect
-from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 
 seeds = st.integers(0, 2**32 - 1)
 
