@@ -14,7 +14,7 @@ from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import INDEX, Array, IntArray
 from ..torque import law
-from ..torque.law import MotorLimits, Numbers, estimate, settle
+from ..torque.law import MotorLimits, Packed, estimate, settle
 from .hardware import Hardware, act, is_stopped, note, rotate, send, sense
 from .sample import after_torque, before_torque
 
@@ -41,7 +41,7 @@ class Blocks(NamedTuple):
     table: Array
     gains: Array
     K: Array
-    law: Numbers
+    law: Packed
     E_inv: Array
     bounds: Array
 

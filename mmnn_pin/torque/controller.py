@@ -23,7 +23,7 @@ from ..compiled import fields_of
 from ..errors import ConfigError
 from ..settings import Settings, plain, require_gains
 from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
-from .law import MotorLimits, Numbers
+from .law import MotorLimits, Packed
 
 T = TypeVar("T")
 
@@ -100,7 +100,7 @@ class Law:
             thesis's networks, and then nothing is compiled for it.
     """
 
-    numbers: Numbers
+    numbers: Packed
     learner: Any = None
 
 
@@ -403,7 +403,7 @@ def read_facts(kind: type[Any], facts: Mapping[str, Any], *names: str) -> dict[s
 
 
 def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...], layout: Layout, key: str) -> Array:
-    """Numbers of the base and of the arm as one vector (p,).
+    """Packed of the base and of the arm as one vector (p,).
 
     Raises:
         ConfigError: Neither one number nor as many as velocities.
@@ -421,6 +421,6 @@ def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...]
 
 
 def split(values: Array, layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Numbers of all p velocities as those of the base and those of the arm."""
+    """Packed of all p velocities as those of the base and those of the arm."""
     numbers = tuple(float(value) for value in values)
     return numbers[: layout.base], numbers[layout.base :]

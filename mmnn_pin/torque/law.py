@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compiled import Matrix, Vector, by_type, compiled, copy_to, views
+from ..compiled import Matrix, Vector, by_type, compiled, copy_to, layout_of, views
 from ..signals import INDEX, Array, IntArray
 from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
 from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update
@@ -35,42 +35,39 @@ ROUNDING = 1e-12  # part of a limit that is left for rounding, so that no sum is
 
 
 class Numbers(NamedTuple):
-    """The numbers of a law; a law without networks has the gains alone.
+    """The numbers of a law, as compiled code sees them; a law without networks has the gains alone.
 
     Attributes:
-        kind: `CONSTANT_GAIN`, `SCHEDULED_GAIN`, or that of a network.
+        kind: (1,) `CONSTANT_GAIN`, `SCHEDULED_GAIN`, or that of a network.
+        learning: (1,) 0 keeps the networks' weights.
+        update_first: (1,) 1 for the order of Appendix B: weights move first, with the hidden outputs of the last call.
+        adds_model: (1,) 1 where psi_hat holds the Psi of a model, to which the networks add.
+        dt: (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second.
         gains: (4, p) or (1, p): K, Kz, and what the networks' s and torque are multiplied with.
-        learning: Off keeps the networks' weights.
-        update_first: The order of Appendix B: weights move first, with the hidden outputs of the previous call.
-        adds_model: Whether psi_hat holds the Psi of a model, to which the networks add.
-        dt: What rates are multiplied with: 1 for rates per sample, the control period for rates per second.
         networks: (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|.
-        rows: (nx,) where the inputs stand in a row.
         inputs: (2, nx) scale and offset of the inputs.
-        layout: Where the parts of the state stand, see `Networks` and `Schedule`.
     """
 
-    kind: int
-    gains: Array
-    learning: bool
-    update_first: bool
-    adds_model: bool
-    dt: float
-    networks: Array
-    rows: IntArray
-    inputs: Array
-    layout: IntArray
+    kind: Vector
+    learning: Vector
+    update_first: Vector
+    adds_model: Vector
+    dt: Vector
+    gains: Matrix
+    networks: Matrix
+    inputs: Matrix
 
 
-def constant_gain(K: Array) -> Numbers:
-    """The numbers of `tau = K s + Psi_hat` with K (p,)."""
-    return plain_law(CONSTANT_GAIN, K, np.zeros(0, np.int64))
+class Packed(NamedTuple):
+    """`Numbers` as two flat arrays, which cost less to hand over from Python.
 
+    Attributes:
+        sizes: Where the parts of `settings` stand, where those of the state do, and (nx,) the inputs in a row.
+        settings: `Numbers`.
+    """
 
-def plain_law(kind: int, K: Array, layout: IntArray) -> Numbers:
-    """The numbers of a law without networks."""
-    nothing = np.zeros((2, 0))
-    return Numbers(kind, K[None].copy(), False, False, False, 0.0, nothing, np.zeros(0, np.int64), nothing, layout)
+    sizes: IntArray
+    settings: Array
 
 
 class Networks(NamedTuple):
@@ -104,8 +101,39 @@ class Kernels(NamedTuple):
 
 
 KERNELS: dict[type, Kernels] = {}  # every module of a learner enters its own
-networks_of = views(Networks)
-schedule_of = views(Schedule)
+numbers_of, networks_of, schedule_of = views(Numbers), views(Networks), views(Schedule)
+STATE = layout_of(Numbers, {}).size  # where in `Packed.sizes` the layout of the state begins
+ROWS = STATE + layout_of(Networks, {}).size  # and where the inputs do
+
+
+def packed(
+    kind: int, gains: Array, layout: IntArray | None = None, rows: IntArray | None = None, **more: Any
+) -> Packed:
+    """The numbers of a law.
+
+    Args:
+        kind: Which law.
+        gains: (4, p) or (1, p), as in `Numbers`.
+        layout: Of `Networks` or `Schedule` in the state; None where the law itself remembers nothing.
+        rows: (nx,) where the inputs of networks stand in a row.
+        more: Other parts of `Numbers`; zeros, or nothing, unless given.
+    """
+    absent: dict[str, Any] = dict.fromkeys(("learning", "update_first", "adds_model", "dt"), 0.0)
+    absent |= dict.fromkeys(("networks", "inputs"), np.zeros((2, 0)))
+    parts = {name: np.atleast_1d(np.asarray(part, float)) for name, part in (absent | more).items()}
+    parts |= {"kind": np.full(1, float(kind)), "gains": gains}
+    sizes = np.zeros(ROWS + (0 if rows is None else rows.size), np.int64)
+    sizes[:STATE] = layout_of(Numbers, {name: part.shape for name, part in parts.items()})
+    if layout is not None:
+        sizes[STATE : STATE + layout.size] = layout
+    if rows is not None:
+        sizes[ROWS:] = rows
+    return Packed(sizes, np.concatenate([part.ravel() for part in parts.values()]))
+
+
+def constant_gain(K: Array) -> Packed:
+    """The numbers of `tau = K s + Psi_hat` with K (p,)."""
+    return packed(CONSTANT_GAIN, K[None])
 
 
 def estimate(row: Array, at: IntArray, learner: Any, state: Array) -> None:
@@ -135,14 +163,14 @@ def nothing_to_keep(row: Array, at: IntArray, learner: Any, state: Array) -> Non
 
 
 @compiled
-def step(row: Array, at: IntArray, n: Numbers, state: Array, limits: MotorLimits | None) -> None:
+def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimits | None) -> None:
     """Torque of one sample, and the update of the networks' weights.
 
     Args:
         row: (width,) row of signals. psi_hat holds what a learner or a model has written there; psi_hat, robust,
             effective_gain, torque and the norms of the networks' weights are written.
         at: Offsets of the signals.
-        n: The numbers of the law.
+        law: The numbers of the law.
         state: The controller's state, updated in place.
         limits: What robust term and Psi_hat are kept within; None for nothing, and then nothing is compiled for it.
     """
@@ -152,27 +180,28 @@ def step(row: Array, at: IntArray, n: Numbers, state: Array, limits: MotorLimits
         row[at[ROBUST] : at[ROBUST + 1]],
         row[at[TORQUE] : at[TORQUE + 1]],
     )
-    K = n.gains[0]
-    if n.kind == CONSTANT_GAIN:
+    n, layout = numbers_of(law.settings, law.sizes), law.sizes[STATE:]
+    K, kind, adds_model = n.gains[0], int(n.kind[0]), n.adds_model[0] == 1.0
+    if kind == CONSTANT_GAIN:
         copy_to(K, gain)
-    elif n.kind == SCHEDULED_GAIN:
-        o = schedule_of(state, n.layout)
+    elif kind == SCHEDULED_GAIN:
+        o = schedule_of(state, layout)
         copy_to(o.gains[min(int(o.counter[0]), len(o.gains) - 1)], gain)
         o.counter[0] += 1.0
     else:
-        if n.adds_model:
+        if adds_model:
             copy_to(psi_hat, torque)
-        networks(row, at, n, networks_of(state, n.layout))
-        for i in range(torque.size if n.adds_model else 0):
+        networks(row, at, n, law.sizes[ROWS:], networks_of(state, layout))
+        for i in range(torque.size if adds_model else 0):
             psi_hat[i] += torque[i]
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(torque.size):
         s = z[i] if i < z.size else r[i - z.size]
         torque[i] = gain[i] * s
-        if n.kind >= TWO_LAYER:
+        if kind >= TWO_LAYER:
             robust[i] = (gain[i] - K[i]) * s
     if limits is not None:
-        if n.kind >= TWO_LAYER:
+        if kind >= TWO_LAYER:
             soften(gain, K, robust, torque, limits)
         limit(psi_hat, torque, limits)
     for i in range(torque.size):
@@ -180,12 +209,12 @@ def step(row: Array, at: IntArray, n: Numbers, state: Array, limits: MotorLimits
 
 
 @compiled
-def networks(row: Array, at: IntArray, n: Numbers, o: Networks) -> None:
+def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) -> None:
     """Outputs, effective gain and updates of the base's and the arm's network."""
     first = 0
     gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
     for i in range(o.x.size):
-        o.x[i] = n.inputs[0, i] * row[n.rows[i]] + n.inputs[1, i]
+        o.x[i] = n.inputs[0, i] * row[rows[i]] + n.inputs[1, i]
     for which in range(2):
         error = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
         if error.size == 0:
@@ -211,15 +240,16 @@ def network(
 
     The torque of a sample uses the weights from before it, unless the update comes first.
     """
-    if n.update_first and n.learning:
-        if n.kind == TWO_LAYER:
+    kind, learning, first = int(n.kind[0]), n.learning[0] == 1.0, n.update_first[0] == 1.0
+    if first and learning:
+        if kind == TWO_LAYER:
             hidden_input(V, x, net)
         update(n, rates, W, V, x, net, sigma, s)
-    if n.kind == ONE_LAYER:
+    if kind == ONE_LAYER:
         norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
     else:
         norm = two_layer_output(W, V, x, net, sigma, psi_hat)
-    if n.learning and not n.update_first:
+    if learning and not first:
         update(n, rates, W, V, x, net, sigma, s)
     return norm
 
@@ -227,10 +257,10 @@ def network(
 @compiled
 def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array) -> None:
     """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
-    if n.kind == ONE_LAYER:
-        one_layer_update(W, sigma, s, rates[0], rates[2], n.dt)
+    if int(n.kind[0]) == ONE_LAYER:
+        one_layer_update(W, sigma, s, rates[0], rates[2], n.dt[0])
     else:
-        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], n.dt)
+        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], n.dt[0])
         project(V, rates[5])
     project(W, rates[4])
 

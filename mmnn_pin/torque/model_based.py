@@ -14,7 +14,7 @@ from ..compiled import layout_of
 from ..errors import ConfigError
 from ..signals import Array, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law
-from .law import SCHEDULED_GAIN, Schedule, constant_gain, plain_law
+from .law import SCHEDULED_GAIN, Schedule, constant_gain, packed
 
 if TYPE_CHECKING:
     from ..model.robot import Robot
@@ -101,7 +101,7 @@ class ScheduledPD(CompiledController):
 
     def law(self, context: Context) -> Law:
         """The gains are in the state."""
-        return Law(plain_law(SCHEDULED_GAIN, np.zeros(context.layout.dof), layout_of(Schedule, self.shapes(context))))
+        return Law(packed(SCHEDULED_GAIN, np.zeros((1, context.layout.dof)), layout_of(Schedule, self.shapes(context))))
 
     @classmethod
     def build(cls, given: Given) -> Self:

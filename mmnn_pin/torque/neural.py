@@ -193,7 +193,7 @@ class Neural(CompiledController):
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
         bounds, Kz = self.radii(layout), per_velocity(robust.base, robust.arm, layout, "robust")
         networks = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
-        numbers = law.Numbers(
+        numbers = law.packed(
             kind=self.network.kind,
             gains=np.array((self.feedback.vector(layout), Kz, *self.network_scales(layout))),
             learning=self.learning,

@@ -97,7 +97,7 @@ def test_gamma_is_the_natural_metric():
     for b, P in enumerate(pseudo_inertias(bench.theta[:first])):
         expected = vector_of(3.0 * P @ dual(g[10 * b : 10 * b + 10]) @ P)
         np.testing.assert_allclose((S @ S.T @ g)[10 * b : 10 * b + 10], expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose((S @ S.T @ g)[first:], bench.a.rates * g[first:], atol=1e-12)
+    np.testing.assert_allclose((S @ S.T @ g)[first:], bench.bodies.rates * g[first:], atol=1e-12)
 
 
 @settings(max_examples=EXAMPLES, deadline=None)
