@@ -54,10 +54,10 @@ def repeat_before(n, row, at, y, reference, arm, gains, K):  # type: ignore[no-u
 
 
 @repeated
-def repeat_law(n, kind, row, at, sizes, settings, state):  # type: ignore[no-untyped-def]
+def repeat_law(n, row, at, numbers, state):  # type: ignore[no-untyped-def]
     """Torque and update of the weights."""
     for _ in range(n):
-        law.step(kind, row, at, sizes, settings, state, None)
+        law.step(row, at, numbers, state, None)
 
 
 @repeated
@@ -90,16 +90,14 @@ def compiled_parts() -> dict[str, Part]:
     layout, b, w, e, y = loop.robot.layout, engine.body, engine.work, engine.blocks, engine.y
     at, row, position, nu = e.at, engine.row, y[: layout.full], y[layout.full : -1]
     nu_ref, nudot_ref, psi, tau = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi", "torque"))
-    settings, state = e.settings, engine.state.values
+    state = engine.state.values
     joints = Joints(b.T, b.damping, b.dry, b.viscous, b.base)
     terms_at = Terms(w.v, w.M, w.h, w.F, w.hold, w.ydot, w.L, w.rest, w.grip)
     return {
         "reference, measurement, velocity command": lambda n: repeat_before(
             n, row, at, y, e.table[100], b.arm, e.gains, e.K
         ),
-        "networks: torque and update of the weights": lambda n: repeat_law(
-            n, engine.plan.kind, row, at, e.sizes, settings, state
-        ),
+        "networks: torque and update of the weights": lambda n: repeat_law(n, row, at, e.law, state),
         "tree: M, C nu + gravity": lambda n: repeat_terms(n, b.tree, position, nu, w.scratch, w.M, w.h),
         "joint rates and friction": lambda n: repeat_friction(n, b.T, w.v, nu, b.damping, b.dry, b.viscous, w.F),
         "tree: Psi": lambda n: repeat_psi(n, b.tree, position, nu_ref, nudot_ref, w.scratch, psi),

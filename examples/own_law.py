@@ -17,7 +17,7 @@ class LeastSquares(LearningLaw):
     prior: float = 30.0  # how far theta may be from 0 [kg, kg m, kg m^2, ...]
 
     knows_motion = True  # asks for the regressor Y
-    learned = ("theta",)  # the weights among the parts of the memory
+    learned = ("theta",)  # the weights among the parts of the state
 
     def init(self, context):
         """Everything from zero; P, the covariance of theta, as large as the prior says."""
@@ -27,30 +27,30 @@ class LeastSquares(LearningLaw):
         state["R"] = (self.noise * self.feedback.vector(context.layout)) ** 2 / (self.pole * context.control_period)
         return state
 
-    def features(self, now, state):
+    def features(self, sample, state):
         """What the weights are multiplied with; the monitors look at its excitation."""
-        return now.regressor
+        return sample.regressor
 
     def gain(self, state):
         """Gamma of `theta' = Gamma Y' s + ...`: the Lyapunov monitor weighs the error of theta with it."""
         return state["P"]
 
-    def estimate(self, now, state):
+    def estimate(self, sample, state):
         """Psi_hat of this sample."""
-        return now.regressor @ state["theta"]
+        return sample.regressor @ state["theta"]
 
-    def learn(self, now, state):
+    def learn(self, sample, state):
         """From the tracking error, then from the torque of the period that has just ended."""
-        theta, P, n = state["theta"], state["P"], now.q.size
-        theta += now.period * P @ (now.regressor.T @ now.s)
-        point, before = np.concatenate((now.q, now.nu)), state["last"].copy()
+        theta, P, n = state["theta"], state["P"], sample.q.size
+        theta += sample.period * P @ (sample.regressor.T @ sample.s)
+        point, before = np.concatenate((sample.q, sample.nu)), state["last"].copy()
         state["last"] = point
-        if now.first:
+        if sample.first:
             return
-        mean, rate = (point + before) / 2, (point - before) / now.period
-        fresh = 1 - np.exp(-self.pole * now.period)
-        state["Y"] += fresh * (now.regressor_at(mean[:n], mean[n:], mean[n:], rate[n:]) - state["Y"])
-        state["torque"] += fresh * (now.sent - state["torque"])
+        mean, rate = (point + before) / 2, (point - before) / sample.period
+        fresh = 1 - np.exp(-self.pole * sample.period)
+        state["Y"] += fresh * (sample.regressor_at(mean[:n], mean[n:], mean[n:], rate[n:]) - state["Y"])
+        state["torque"] += fresh * (sample.sent - state["torque"])
         Y, seen = state["Y"], P @ state["Y"].T
         gain = np.linalg.solve(Y @ seen + np.diag(state["R"]), seen.T).T
         theta += gain @ (state["torque"] - Y @ theta)

@@ -115,7 +115,7 @@ def test_a_controller_knows_what_it_imports() -> None:
     features = {name.partition(".")[0] for name in own_imports(PACKAGE / "torque/features.py")}
     assert features <= {"compiled", "signals"}
     allowed = ("model.regressor", "model.tree_regressor")
-    for module in ("torque/adaptive.py", "torque/kalman.py", "torque/linear.py", "torque/least_squares.py"):
+    for module in ("torque/adaptive.py", "torque/kalman.py", "torque/linear.py"):
         model = [name for name in own_imports(PACKAGE / module) if name.startswith(("model", "plant", "loop"))]
         assert all(name.startswith(allowed) for name in model), module
 

@@ -16,7 +16,6 @@ from ..model.tree.dynamics import potential_energy
 from ..plant.integrators import METHODS
 from ..signals import Array
 from ..torque.controller import CompiledController
-from ..torque.learners import learners_of
 from .compiled_steps import Blocks, Plan, advance
 from .new_hardware import new_hardware
 
@@ -49,8 +48,8 @@ class CompiledLoop:
         self.nominal_work = new_work(self.nominal)
         self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
         context = loop.context()
-        numbers = loop.controller.law(context)
-        self.learners, self.limits = learners_of(numbers), context.limits
+        law = loop.controller.law(context)
+        self.learner, self.limits = law.learner, context.limits
         self.hardware, loaded = new_hardware(loop, nu, state, hardware_state), loop.loaded()
         self.loaded = self.body if loaded is None else body_of(loaded)
         self.blocks = Blocks(
@@ -58,8 +57,7 @@ class CompiledLoop:
             table=table,
             gains=loop.kinematic.base_gains(layout.base),
             K=loop.kinematic.arm_gains(layout),
-            sizes=numbers.sizes,
-            settings=numbers.settings,
+            law=law.numbers,
             E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
             bounds=loop.bounds.vector(layout),
         )
@@ -69,7 +67,6 @@ class CompiledLoop:
             steps=timing.steps_per_control,
             per_measurement=timing.steps_per_measurement,
             method=METHODS[timing.integrator],
-            kind=numbers.kind,
             uses_model=uses_model,
             start_energy=self._energy(position, nu),
         )
@@ -84,7 +81,7 @@ class CompiledLoop:
         return advance(
             first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.state.values, self.body,
             self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.hardware,
-            self.learners, self.limits,
+            self.learner, self.limits,
         )  # fmt: skip
 
     def _energy(self, position: Array, nu: Array) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ..compiled import compiled, copy_to
 from ..disturbance import block
@@ -14,8 +14,7 @@ from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import EARLY, INDEX, Array, IntArray
 from ..torque import law
-from ..torque.learners import Learners, estimate, settle
-from ..torque.motor_limits import MotorLimits
+from ..torque.law import MotorLimits, Packed, estimate, settle
 from .hardware import Hardware, act, is_stopped, note, rotate, send, sense
 from .sample import after_torque, before_torque
 
@@ -24,14 +23,13 @@ POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
 
 
 class Plan(NamedTuple):
-    """The numbers of a run: control period, plant step, steps per control and measurement, integrator, law."""
+    """The numbers of a run: control period, plant step, steps per control and measurement, integrator."""
 
     h: float
     dt: float
     steps: int
     per_measurement: int
     method: int
-    kind: int
     uses_model: bool
     start_energy: float
 
@@ -43,8 +41,7 @@ class Blocks(NamedTuple):
     table: Array
     gains: Array
     K: Array
-    sizes: IntArray
-    settings: Array
+    law: Packed
     E_inv: Array
     bounds: Array
 
@@ -67,13 +64,13 @@ def advance(
     nominal_y: Array,
     y: Array,
     hardware: Hardware | None,
-    learners: Learners | None,
+    learner: Any,
     limits: MotorLimits | None,
 ) -> int:
     """Control samples first ... last - 1 into rows; -1, the column of row that went bad, or `TRIPPED`.
 
     One function on purpose: compiled code is optimised anew at every level of calls, seconds of a first run. What
-    stands behind `hardware is not None` or `learners is not None` is compiled only for runs that have one.
+    stands behind `hardware is not None` or `learner is not None` is compiled only for runs that have one.
     """
     nv, p = body.T.shape
     at, position, nu = blocks.at, y[:nv], y[nv : nv + p]
@@ -103,14 +100,14 @@ def advance(
             psi_again(nominal.tree, nominal_y[:nv], nu_ref, nudot_ref, nominal_work.scratch, psi_hat)
             for i in range(p):
                 psi_hat[i] += nominal_work.F[i]
-        if learners is not None and asked:
-            estimate(row, at, learners, state)
+        if learner is not None and asked:
+            estimate(row, at, learner, state)
         if asked:
-            law.step(plan.kind, row, at, blocks.sizes, blocks.settings, state, limits)
+            law.step(row, at, blocks.law, state, limits)
         if hardware is not None:
             send(k, k * plan.h, row, at, state, hardware)
-        if learners is not None and asked:
-            settle(row, at, learners, state)
+        if learner is not None and asked:
+            settle(row, at, learner, state)
         evaluate(body, work, position, nu)
         psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, psi)
         for i in range(p):

@@ -16,11 +16,8 @@ from ..model.robot import Robot
 from ..signals import Array, Measurement, Reference, VelocityCommand
 from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.learners import Learners, estimate, learners_of, settle
-from ..torque.learning_law import LearningLaw, norms
-from ..torque.motor_limits import limit, motor_limits
-from ..torque.now import Now
-from ..torque.origin import blamed
+from ..torque.law import estimate, limit, motor_limits, settle
+from ..torque.learning_law import LearningLaw, Sample, blamed, norms
 from .hardware import Hardware, is_stopped, send
 from .sample import before_torque
 
@@ -129,13 +126,13 @@ class Torque:
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
         self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
         self.model: Dynamics | None = None
-        self.learners: Learners | None = None
+        self.learner: Any = None
         self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, LearningLaw):
-            self.layout, self.now, self.K = layout, Now.of(row, context), controller.feedback_gain(layout)
+            self.layout, self.sample, self.K = layout, Sample.of(row, context), controller.feedback_gain(layout)
         if isinstance(controller, CompiledController):
             self.law = controller.law(context)
-            self.learners = learners_of(self.law)
+            self.learner = self.law.learner
             if controller.uses_model:
                 believed: Robot = controller.model or nominal
                 self.model, self.arm_map = Dynamics(believed), believed.arm_map()
@@ -156,20 +153,20 @@ class Torque:
             return
         if self.model is not None:
             self._model_psi(self.model)
-        if self.learners is not None:
-            estimate(self.row, self.at, self.learners, self.state.values)
-        law.step(self.law.kind, self.row, self.at, self.law.sizes, self.law.settings, self.state.values, self.limits)
+        if self.learner is not None:
+            estimate(self.row, self.at, self.learner, self.state.values)
+        law.step(self.row, self.at, self.law.numbers, self.state.values, self.limits)
         self.keep()
 
     def keep(self) -> None:
         """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
-        if self.learners is not None:
-            settle(self.row, self.at, self.learners, self.state.values)
+        if self.learner is not None:
+            settle(self.row, self.at, self.learner, self.state.values)
 
     def features(self) -> Array | None:
         """What the weights were multiplied with at the last step, (rows, k) or (k,); None where it is not told."""
         if isinstance(self.controller, LearningLaw):
-            return self.controller.features(self.now, self.state)
+            return self.controller.features(self.sample, self.state)
         if isinstance(self.controller, CompiledController):
             return self.controller.features(self.law, self.state)
         return None
@@ -186,13 +183,13 @@ class Torque:
 
     def _learning_law(self, time: float, controller: LearningLaw) -> None:
         """`tau = K s + Psi_hat` of a law in plain Python, and what it learns."""
-        self.now.refresh(time)
-        self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.now, self.state))
+        self.sample.refresh(time)
+        self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.sample, self.state))
         self.gain[:] = self.K
         self.weight_norm[:] = norms(controller.weights(self.state), self.layout)
-        self._answer(self.K * self.now.s)
+        self._answer(self.K * self.sample.s)
         if controller.learning:
-            controller.learn(self.now, self.state)
+            controller.learn(self.sample, self.state)
 
     def _answer(self, feedback: Array) -> None:
         """The torque: a feedback (p,) and Psi_hat, this within the motors' limits where it is to be."""

@@ -10,8 +10,7 @@ from ..errors import ConfigError, InputError
 from ..given_arrays import given_array
 from ..recording.recording import Outcome
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.learning_law import LearningLaw
-from ..torque.origin import blamed
+from ..torque.learning_law import LearningLaw, blamed
 
 
 def state_from(controller: CompiledController | TorqueController, context: Context, given: Any = None) -> Any:

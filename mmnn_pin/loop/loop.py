@@ -30,7 +30,7 @@ from ..settings import plain
 from ..signals import Array, Layout
 from ..timing import Timing
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.origin import origin_of
+from ..torque.learning_law import origin_of
 from .before_run import require_first, require_nominal, require_stable_gains
 from .control import context_of
 from .controller_state import state_from, told_with
@@ -66,7 +66,7 @@ class Loop:
         safety: A supervisor between controller and motors; None for none.
         disturbances: What happens to the robot during the run.
         within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves (see
-            `torque.motor_limits`); None for what the controller says: learners beyond the thesis do.
+            `torque.law`); None for what the controller says: learners beyond the thesis do.
     """
 
     robot: Robot

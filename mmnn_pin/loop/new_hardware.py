@@ -190,7 +190,7 @@ def places_of_weights(loop: Loop, state: ControllerState | object) -> IntArray:
     names, ends = list[str](), np.zeros(1, np.int64)
     if isinstance(state, ControllerState):
         names, ends = list(state.shapes), np.cumsum([0, *(int(np.prod(shape)) for shape in state.shapes.values())])
-    found = loop.controller.weights(state)  # type: ignore[arg-type]
+    found = loop.controller.weights(state)
     if loop.safety is not None and loop.safety.weights is not None and not set(found) <= set(names):
         what = f"the weights of '{loop.controller.name}' cannot be bounded"
         why, fix = "they are not parts of a `ControllerState`", "let its init return one, or leave safety.weights out"

@@ -48,11 +48,11 @@ def call_control_blocks() -> None:
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
     controller, context = Neural(), Context(layout, 0.001, 1)
-    numbers, state = controller.law(context), controller.init(context)
+    numbers, state = controller.law(context).numbers, controller.init(context)
     reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
     before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
-    law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, state.values, None)
+    law.step(row, at, numbers, state.values, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
     joints = Joints(T, v.copy(), np.zeros((nv, 3)), nu, 2)

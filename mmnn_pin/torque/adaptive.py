@@ -1,74 +1,225 @@
-"""Slotine-Li adaptive control with physical estimates: `tau = Y theta_hat + K s`, `s = [z; r]`; see `adaptation`.
+"""Slotine-Li adaptive control with estimates that stay physical: settings, compiled law, controller.
 
-The controller knows how the robot moves (`model.regressor`), never what it weighs: it starts from a guess or from the
-parameters of a nominal robot that it is given as numbers.
+    tau = Y theta_hat + K s,      V = s' M s / 2 + sum_b D(P_b || P_hat_b) / gamma + sum_j theta_tilde_j^2 / (2 gamma_j)
+
+The controller knows how the robot moves (`model.regressor`, Y), never what it weighs: it starts from a prior or from
+the parameters of a nominal robot that it is given as numbers. With P the pseudo-inertia of a body
+(`torque.pseudo_inertia`), the log-det Bregman divergence `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` and L the
+symmetric matrix of `tr(dP L) = s' Y dtheta`, the natural law of Lee, Kwon, Park 2018 (IEEE/RSJ IROS) is
+
+    P_hat' = gamma P_hat L P_hat,       so that      d/dt D(P || P_hat) = -gamma s' Y (theta - theta_hat)
+
+and V' = -s' K s. One number gamma [1/J] suits bodies of grams and of tons, and it does not depend on frames or units.
+The rest, rotors and friction, follows the plain gradient `theta_hat_j' = gamma_j Y_j' s`.
+
+Leakage (sigma-modification, Ioannou and Kokotovic 1984; times |s| the e-modification of Narendra and Annaswamy 1987)
+pulls the dual variable to its start, `d/dt P_hat^-1 = -gamma L + sigma (P_0^-1 - P_hat^-1)`: by the three-point
+identity V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P || P_0))`.
+
+Sampling: within one sample the estimate answers s with the torque `h Y Gamma Y' s`, a feedback that is late. All rates
+of a sample are multiplied with `eta = min(1, share s' K s / (h s' Y Gamma Y' s))`, so that it stays below a share of
+the feedback proper: a normalisation (Ioannou and Sun 1996, Robust Adaptive Control) that is 1 for short samples. Where
+it is less, V' = -s' K s + (1 - eta) s' Y theta_tilde, and what holds are the bounds: clipping the eigenvalues of
+`P_0^-1/2 P_hat P_0^-1/2` is the projection in D, so it never raises D(P || P_hat) for a P within the bounds.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh, solve_triangular
+from scipy.linalg import solve_triangular
 
+from ..compiled import Matrix, Vector, compiled, layout_of, views
 from ..errors import ConfigError
-from ..model.regressor import BODY, Regressor
-from ..settings import plain
-from ..signals import Array, Layout
-from . import law
-from .adaptation import Adaptation
-from .adaptive_settings import Adapting, Predicting
-from .controller import CompiledController, Context, ControllerState, Feedback, Law
-from .filtered import new_filter, parts
-from .guess import gains_of, guess_of, scales, tempo
-from .prediction import Prediction
-from .pseudo_inertia import to_matrix, to_vector
+from ..model.regressor import Massless, measured, regress
+from ..settings import Settings, require_numbers
+from ..signals import INDEX, Array, IntArray
+from .controller import Context, ControllerState, Law
+from .law import KERNELS, Kernels, constant_gain, nothing_to_keep
+from .prior import ParameterLearner, gains_of, prior_of, scales, tempo
+from .pseudo_inertia import BODY, Bodies, directions, lifted, move, pseudo_inertias, vector_of
 
-FLOOR = 1e-4  # least share of the guess that a nominal body keeps: massless and flat ones have no density
+POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
+NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
+PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 TAKEN = 0.01  # how often a sample is taken for the excitation [s]
 EXCITED = 1e-3  # share of what random motion of unit speed excites, above which a direction counts as excited
 
 
-@dataclass(frozen=True, eq=False)
-class Adaptive(CompiledController):
-    """`tau = Y theta_hat + K s` with `V' = -s' K s`: s goes to zero without leakage, bounds and disturbances.
+class AdaptiveSettings(Settings, frozen=True):
+    """How an adaptive controller learns.
+
+    The rates are in units of energy: a body's estimate moves by its own size where `rate` times the work that its error
+    does in a sample is one. They hold for an arm with gains of 30 N m s (the median of its joints) and are multiplied
+    with 30 N m s over its gains for another one: light arms have little energy. Friction is measured by
+    `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
 
     Args:
-        regressor: How the robot moves.
-        feedback: K.
-        adapting: Rates, start and bounds.
-        nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
-        learning: Off keeps the estimate as it starts.
-        predicting: The term of a prediction error, which makes it composite; None without one.
+        rate: gamma of the pseudo-inertias [1/J].
+        viscous: Rate of viscous friction; gamma_j is `viscous c_j^2` [s^2/J rad^2, 1/s^2 J m^2].
+        coulomb: Rate of dry friction; gamma_j is `coulomb c_j^2` [1/J].
+        rotor: Rate of the rotors' inertias; gamma_j is `rotor c_j^2`. Mostly a link's own inertia says the same: 0.
+        leakage: sigma, how fast the estimate is pulled back to its start [1/s].
+        share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut.
+        modification: "sigma" leaks always, "e" in proportion to |s|.
+        bounds: rho, the largest ratio of an estimate to its start, either way.
+        friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
+        initial: "prior" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's (in an
+            experiment the one of `[nominal]`).
+        mass: Masses of the prior, (base, every other body) [kg].
+        size: Radii of gyration of the prior about each axis, likewise [m].
+        slowest: The prior is made lighter where a velocity feels more inertia of it than this times its gain [s]; see
+            `torque.prior`.
 
     Raises:
-        ConfigError: A start from nominal parameters without them, or with others than k finite ones.
+        ConfigError: A number that is negative, not finite or 0 where it must not be.
     """
 
-    regressor: Regressor
-    feedback: Feedback = field(default_factory=Feedback)
-    adapting: Adapting = field(default_factory=Adapting)
-    nominal: Array | None = None
-    learning: bool = True
-    predicting: Predicting | None = None
-
-    within_limits: ClassVar[bool] = True
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        """With a prediction error or without."""
-        return "adaptive" if self.predicting is None else "adaptive_composite"
+    rate: float = 100.0
+    viscous: float = 1.0
+    coulomb: float = 10.0
+    rotor: float = 0.0
+    leakage: float = 0.0
+    share: float = 0.2
+    modification: Literal["sigma", "e"] = "sigma"
+    bounds: float = 100.0
+    friction_bound: float = 10.0
+    initial: Literal["prior", "nominal"] = "prior"
+    mass: tuple[float, float] = (30.0, 2.0)
+    size: tuple[float, float] = (0.3, 0.2)
+    slowest: float = 0.3
 
     def __post_init__(self) -> None:
-        k, given = self.regressor.size, self.nominal
-        if self.adapting.initial == "nominal" and given is None:
-            raise ConfigError(
-                "no nominal parameters", fix="give them, or use initial = 'guess'", key="adaptive.initial"
-            )
-        if given is not None and (given.shape != (k,) or not np.isfinite(given).all()):
-            raise ConfigError(f"{given.size} parameters", fix=f"give {k} finite ones", key="adaptive.nominal")
+        require_numbers(self, "adaptive", ("mass", "size", "slowest"))
+        if not self.bounds > 1:
+            raise ConfigError(f"{self.bounds}", fix="use a finite ratio > 1", key="adaptive.bounds")
+
+
+class Adaptation(NamedTuple):
+    """The numbers of an adaptive controller.
+
+    Attributes:
+        known: The robot without its masses; `known.Y` (p, k) is written by `model.tree.regressor.regress`.
+        gain: (p,) K.
+        learning: Off keeps the estimate.
+        tracking: Factor on the gradient of the tracking error, 1 without a prediction error.
+        sigma: Leakage [1/s].
+        by_error: Whether leakage is multiplied with |s|.
+        share: Largest answer of a sample, as a share of the feedback.
+        stride: Every how many samples `Y' Y` is added to the state.
+        bodies: The metric of the estimate.
+        gradient: (k,) room to work in.
+        layout: Of `Estimate` in the state.
+    """
+
+    known: Massless
+    gain: Array
+    learning: bool
+    tracking: float
+    sigma: float
+    by_error: bool
+    share: float
+    stride: int
+    bodies: Bodies
+    gradient: Array
+    layout: IntArray
+
+
+class Estimate(NamedTuple):
+    """What an adaptive controller remembers: theta (k,), the number of samples, the sum of `Y' Y` (k, k)."""
+
+    theta: Vector
+    samples: Vector
+    gram: Matrix
+
+
+estimate_of = views(Estimate)
+
+
+@compiled
+def estimate(row: Array, at: IntArray, a: Adaptation, state: Array) -> None:
+    """Psi_hat at the measured state, then the update of theta."""
+    look(row, at, a.known)
+    adapt(row, at, a, estimate_of(state, a.layout))
+
+
+@compiled
+def look(row: Array, at: IntArray, known: Massless) -> None:
+    """Y at a sample, into known.Y."""
+    velocity, q = row[at[VELOCITY] : at[Q]], row[at[Q] : at[QDOT]]
+    measured(known, row[at[POSE] : at[POSE + 1]], velocity, q, row[at[QDOT] : at[QDOT + 1]])
+    regress(known, row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]])
+
+
+@compiled
+def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
+    """Psi_hat and gain of one sample, then the update of theta.
+
+    Args:
+        row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
+        at: Offsets of the signals.
+        a: The numbers of the law.
+        o: What it remembers.
+    """
+    Y, g = a.known.Y, a.gradient
+    p, k = Y.shape
+    theta, z, r = o.theta, row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    square, feedback, first = 0.0, 0.0, BODY * len(a.bodies.roots)
+    for j in range(k):
+        g[j] = 0.0
+    for i in range(p):
+        s = z[i] if i < z.size else r[i - z.size]
+        square += s * s
+        feedback += a.gain[i] * s * s
+        psi_hat = 0.0
+        for j in range(k):
+            psi_hat += Y[i, j] * theta[j]
+            g[j] += Y[i, j] * s
+        row[at[PSI_HAT] + i], row[at[EFFECTIVE_GAIN] + i] = psi_hat, a.gain[i]
+    row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = norm(theta[:first]), norm(theta[first:])
+    if not a.learning:
+        return
+    answer = directions(theta, g, a.bodies)
+    eta = a.tracking
+    if eta * answer > a.share * feedback:
+        eta = a.share * feedback / answer
+    move(theta, eta, a.sigma * math.sqrt(square) if a.by_error else a.sigma, a.bodies)
+    if int(o.samples[0]) % a.stride == 0:
+        for i in range(p):
+            for j in range(k):
+                if Y[i, j] != 0.0:
+                    for c in range(k):
+                        o.gram[j, c] += Y[i, j] * Y[i, c]
+    o.samples[0] += 1.0
+
+
+@compiled
+def norm(vector: Array) -> float:
+    """Length of a vector."""
+    total = 0.0
+    for i in range(vector.size):
+        total += vector[i] * vector[i]
+    return math.sqrt(total)
+
+
+KERNELS[Adaptation] = Kernels(estimate, nothing_to_keep)
+
+
+@dataclass(frozen=True, eq=False)
+class Adaptive(ParameterLearner):
+    """`tau = Y theta_hat + K s` with `V' = -s' K s`: s goes to zero without leakage, bounds and disturbances.
+
+    Args and errors are those of `ParameterLearner`; the pseudo-inertias of the start are positive definite.
+    """
+
+    settings: AdaptiveSettings = field(default_factory=AdaptiveSettings)
+    name: str = "adaptive"
+
+    lyapunov_part = "estimate"
 
     @property
     def notes(self) -> list[str]:
@@ -77,91 +228,67 @@ class Adaptive(CompiledController):
         return [f"{self.name}: {known} combinations of its {self.regressor.size} parameters matter on this robot"]
 
     def law(self, context: Context) -> Law:
-        """The numbers of the law, with a memory of its own to work in.
+        """The numbers of the law, with room of its own to work in.
 
         Raises:
             ConfigError: A gain of 0: the bound on s then does not hold.
         """
-        K, start, own = self.feedback.vector(context.layout), self.start(), self.adapting
-        if not (K > 0).all():
-            raise ConfigError(f"gains {K.tolist()}", why="adaptation needs all > 0", fix="raise them", key="feedback")
-        scale, first = scales(self.regressor, K), self.regressor.inertial
-        matrices = pseudo_inertias(start[:first])
-        roots: Array = np.linalg.cholesky(matrices).astype(np.float64)
-        faster = tempo(K, context.layout.base)
+        K = self.positive_gains(context.layout, "adaptation needs all > 0")
+        return Law(constant_gain(K), self.adaptation(context, K))
+
+    def adaptation(self, context: Context, K: Array, tracking: float = 1.0) -> Adaptation:
+        """What it learns with, the gradient of the tracking error times a factor."""
+        own, start = self.settings, self.start()
+        scale, first, faster = scales(self.regressor, K), self.regressor.inertial, tempo(K, context.layout.base)
+        roots: Array = np.linalg.cholesky(pseudo_inertias(start[:first])).astype(np.float64)
         rates = faster * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
-        adaptation = Adaptation(
-            known=self.regressor.workspace(),
-            gain=K,
-            learning=self.learning,
+        bodies = Bodies(
             h=float(context.control_period),
-            tracking=1.0 if self.predicting is None else float(self.predicting.tracking),
             gamma=faster * float(own.rate),
-            sigma=float(own.leakage),
-            by_error=own.modification == "e",
             rho=float(own.bounds),
             roots=roots,
             inverses=np.array([solve_triangular(C, np.eye(4), lower=True) for C in roots]).reshape(roots.shape),
             rates=rates,
             start=start[first:].copy(),
             top=np.maximum(own.friction_bound * scale, start[first:]),
-            share=float(own.share),
-            stride=max(1, round(TAKEN / context.control_period)),
-            gradient=np.zeros(start.size),
             steps=np.zeros(roots.shape),
             rest=np.zeros(rates.size),
             factors=np.zeros(roots.shape),
             work=np.zeros((3, 4, 4)),
-            prediction=self.prediction(context, K),
         )
-        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, adaptation)
+        return Adaptation(
+            known=self.regressor.workspace(),
+            gain=K,
+            learning=self.learning,
+            tracking=tracking,
+            sigma=float(own.leakage),
+            by_error=own.modification == "e",
+            share=float(own.share),
+            stride=max(1, round(TAKEN / context.control_period)),
+            bodies=bodies,
+            gradient=np.zeros(start.size),
+            layout=layout_of(Estimate, self.shapes(context)),
+        )
 
-    def prediction(self, context: Context, K: Array) -> Prediction | None:
-        """The numbers of the prediction error's term."""
-        own, k, h = self.predicting, self.regressor.size, float(context.control_period)
-        if own is None or not self.learning:
-            return None
-        every = max(1, round(own.every / h))
-        size = 16 * len(self.regressor.bodies) + k - self.regressor.inertial
-        return Prediction(
-            filter=new_filter(context.layout, h, own.pole),
-            first=k + 1 + k * k,
-            trust=1.0 / K,
-            weight=float(own.weight) * every * h,
-            keep=float(np.exp(-every * h / own.memory)),
-            every=every,
-            gradient=np.zeros(k),
-            velocity=np.zeros(k),
-            step=np.zeros(size),
-            work=np.zeros((3, size)),
-        )
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The estimate, and what excited it."""
+        k = self.regressor.size
+        return {"theta": (k,), "samples": (1,), "gram": (k, k)}
 
     def init(self, context: Context) -> ControllerState:
         """The estimate at its start, and nothing seen yet."""
-        k, seen = self.regressor.size, dict[str, tuple[int, ...]]()
-        if self.predicting is not None:
-            seen = {**parts(context.layout, context.layout.dof, k), "Q": (k, k), "b": (k,)}
-        state = ControllerState.of(theta=(k,), samples=(1,), gram=(k, k), **seen)
+        state = super().init(context)
         state["theta"] = self.start()
         return state
-
-    def feedback_gain(self, layout: Layout) -> Array:
-        """K, (p,)."""
-        return self.feedback.vector(layout)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The estimate, (k,)."""
         return {"theta": state["theta"]}
 
-    def facts(self) -> dict[str, Any]:
-        """Gains, settings and start, with the names of the parameters."""
-        named = {"labels": list(self.regressor.labels), "start": self.start().tolist(), "learning": self.learning}
-        own = {} if self.predicting is None else {"predicting": plain(self.predicting)}
-        return {"feedback": plain(self.feedback), "adapting": plain(self.adapting), **own} | named
-
     def features(self, law: Law, state: ControllerState) -> Array | None:
         """Y, (p, k)."""
-        return None if law.adaptation is None else law.adaptation.known.Y
+        learner: Adaptation = law.learner
+        return learner.known.Y
 
     def findings(self, state: ControllerState) -> list[str]:
         """Says when the run did not excite all that matters: then the estimate tracks, but is no knowledge."""
@@ -175,19 +302,15 @@ class Adaptive(CompiledController):
         verdict = "not excited: " if 2 * excited < known else ""
         return [f"{self.name}: {verdict}the motion excited {excited} of {known} combinations of parameters that matter"]
 
-    def start(self) -> Array:
-        """The estimate before anything is learned, (k,); its pseudo-inertias are positive definite."""
-        return self._start.copy()
-
     @cached_property
     def _start(self) -> Array:
-        """The same, computed once: a guess looks at many positions."""
-        first, own = self.regressor.inertial, self.adapting
-        guess = guess_of(self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, own.slowest)
-        if self.adapting.initial == "guess" or self.nominal is None:
-            return guess
+        """The same, computed once: a prior looks at many positions."""
+        first, own = self.regressor.inertial, self.settings
+        prior = prior_of(self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, own.slowest)
+        if own.initial == "prior" or self.nominal is None:
+            return prior
         theta = np.maximum(self.nominal, 0.0)
-        pairs = zip(pseudo_inertias(self.nominal[:first]), pseudo_inertias(guess[:first]), strict=True)
+        pairs = zip(pseudo_inertias(self.nominal[:first]), pseudo_inertias(prior[:first]), strict=True)
         theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
         return theta
 
@@ -200,25 +323,3 @@ class Adaptive(CompiledController):
     def unit(self) -> Array:
         """The combinations of theta that matter, each of the size that random motion excites alike, (k, known)."""
         return self.regressor.unit()
-
-
-def pseudo_inertias(theta: Array) -> Array:
-    """Pseudo-inertias of the inertial parameters, (bodies, 4, 4)."""
-    matrices = np.zeros((theta.size // BODY, 4, 4))
-    for P, numbers in zip(matrices, theta.reshape(-1, BODY), strict=True):
-        to_matrix(numbers, 1.0, P)
-    return matrices
-
-
-def vector_of(P: Array) -> Array:
-    """The ten numbers of a pseudo-inertia."""
-    theta = np.zeros(BODY)
-    to_vector(P, theta)
-    return theta
-
-
-def lifted(P: Array, guess: Array) -> Array:
-    """A pseudo-inertia with at least `FLOOR` times a guess, in every direction in which it has less."""
-    values, vectors = eigh(P, guess)
-    back = guess @ vectors
-    return np.asarray(back @ np.diag(np.maximum(values, FLOOR)) @ back.T)

@@ -1,38 +1,56 @@
 """Concurrent learning of the parameters of a robot whose kinematics are known: knowledge that outlasts the excitation.
 
-`torque.recall` has the law, `torque.history` the stack of equations that it learns from.
+The law is `Psi_hat = Psi_0 + Phi w`, w drawn to what a history stack of equations (`torque.history`) says:
+
+    w' = rate (w_L - w) + tracking P Phi' s,      P = L^-1 of the stack
+
+The gain of least squares makes all excited directions converge at the same rate [1/s], however ill conditioned the
+stack is. Between two changes of the stack, with a true w and exact equations, V = s' M s / 2 + w~' L w~ / 2 / tracking
+has
+
+    V' = -s' K s - rate / tracking w~' (L - 1) w~ - rate / tracking w~' (w - w_0),
+
+the last term being the pull of the prior, which vanishes beside what was seen. A change of the stack makes V jump, but
+there are finitely many of them. A sample's answer to s is kept below a share of the feedback, as in `torque.adaptive`.
+
+Bounds, whatever the sensors say: |w| <= radius, as w_L is put into that ball, which is convex, and so is w after the
+tracking term; Psi_hat is bounded by the motors' limits (`torque.law`).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..errors import ConfigError
-from ..model.regressor import Regressor
-from ..settings import Settings, plain, require_at_most, require_numbers
-from ..signals import Array, Layout
-from . import law
-from .adaptive_settings import Adapting
-from .controller import CompiledController, Context, ControllerState, Feedback, Law
-from .filtered import new_filter, parts
-from .guess import gains_of, guess_of, scales, sizes_of
-from .history import scratch, shapes
-from .recall import History
+from ..compiled import Vector, compiled, layout_of, views
+from ..model.regressor import Massless, measured, regress
+from ..settings import Settings, require_at_most, require_numbers
+from ..signals import INDEX, Array, IntArray, Layout
+from .adaptive import AdaptiveSettings
+from .controller import Context, ControllerState, Law
+from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
+from .history import Scratch, Stack, consider, estimate_of, scratch
+from .history import shapes as stack_shapes
+from .law import KERNELS, Kernels, constant_gain
+from .prior import ParameterLearner, prior_of, scales, sizes_of
 
+TIME, POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("time", "pose", "velocity", "q", "qdot"))
+Z, R, NU_REF, NUDOT_REF = INDEX["z"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]
+PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 SHARE = 0.2  # largest answer of a sample to s, as a share of the feedback
 RADIUS = 10.0  # bound on w, as root mean square in standard deviations of the prior
 MOST = 5000  # places of the stack
 UNKNOWN = 0.1  # share of the prior variance of Psi left on random motion, above which a run did not excite
 RANK = 1e-9  # relative size under which a singular value of stacked regressors counts as zero
-FRICTION = 0.3  # size of friction, in c_j (see `Adapting`): small joints have little gain and much friction
+FRICTION = 0.3  # size of friction, in c_j (see `AdaptiveSettings`): small joints have little gain and much friction
 SAMPLES = 300  # of random motion
 
 
-class Concurrent(Settings, frozen=True):
+class ConcurrentSettings(Settings, frozen=True):
     """How a concurrent learner learns.
 
     Args:
@@ -45,8 +63,8 @@ class Concurrent(Settings, frozen=True):
             changed is learned anew.
         pole: Of the low-pass of regressor and torque [1/s].
         every: Time between two candidates [s].
-        spread: Standard deviation of the prior, in sizes of the guess; of friction in `FRICTION` c_j.
-        initial: "guess" starts from balls without friction, "nominal" from a nominal robot (in an experiment the one
+        spread: Standard deviation of the prior, in sizes of the typical robot; of friction in `FRICTION` c_j.
+        initial: "prior" starts from balls without friction, "nominal" from a nominal robot (in an experiment the one
             of `[nominal]`).
 
     Raises:
@@ -62,45 +80,205 @@ class Concurrent(Settings, frozen=True):
     pole: float = 3.0
     every: float = 0.02
     spread: float = 1.0
-    initial: Literal["guess", "nominal"] = "guess"
+    initial: Literal["prior", "nominal"] = "prior"
 
     def __post_init__(self) -> None:
         require_numbers(self, "concurrent", ("entries", "noise", "growth", "every", "spread"))
         require_at_most(self, "concurrent", {"entries": MOST})
 
 
-@dataclass(frozen=True, eq=False)
-class ConcurrentLearner(CompiledController):
-    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see `torque.recall` for what holds.
+class History(NamedTuple):
+    """The numbers of a concurrent learner, and room to work in.
 
-    Args:
-        regressor: How the robot moves.
-        feedback: K.
-        settings: Stack, rates and start.
-        nominal: (k0,) parameters to start from, needed for `initial = "nominal"`.
-        learning: Off keeps the estimate.
-
-    Raises:
-        ConfigError: A start from nominal parameters without them, or with others than k0 finite ones.
+    Attributes:
+        known: The robot without its masses.
+        basis: (k0, k) `theta = theta_0 + basis w`, scaled so that the prior of w is 1.
+        theta0: (k0,) parameters to start from.
+        filter: Of torque and features.
+        gain: (p,) K.
+        precision: (p,) one over the noise of the equations.
+        learning: Off keeps w and the stack.
+        h: Control period [s].
+        every: Samples between two candidates.
+        rate: Of w towards what the stack says [1/s].
+        tracking: Of w along the tracking error [1/J].
+        share: Largest answer of a sample to s, as a share of the feedback.
+        radius: Bound on |w|.
+        growth: Least gain of log det L of a replacement.
+        lifetime: Of an entry [s].
+        Phi: (p, k) room to work in.
+        psi0: (p,) room to work in.
+        y: (p,) room to work in.
+        gradient, target: (k,) room to work in.
+        scratch: Room to work in.
+        layout: Of `Recalled` in the state.
     """
 
-    regressor: Regressor
-    feedback: Feedback = field(default_factory=Feedback)
-    settings: Concurrent = field(default_factory=Concurrent)
-    nominal: Array | None = None
-    learning: bool = True
+    known: Massless
+    basis: Array
+    theta0: Array
+    filter: Filter
+    gain: Array
+    precision: Array
+    learning: bool
+    h: float
+    every: int
+    rate: float
+    tracking: float
+    share: float
+    radius: float
+    growth: float
+    lifetime: float
+    Phi: Array
+    psi0: Array
+    y: Array
+    gradient: Array
+    target: Array
+    scratch: Scratch
+    layout: IntArray
+
+
+class Recalled(NamedTuple):
+    """What a concurrent learner remembers: w (k,), the number of samples, what the filter does, the stack."""
+
+    w: Vector
+    samples: Vector
+    filtered: Filtered
+    stack: Stack
+
+
+recalled_of = views(Recalled)
+
+
+@compiled
+def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
+    """Psi_hat and gain of one sample, then the update of w and of the stack.
+
+    Args:
+        row: (width,) row of signals; psi_hat, effective_gain and weight_norm are written.
+        at: Offsets of the signals.
+        a: The numbers of the law.
+        state: The controller's state, see `Recalled`.
+    """
+    p, k = a.Phi.shape
+    o, f, nb = recalled_of(state, a.layout), a.filter, p - a.filter.q.size
+    w, seen = o.w, o.filtered
+    features(a, row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], row[at[VELOCITY] : at[Q]],
+             row[at[QDOT] : at[QDOT + 1]], row[at[NU_REF] : at[NU_REF + 1]],
+             row[at[NUDOT_REF] : at[NUDOT_REF + 1]])  # fmt: skip
+    say(row, at, a, w)
+    if not a.learning:
+        return
+    answer(row, at, a, w, o.stack.P)
+    now = int(o.samples[0]) % a.every == 0
+    o.samples[0] += 1.0
+    if not period(row, at, f, seen):
+        return
+    features(a, f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot)
+    for i in range(p):
+        f.torque[i] -= a.psi0[i]
+    low_pass(f, a.Phi, seen)
+    if now:
+        for i in range(p):
+            a.y[i] = a.precision[i] * seen.Y_f[i]
+            for j in range(k):
+                a.Phi[i, j] = a.precision[i] * seen.Phi_f[i, j]
+        consider(o.stack, a.scratch, a.Phi, a.y, row[at[TIME]], a.growth, a.lifetime)
+        estimate_of(o.stack, a.target)
+        into_ball(a.target, a.radius)
+        share = 1.0 - math.exp(-a.rate * a.every * a.h)
+        for j in range(k):
+            w[j] += share * (a.target[j] - w[j])
+
+
+@compiled
+def features(a: History, pose: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array) -> None:
+    """Phi and Psi_0 at a state, into a.Phi and a.psi0."""
+    measured(a.known, pose, velocity, q, qdot)
+    regress(a.known, nu_ref, nudot_ref)
+    Y, p, k = a.known.Y, a.Phi.shape[0], a.Phi.shape[1]
+    for i in range(p):
+        a.psi0[i] = 0.0
+        for j in range(k):
+            a.Phi[i, j] = 0.0
+        for c in range(a.theta0.size):
+            if Y[i, c] != 0.0:
+                a.psi0[i] += Y[i, c] * a.theta0[c]
+                for j in range(k):
+                    a.Phi[i, j] += Y[i, c] * a.basis[c, j]
+
+
+@compiled
+def say(row: Array, at: IntArray, a: History, w: Array) -> None:
+    """Psi_hat, the gain, and the norm of w."""
+    psi_hat, square = row[at[PSI_HAT] : at[PSI_HAT + 1]], 0.0
+    for j in range(w.size):
+        square += w[j] * w[j]
+    row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = math.sqrt(square), 0.0
+    for i in range(psi_hat.size):
+        row[at[EFFECTIVE_GAIN] + i], psi_hat[i] = a.gain[i], a.psi0[i]
+        for j in range(w.size):
+            psi_hat[i] += a.Phi[i, j] * w[j]
+
+
+@compiled
+def answer(row: Array, at: IntArray, a: History, w: Array, P: Array) -> None:
+    """One sample of `w' = tracking P Phi' s`, its answer to s kept below a share of the feedback."""
+    p, k = a.Phi.shape
+    z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    feedback, late = 0.0, 0.0
+    for j in range(k):
+        a.gradient[j] = 0.0
+    for i in range(p):
+        s = z[i] if i < z.size else r[i - z.size]
+        feedback += a.gain[i] * s * s
+        for j in range(k):
+            a.gradient[j] += a.Phi[i, j] * s
+    for j in range(k):
+        a.target[j] = 0.0
+        for c in range(k):
+            a.target[j] += P[j, c] * a.gradient[c]
+        late += a.h * a.tracking * a.target[j] * a.gradient[j]
+    eta = a.share * feedback / late if late > a.share * feedback else 1.0
+    for j in range(k):
+        w[j] += eta * a.h * a.tracking * a.target[j]
+    into_ball(w, a.radius)
+
+
+@compiled
+def into_ball(w: Array, radius: float) -> None:
+    """The nearest point with |w| <= radius; zero for what is no number."""
+    square = 0.0
+    for j in range(w.size):
+        square += w[j] * w[j]
+    if square <= radius * radius:
+        return
+    share = radius / math.sqrt(square) if math.isfinite(square) else 0.0
+    for j in range(w.size):
+        w[j] = share * w[j] if share > 0.0 else 0.0
+
+
+@compiled
+def settle(row: Array, at: IntArray, a: History, state: Array) -> None:
+    """Keep the torque that is held from this sample on."""
+    if a.learning:
+        remember(row, at, recalled_of(state, a.layout).filtered)
+
+
+KERNELS[History] = Kernels(estimate, settle)
+
+
+@dataclass(frozen=True, eq=False)
+class Concurrent(ParameterLearner):
+    """`tau = Y theta_hat + K s`, theta_hat by concurrent learning; see above for what holds.
+
+    Args and errors are those of `ParameterLearner`.
+    """
+
+    settings: ConcurrentSettings = field(default_factory=ConcurrentSettings)
     name: str = "concurrent"
 
-    within_limits: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        k, given = self.regressor.size, self.nominal
-        if self.settings.initial == "nominal" and given is None:
-            raise ConfigError(
-                "no nominal parameters", fix="give them, or use initial = 'guess'", key="concurrent.initial"
-            )
-        if given is not None and (given.shape != (k,) or not np.isfinite(given).all()):
-            raise ConfigError(f"{given.size} parameters", fix=f"give {k} finite ones", key="nominal")
+    lyapunov_part = "stack"
 
     @property
     def notes(self) -> list[str]:
@@ -113,7 +291,7 @@ class ConcurrentLearner(CompiledController):
         return self._typical[1].shape[1]
 
     def law(self, context: Context) -> Law:
-        """The numbers of the law, with a memory of its own to work in.
+        """The numbers of the law, with room of its own to work in.
 
         Raises:
             ConfigError: A gain of 0: noise is measured by the gains.
@@ -136,22 +314,26 @@ class ConcurrentLearner(CompiledController):
             radius=RADIUS * float(np.sqrt(k)),
             growth=float(own.growth),
             lifetime=float(own.lifetime) if own.lifetime else np.inf,
-            entries=own.entries,
             Phi=np.zeros((p, k)),
             psi0=np.zeros(p),
             y=np.zeros(p),
             gradient=np.zeros(k),
             target=np.zeros(k),
             scratch=scratch(p, k),
+            layout=layout_of(Recalled, self.shapes(context)),
         )
-        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, history=history)
+        return Law(constant_gain(K), history)
+
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The estimate, what the filter remembers, and the stack."""
+        p, k = context.layout.dof, self.dimension
+        stack = stack_shapes(self.settings.entries, p, k)
+        return {"w": (k,), "samples": (1,), **parts(context.layout, p, k), **stack}
 
     def init(self, context: Context) -> ControllerState:
         """The estimate at its start, and an empty stack."""
-        p, k = context.layout.dof, self.dimension
-        stack = shapes(self.settings.entries, p, k)
-        state = ControllerState.of(w=(k,), samples=(1,), **parts(context.layout, p, k), **stack)
-        state["L"] = state["P"] = np.eye(k)
+        state = super().init(context)
+        state["L"] = state["P"] = np.eye(self.dimension)
         state["born"] = -1.0
         return state
 
@@ -166,38 +348,26 @@ class ConcurrentLearner(CompiledController):
         """Standard deviations of the prior of theta, (k0,)."""
         return self._typical[0]
 
-    def start(self) -> Array:
-        """The parameters before anything is learned, (k0,)."""
-        return self._start.copy()
-
     @cached_property
     def _start(self) -> Array:
-        """The same, computed once: a guess looks at many positions."""
+        """The same, computed once: a prior looks at many positions."""
         if self.settings.initial == "nominal" and self.nominal is not None:
             return np.array(self.nominal)
-        own = Adapting()
-        return guess_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
+        own = AdaptiveSettings()
+        return prior_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
 
     def theta(self, state: ControllerState) -> Array:
         """The estimate as parameters of the robot, (k0,)."""
         return np.asarray(self.start() + self.basis @ state["w"])
 
-    def feedback_gain(self, layout: Layout) -> Array:
-        """K, (p,)."""
-        return self.feedback.vector(layout)
-
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The estimate, (k,)."""
         return {"w": state["w"]}
 
-    def facts(self) -> dict[str, Any]:
-        """Gains, settings and start, with the names of the parameters."""
-        own = {"feedback": plain(self.feedback), "settings": plain(self.settings), "learning": self.learning}
-        return own | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
-
     def features(self, law: Law, state: ControllerState) -> Array | None:
         """Phi, (p, k); while it learns, that of the last control period."""
-        return None if law.history is None else law.history.Phi
+        learner: History = law.learner
+        return learner.Phi
 
     def unknown(self, state: ControllerState) -> Array:
         """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known."""
@@ -232,15 +402,18 @@ class ConcurrentLearner(CompiledController):
         return deviation, np.ascontiguousarray(directions[singular > RANK * singular[0]].T)
 
     def _sizes(self) -> Array:
-        """Sizes of the parameters, (k0,): of the guess, and of friction some of the gain that the joint feels."""
-        own = Adapting()
+        """Sizes of the parameters, (k0,): of a typical robot, and of friction some of the gain that the joint feels."""
+        own = AdaptiveSettings()
         inertial = sizes_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
         return np.concatenate((inertial, FRICTION * scales(self.regressor, self._gains)))
 
     @property
     def _gains(self) -> Array:
         """K, (p,); errors as of `law`."""
-        K = gains_of(self.regressor, self.feedback)
-        if not (K > 0).all():
-            raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
-        return K
+        m = self.regressor.massless
+        return self.positive_gains(Layout(m.base, m.nu.size - m.base, m.offset.size, 0))
+
+    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
+        """Where `theta - theta_0` lies in the directions that matter."""
+        scaled = (theta - self.start()) / self.deviation
+        return np.asarray((self.basis / self.deviation[:, None]).T @ scaled)

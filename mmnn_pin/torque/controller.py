@@ -1,8 +1,9 @@
 """The interface of a torque controller: velocity command and measurement in, generalized torque out.
 
 A controller's settings are frozen; what it remembers is a `ControllerState` made by `init` and updated in place, so
-that a run can be frozen, resumed, or started twice from equal weights. Controllers of this package are a `Law`: numbers
-for a compiled step. A user's own controller is a subclass of `TorqueController` in plain Python.
+that a run can be frozen, resumed, or started twice from equal weights. `Controller` is what the two kinds share. A
+`CompiledController` is one of this package: a `Law`, which `torque.law` steps in every engine. A `TorqueController` is
+one of a user in plain Python, for the ordinary loop. `torque/__init__.py` has the list of all controllers.
 """
 
 from __future__ import annotations
@@ -10,27 +11,26 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, TypeVar, get_type_hints
 
+import msgspec
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..compiled import fields_of
 from ..errors import ConfigError
-from ..settings import Settings, one_or_each, require_gains
+from ..settings import Settings, one_or_each, plain, require_gains
 from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
+from .law import MotorLimits, Packed
 
-if TYPE_CHECKING:
-    from .adaptation import Adaptation
-    from .linear import Linear
-    from .motor_limits import MotorLimits
-    from .recall import History
-    from .replay import Replay
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
 class Context:
-    """What a controller is told before a run.
+    """What a controller is given once before a run.
 
     Args:
         layout: Dimensions of the robot and the places of the signals.
@@ -63,7 +63,7 @@ class ControllerState:
 
     @classmethod
     def of(cls, **shapes: tuple[int, ...]) -> ControllerState:
-        """Zero memory with these parts."""
+        """Zeros with these parts."""
         return cls(np.zeros(sum(math.prod(shape) for shape in shapes.values())), shapes)
 
     def __getitem__(self, name: str) -> Array:
@@ -80,6 +80,11 @@ class ControllerState:
         """Write one part in place."""
         self[name][...] = value
 
+    def view(self, kind: type[T]) -> T:
+        """The parts that a named tuple of views names, as compiled code sees them (`compiled.views`)."""
+        parts = [self[name] if isinstance(part, int) else self.view(part) for name, part in fields_of(kind)]
+        return kind(*parts)
+
     def snapshot(self) -> ControllerState:
         """Copy that later steps do not touch; hand it to a run to resume from here."""
         return copy.deepcopy(self)
@@ -87,132 +92,62 @@ class ControllerState:
 
 @dataclass(frozen=True)
 class Law:
-    """A controller as numbers for the compiled step `torque.law.step`.
+    """A controller as numbers for `torque.law`.
 
     Attributes:
-        kind: Which law.
-        sizes: int64 numbers.
-        settings: float64 numbers.
-        adaptation: The numbers of an adaptive law, which writes psi_hat before the step; None for the others, whose
-            runs do not compile it.
-        history: The numbers of a concurrent learner, likewise.
-        replay: The numbers of a network's prediction error, likewise.
-        linear: The numbers of a linear learner, likewise.
+        numbers: What the torque is made of.
+        learner: What the law learns with, a named tuple whose type says which code; None where nothing learns but the
+            thesis's networks, and then nothing is compiled for it.
     """
 
-    kind: int
-    sizes: NDArray[np.int64]
-    settings: Array
-    adaptation: Adaptation | None = None
-    history: History | None = None
-    replay: Replay | None = None
-    linear: Linear | None = None
+    numbers: Packed
+    learner: Any = None
 
 
-class TorqueController(ABC):
-    """A torque controller in plain Python; subclass it to plug in your own.
-
-    Such a controller runs in the ordinary loop only, which is the slower one.
+class Machine(NamedTuple):
+    """What may be known of a robot without knowing how it moves.
 
     Attributes:
-        name: Name in tables, plots and recordings.
-        notes: Things the user should be told before a run.
-        within_limits: Whether the loop keeps the Psi_hat that it tells within what the rest of the torque leaves of the
-            motors' limits, unless the loop says (see `motor_limits`).
+        velocities: (p,) names of the velocities.
+        lower, upper: (n,) limits of the arm's joints [rad or m], infinite for none.
+        effort: (n,) largest torques of its motors at the joints [N m or N], inf where one of the robot's has no limit.
     """
 
-    name: str = "custom"
-    within_limits: ClassVar[bool] = False
+    velocities: tuple[str, ...]
+    lower: Array
+    upper: Array
+    effort: Array
 
     @property
-    def notes(self) -> list[str]:
-        """What a user should know about these settings."""
-        return []
+    def ranges(self) -> tuple[Array, Array]:
+        """Lower and upper ends of the arm's motion, (n,) each; half a turn either way where there are no limits."""
+        whole = np.isfinite(self.upper - self.lower)
+        return np.where(whole, self.lower, -np.pi), np.where(whole, self.upper, np.pi)
 
-    def init(self, context: Context) -> Any:
-        """Memory for a new run; None if there is nothing to remember."""
-        return None
-
-    @abstractmethod
-    def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
-    ) -> Array | tuple[Array, Array]:
-        """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
-
-        Or the torque and what of it is an estimate of Psi, (p,), which is recorded, so that it can be judged. The
-        records are views that change at the next sample: copy what you keep. `state` is what `init` returned.
-        """
-
-    def weights(self, state: Any) -> dict[str, Array]:
-        """Named arrays to be recorded at intervals."""
-        return {}
-
-    def facts(self) -> dict[str, Any]:
-        """Settings that a recording should hold."""
-        return {}
-
-    def findings(self, state: Any) -> list[str]:
-        """What the memory shows after a run that the user should be told, such as "not excited"."""
-        return []
+    def strength(self, K: Array) -> float:
+        """What the motors of the arm can give over its gains, the median of the joints [rad/s]; 0 without limits."""
+        n = self.effort.size
+        return float(np.median(self.effort / K[K.size - n :])) if n and np.isfinite(self.effort).all() else 0.0
 
 
-class CompiledController(ABC):
-    """A controller of this package: a `Law` and a `ControllerState` for the compiled step.
-
-    Attributes:
-        name: Name in tables, plots and recordings.
-        within_limits: Whether Psi_hat is kept within what the feedback leaves of the motors' limits, unless the loop
-            says (see `motor_limits`); off for the thesis's laws.
-    """
-
-    name: str
-    within_limits: ClassVar[bool] = False
+class Told(Protocol):
+    """What a controller is told of its robot, as far as the list of controllers grants it (`torque.Entry.told`)."""
 
     @property
-    def uses_model(self) -> bool:
-        """Whether the law adds Psi of a model: its own, or the loop's nominal robot (the true one: an oracle)."""
-        return False
+    def motion(self) -> Any:
+        """How it moves: a `model.regressor.Regressor`, which knows no masses."""
 
     @property
-    def model(self) -> Any:
-        """The `Robot` whose Psi the law adds; None for the loop's nominal one."""
-        return None
+    def machine(self) -> Machine:
+        """Names, ends of the joints, limits of the motors."""
 
     @property
-    def notes(self) -> list[str]:
-        """What a user should know about these settings."""
-        return []
+    def nominal(self) -> Any:
+        """A `Robot` that is not quite the true one."""
 
-    @abstractmethod
-    def law(self, context: Context) -> Law:
-        """The settings as numbers."""
-
-    @abstractmethod
-    def init(self, context: Context) -> ControllerState:
-        """Memory for a new run."""
-
-    @abstractmethod
-    def feedback_gain(self, layout: Layout) -> Array:
-        """Constant gain on `[z; r]`, (p,), used to judge the sampled loop before the run."""
-
-    def weights(self, state: ControllerState) -> dict[str, Array]:
-        """Named views of what is learned, to be recorded at intervals."""
-        return {}
-
-    def facts(self) -> dict[str, Any]:
-        """Settings that a recording should hold; of a learner enough for `recorded_learner` to build it again."""
-        return {}
-
-    def features(self, law: Law, state: ControllerState) -> Array | None:
-        """What the weights were multiplied with at the last step of a law, `Psi_hat = (Phi W).ravel()`.
-
-        (rows, k), a view, with rows times the columns of W equal to p; None where Psi_hat is not linear in the weights.
-        """
-        return None
-
-    def findings(self, state: ControllerState) -> list[str]:
-        """What the memory shows after a run that the user should be told."""
-        return []
+    @property
+    def parameters(self) -> Array:
+        """The parameters of that one in the order of the regressor, (k,)."""
 
 
 class Feedback(Settings, frozen=True):
@@ -261,8 +196,214 @@ class Feedback(Settings, frozen=True):
         return per_velocity(self.base, self.arm, layout, "feedback")
 
 
+@dataclass(frozen=True)
+class Given:
+    """What an experiment gives a controller when it makes it; what is common to all of them, and its own settings.
+
+    Attributes:
+        name: Name of the controller in the experiment.
+        settings: Its own table; None for a controller that has none.
+        feedback: K.
+        learning: Whether it learns.
+        told: What it is told of the robot.
+        inertia: (p,) effective inertias that networks are scaled by; None for the thesis's form.
+        networks: What the thesis's networks are given beside: robust, inputs, rates, leakage, update, projection.
+        gains: (samples, p) gains of a PD at an effective gain.
+    """
+
+    name: str
+    settings: Any
+    feedback: Feedback
+    learning: bool
+    told: Told
+    inertia: tuple[float, ...] | None = None
+    networks: dict[str, Any] = field(default_factory=dict)
+    gains: Array | None = None
+
+
+class Controller(ABC):
+    """What all torque controllers have.
+
+    Attributes:
+        name: Name in tables, plots and recordings.
+        notes: Things the user should be told before a run.
+        within_limits: Whether Psi_hat is kept within what the feedback leaves of the motors' limits, unless the loop
+            says (see `torque.law`); off for the thesis's laws.
+        lyapunov_part: Name of the weights' part of its Lyapunov function (`lab.proof.parts`); None for none.
+    """
+
+    name: str = "custom"
+    within_limits: ClassVar[bool] = False
+    lyapunov_part: ClassVar[str | None] = None
+
+    @property
+    def notes(self) -> list[str]:
+        """What a user should know about these settings."""
+        return []
+
+    @abstractmethod
+    def init(self, context: Context) -> Any:
+        """State for a new run."""
+
+    def weights(self, state: Any) -> dict[str, Array]:
+        """Named views of what is learned, to be recorded at intervals."""
+        return {}
+
+    def facts(self) -> dict[str, Any]:
+        """Settings that a recording should hold; of a learner enough for `from_facts` to make it again."""
+        return {}
+
+    def learning_gain(self, state: Any, context: Context) -> ArrayLike | None:
+        """Gamma where the law follows s by `W' = Gamma Phi' s + ...`, if it has features Phi; None for another law.
+
+        One number, (k,) for a diagonal or (k, k), positive definite; a sample changes W by the control period times W'.
+        With it `mmnn prove` has the weights' part of the Lyapunov function.
+        """
+        return None
+
+    def findings(self, state: Any) -> list[str]:
+        """What the state shows after a run that the user should be told, such as "not excited"."""
+        return []
+
+
+class TorqueController(Controller):
+    """A torque controller in plain Python; subclass it to plug in your own.
+
+    Such a controller runs in the ordinary loop only, which is the slower one.
+    """
+
+    def init(self, context: Context) -> Any:
+        """State for a new run; None if there is nothing to remember."""
+        return None
+
+    @abstractmethod
+    def step(
+        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
+    ) -> Array | tuple[Array, Array]:
+        """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
+
+        Or the torque and what of it is an estimate of Psi, (p,), which is recorded, so that it can be judged. The
+        records are views that change at the next sample: copy what you keep. `state` is what `init` returned.
+        """
+
+
+class CompiledController(Controller):
+    """A controller of this package: a `Law` and a `ControllerState` for the compiled step.
+
+    Most are a frozen dataclass with these three fields, by which they are made, recorded and made again.
+
+    Attributes:
+        feedback: K.
+        settings: The table of the learner.
+        learning: Off keeps what is learned as it is.
+    """
+
+    feedback: Feedback
+    settings: Any
+    learning: bool
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """The controller of an experiment."""
+        return cls(feedback=given.feedback, settings=given.settings, learning=given.learning)  # type: ignore[call-arg]
+
+    @classmethod
+    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
+        """The controller of a recording; None where its `facts` do not tell enough.
+
+        Args:
+            name: Its name in the experiment.
+            facts: What `facts` told, perhaps that of an older version.
+            told: What it is told of the recorded robot.
+        """
+        own = read_facts(cls, facts, "feedback", "settings", "learning")
+        return cls(**own)
+
+    def facts(self) -> dict[str, Any]:
+        """Gains and settings; enough for `from_facts`."""
+        return {name: plain(getattr(self, name)) for name in ("feedback", "settings", "learning")}
+
+    @property
+    def model(self) -> Any:
+        """The `Robot` whose Psi the law adds; None for the loop's nominal one."""
+        return None
+
+    @property
+    def uses_model(self) -> bool:
+        """Whether the law adds Psi of a model: its own, or the loop's nominal robot (the true one: an oracle)."""
+        return False
+
+    @property
+    def networks(self) -> Any:
+        """The thesis's controller (`torque.neural.Neural`) where the law has its networks; None where it has none."""
+        return None
+
+    @abstractmethod
+    def law(self, context: Context) -> Law:
+        """The settings as numbers."""
+
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """Name and shape of every part of the state, in the order in which they are kept."""
+        return {}
+
+    def init(self, context: Context) -> ControllerState:
+        """State for a new run: zeros, unless the law starts from something else."""
+        return ControllerState.of(**self.shapes(context))
+
+    def feedback_gain(self, layout: Layout) -> Array:
+        """Constant gain on `[z; r]`, (p,), used to judge the sampled loop before the run."""
+        return self.feedback.vector(layout)
+
+    def positive_gains(self, layout: Layout, why: str = "") -> Array:
+        """K (p,) of a law that measures by its gains.
+
+        Raises:
+            ConfigError: A gain of 0.
+        """
+        K = self.feedback.vector(layout)
+        if not (K > 0).all():
+            why = why or f"{self.name} needs all > 0"
+            raise ConfigError(f"gains {K.tolist()}", why=why, fix="raise them", key="feedback")
+        return K
+
+    def features(self, law: Law, state: ControllerState) -> Array | None:
+        """What the weights were multiplied with at the last step of a law, `Psi_hat = (Phi W).ravel()`.
+
+        (rows, k), a view, with rows times the columns of W equal to p; None where Psi_hat is not linear in the weights.
+        """
+        return None
+
+    def prior_deviation(self, state: ControllerState) -> Array | None:
+        """Standard deviation of every weight (k, m) before anything was learned; None without a prior."""
+        return None
+
+    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
+        """The weights (k,) that say the true parameters theta (k0,), where weights are those; None where they are not.
+
+        Args:
+            theta: Parameters of the robot, in the order of `model.regressor`.
+            start: The state before a run.
+        """
+        return None
+
+
+def all_facts(controller: Any) -> dict[str, Any]:
+    """All fields of a controller, as JSON has them."""
+    return {f.name: plain(getattr(controller, f.name)) for f in fields(controller)}
+
+
+def read_facts(kind: type[Any], facts: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """Some of a controller's fields from what a recording tells, of the types that its class declares.
+
+    Raises:
+        msgspec.ValidationError: Settings of another version.
+    """
+    hints = get_type_hints(kind)
+    return {name: msgspec.convert(facts[name], hints[name]) for name in names}
+
+
 def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...], layout: Layout, key: str) -> Array:
-    """Numbers of the base and of the arm as one vector (p,).
+    """Packed of the base and of the arm as one vector (p,).
 
     Raises:
         ConfigError: Neither one number nor as many as velocities.
@@ -274,6 +415,6 @@ def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...]
 
 
 def split(values: Array, layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Numbers of all p velocities as those of the base and those of the arm."""
+    """Packed of all p velocities as those of the base and those of the arm."""
     numbers = tuple(float(value) for value in values)
     return numbers[: layout.base], numbers[layout.base :]

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled
+from ..compiled import Matrix, Vector, compiled
 from ..errors import ConfigError
 from ..signals import INDEX, Array, IntArray, Layout
 
@@ -37,7 +37,7 @@ SETTLED = 5.0  # time constants of the states' filter after which its start is f
 
 
 class Filter(NamedTuple):
-    """The numbers of a filter, and memory to work in.
+    """The numbers of a filter, and room to work in.
 
     Attributes:
         h: Control period [s].
@@ -64,6 +64,26 @@ class Filter(NamedTuple):
     nu: Array
     nudot: Array
     torque: Array
+
+
+class Filtered(NamedTuple):
+    """What a filter remembers.
+
+    Attributes:
+        clock: (2,) time of the last sample [s], and how many have followed one another.
+        held: (p,) torque that is held since then.
+        filtered_torque: (p,) torque behind the filter ahead of the features.
+        states: (2, n + p) angles and velocities of the last sample, and behind that filter.
+        Phi_f: (rows, k) features behind the low-pass.
+        Y_f: (p,) torque behind the low-pass.
+    """
+
+    clock: Vector
+    held: Vector
+    filtered_torque: Vector
+    states: Matrix
+    Phi_f: Matrix
+    Y_f: Vector
 
 
 def new_filter(layout: Layout, h: float, pole: float, state_pole: float = 0.0) -> Filter:
@@ -98,7 +118,7 @@ def new_filter(layout: Layout, h: float, pole: float, state_pole: float = 0.0) -
 
 
 def parts(layout: Layout, rows: int, k: int) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of what a filter remembers, to be parts of a `ControllerState` that follow one another.
+    """Names and shapes of what a filter remembers, to be parts of a `ControllerState`.
 
     Args:
         layout: Sizes.
@@ -111,16 +131,16 @@ def parts(layout: Layout, rows: int, k: int) -> dict[str, tuple[int, ...]]:
 
 
 @compiled
-def remember(row: Array, at: IntArray, state: Array) -> None:
+def remember(row: Array, at: IntArray, seen: Filtered) -> None:
     """Keep the torque that is held from this sample on; call it when nothing changes it any more.
 
     Args:
         row: (width,) row of signals.
         at: Offsets of the signals.
-        state: What the filter remembers, from its first part on.
+        seen: What the filter remembers.
     """
     for i in range(at[TORQUE + 1] - at[TORQUE]):
-        state[2 + i] = row[at[TORQUE] + i]
+        seen.held[i] = row[at[TORQUE] + i]
 
 
 @compiled
@@ -133,28 +153,27 @@ def is_usable(values: Array) -> bool:
 
 
 @compiled
-def period(row: Array, at: IntArray, f: Filter, state: Array) -> bool:
+def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
     """Take a sample in; the means over the period that ends with it into f.q, f.nu, f.nudot and f.torque.
 
     Args:
         row: (width,) row of signals with the measurement of this sample.
         at: Offsets of the signals.
         f: The filter.
-        state: What it remembers, from its first part on.
+        seen: What it remembers.
 
     Returns:
         Whether there is such a period, and the filter has settled.
     """
     n, p, nb = f.q.size, f.nu.size, f.nu.size - f.q.size
-    held, drive = state[2 : 2 + p], state[2 + p : 2 + 2 * p]
-    last = state[2 + 2 * p : 2 + 2 * p + n + p]
-    smooth = state[2 + 2 * p + n + p : 2 + 2 * p + 2 * (n + p)]
+    clock, held, drive = seen.clock, seen.held, seen.filtered_torque
+    last, smooth = seen.states[0], seen.states[1]
     time = row[at[TIME]]
-    follows = state[1] > 0.0 and abs(time - state[0] - f.h) < 0.5 * f.h
+    follows = clock[1] > 0.0 and abs(time - clock[0] - f.h) < 0.5 * f.h
     usable = is_usable(row[at[VELOCITY] : at[QDOT + 1]])
     follows = follows and usable and is_usable(held)
-    state[0] = time
-    state[1] = state[1] + 1.0 if follows else 1.0 if usable else 0.0
+    clock[0] = time
+    clock[1] = clock[1] + 1.0 if follows else 1.0 if usable else 0.0
     for i in range(f.pose.size):
         f.pose[i] = row[at[POSE] + i]
     for i in range(n + p):
@@ -175,21 +194,20 @@ def period(row: Array, at: IntArray, f: Filter, state: Array) -> bool:
         before = drive[i] if follows else 0.0
         drive[i] = f.keep * before + (1.0 - f.keep) * held[i] if follows else 0.0
         f.torque[i] = held[i] - f.lag * (drive[i] - before)
-    return follows and state[1] > f.wait + 1.0
+    return follows and clock[1] > f.wait + 1.0
 
 
 @compiled
-def low_pass(f: Filter, Phi: Array, state: Array) -> None:
-    """Features and torque of the last period through the low-pass, into the parts `Phi_f` and `Y_f`.
+def low_pass(f: Filter, Phi: Array, seen: Filtered) -> None:
+    """Features and torque of the last period through the low-pass.
 
     Args:
         f: The filter, with f.torque.
         Phi: (rows, k) features at the means of the period.
-        state: What the filter remembers, from its first part on.
+        seen: What the filter remembers.
     """
     rows, k = Phi.shape
-    start = 2 + 4 * f.nu.size + 2 * f.q.size
-    Phi_f, Y_f = state[start : start + rows * k].reshape((rows, k)), state[start + rows * k :]
+    Phi_f, Y_f = seen.Phi_f, seen.Y_f
     for i in range(rows):
         for j in range(k):
             Phi_f[i, j] = f.hold * Phi_f[i, j] + (1.0 - f.hold) * Phi[i, j]

@@ -26,13 +26,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled
+from ..compiled import Cube, Matrix, Vector, compiled
 from ..signals import Array
-from .matrices import inverse, log_det, product, solved
 
 
 class Stack(NamedTuple):
-    """A history stack, all of it views into a controller's memory.
+    """A history stack, all of it views into a controller's state.
 
     Attributes:
         Phi: (N, p, k) entries; zeros where there is none.
@@ -45,18 +44,18 @@ class Stack(NamedTuple):
         used: (2,) entries that are used, and changes.
     """
 
-    Phi: Array
-    y: Array
-    born: Array
-    L: Array
-    P: Array
-    G: Array
-    b: Array
-    used: Array
+    Phi: Cube
+    y: Matrix
+    born: Vector
+    L: Matrix
+    P: Matrix
+    G: Cube
+    b: Vector
+    used: Vector
 
 
 class Scratch(NamedTuple):
-    """Memory to work in: PU (k, p), S (p, p), C (p, p), X (p, p), factor (k, k), column (k,)."""
+    """Room to work in: PU (k, p), S (p, p), C (p, p), X (p, p), factor (k, k), column (k,)."""
 
     PU: Array
     S: Array
@@ -67,7 +66,7 @@ class Scratch(NamedTuple):
 
 
 def shapes(entries: int, p: int, k: int) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of what a stack remembers, to be parts of a `ControllerState` that follow one another."""
+    """Names and shapes of what a stack remembers, to be parts of a `ControllerState`."""
     return {
         "Phi": (entries, p, k), "y": (entries, p), "born": (entries,), "L": (k, k), "P": (k, k), "G": (entries, p, p),
         "b": (k,), "used": (2,),
@@ -75,29 +74,8 @@ def shapes(entries: int, p: int, k: int) -> dict[str, tuple[int, ...]]:
 
 
 def scratch(p: int, k: int) -> Scratch:
-    """Memory to work in."""
+    """Room to work in."""
     return Scratch(*(np.zeros(shape) for shape in ((k, p), (p, p), (p, p), (p, p), (k, k), (k,))))
-
-
-@compiled
-def views(state: Array, N: int, p: int, k: int) -> Stack:
-    """The stack that lies in a memory, from its first part on."""
-    a = N * p * k
-    b = a + N * p
-    c = b + N
-    d = c + k * k
-    e = d + k * k
-    f = e + N * p * p
-    return Stack(
-        state[:a].reshape((N, p, k)),
-        state[a:b].reshape((N, p)),
-        state[b:c],
-        state[c:d].reshape((k, k)),
-        state[d:e].reshape((k, k)),
-        state[e:f].reshape((N, p, p)),
-        state[f : f + k],
-        state[f + k : f + k + 2],
-    )
 
 
 @compiled
@@ -106,10 +84,10 @@ def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: fl
 
     Args:
         s: The stack.
-        w: Memory to work in.
+        w: Room to work in.
         Phi: (p, k) the equation's features, divided by its noise.
         y: (p,) its other side, likewise.
-        time: Now [s].
+        time: The present [s].
         growth: Least gain of log det L, > 0.
         lifetime: Of an entry [s]; inf for ever.
 
@@ -242,3 +220,72 @@ def estimate_of(s: Stack, out: Array) -> None:
         out[i] = 0.0
         for j in range(out.size):
             out[i] += s.P[i, j] * s.b[j]
+
+
+@compiled
+def product(A: Array, B: Array, out: Array) -> None:
+    """`A B` (n, m) of A (n, k) and B (k, m)."""
+    for i in range(len(A)):
+        for j in range(B.shape[1]):
+            total = 0.0
+            for c in range(len(B)):
+                total += A[i, c] * B[c, j]
+            out[i, j] = total
+
+
+@compiled
+def factored(A: Array, F: Array) -> bool:
+    """Lower triangular `A = F F'`, the other half of F untouched; False where A is not positive definite."""
+    for j in range(len(A)):
+        for i in range(j, len(A)):
+            total = A[i, j]
+            for c in range(j):
+                total -= F[i, c] * F[j, c]
+            if i > j:
+                F[i, j] = total / F[j, j]
+            elif total > 0.0:
+                F[j, j] = math.sqrt(total)
+            else:
+                return False
+    return True
+
+
+@compiled
+def solved(factor: Array, C: Array) -> None:
+    """`C F'^-1` in place for a lower triangular F, so that `C C'` becomes `C (F F')^-1 C'`."""
+    for a in range(len(C)):
+        for j in range(len(factor)):
+            total = C[a, j]
+            for c in range(j):
+                total -= C[a, c] * factor[j, c]
+            C[a, j] = total / factor[j, j]
+
+
+@compiled
+def log_det(X: Array, factor: Array) -> float:
+    """Logarithm of a determinant, -inf where the matrix is not positive definite; the factor is written."""
+    if not factored(X, factor):
+        return -math.inf
+    total = 0.0
+    for i in range(len(X)):
+        total += 2.0 * math.log(factor[i, i])
+    return total
+
+
+@compiled
+def inverse(L: Array, factor: Array, column: Array, P: Array) -> None:
+    """`L^-1` into P, by way of a factor (k, k) and a column (k,); P stays where L is not positive definite."""
+    if not factored(L, factor):
+        return
+    for j in range(len(L)):
+        for i in range(j, len(L)):
+            total = 1.0 if i == j else 0.0
+            for c in range(j, i):
+                total -= factor[i, c] * column[c]
+            column[i] = total / factor[i, i]
+        for i in range(len(L) - 1, j - 1, -1):
+            total = column[i]
+            for c in range(i + 1, len(L)):
+                total -= factor[c, i] * column[c]
+            column[i] = total / factor[i, i]
+            P[i, j] = P[j, i] = column[i]

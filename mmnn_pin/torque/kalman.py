@@ -1,78 +1,177 @@
 """Linear learners with a covariance: a regressor, or random features, with or without a nominal model in front.
 
-`torque.linear` has the law, `torque.features` the features. A learner is told K, where its joints end and what their
-motors can give; the one with a regressor how the robot moves; the one with a nominal model also the numbers of that.
+`torque.linear` has the law, `torque.random_features` the features. A learner is told K, where its joints end and what
+their motors can give; the one with a regressor how the robot moves; the one with a nominal model also the numbers of
+that. Their settings are `[kalman.regressor]` of an experiment for `kalman_regressor`, and so on.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from ..compiled import layout_of
 from ..errors import ConfigError
 from ..model.regressor import Regressor
-from ..settings import plain
+from ..settings import Settings, plain, require_at_most, require_numbers
 from ..signals import Array, Layout
-from . import law
-from .controller import CompiledController, Context, ControllerState, Feedback, Law
-from .features import BILINEAR, GENERIC, Random, fill, paired, size, terms
+from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
 from .filtered import new_filter, parts
-from .kalman_settings import Kalman, KalmanBilinear, KalmanFeatures, RandomFeatures
-from .least_squares import left
-from .linear import Linear
+from .law import constant_gain
+from .linear import Linear, Parts, left
+from .random_features import BILINEAR, GENERIC, Random, fill, paired, size, terms
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
 NEGLIGIBLE = 1e-24  # mean square of a feature, relative to the largest, below which it has no weight
+MOST = 2000  # random features: the covariance holds their square
 
 
-@dataclass(frozen=True, eq=False)
-class Machine:
-    """What a learner is told of its robot.
+class KalmanSettings(Settings, frozen=True):
+    """How a linear learner learns; all numbers are measured by the feedback, so one set suits robots of any size.
 
-    Attributes:
-        velocities: (p,) names of the velocities.
-        lower, upper: (n,) limits of the arm's joints [rad or m], infinite for none.
-        effort: (n,) largest torques of its motors at the joints [N m or N], inf where one of the robot's has no limit.
+    Args:
+        noise: Standard deviation of what filtered torque says, divided by K [m/s, rad/s]: the velocity error that the
+            feedback would need to hide it. Noise of the sensors and what the features cannot say.
+        prior: Standard deviation of Psi before anything is learned, on random motion at 1 m/s and 1 rad/s, over K.
+        drift: Part of the prior variance that comes back in a second [1/s], so that changes are learned. 0 never
+            forgets; where nothing excites, the variance returns to the prior at most.
+        tracking: How fast the weights answer the tracking error where nothing is known yet [1/s].
+        bound: Largest weights, as root mean square in standard deviations of the prior.
+        pole: Low-pass on features and filtered torque [1/s].
+        state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
+        interval: Time from one update to the next [s], at least a control period.
+
+    Raises:
+        ConfigError: A number that is negative, not finite, huge or 0 where it must not be.
     """
 
-    velocities: tuple[str, ...]
-    lower: Array
-    upper: Array
-    effort: Array
+    noise: float = 0.03
+    prior: float = 1.0
+    drift: float = 1e-4
+    tracking: float = 1.0
+    bound: float = 3.0
+    pole: float = 5.0
+    state_pole: float = 60.0
+    interval: float = 0.01
 
-    @property
-    def ranges(self) -> tuple[Array, Array]:
-        """Lower and upper ends of the arm's motion, (n,) each; half a turn either way where there are no limits."""
-        whole = np.isfinite(self.upper - self.lower)
-        return np.where(whole, self.lower, -np.pi), np.where(whole, self.upper, np.pi)
+    section: ClassVar[str] = ""
+    excited: ClassVar[float] = 0.5  # share of the prior variance of Psi above which it says that it was not excited
+    needs_regressor: ClassVar[bool] = False
+    needs_nominal: ClassVar[bool] = False
+    positive: ClassVar[tuple[str, ...]] = ("noise", "prior", "bound", "interval")
 
-    def strength(self, K: Array) -> float:
-        """What the motors of the arm can give over its gains, the median of the joints [rad/s]; 0 without limits."""
-        n = self.effort.size
-        return float(np.median(self.effort / K[K.size - n :])) if n and np.isfinite(self.effort).all() else 0.0
+    def __post_init__(self) -> None:
+        require_numbers(self, self.section, self.positive)
+
+
+class KalmanRegressorSettings(KalmanSettings, frozen=True):
+    """`kalman_regressor`: Phi is the regressor of a robot whose masses are not known; arguments as in `KalmanSettings`.
+
+    What it can say is true, so a wide prior costs nothing, and friction of small joints needs one.
+    """
+
+    noise: float = 0.1
+    prior: float = 10.0
+
+    section: ClassVar[str] = "kalman.regressor"
+    excited: ClassVar[float] = 0.1  # the velocities share what is learned: a little excitation tells them much
+    needs_regressor: ClassVar[bool] = True
+
+
+class RandomFeatures(KalmanSettings, frozen=True):
+    """Random features, see `torque.random_features`.
+
+    Args:
+        hidden: Random functions, at least; 2000 at most.
+        weights: Standard deviation of their weights on every input.
+        linear: Ratio of the prior variances of features without and with a random function.
+        gravity: Standard deviation of what is there at rest, a share of what the arm's motors can give (the median of
+            the joints); at least what `prior` gives it. Gravity over K is g / (b l) for a link of length l that K gives
+            the bandwidth b: some tens of a small arm's prior, and little of a geared arm's.
+        eps: Speed over which dry friction turns [rad/s or m/s].
+    """
+
+    drift: float = 3e-5
+    hidden: int = 25
+    weights: float = 0.3
+    linear: float = 10.0
+    gravity: float = 0.2
+    eps: float = 0.03
+
+    positive: ClassVar[tuple[str, ...]] = (*KalmanSettings.positive, "hidden", "linear", "eps")
+    most: ClassVar[dict[str, int]] = {"hidden": MOST}
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_at_most(self, self.section, self.most)
+
+
+class KalmanBilinearSettings(RandomFeatures, frozen=True):
+    """`kalman_bilinear`: random functions of the arm's joints times what is linear or bilinear.
+
+    Args:
+        largest: Most features with a random function, 2000 at most; a robot with many joints has fewer than `hidden`
+            times its terms.
+    """
+
+    largest: int = 400
+
+    section: ClassVar[str] = "kalman.bilinear"
+    positive: ClassVar[tuple[str, ...]] = (*RandomFeatures.positive, "largest")
+    most: ClassVar[dict[str, int]] = {"hidden": MOST, "largest": MOST}
+
+
+class KalmanFeaturesSettings(RandomFeatures, frozen=True):
+    """`kalman_features`: random functions of everything.
+
+    Args:
+        speed: What velocities are divided by ahead of them [m/s, rad/s].
+        acceleration: What accelerations are divided by [m/s^2, rad/s^2].
+    """
+
+    hidden: int = 300
+    weights: float = 0.5
+    speed: float = 3.0
+    acceleration: float = 20.0
+
+    section: ClassVar[str] = "kalman.features"
+    positive: ClassVar[tuple[str, ...]] = (*RandomFeatures.positive, "speed", "acceleration")
+
+
+class KalmanResidualSettings(KalmanBilinearSettings, frozen=True):
+    """`kalman_residual`: a nominal model (`[nominal]` in an experiment), and bilinear features for what it leaves."""
+
+    section: ClassVar[str] = "kalman.residual"
+    needs_regressor: ClassVar[bool] = True
+    needs_nominal: ClassVar[bool] = True
+
+
+SETTINGS = {
+    f"kalman_{kind.section.partition('.')[2]}": kind
+    for kind in (KalmanRegressorSettings, KalmanBilinearSettings, KalmanFeaturesSettings, KalmanResidualSettings)
+}
 
 
 @dataclass(frozen=True, eq=False)
-class KalmanLearner(CompiledController):
+class Kalman(CompiledController):
     """`tau = Psi_0 + Phi W + K s`, W by a Kalman filter on filtered torque; see `torque.linear` for what holds.
 
     Args:
-        settings: `KalmanRegressor`, `KalmanBilinear`, `KalmanFeatures` or `KalmanResidual`.
-        machine: What it is told of the robot.
-        feedback: K.
-        regressor: How the robot moves; for `KalmanRegressor` and `KalmanResidual`.
-        theta0: (k0,) parameters of a nominal robot in the order of that regressor; for `KalmanResidual`.
-        learning: Off keeps the weights as they are.
+        settings: `KalmanRegressorSettings`, `KalmanBilinearSettings`, `KalmanFeaturesSettings` or
+        `KalmanResidualSettings`. machine: What it is told of the robot. feedback: K. regressor: How the robot moves;
+        for `KalmanRegressorSettings` and `KalmanResidualSettings`. theta0: (k0,) parameters of a nominal robot in the
+        order of that regressor; for `KalmanResidualSettings`. learning: Off keeps the weights as they are.
 
     Raises:
         ConfigError: What the settings need is missing, or theta0 is not of the regressor.
     """
 
-    settings: Kalman
+    settings: KalmanSettings
     machine: Machine
     feedback: Feedback = field(default_factory=Feedback)
     regressor: Regressor | None = None
@@ -80,6 +179,7 @@ class KalmanLearner(CompiledController):
     learning: bool = True
 
     within_limits: ClassVar[bool] = True
+    lyapunov_part = "covariance"
 
     def __post_init__(self) -> None:
         key = self.settings.section
@@ -89,6 +189,25 @@ class KalmanLearner(CompiledController):
             k0 = self.regressor.size if self.regressor else 0
             if self.theta0 is None or self.theta0.shape != (k0,) or not np.isfinite(self.theta0).all():
                 raise ConfigError("no nominal parameters", fix=f"give {k0} finite ones", key=f"{key}.nominal")
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With what its settings need to be told of the robot."""
+        own, told = given.settings, given.told
+        motion = told.motion if own.needs_regressor else None
+        theta0 = told.parameters if own.needs_nominal else None
+        return cls(own, told.machine, given.feedback, motion, theta0, given.learning)
+
+    @classmethod
+    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
+        """From gains, settings, and what it was told of a nominal robot."""
+        if not facts:
+            return None
+        settings: KalmanSettings = msgspec.convert(facts["settings"], SETTINGS[name])
+        motion = told.motion if settings.needs_regressor else None
+        theta0 = np.array(facts["theta0"]) if "theta0" in facts else None
+        feedback = msgspec.convert(facts["feedback"], Feedback)
+        return cls(settings, told.machine, feedback, motion, theta0, facts["learning"])
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -117,16 +236,16 @@ class KalmanLearner(CompiledController):
         return [f"{self.name}: {per}"]
 
     def random(self) -> Random | None:
-        """Numbers of the random features, with a memory of their own to work in; None with a regressor."""
+        """Numbers of the random features, with room of their own to work in; None with a regressor."""
         own, p, n = self.drawn, len(self.machine.velocities), self.machine.lower.size
         if own is None:
             return None
-        generic = isinstance(own, KalmanFeatures)
+        generic = isinstance(own, KalmanFeaturesSettings)
         kind = GENERIC if generic else BILINEAR
-        pairs = paired(kind, p, own.hidden, own.largest if isinstance(own, KalmanBilinear) else own.hidden)
+        pairs = paired(kind, p, own.hidden, own.largest if isinstance(own, KalmanBilinearSettings) else own.hidden)
         units = int(pairs[:, 0].max()) + 1
         scale = np.ones(n)
-        if isinstance(own, KalmanFeatures):
+        if isinstance(own, KalmanFeaturesSettings):
             scale = np.concatenate((scale, np.full(2 * p, 1 / own.speed), np.full(p, 1 / own.acceleration)))
         return Random(
             kind=kind,
@@ -143,14 +262,12 @@ class KalmanLearner(CompiledController):
         )
 
     def law(self, context: Context) -> Law:
-        """The numbers of the law, with a memory of its own to work in.
+        """The numbers of the law, with room of its own to work in.
 
         Raises:
             ConfigError: A gain of 0: noise and prior are measured by the gains.
         """
-        K, h, own = self.feedback.vector(context.layout), float(context.control_period), self.settings
-        if not (K > 0).all():
-            raise ConfigError(f"gains {K.tolist()}", why=f"{self.name} needs all > 0", fix="raise them", key="feedback")
+        K, h, own = self.positive_gains(context.layout), float(context.control_period), self.settings
         rows, k, m = self.shape
         every = max(1, round(own.interval / h))
         linear = Linear(
@@ -170,19 +287,20 @@ class KalmanLearner(CompiledController):
             Phi=np.zeros((rows, k)),
             psi0=np.zeros(K.size),
             work=np.zeros((4, k)),
+            layout=layout_of(Parts, self.shapes(context)),
         )
-        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), K, linear=linear)
+        return Law(constant_gain(K), linear)
+
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """Weights and covariance, what the filter remembers, what was drawn."""
+        (rows, k, m), random = self.shape, self.random()
+        drawn = (0, 0) if random is None else (random.units, random.inputs)
+        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (2,)}
+        return {**own, **parts(context.layout, rows, k), "a": drawn, "b": drawn[:1]}
 
     def init(self, context: Context) -> ControllerState:
         """No weights yet, the prior, and the random functions, drawn from the run's seed."""
-        (rows, k, m), random = self.shape, self.random()
-        shapes = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (2,)}
-        state = ControllerState.of(
-            **shapes,
-            **parts(context.layout, rows, k),
-            a=(0 if random is None else random.units, 0 if random is None else random.inputs),
-            b=(0 if random is None else random.units,),
-        )
+        (_, k, m), random, state = self.shape, self.random(), super().init(context)
         if self.drawn is not None:
             state["a"] = self.drawn.weights * context.rng.standard_normal(state["a"].shape)
             state["b"] = context.rng.uniform(-1.0, 1.0, state["b"].shape)
@@ -209,20 +327,15 @@ class KalmanLearner(CompiledController):
         (lower, upper), n = self.machine.ranges, self.machine.lower.size
         rows, k, _ = self.shape
         Phi = np.zeros((SAMPLES, rows, k))
-        drawn = np.concatenate((state["a"].ravel(), state["b"]))
         for one in Phi:
             q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), rng.standard_normal((3, p))
             if random is not None:
-                fill(random, drawn, q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref, one[0])
+                fill(random, state["a"], state["b"], q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref, one[0])
             elif self.regressor is not None:
                 known = self.regressor.massless
                 position = known.offset + known.arm @ q
                 one[:] = self.regressor.matrix(position, nu, nu_ref, nudot_ref)
         return Phi
-
-    def feedback_gain(self, layout: Layout) -> Array:
-        """K, (p,)."""
-        return self.feedback.vector(layout)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The weights, transposed, (m, k)."""
@@ -236,7 +349,8 @@ class KalmanLearner(CompiledController):
 
     def features(self, law: Law, state: ControllerState) -> Array | None:
         """Phi, (rows, k); while it learns, that of the last control period."""
-        return None if law.linear is None else law.linear.Phi
+        learner: Linear = law.learner
+        return learner.Phi
 
     def unknown(self, state: ControllerState) -> Array:
         """Share of the prior variance of Psi that is left on random motion, (p,): 1 nothing learned, 0 all known.
@@ -268,6 +382,19 @@ class KalmanLearner(CompiledController):
             f"{self.name}: not excited: {unknown[worst]:.0%} of what it did not know{of} is left, on random motion; "
             "what it learned tracks the motions of this run and is no knowledge of others"
         ]
+
+    def prior_deviation(self, state: ControllerState) -> Array | None:
+        """Standard deviations of the prior, (k, m), of weights that answer torques of the size of K."""
+        m, n = len(self.machine.velocities), self.machine.lower.size
+        return np.asarray(np.sqrt(state["prior"])[:, None] * self.feedback.vector(Layout(m - n, n, m, m)))
+
+    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
+        """Of all parameters that say the same Psi on every motion those nearest to the start, measured by the prior."""
+        if self.regressor is None or self.drawn is not None:
+            return None
+        matters = self.regressor.identifiable()
+        spread = start["prior"][:, None] * matters
+        return np.asarray(spread @ np.linalg.solve(matters.T @ spread, matters.T @ theta))
 
 
 def at_rest(random: Random, k: int) -> NDArray[np.bool_]:

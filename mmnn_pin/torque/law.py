@@ -1,51 +1,177 @@
-"""The compiled step of all torque controllers of this package.
+"""One control sample of every compiled controller: what is learned, and the torque, within what the motors can give.
 
-One function for the ordinary loop, the compiled loop and the batch: it reads the row's command and writes psi_hat,
-robust, effective_gain, weight_norm and torque. Each controller is a kind, integer sizes, float settings and a flat
-memory.
+    estimate(row, at, learner, state)       Psi_hat and its learning: the code of the learner's own module
+    step(row, at, numbers, state, limits)   tau = (K + Kz (|Z| + ZB)) s + Psi_hat    (3.39), (3.50),   s = [z; r]
+    settle(row, at, learner, state)         the torque that is held from here on, to be looked back at
+
+The ordinary loop, the compiled loop and the batch call these three. They read and write the row of signals `row`, in
+which signal i begins at `at[i]`; `state` is the controller's flat array. A law is its `Numbers`, and what it learns
+with: a named tuple whose type has its code in `KERNELS`, or None. The thesis's networks stand in `step` themselves, so
+that its controllers share one compiled loop.
+
+Motor limits are the last stage before the torque. The feedback `k s` comes first. Robust term and Psi_hat, which go
+with the weights, take of every motor's torque limit what it leaves, in this order. So no motor is asked for more than
+its limit unless the feedback alone asks for it, and what is added to the feedback is bounded, whatever the weights are.
 """
 
 from __future__ import annotations
 
-from ..compiled import compiled, copy_to
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..compiled import Matrix, Vector, by_type, compiled, copy_to, layout_of, views
 from ..signals import INDEX, Array, IntArray
-from .motor_limits import MotorLimits, limit, share_left
-from .network import (
-    hidden_input,
-    one_layer_output,
-    one_layer_update,
-    project,
-    two_layer_output,
-    two_layer_update,
-)
+from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
+from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update
 
 Z, R, PSI_HAT, ROBUST = INDEX["z"], INDEX["r"], INDEX["psi_hat"], INDEX["robust"]
 EFFECTIVE_GAIN, TORQUE, WEIGHT_NORM = INDEX["effective_gain"], INDEX["torque"], INDEX["weight_norm"]
 
-CONSTANT_GAIN, SCHEDULED_GAIN, TWO_LAYER, ONE_LAYER = 0, 1, 2, 3  # kinds of law
-
-# sizes of a network controller: nx, learning, order, hidden of the base network, of the arm network, whether the Psi of
-# a model is added, nx rows of x
-NX, LEARNING, ORDER, HIDDEN, MODEL, ROWS = 0, 1, 2, 3, 5, 6
-OUTPUT_FIRST, UPDATE_FIRST = 0, 1
-# settings of a network controller: dt, per network (rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|),
-# k (p), Kz (p), what the networks' s and torque are multiplied with (p, p), scale of the input (nx), offset of it (nx)
-DT, RATES, PER_NETWORK, GAINS = 0, 1, 6, 13
+CONSTANT_GAIN, SCHEDULED_GAIN = 0, 1  # kinds of law, beside those of the networks
+ROUNDING = 1e-12  # part of a limit that is left for rounding, so that no sum is beyond it
 
 
-@compiled
-def step(
-    kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, state: Array, limits: MotorLimits | None
-) -> None:
-    """Torque of one sample, `tau = (k + Kz (|Z| + ZB)) s + Psi_hat` (3.39), (3.50), and the update of the weights.
+class Numbers(NamedTuple):
+    """The numbers of a law, as compiled code sees them; a law without networks has the gains alone.
+
+    Attributes:
+        kind: (1,) `CONSTANT_GAIN`, `SCHEDULED_GAIN`, or that of a network.
+        learning: (1,) 0 keeps the networks' weights.
+        update_first: (1,) 1 for the order of Appendix B: weights move first, with the hidden outputs of the last call.
+        adds_model: (1,) 1 where psi_hat holds the Psi of a model, to which the networks add.
+        dt: (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second.
+        gains: (4, p) or (1, p): K, Kz, and what the networks' s and torque are multiplied with.
+        networks: (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|.
+        inputs: (2, nx) scale and offset of the inputs.
+    """
+
+    kind: Vector
+    learning: Vector
+    update_first: Vector
+    adds_model: Vector
+    dt: Vector
+    gains: Matrix
+    networks: Matrix
+    inputs: Matrix
+
+
+class Packed(NamedTuple):
+    """`Numbers` as two flat arrays, which cost less to hand over from Python.
+
+    Attributes:
+        sizes: Where the parts of `settings` stand, where those of the state do, and (nx,) the inputs in a row.
+        settings: `Numbers`.
+    """
+
+    sizes: IntArray
+    settings: Array
+
+
+class Networks(NamedTuple):
+    """What the networks remember: input, weights, and of the last call hidden outputs, net inputs and error."""
+
+    x: Vector
+    W1: Matrix
+    V1: Matrix
+    sigma1: Vector
+    net1: Vector
+    s1: Vector
+    W2: Matrix
+    V2: Matrix
+    sigma2: Vector
+    net2: Vector
+    s2: Vector
+
+
+class Schedule(NamedTuple):
+    """What a PD with a gain for every sample remembers: the sample, and the gains."""
+
+    counter: Vector
+    gains: Matrix
+
+
+class Kernels(NamedTuple):
+    """The compiled code of what a law learns with; arguments as of `estimate`."""
+
+    estimate: Callable[..., None]
+    settle: Callable[..., None]
+
+
+KERNELS: dict[type, Kernels] = {}  # every module of a learner enters its own
+numbers_of, networks_of, schedule_of = views(Numbers), views(Networks), views(Schedule)
+STATE = layout_of(Numbers, {}).size  # where in `Packed.sizes` the layout of the state begins
+ROWS = STATE + layout_of(Networks, {}).size  # and where the inputs do
+
+
+def packed(
+    kind: int, gains: Array, layout: IntArray | None = None, rows: IntArray | None = None, **more: Any
+) -> Packed:
+    """The numbers of a law.
 
     Args:
         kind: Which law.
-        row: (width,) row of signals; psi_hat holds the nominal model's Psi for laws that use a model.
+        gains: (4, p) or (1, p), as in `Numbers`.
+        layout: Of `Networks` or `Schedule` in the state; None where the law itself remembers nothing.
+        rows: (nx,) where the inputs of networks stand in a row.
+        more: Other parts of `Numbers`; zeros, or nothing, unless given.
+    """
+    absent: dict[str, Any] = dict.fromkeys(("learning", "update_first", "adds_model", "dt"), 0.0)
+    absent |= dict.fromkeys(("networks", "inputs"), np.zeros((2, 0)))
+    parts = {name: np.atleast_1d(np.asarray(part, float)) for name, part in (absent | more).items()}
+    parts |= {"kind": np.full(1, float(kind)), "gains": gains}
+    sizes = np.zeros(ROWS + (0 if rows is None else rows.size), np.int64)
+    sizes[:STATE] = layout_of(Numbers, {name: part.shape for name, part in parts.items()})
+    if layout is not None:
+        sizes[STATE : STATE + layout.size] = layout
+    if rows is not None:
+        sizes[ROWS:] = rows
+    return Packed(sizes, np.concatenate([part.ravel() for part in parts.values()]))
+
+
+def constant_gain(K: Array) -> Packed:
+    """The numbers of `tau = K s + Psi_hat` with K (p,)."""
+    return packed(CONSTANT_GAIN, K[None])
+
+
+def estimate(row: Array, at: IntArray, learner: Any, state: Array) -> None:
+    """Write Psi_hat, gain and norms of the weights of a sample, and learn from it.
+
+    Args:
+        row: (width,) row of signals.
         at: Offsets of the signals.
-        sizes: int64 numbers of the law.
-        settings: float64 numbers of the law.
-        state: The controller's memory, updated in place.
+        learner: What the law learns with.
+        state: (size,) the controller's state, updated in place.
+    """
+    KERNELS[type(learner)].estimate(row, at, learner, state)
+
+
+def settle(row: Array, at: IntArray, learner: Any, state: Array) -> None:
+    """Keep the torque in the row, which is held from here on; arguments as of `estimate`."""
+    KERNELS[type(learner)].settle(row, at, learner, state)
+
+
+by_type(estimate, "learner", lambda kind: KERNELS[kind].estimate)
+by_type(settle, "learner", lambda kind: KERNELS[kind].settle)
+
+
+@compiled
+def nothing_to_keep(row: Array, at: IntArray, learner: Any, state: Array) -> None:
+    """`settle` of a learner that never looks back."""
+
+
+@compiled
+def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimits | None) -> None:
+    """Torque of one sample, and the update of the networks' weights.
+
+    Args:
+        row: (width,) row of signals. psi_hat holds what a learner or a model has written there; psi_hat, robust,
+            effective_gain, torque and the norms of the networks' weights are written.
+        at: Offsets of the signals.
+        law: The numbers of the law.
+        state: The controller's state, updated in place.
         limits: What robust term and Psi_hat are kept within; None for nothing, and then nothing is compiled for it.
     """
     gain, psi_hat, robust, torque = (
@@ -54,31 +180,116 @@ def step(
         row[at[ROBUST] : at[ROBUST + 1]],
         row[at[TORQUE] : at[TORQUE + 1]],
     )
+    n, layout = numbers_of(law.settings, law.sizes), law.sizes[STATE:]
+    K, kind, adds_model = n.gains[0], int(n.kind[0]), n.adds_model[0] == 1.0
     if kind == CONSTANT_GAIN:
-        copy_to(settings, gain)
+        copy_to(K, gain)
     elif kind == SCHEDULED_GAIN:
-        last = (state.size - 1) // gain.size - 1
-        start = 1 + min(int(state[0]), last) * gain.size
-        copy_to(state[start:], gain)
-        state[0] += 1.0
+        o = schedule_of(state, layout)
+        copy_to(o.gains[min(int(o.counter[0]), len(o.gains) - 1)], gain)
+        o.counter[0] += 1.0
     else:
-        if sizes[MODEL] == 1:
+        if adds_model:
             copy_to(psi_hat, torque)
-        networks(kind, row, at, sizes, settings, state)
-        for i in range(torque.size if sizes[MODEL] == 1 else 0):
+        networks(row, at, n, law.sizes[ROWS:], networks_of(state, layout))
+        for i in range(torque.size if adds_model else 0):
             psi_hat[i] += torque[i]
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
     for i in range(torque.size):
         s = z[i] if i < z.size else r[i - z.size]
         torque[i] = gain[i] * s
         if kind >= TWO_LAYER:
-            robust[i] = (gain[i] - settings[GAINS + i]) * s
+            robust[i] = (gain[i] - K[i]) * s
     if limits is not None:
         if kind >= TWO_LAYER:
-            soften(gain, settings[GAINS:], robust, torque, limits)
+            soften(gain, K, robust, torque, limits)
         limit(psi_hat, torque, limits)
     for i in range(torque.size):
         torque[i] += psi_hat[i]
+
+
+@compiled
+def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) -> None:
+    """Outputs, effective gain and updates of the base's and the arm's network."""
+    first = 0
+    gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
+    for i in range(o.x.size):
+        o.x[i] = n.inputs[0, i] * row[rows[i]] + n.inputs[1, i]
+    for which in range(2):
+        error = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
+        if error.size == 0:
+            continue
+        W, V = (o.W1, o.V1) if which == 0 else (o.W2, o.V2)
+        sigma, net, s = (o.sigma1, o.net1, o.s1) if which == 0 else (o.sigma2, o.net2, o.s2)
+        for i in range(error.size):
+            s[i] = n.gains[2, first + i] * error[i]
+        psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]][first : first + error.size]
+        norm = network(n, n.networks[which], W, V, o.x, net, sigma, s, psi_hat)
+        row[at[WEIGHT_NORM] : at[WEIGHT_NORM + 1]][which] = norm
+        for i in range(first, first + error.size):
+            row[at[PSI_HAT] + i] *= n.gains[3, i]
+            gain[i] = n.gains[0, i] + n.gains[1, i] * (norm + n.networks[which, 3])
+        first += error.size
+
+
+@compiled
+def network(
+    n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, psi_hat: Array
+) -> float:
+    """Output and update of one network; returns the norm of its weights, taken with the output.
+
+    The torque of a sample uses the weights from before it, unless the update comes first.
+    """
+    kind, learning, first = int(n.kind[0]), n.learning[0] == 1.0, n.update_first[0] == 1.0
+    if first and learning:
+        if kind == TWO_LAYER:
+            hidden_input(V, x, net)
+        update(n, rates, W, V, x, net, sigma, s)
+    if kind == ONE_LAYER:
+        norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
+    else:
+        norm = two_layer_output(W, V, x, net, sigma, psi_hat)
+    if learning and not first:
+        update(n, rates, W, V, x, net, sigma, s)
+    return norm
+
+
+@compiled
+def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array) -> None:
+    """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
+    if int(n.kind[0]) == ONE_LAYER:
+        one_layer_update(W, sigma, s, rates[0], rates[2], n.dt[0])
+    else:
+        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], n.dt[0])
+        project(V, rates[5])
+    project(W, rates[4])
+
+
+class MotorLimits(NamedTuple):
+    """Limits of a robot's motors, and room to work in.
+
+    Attributes:
+        E: (p, motors) torque on nu from motor torques.
+        E_inv: (motors, p) and back.
+        effort: (motors,) largest torques of the motors [N m or N], inf for no limit.
+        motors: (motors,) room to work in.
+        asked: (p,) written: Psi_hat as it was before it was limited [N, N m].
+    """
+
+    E: Array
+    E_inv: Array
+    effort: Array
+    motors: Array
+    asked: Array
+
+
+def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
+    """Limits of motors with E (p, motors) and largest torques (motors,); None where no motor has one."""
+    if not np.isfinite(effort).any():
+        return None
+    E = np.ascontiguousarray(E, dtype=float)
+    E_inv = np.ascontiguousarray(np.linalg.pinv(E))
+    return MotorLimits(E, E_inv, (1.0 - ROUNDING) * effort, np.zeros(effort.size), np.zeros(len(E)))
 
 
 @compiled
@@ -95,78 +306,42 @@ def soften(gain: Array, k: Array, robust: Array, feedback: Array, limits: MotorL
 
 
 @compiled
-def networks(kind: int, row: Array, at: IntArray, sizes: IntArray, settings: Array, state: Array) -> None:
-    """Outputs, effective gain and updates of the base's and the arm's network; arguments as in `step`."""
-    nx, p = sizes[NX], row[at[PSI_HAT] : at[PSI_HAT + 1]].size
-    x = state[:nx]
-    scales, inputs = settings[GAINS + 2 * p :], settings[GAINS + 4 * p :]
-    for i in range(nx):
-        x[i] = inputs[i] * row[sizes[ROWS + i]] + inputs[nx + i]
-    start, first = nx, 0
-    for which in range(2):
-        error = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
-        if error.size == 0:
-            continue
-        h, m = sizes[HIDDEN + which], error.size
-        rates = settings[RATES + which * PER_NETWORK : RATES + (which + 1) * PER_NETWORK]
-        W = state[start : start + h * m].reshape((h, m))
-        V = state[start + h * m : start + h * (m + nx)].reshape((nx, h))
-        sigma = state[start + h * (m + nx) : start + h * (m + nx + 1)]
-        net = state[start + h * (m + nx + 1) : start + h * (m + nx + 2)]
-        s = state[start + h * (m + nx + 2) : start + h * (m + nx + 2) + m]
-        start += h * (m + nx + 2) + m
-        for i in range(m):
-            s[i] = scales[first + i] * error[i]
-        psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]][first : first + m]
-        norm = one_network(kind, sizes, settings[DT], rates, W, V, x, net, sigma, s, psi_hat)
-        row[at[WEIGHT_NORM] : at[WEIGHT_NORM + 1]][which] = norm
-        gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
-        for i in range(first, first + m):
-            row[at[PSI_HAT] + i] *= scales[p + i]
-            gain[i] = settings[GAINS + i] + settings[GAINS + p + i] * (norm + rates[3])
-        first += m
+def share_left(feedback: Array, more: Array, limits: MotorLimits) -> float:
+    """Largest share, from 0 to 1, of `more` (p,) that a feedback (p,) leaves room for on every motor [N, N m]."""
+    share = 1.0
+    for j in range(limits.motors.size):
+        u, fed, top = 0.0, 0.0, limits.effort[j]
+        for i in range(more.size):
+            u += limits.E_inv[j, i] * more[i]
+            fed += limits.E_inv[j, i] * feedback[i]
+        left = max(0.0, top - fed if u > 0.0 else top + fed)
+        if abs(u) > left:
+            share = min(share, left / abs(u))
+    return share if not math.isnan(share) else 0.0
 
 
 @compiled
-def one_network(
-    kind: int,
-    sizes: IntArray,
-    dt: float,
-    rates: Array,
-    W: Array,
-    V: Array,
-    x: Array,
-    net: Array,
-    sigma: Array,
-    s: Array,
-    psi_hat: Array,
-) -> float:
-    """Output and update of one network; returns the norm of its weights, taken with the output.
+def limit(psi_hat: Array, feedback: Array, limits: MotorLimits) -> None:
+    """Clip psi_hat, motor by motor, to what the feedback leaves of the limits.
 
-    With OUTPUT_FIRST the torque of a sample uses the weights from before it; UPDATE_FIRST is the order of Appendix B:
-    the weights move first, with the hidden outputs of the previous call, then the output is computed.
+    Args:
+        psi_hat: (p,) changed where it asks for too much; one that is no number stays, and the guard sees it [N, N m].
+        feedback: (p,) the rest of the torque on nu [N, N m].
+        limits: Of the motors.
     """
-    if sizes[ORDER] == UPDATE_FIRST and sizes[LEARNING] == 1:
-        if kind == TWO_LAYER:
-            hidden_input(V, x, net)
-        update(kind, dt, rates, W, V, x, net, sigma, s)
-    if kind == ONE_LAYER:
-        norm = one_layer_output(W, V, rates[1], x, sigma, psi_hat)
-    else:
-        norm = two_layer_output(W, V, x, net, sigma, psi_hat)
-    if sizes[ORDER] == OUTPUT_FIRST and sizes[LEARNING] == 1:
-        update(kind, dt, rates, W, V, x, net, sigma, s)
-    return norm
-
-
-@compiled
-def update(
-    kind: int, dt: float, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array
-) -> None:
-    """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
-    if kind == ONE_LAYER:
-        one_layer_update(W, sigma, s, rates[0], rates[2], dt)
-    else:
-        two_layer_update(W, V, x, net, sigma, s, rates[0], rates[1], rates[2], dt)
-        project(V, rates[5])
-    project(W, rates[4])
+    motors, clipped = limits.motors, False
+    copy_to(psi_hat, limits.asked)
+    for j in range(motors.size):
+        u, fed, top = 0.0, 0.0, limits.effort[j]
+        for i in range(psi_hat.size):
+            u += limits.E_inv[j, i] * psi_hat[i]
+            fed += limits.E_inv[j, i] * feedback[i]
+        low, high = -min(top, max(0.0, top + fed)), min(top, max(0.0, top - fed))
+        if math.isnan(u):
+            return
+        motors[j] = min(max(u, low), high)
+        clipped = clipped or motors[j] != u
+    for i in range(psi_hat.size if clipped else 0):
+        psi_hat[i] = 0.0
+        for j in range(motors.size):
+            psi_hat[i] += limits.E[i, j] * motors[j]

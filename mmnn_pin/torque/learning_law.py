@@ -3,14 +3,14 @@
     class MyLaw(LearningLaw):
         rate: float = 10.0  # annotated attributes are its settings
 
-        def init(self, wiring):
-            return Memory.of(W=(50, wiring.layout.dof))
+        def init(self, context):
+            return ControllerState.of(W=(50, context.layout.dof))
 
-        def estimate(self, now, memory):
-            return features(now) @ memory["W"]
+        def estimate(self, sample, state):
+            return features(sample) @ state["W"]
 
-        def learn(self, now, memory):
-            memory["W"] += self.rate * now.period * np.outer(features(now), now.s)
+        def learn(self, sample, state):
+            state["W"] += self.rate * sample.period * np.outer(features(sample), sample.s)
 
 The loop does the rest: it adds the feedback, which is the same for all controllers of an experiment, and records
 Psi_hat, gains and weights, so that all monitors work. Such a law runs in the ordinary loop.
@@ -18,18 +18,24 @@ Psi_hat, gains and weights, so that all monitors work. Such a law runs in the or
 
 from __future__ import annotations
 
+import hashlib
+import inspect
+import sys
+import traceback
 from abc import abstractmethod
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, ClassVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..errors import ConfigError, UnknownName
-from ..settings import plain
+from ..errors import ConfigError, InputError, UnknownName
+from ..model.regressor import Massless, measured, regress
 from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
-from .controller import Context, ControllerState, Feedback, TorqueController
-from .now import Now
+from .controller import Context, ControllerState, Feedback, TorqueController, all_facts
+
+DIGEST = "__mmnn_sha256__"  # of a module: what its file was when it was read
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)
@@ -43,10 +49,10 @@ class LearningLaw(TorqueController):
 
     Attributes:
         name: Name in tables and recordings; that of the class unless it says.
-        learned: Names of the parts of the memory that are weights: they are recorded at intervals, their norm at every
+        learned: Names of the parts of the state that are weights: they are recorded at intervals, their norm at every
             sample, and a supervisor bounds them. Empty for all parts.
         within_limits: Whether Psi_hat takes of the motors' limits only what the feedback leaves, unless the loop says.
-        knows_motion: Whether it is told how the robot moves, never what it weighs: `now.regressor`.
+        knows_motion: Whether it is told how the robot moves, never what it weighs: `sample.regressor`.
 
     Args:
         feedback: K; an experiment gives its own.
@@ -59,6 +65,7 @@ class LearningLaw(TorqueController):
     learned: ClassVar[tuple[str, ...]] = ()
     knows_motion: ClassVar[bool] = False
     within_limits: ClassVar[bool] = True
+    lyapunov_part = "gain"
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -70,17 +77,17 @@ class LearningLaw(TorqueController):
 
     @abstractmethod
     def init(self, context: Context) -> ControllerState:
-        """Memory for a new run: `ControllerState.of(name=shape, ...)`, zeros to be filled."""
+        """State for a new run: `ControllerState.of(name=shape, ...)`, zeros to be filled."""
 
     @abstractmethod
-    def estimate(self, now: Now, state: ControllerState) -> Array:
+    def estimate(self, sample: Sample, state: ControllerState) -> Array:
         """What is taken for Psi at this sample, (p,) [N, N m]: `M nudot_ref + C nu_ref + gravity + friction`."""
 
     @abstractmethod
-    def learn(self, now: Now, state: ControllerState) -> None:
-        """Change the memory in place; called after `estimate` of the same sample."""
+    def learn(self, sample: Sample, state: ControllerState) -> None:
+        """Change the state in place; called after `estimate` of the same sample."""
 
-    def features(self, now: Now, state: ControllerState) -> Array | None:
+    def features(self, sample: Sample, state: ControllerState) -> Array | None:
         """What the weights are multiplied with, if Psi_hat is linear in them: `mmnn prove` then tells their excitation.
 
         (p, k) where all components share the k weights, (k,) where each has its own; None for none of these.
@@ -95,15 +102,19 @@ class LearningLaw(TorqueController):
         """
         return None
 
+    def learning_gain(self, state: ControllerState, context: Context) -> ArrayLike | None:
+        """What `gain` says."""
+        return self.gain(state)
+
     def weights(self, state: ControllerState) -> dict[str, Array]:
-        """The parts of the memory that are `learned`.
+        """The parts of the state that are `learned`.
 
         Raises:
             UnknownName: It has no part of that name.
         """
         for part in self.learned:
             if part not in state.shapes:
-                raise UnknownName(f"part of the memory of {self.name}", part, state.shapes, key="learned")
+                raise UnknownName(f"part of the state of {self.name}", part, state.shapes, key="learned")
         return {part: state[part] for part in self.learned or state.shapes}
 
     def feedback_gain(self, layout: Layout) -> Array:
@@ -112,7 +123,7 @@ class LearningLaw(TorqueController):
 
     def facts(self) -> dict[str, Any]:
         """All settings, as JSON has them."""
-        return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
+        return all_facts(self)
 
     def step(
         self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
@@ -123,6 +134,105 @@ class LearningLaw(TorqueController):
             ConfigError: Always.
         """
         raise ConfigError(f"{self.name} has no step", fix="call estimate and learn, as `control.Torque` does")
+
+
+@dataclass(eq=False)
+class Sample:
+    """One control sample: what is measured and commanded, and what was sent last.
+
+    The arrays are read-only and overwritten at the next one: copy what you keep or change.
+
+    Attributes:
+        time: [s].
+        period: Control period [s].
+        s: (p,) error `[z; r] = nu_ref - nu`.
+        nu: (p,) measured velocities.
+        first: Whether this is the first sample, of a run or after it was resumed.
+        sent: (p,) torque of the control period that has just ended, as the motors were asked for it, supervisor
+            included; zeros at the first sample.
+        reference: What the robot should do.
+        measurement: What the sensors say: pose, velocity, q, qdot.
+        command: What the kinematic layer asks for: nu_ref, nudot_ref, alpha, the errors z, e, r ...
+    """
+
+    time: float
+    period: float
+    first: bool
+    s: Array
+    nu: Array
+    sent: Array
+    reference: Reference
+    measurement: Measurement
+    command: VelocityCommand
+    _torque: Array
+    _known: Massless | None
+    _written: Array
+    _new: bool = True
+
+    @classmethod
+    def of(cls, row: Array, context: Context) -> Sample:
+        """The samples of a row (width,)."""
+        layout, h = context.layout, context.control_period
+        seen = read_only(row)
+        views = (Reference.of(seen, layout), Measurement.of(seen, layout), VelocityCommand.of(seen, layout))
+        known = None if context.regressor is None else context.regressor.workspace()
+        written = np.zeros((3, layout.dof))
+        s, nu, sent = read_only(written)
+        return cls(0.0, h, True, s, nu, sent, *views, seen[layout.where("torque")], known, written)
+
+    @property
+    def q(self) -> Array:
+        """Measured joint angles, (n,) [rad or m]."""
+        return self.measurement.q
+
+    @property
+    def nu_ref(self) -> Array:
+        """Reference velocities, (p,)."""
+        return self.command.nu_ref
+
+    @property
+    def nudot_ref(self) -> Array:
+        """Their time derivative, (p,)."""
+        return self.command.nudot_ref
+
+    @property
+    def regressor(self) -> Array:
+        """Y at this sample, (p, k): `Psi = Y theta`; for a law with `knows_motion`. A view.
+
+        Raises:
+            ConfigError: The law does not ask for it.
+        """
+        return self.regressor_at(self.q, self.nu, self.nu_ref, self.nudot_ref)
+
+    def regressor_at(self, q: Array, nu: Array, nu_ref: Array, nudot_ref: Array) -> Array:
+        """Y at other angles (n,) and velocities (p,), at the measured pose, (p, k); a view, as `regressor`.
+
+        Raises:
+            ConfigError: The law does not ask for it.
+        """
+        if self._known is None:
+            raise ConfigError("the law is not told how the robot moves", fix="write knows_motion = True in its class")
+        nb, q, nu = self._known.base, np.asarray(q, float), np.asarray(nu, float)
+        measured(self._known, self.measurement.pose.copy(), nu[:nb].copy(), q.copy(), nu[nb:].copy())
+        regress(self._known, np.array(nu_ref, float), np.array(nudot_ref, float))
+        return self._known.Y
+
+    def refresh(self, time: float) -> None:
+        """Take in a new sample of the row, before its torque is written."""
+        nb, command, measurement = len(self.command.z), self.command, self.measurement
+        self.first, self.time = self._new, time
+        self._new = False
+        s, nu, sent = self._written
+        s[:nb], s[nb:] = command.z, command.r
+        nu[:nb], nu[nb:] = measurement.velocity, measurement.qdot
+        sent[:] = self._torque
+
+
+def read_only(array: Array) -> Array:
+    """A view that cannot be written to: a law that changed a signal would change the feedback or the recording."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def norms(weights: dict[str, Array], layout: Layout) -> tuple[float, float]:
@@ -137,3 +247,43 @@ def norms(weights: dict[str, Array], layout: Layout) -> tuple[float, float]:
         squares[0] += float(np.vdot(first, first))
         squares[1] += float(np.vdot(rest, rest))
     return squares[0] ** 0.5, squares[1] ** 0.5
+
+
+def origin_of(kind: type[TorqueController]) -> dict[str, Any]:
+    """Class, file and hash of the file of a controller; file and hash are empty where there is none.
+
+    The hash is that of the file as it was read, where `experiments.own` read it.
+    """
+    file = file_of(kind)
+    digest = getattr(sys.modules.get(kind.__module__), DIGEST, "")
+    if not digest and file is not None and file.is_file():
+        digest = sha256(file.read_bytes())
+    return {"class": kind.__qualname__, "file": "" if file is None else str(file), "sha256": digest}
+
+
+def sha256(content: bytes) -> str:
+    """Hash of a file's content."""
+    return hashlib.sha256(content).hexdigest()
+
+
+def file_of(kind: type[TorqueController]) -> Path | None:
+    """The file in which a class is written; None for one that was typed in."""
+    try:
+        return Path(inspect.getfile(kind)).absolute()
+    except (TypeError, OSError):
+        return None
+
+
+def blamed(error: BaseException, controller: TorqueController) -> InputError:
+    """An error of a controller in plain Python, told in one line with the place in its file."""
+    return told(error, f"controller '{controller.name}' failed", file_of(type(controller)))
+
+
+def told(error: BaseException, what: str, file: Path | None) -> InputError:
+    """An error in one line, with the innermost line of a file that it passed through."""
+    lines = [(Path(f.filename).absolute(), f.lineno) for f in traceback.extract_tb(error.__traceback__)]
+    if isinstance(error, SyntaxError) and error.filename:
+        lines.append((Path(error.filename).absolute(), error.lineno))
+    line = next((number for where, number in reversed(lines) if where == file), None)
+    text = error.msg if isinstance(error, SyntaxError) else str(error)
+    return InputError(what, why=" ".join(f"{type(error).__name__}: {text}".split()), file=file, line=line)

@@ -1,4 +1,4 @@
-"""Controllers without a network: PD, PD at a learner's effective gain, computed torque.
+"""Controllers that learn nothing: PD, PD at a learner's effective gain, computed torque.
 
 Only computed torque uses a model: its own, or the *nominal* robot of the run; with the true robot it is the oracle.
 """
@@ -6,14 +6,15 @@ Only computed torque uses a model: its own, or the *nominal* robot of the run; w
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
+from ..compiled import layout_of
 from ..errors import ConfigError
 from ..signals import Array, Layout
-from . import law
-from .controller import CompiledController, Context, ControllerState, Feedback, Law
+from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law
+from .law import SCHEDULED_GAIN, Schedule, constant_gain, packed
 
 if TYPE_CHECKING:
     from ..model.robot import Robot
@@ -31,15 +32,16 @@ class ConstantGain(CompiledController):
 
     def law(self, context: Context) -> Law:
         """The gains; for one that uses a model the loop writes its Psi into psi_hat."""
-        return Law(law.CONSTANT_GAIN, np.zeros(0, np.int64), self.feedback.vector(context.layout))
+        return Law(constant_gain(self.feedback.vector(context.layout)))
 
-    def init(self, context: Context) -> ControllerState:
-        """Nothing to remember."""
-        return ControllerState.of()
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With the gains of the experiment."""
+        return cls(given.feedback)
 
-    def feedback_gain(self, layout: Layout) -> Array:
-        """Gain on `[z; r]`, (p,)."""
-        return self.feedback.vector(layout)
+    def facts(self) -> dict[str, Any]:
+        """Nothing: the gains of the experiment say all."""
+        return {}
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,11 @@ class ComputedTorque(ConstantGain):
     model: Robot | None = None
     name: str = "computed_torque"
 
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With the gains of the experiment; `nominal` is told of the nominal robot, the oracle believes the loop's."""
+        return cls(given.feedback, given.told.nominal if given.name == "nominal" else None, given.name)
+
     def facts(self) -> dict[str, Any]:
         """What is told of its model."""
         return {} if self.model is None else {"model": self.model.facts()}
@@ -93,8 +100,22 @@ class ScheduledPD(CompiledController):
     name: str = "pd_effective"
 
     def law(self, context: Context) -> Law:
-        """No numbers: the gains are in the memory."""
-        return Law(law.SCHEDULED_GAIN, np.zeros(0, np.int64), np.zeros(0))
+        """The gains are in the state."""
+        return Law(packed(SCHEDULED_GAIN, np.zeros((1, context.layout.dof)), layout_of(Schedule, self.shapes(context))))
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """At the gains of a learner's run."""
+        assert given.gains is not None
+        return cls(given.gains, given.name)
+
+    def facts(self) -> dict[str, Any]:
+        """Nothing: its gains are in the state."""
+        return {}
+
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The number of the sample, and the gains."""
+        return {"counter": (1,), "gains": self.gains.shape}
 
     def init(self, context: Context) -> ControllerState:
         """The counter and the gains; after the end of a table (of a run that ended early) its last gain stays.
@@ -105,7 +126,7 @@ class ScheduledPD(CompiledController):
         p = context.layout.dof
         if self.gains.ndim != 2 or self.gains.shape[1] != p or not len(self.gains):
             raise ConfigError(f"gains of shape {self.gains.shape}", fix=f"give (samples, {p})", key="gains")
-        state = ControllerState.of(counter=(1,), gains=self.gains.shape)
+        state = super().init(context)
         state["gains"][:] = self.gains
         return state
 

@@ -1,26 +1,134 @@
 """The thesis's controllers: feedback, a network for the base and one for the arm, and a robust term (3.39), (3.50).
 
-The networks see measured and commanded signals only; this module never imports the model.
+    tau = k s + Psi_hat + Kz (|Z| + ZB) s,      s = [z; r]
+
+`torque.two_layer` and `torque.one_layer` have the networks. They see measured and commanded signals only; this module
+never imports the model.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal, Self
 
+import msgspec
 import numpy as np
 
-from ..errors import ConfigError
-from ..settings import plain
+from ..compiled import layout_of
+from ..errors import ConfigError, UnknownName
+from ..settings import Settings, require_gains
 from ..signals import Array, Layout
 from . import law
-from .controller import CompiledController, Context, ControllerState, Feedback, Law, per_velocity
-from .inputs import Inputs
-from .network import numerical_rank
-from .neural_settings import OneLayer, Robust, TwoLayer
+from .controller import (
+    CompiledController,
+    Context,
+    ControllerState,
+    Feedback,
+    Given,
+    Law,
+    Told,
+    all_facts,
+    per_velocity,
+    read_facts,
+    split,
+)
+from .one_layer import OneLayer
+from .two_layer import TwoLayer, numerical_rank
 
+# How the weights of a controller start, whatever `two_layer.initial` says.
+STARTS: dict[str, Literal["zero", "random"]] = {"two_layer_zero": "zero", "two_layer_random": "random"}
 UNIT = 0.1  # torque that counts as one in a bound on W, over the gain on s [m/s, rad/s]
+
+
+# Input of the networks in the order of (3.24) and of Appendix B.
+THESIS_INPUT = ("pose_ref", "alpha", "alphadot", "pose_error", "z", "e", "r", "q_ref", "qdot_ref", "qddot_ref")
+# What a network may see: the reference, the measurement and what is computed from them.
+MEASURED = (
+    *("pose_ref", "velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref"),
+    *("pose", "velocity", "q", "qdot"),
+    *("alpha", "alphadot", "pose_error", "z", "e", "edot", "r", "nu_ref", "nudot_ref"),
+)
+
+
+class Inputs(Settings, frozen=True):
+    """What the networks see.
+
+    Args:
+        signals: Names of signals, each one measured or computed from measured ones; default (3.24).
+        pose_error: Frame of the signal `pose_error`, which (3.24) does not state: "body" (3.1) or "world".
+        scale: Factor on every input (180/pi puts joint angles in degrees).
+        error_scale: Factor on the error s that teaches, undone at the output: with 180/pi for both the whole network
+            works in degrees, and so do its leakage and the norm of its weights.
+        bias: One more input that never changes, which (3.24) lacks: without it the hidden units see no constant; 0 for
+            none.
+        constant_yaw_rate: Appendix B's slip `wd = (5)`: this number in place of the second component of alpha.
+
+    Raises:
+        UnknownName: A signal that does not exist or that a controller may not know.
+        ConfigError: A number is not finite, or an error_scale that is not positive.
+    """
+
+    signals: tuple[str, ...] = THESIS_INPUT
+    pose_error: Literal["body", "world"] = "body"
+    scale: float = 1.0
+    error_scale: float = 1.0
+    bias: float = 0.0
+    constant_yaw_rate: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in self.signals:
+            if name not in MEASURED:
+                raise UnknownName("network input", name, MEASURED, key="inputs.signals")
+        for name in ("scale", "error_scale", "bias", "constant_yaw_rate"):
+            value = getattr(self, name)
+            if value is not None and not np.isfinite(value):
+                raise ConfigError(f"{value} is not finite", fix="use a finite number", key=f"inputs.{name}")
+        if self.error_scale <= 0:
+            raise ConfigError(f"{self.error_scale}", fix="use a number > 0", key="inputs.error_scale")
+
+    def rows(self, layout: Layout) -> np.ndarray:
+        """Places of the inputs in a row, (nx,) int64."""
+        frames = {"pose_error": "world_error"} if self.pose_error == "world" else {}
+        places = [np.arange(layout.width)[layout.where(frames.get(name, name))] for name in self.signals]
+        places += [np.zeros(1, np.int64)] if self.bias else []
+        return np.concatenate(places).astype(np.int64)
+
+    def affine(self, layout: Layout) -> tuple[Array, Array]:
+        """Scale and offset of every input, (nx,) each."""
+        rows = self.rows(layout)
+        scale, offset = np.full(rows.size, self.scale), np.zeros(rows.size)
+        if self.constant_yaw_rate is not None and layout.base == 2:
+            wd = rows == layout.where("alpha").start + 1
+            scale[wd], offset[wd] = 0.0, self.constant_yaw_rate
+        if self.bias:
+            scale[-1], offset[-1] = 0.0, self.bias
+        return scale, offset
+
+
+class Robust(Settings, frozen=True):
+    """Robust term `Kz (|Z_hat|_F + ZB) s` (3.50).
+
+    Args:
+        base: Kz of the base, one number or one per velocity.
+        arm: Kz of the arm, likewise.
+        ZB: Bound assumed on the norm of the ideal weights, (base, arm).
+
+    Raises:
+        ConfigError: A number is negative or not finite.
+    """
+
+    base: float | tuple[float, ...] = 5.0
+    arm: float | tuple[float, ...] = 0.2
+    ZB: tuple[float, float] = (5.0, 5.0)
+
+    def __post_init__(self) -> None:
+        require_gains(self, "robust")
+
+    def scaled(self, layout: Layout, inertia: Array) -> Robust:
+        """The term with every Kz multiplied with an effective inertia (p,), as `Feedback.scaled` does with k."""
+        Kz = per_velocity(self.base, self.arm, layout, "robust") * inertia
+        return Robust(*split(Kz, layout), self.ZB)
 
 
 @dataclass(frozen=True)
@@ -41,6 +149,7 @@ class Neural(CompiledController):
         inertia: (p,) effective inertias that the networks are scaled by (see `network_scales`); None for the thesis's
             form. The feedback and the robust term are scaled by themselves (`Feedback.scaled`, `Robust.scaled`).
         called: Name in tables and recordings; empty for that of the network.
+        adds_model: Whether the Psi of the loop's model is added (`torque.two_layer_residual`).
     """
 
     network: TwoLayer | OneLayer = field(default_factory=TwoLayer)
@@ -54,6 +163,14 @@ class Neural(CompiledController):
     projection: float | None = None
     inertia: tuple[float, ...] | None = None
     called: str = ""
+    adds_model: bool = False
+
+    lyapunov_part = "networks"
+
+    @property
+    def networks(self) -> Neural:
+        """Itself."""
+        return self
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -71,28 +188,36 @@ class Neural(CompiledController):
         return []
 
     def law(self, context: Context) -> Law:
-        """The settings as numbers, in the order given in `torque.law`."""
+        """The settings as numbers."""
         layout = context.layout
-        order = law.UPDATE_FIRST if self.update == "before_output" else law.OUTPUT_FIRST
-        rows = self.inputs.rows(layout)
-        sizes = [rows.size, int(self.learning), order, self.network.hidden, self.network.hidden, 0, *rows]
-        dt = 1.0 if self.rates == "per_sample" else context.control_period
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
-        bounds = self.radii(layout)
-        per_network = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
-        Kz = per_velocity(robust.base, robust.arm, layout, "robust")
-        parts = [[dt], *per_network, self.feedback.vector(layout), Kz, *self.network_scales(layout)]
-        parts += self.inputs.affine(layout)
-        settings = np.concatenate([np.asarray(part, float) for part in parts])
-        return Law(self.network.kind, np.array(sizes, np.int64), settings)
+        bounds, Kz = self.radii(layout), per_velocity(robust.base, robust.arm, layout, "robust")
+        networks = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
+        numbers = law.packed(
+            kind=self.network.kind,
+            gains=np.array((self.feedback.vector(layout), Kz, *self.network_scales(layout))),
+            learning=self.learning,
+            update_first=self.update == "before_output",
+            adds_model=self.adds_model,
+            dt=1.0 if self.rates == "per_sample" else float(context.control_period),
+            networks=np.array(networks, float),
+            rows=self.inputs.rows(layout),
+            inputs=np.array(self.inputs.affine(layout)),
+            layout=layout_of(law.Networks, self.shapes(context)),
+        )
+        return Law(numbers)
 
-    def init(self, context: Context) -> ControllerState:
-        """Initial weights; x, hidden outputs and net inputs of the last call are part of the memory."""
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """Weights; and input, hidden outputs, net inputs and error of the last call."""
         nx, h = self.inputs.rows(context.layout).size, self.network.hidden
         shapes: dict[str, tuple[int, ...]] = {"x": (nx,)}
         for i, size in channels(context.layout):
             shapes |= {f"W{i}": (h, size), f"V{i}": (nx, h), f"sigma{i}": (h,), f"net{i}": (h,), f"s{i}": (size,)}
-        state = ControllerState.of(**shapes)
+        return shapes
+
+    def init(self, context: Context) -> ControllerState:
+        """Initial weights."""
+        state = super().init(context)
         for i, _ in channels(context.layout):
             self.network.initialise(state[f"W{i}"], state[f"V{i}"], context.rng)
         return state
@@ -155,7 +280,30 @@ class Neural(CompiledController):
 
     def facts(self) -> dict[str, Any]:
         """All settings, as JSON has them."""
-        return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
+        return {name: fact for name, fact in all_facts(self).items() if name != "adds_model"}
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """The network of a name, with the switches of the experiment."""
+        start = STARTS.get(given.name)
+        network = given.settings if start is None else msgspec.structs.replace(given.settings, initial=start)
+        return cls(
+            network=network,
+            feedback=given.feedback,
+            learning=given.learning,
+            inertia=given.inertia,
+            called=given.name,
+            **given.networks,
+        )
+
+    @classmethod
+    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
+        """The controller of a recording; None where an older version wrote it that told no settings."""
+        if not facts:
+            return None
+        kind: Any = OneLayer if name == "one_layer" else TwoLayer
+        network = msgspec.convert(facts["network"], kind)
+        return cls(network=network, **read_facts(cls, facts, *(key for key in facts if key != "network")))
 
     def findings(self, state: ControllerState) -> list[str]:
         """What the weights show after a run: layers that have collapsed to rank one, and those on their bound."""
@@ -171,7 +319,7 @@ class Neural(CompiledController):
 
     def _held(self, layers: dict[str, Array], state: ControllerState) -> list[str]:
         """Which of the layers are on their bound."""
-        radii = self.radii(layout_of(state))
+        radii = self.radii(layout_of_state(state))
         most = {f"{letter}{i}": (1 - 1e-9) * pair[k] for i, pair in radii.items() for k, letter in enumerate("WV")}
         return [name for name, W in layers.items() if np.linalg.norm(W) >= most[name]]
 
@@ -181,7 +329,7 @@ def channels(layout: Layout) -> list[tuple[int, int]]:
     return [(i, size) for i, size in ((1, layout.base), (2, layout.arm)) if size]
 
 
-def layout_of(state: ControllerState) -> Layout:
-    """Base and arm of the robot that a memory with networks is for; other sizes as of one that is just that."""
+def layout_of_state(state: ControllerState) -> Layout:
+    """Base and arm of the robot that a state with networks is for; other sizes as of one that is just that."""
     base, arm = (state[f"s{i}"].size if f"s{i}" in state.shapes else 0 for i in (1, 2))
     return Layout(base, arm, base + arm, base + arm)

@@ -1,13 +1,134 @@
-"""Arithmetic of 4 x 4 pseudo-inertias `[Sigma, mc; mc', m]`, compiled; it knows no robot."""
+"""Pseudo-inertias `P = [Sigma, mc; mc', m]` of bodies: their arithmetic, and the geometry in which estimates move.
+
+Mass and density of a body are possible just where P > 0 (Wensing, Kim, Slotine 2018, IEEE RA-L 3(1)). An estimate moves
+along `P L P` (Lee, Kwon, Park 2018, IEEE/RSJ IROS), with L the symmetric matrix of `tr(dP L) = gradient' dtheta`: no
+constant matrix is needed, and no projection onto the cone. A step multiplies, it never subtracts: `P = B B'`,
+`P+ = B E^2 B'` with `E = 1 + X / 2 + X^2 / 8`, positive for every symmetric X, which agrees with the geodesic
+`B exp(X) B'` to second order in X. Bounds are `P_0 / rho <= P <= rho P_0`: the eigenvalues of `P_0^-1/2 P P_0^-1/2` are
+clipped. Compiled, and it knows no robot; parameters that are of no body follow the plain gradient, clipped to
+`0 <= theta_j <= top_j`.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
 
 from ..compiled import compiled
 from ..signals import Array
 
+BODY = 10  # numbers of a body
 SWEEPS = 12  # of Jacobi's eigenvalue iteration, of which a 4 x 4 matrix needs about 5
+FLOOR = 1e-4  # least share of the prior that a nominal body keeps: massless and flat ones have no density
+
+
+class Bodies(NamedTuple):
+    """The metric in which an estimate theta (k,) of bodies and other parameters moves.
+
+    Attributes:
+        h: Control period [s].
+        gamma: Rate of the pseudo-inertias [1/J].
+        rho: Bound on the ratio of P to P_0.
+        roots: (bodies, 4, 4) lower triangular `P_0 = C C'`.
+        inverses: (bodies, 4, 4) `C^-1`.
+        rates: (k - 10 bodies,) gamma_j.
+        start: (k - 10 bodies,) where leakage pulls the rest of theta.
+        top: (k - 10 bodies,) its upper bounds.
+        steps: (bodies, 4, 4) written: where a gradient takes the bodies.
+        rest: (k - 10 bodies,) written: and the rest.
+        factors: (bodies, 4, 4) written: B of every body, in the coordinates where P_0 is the identity.
+        work: (3, 4, 4) room to work in.
+    """
+
+    h: float
+    gamma: float
+    rho: float
+    roots: Array
+    inverses: Array
+    rates: Array
+    start: Array
+    top: Array
+    steps: Array
+    rest: Array
+    factors: Array
+    work: Array
+
+
+@compiled
+def directions(theta: Array, gradient: Array, a: Bodies) -> float:
+    """Where a gradient (k,) takes theta in a sample, into `a.steps` and `a.rest`.
+
+    Returns:
+        `h gradient' Gamma gradient`.
+    """
+    total, first = 0.0, BODY * len(a.roots)
+    for b in range(len(a.roots)):
+        total += direction(theta[BODY * b : BODY * b + BODY], gradient[BODY * b : BODY * b + BODY], a, b)
+    for j in range(a.rates.size):
+        a.rest[j] = a.h * a.rates[j] * gradient[first + j]
+        total += a.rest[j] * gradient[first + j]
+    return total
+
+
+@compiled
+def move(theta: Array, eta: float, sigma: float, a: Bodies) -> None:
+    """One sample of theta, along `a.steps` and `a.rest` times eta and back by the leakage."""
+    first = BODY * len(a.roots)
+    for b in range(len(a.roots)):
+        update_body(theta[BODY * b : BODY * b + BODY], eta, sigma, a, b)
+    for j in range(a.rates.size):
+        value = theta[first + j]
+        value += eta * a.rest[j] - a.h * sigma * (value - a.start[j])
+        theta[first + j] = min(max(value, 0.0), a.top[j])
+
+
+@compiled
+def factor(theta: Array, a: Bodies, b: int) -> None:
+    """Lower triangular B of body b, `P = C B B' C'` with `P_0 = C C'`."""
+    Q, half = a.work[0], a.work[1]
+    to_matrix(theta, 1.0, a.factors[b])
+    sandwich(a.inverses[b], a.factors[b], half, Q)
+    cholesky(Q, a.factors[b])
+
+
+@compiled
+def direction(theta: Array, gradient: Array, a: Bodies, b: int) -> float:
+    """Where body b goes, `X = h gamma B' L B` with `P = B B'` in the coordinates where P_0 is the identity.
+
+    Returns:
+        `|X|^2 / (h gamma)`, its part in `h s' Y Gamma Y' s`.
+    """
+    Q, L, X = a.work[0], a.work[1], a.steps[b]
+    factor(theta, a, b)
+    to_matrix(gradient, 0.5, X)
+    transposed_sandwich(a.roots[b], X, Q, L)
+    transposed_sandwich(a.factors[b], L, Q, X)
+    total = 0.0
+    for i in range(4):
+        for j in range(4):
+            total += X[i, j] * X[i, j]
+            X[i, j] *= a.h * a.gamma
+    return a.h * a.gamma * total
+
+
+@compiled
+def update_body(theta: Array, eta: float, sigma: float, a: Bodies, b: int) -> None:
+    """One sample of body b, along its direction times eta and back by the leakage."""
+    Q, L, X, B, half = a.work[0], a.work[1], a.steps[b], a.factors[b], a.work[2]
+    product(B.T, B, L)
+    for i in range(4):
+        for j in range(4):
+            X[i, j] = eta * X[i, j] - a.h * sigma * (L[i, j] - (1.0 if i == j else 0.0))
+    exponential(X, L)
+    product(B, L, X)
+    product(X, X.T, Q)
+    if not within(Q, a.rho, L, half):
+        clip(Q, a.rho, L, half)
+    sandwich(a.roots[b], Q, L, X)
+    to_vector(X, theta)
 
 
 @compiled
@@ -133,3 +254,25 @@ def rotate(Q: Array, U: Array, i: int, j: int) -> None:
     for n in range(4):
         a, b = Q[i, n], Q[j, n]
         Q[i, n], Q[j, n] = c * a - s * b, s * a + c * b
+
+
+def pseudo_inertias(theta: Array) -> Array:
+    """Pseudo-inertias of the inertial parameters, (bodies, 4, 4)."""
+    matrices = np.zeros((theta.size // BODY, 4, 4))
+    for P, numbers in zip(matrices, theta.reshape(-1, BODY), strict=True):
+        to_matrix(numbers, 1.0, P)
+    return matrices
+
+
+def vector_of(P: Array) -> Array:
+    """The ten numbers of a pseudo-inertia."""
+    theta = np.zeros(BODY)
+    to_vector(P, theta)
+    return theta
+
+
+def lifted(P: Array, prior: Array) -> Array:
+    """A pseudo-inertia with at least `FLOOR` times a prior, in every direction in which it has less."""
+    values, vectors = eigh(P, prior)
+    back = prior @ vectors
+    return np.asarray(back @ np.diag(np.maximum(values, FLOOR)) @ back.T)

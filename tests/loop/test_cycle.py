@@ -126,7 +126,12 @@ LEARNERS = [
 ]
 QUICK = [  # so that all of them learn within 0.1 s
     *(f"kalman.{table}.state_pole=1000.0" for table in ("regressor", "bilinear", "features", "residual")),
-    *("kalman.bilinear.hidden=3", "kalman.residual.hidden=3", "kalman.features.hidden=20", "replay.pole=1000.0"),
+    *(
+        "kalman.bilinear.hidden=3",
+        "kalman.residual.hidden=3",
+        "kalman.features.hidden=20",
+        "two_layer_composite.pole=1000.0",
+    ),
     "concurrent.entries=10",
 ]
 
@@ -158,7 +163,7 @@ def learner(name, robot=ROBOT):
 def test_a_learner_learns_there_what_it_learns_in_the_loop(name, monkeypatch):
     monkeypatch.setattr("mmnn_pin.torque.kalman.SAMPLES", 20)  # of the prior: the time that plain Python takes
     monkeypatch.setattr("mmnn_pin.torque.concurrent.SAMPLES", 60)
-    monkeypatch.setattr("mmnn_pin.torque.guess.SAMPLES", 10)
+    monkeypatch.setattr("mmnn_pin.torque.prior.SAMPLES", 10)
     loop = closed(learner(name), duration=0.05 if config.DISABLE_JIT else 0.5)
     run = loop.run()
     found = replayed(loop, run)

@@ -29,7 +29,7 @@ from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural
-from mmnn_pin.torque.neural_settings import TwoLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 GAINS = np.array([2.0, 3.0, 4.0])
 PATHS = {
@@ -229,7 +229,12 @@ LEARNERS = [
 def learning_loop(name: str, duration: float) -> Loop:
     """A mecanum robot on an eight while it turns, learned of by a controller of the experiments, or PD."""
     robot, small = mecanum(1), ["kalman.bilinear.hidden=3", "kalman.residual.hidden=3", "kalman.features.hidden=30"]
-    gains = ["feedback.base=[400.0, 400.0, 40.0]", "feedback.arm=5.0", "replay.pole=500.0", "concurrent.entries=20"]
+    gains = [
+        "feedback.base=[400.0, 400.0, 40.0]",
+        "feedback.arm=5.0",
+        "two_layer_composite.pole=500.0",
+        "concurrent.entries=20",
+    ]
     quick = [f"kalman.{table}.state_pole=500.0" for table in ("regressor", "bilinear", "features", "residual")]
     experiment = load_experiment("chapter4", [*small, *gains, *quick, "robust.base=0.0", "robust.arm=0.0"])
     trajectory = Trajectory(Holonomic(PATHS["eight"], Sine(0.5, 4.0)), (Sine(0.3, 3.0),))
@@ -256,7 +261,7 @@ def test_both_engines_and_fixed_weights_on_a_holonomic_base(name, monkeypatch):
     if config.DISABLE_JIT:
         monkeypatch.setattr("mmnn_pin.torque.kalman.SAMPLES", 10)  # of the prior: the time that plain Python takes
         monkeypatch.setattr("mmnn_pin.torque.concurrent.SAMPLES", 30)
-        monkeypatch.setattr("mmnn_pin.torque.guess.SAMPLES", 5)
+        monkeypatch.setattr("mmnn_pin.torque.prior.SAMPLES", 5)
     loop = learning_loop(name, 0.01 if config.DISABLE_JIT else 0.2)
     assert_engines_agree(loop)
     assert_frozen(loop)

@@ -20,11 +20,9 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.torque.adaptation import adapt
-from mmnn_pin.torque.adaptive import Adaptive, lifted, pseudo_inertias, vector_of
-from mmnn_pin.torque.adaptive_settings import Adapting
+from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt
 from mmnn_pin.torque.controller import Context, Feedback
-from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, within
+from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, lifted, pseudo_inertias, vector_of, within
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
@@ -53,26 +51,26 @@ class Bench:
     """An adaptive controller alone: Y and s go in, theta moves."""
 
     def __init__(self, h=1e-3, regressor=REGRESSOR, **adapting):
-        self.adapting = Adapting(**{"share": 1e9, "rotor": 0.5} | adapting)
+        self.adapting = AdaptiveSettings(**{"share": 1e9, "rotor": 0.5} | adapting)
         self.controller = Adaptive(regressor, K, self.adapting)
         self.layout, self.h = ROBOT.layout, h
         context = Context(self.layout, h, 10)
-        self.a, self.state = self.controller.law(context).adaptation, self.controller.init(context)
+        self.a, self.state = self.controller.law(context).learner, self.controller.init(context)
         self.row, self.theta = self.layout.new_row(), self.state["theta"]
 
     def step(self, Y, s):
         """Psi_hat of one sample, with theta from before it."""
         self.a.known.Y[:] = Y
         self.row[self.layout.where("z")], self.row[self.layout.where("r")] = s[:2], s[2:]
-        adapt(self.row, self.layout.offsets, self.a, self.state.values)
+        adapt(self.row, self.layout.offsets, self.a, self.state.view(Estimate))
         return self.row[self.layout.where("psi_hat")].copy()
 
     def distance(self, theta=TRUE):
         """The part of V that theta has."""
         first = REGRESSOR.inertial
         bodies = zip(pseudo_inertias(theta[:first]), pseudo_inertias(self.theta[:first]), strict=True)
-        moves = self.a.rates > 0
-        rest = (theta - self.theta)[first:][moves] ** 2 / (2 * self.a.rates[moves])
+        moves = self.a.bodies.rates > 0
+        rest = (theta - self.theta)[first:][moves] ** 2 / (2 * self.a.bodies.rates[moves])
         return sum(divergence(*pair) for pair in bodies) / self.adapting.rate + rest.sum()
 
 
@@ -109,7 +107,7 @@ def test_one_sample_of_a_body_is_the_natural_law(seed):
         moved = pseudo_inertias(bench.theta[:first])[b] - P
         np.testing.assert_allclose(moved, expected - P, atol=1e-4 * np.abs(expected - P).max())
     moved = bench.theta[first:] - before[first:]
-    np.testing.assert_allclose(moved, np.maximum(bench.h * bench.a.rates * (Y.T @ s)[first:], 0), atol=1e-15)
+    np.testing.assert_allclose(moved, np.maximum(bench.h * bench.a.bodies.rates * (Y.T @ s)[first:], 0), atol=1e-15)
 
 
 def dual(g):
@@ -212,7 +210,7 @@ def test_the_estimate_stays_physical_and_bounded_whatever_comes(seed, size):
         for P, P0 in zip(pseudo_inertias(bench.theta[:first]), starts, strict=True):
             ratios = np.linalg.eigvals(np.linalg.solve(P0, P)).real
             assert ratios.min() > 1 / 7.01 and ratios.max() < 7.01
-        assert (bench.theta[first:] >= 0).all() and (bench.theta[first:] <= bench.a.top).all()
+        assert (bench.theta[first:] >= 0).all() and (bench.theta[first:] <= bench.a.bodies.top).all()
 
 
 def test_a_sample_answers_at_most_its_share_of_the_feedback():
@@ -249,7 +247,7 @@ def loop_of(controller, duration=4.0, h=0.002, **more):
 
 
 def adaptive(**adapting):
-    return Adaptive(REGRESSOR, K, Adapting(**adapting))
+    return Adaptive(REGRESSOR, K, AdaptiveSettings(**adapting))
 
 
 @pytest.mark.skipif(PLAIN, reason="needs a long run")
@@ -287,12 +285,14 @@ def test_a_resumed_run_equals_the_uninterrupted_one():
 
 
 @pytest.mark.skipif(PLAIN, reason="needs a long run")
-def test_it_learns_from_a_guess_and_from_a_wrong_robot():
+def test_it_learns_from_a_prior_and_from_a_wrong_robot():
     def late(run):
         errors = np.hstack((run["true_pose_error"], run["true_e"]))[run.time > 8.0]
         return np.sqrt(np.mean(errors**2, axis=0))
 
-    wrong = Adaptive(REGRESSOR, K, Adapting(initial="nominal"), parameters(load("platform_arm").with_masses(0.7)))
+    wrong = Adaptive(
+        REGRESSOR, K, AdaptiveSettings(initial="nominal"), parameters(load("platform_arm").with_masses(0.7))
+    )
     pd = late(loop_of(PD(K), 12.0).run())
     for controller in (adaptive(), wrong):
         run = loop_of(controller, 12.0).run()
@@ -347,7 +347,7 @@ def test_it_acts_alike_on_a_robot_of_other_masses():
 )
 def test_impossible_settings_are_refused_with_their_key(settings, key):
     with pytest.raises(ConfigError) as error:
-        Adapting(**settings)
+        AdaptiveSettings(**settings)
     assert error.value.key == key
 
 
@@ -365,7 +365,7 @@ def test_an_experiment_makes_it():
     experiment = load_experiment("track", said)
     robot = experiment.load_robot()
     controller = experiment.controller("adaptive", robot=robot)
-    assert controller.adapting.rate == 7 and controller.notes == [
+    assert controller.settings.rate == 7 and controller.notes == [
         f"adaptive: {controller.unit.shape[1]} combinations of its 64 parameters matter on this robot"
     ]
     np.testing.assert_allclose(controller.nominal[0], 0.5 * parameters(robot)[0])

@@ -12,11 +12,18 @@ from test_adaptive import REGRESSOR, ROBOT, TRUE, Bench, divergence, dual
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.torque import prediction
-from mmnn_pin.torque.adaptation import factor, follow
-from mmnn_pin.torque.adaptive import pseudo_inertias, vector_of
-from mmnn_pin.torque.adaptive_settings import Adapting, Predicting
-from mmnn_pin.torque.prediction import descend, gather, pushed
+from mmnn_pin.torque.adaptive import AdaptiveSettings
+from mmnn_pin.torque.adaptive_composite import (
+    ENOUGH,
+    AdaptiveComposite,
+    AdaptiveCompositeSettings,
+    Composite,
+    descend,
+    follow,
+    gather,
+    pushed,
+)
+from mmnn_pin.torque.pseudo_inertia import factor, pseudo_inertias, vector_of
 
 seeds = st.integers(0, 2**32 - 1)
 EXAMPLES = 4 if config.DISABLE_JIT else 15  # plain Python takes a hundred times as long
@@ -26,23 +33,23 @@ class Follower(Bench):
     """An adaptive controller's prediction error alone."""
 
     def __init__(self, adapting=None, **predicting):
-        from dataclasses import replace
-
         super().__init__(h=1e-3, rate=3.0, **(adapting or {}))
-        self.controller = replace(self.controller, predicting=Predicting(**{"every": 1e-3} | predicting))
+        own = AdaptiveCompositeSettings(**{"every": 1e-3} | predicting)
+        self.controller = AdaptiveComposite(REGRESSOR, self.controller.feedback, self.adapting, composite=own)
         context = made("adaptive_composite").context()
         self.context = type(context)(context.layout, self.h, 10)
-        self.a, self.state = self.controller.law(self.context).adaptation, self.controller.init(self.context)
-        self.theta, self.p = self.state["theta"], self.a.prediction
+        self.p, self.state = self.controller.law(self.context).learner, self.controller.init(self.context)
+        self.theta, self.a = self.state["theta"], self.p.adaptation
+        self.bodies, self.o = self.a.bodies, self.state.view(Composite)
         self.theta[REGRESSOR.inertial :] += 0.1  # off the walls
 
     def factors(self):
-        for b in range(len(self.a.roots)):
-            factor(self.theta[10 * b : 10 * b + 10], self.a, b)
+        for b in range(len(self.bodies.roots)):
+            factor(self.theta[10 * b : 10 * b + 10], self.bodies, b)
 
     def units(self):
         """An orthonormal basis of symmetric matrices, one set per body, and of the rest; a row each."""
-        bodies, rest = len(self.a.roots), self.a.rates.size
+        bodies, rest = len(self.bodies.roots), self.bodies.rates.size
         found = []
         for i in range(4):
             for j in range(i, 4):
@@ -57,7 +64,7 @@ class Follower(Bench):
         self.factors()
         columns = []
         for unit in self.units():
-            pushed(unit.copy(), self.a, self.p.velocity)
+            pushed(unit.copy(), self.bodies, self.p.velocity)
             columns.append(self.p.velocity.copy())
         return np.array(columns).T
 
@@ -70,13 +77,13 @@ def told(rng, bench, rows=8, truth=TRUE):
 
 
 def test_q_and_b_are_kreisselmeiers_integrals():
-    bench, rng = Follower(state=0.05), np.random.default_rng(0)
+    bench, rng = Follower(forgetting_time=0.05), np.random.default_rng(0)
     k, p = REGRESSOR.size, ROBOT.layout.dof
     Q, b, keep = np.zeros((k, k)), np.zeros(k), np.exp(-1e-3 / 0.05)
     for _ in range(5):
         Y, y = rng.standard_normal((p, k)), rng.standard_normal(p)
         bench.state["Phi_f"], bench.state["Y_f"] = Y, y
-        gather(bench.p, bench.state.values)
+        gather(bench.p, bench.o)
         R = np.diag(1 / bench.a.gain)
         Q, b = keep * Q + (1 - keep) * Y.T @ R @ Y, keep * b + (1 - keep) * Y.T @ R @ y
     np.testing.assert_allclose(bench.state["Q"], Q, atol=1e-12)
@@ -90,7 +97,7 @@ def test_gamma_is_the_natural_metric():
     for b, P in enumerate(pseudo_inertias(bench.theta[:first])):
         expected = vector_of(3.0 * P @ dual(g[10 * b : 10 * b + 10]) @ P)
         np.testing.assert_allclose((S @ S.T @ g)[10 * b : 10 * b + 10], expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose((S @ S.T @ g)[first:], bench.a.rates * g[first:], atol=1e-12)
+    np.testing.assert_allclose((S @ S.T @ g)[first:], bench.bodies.rates * g[first:], atol=1e-12)
 
 
 @settings(max_examples=EXAMPLES, deadline=None)
@@ -102,9 +109,9 @@ def test_a_step_is_implicit_euler(seed, size):
     S, Q, b, tau = bench.S(), bench.state["Q"], bench.state["b"], bench.p.weight
     assert tau == pytest.approx(10.0**size * 1e-3)
     A, g = np.eye(S.shape[1]) + tau * S.T @ Q @ S, tau * S.T @ (b - Q @ bench.theta)
-    descend(bench.p, bench.a, bench.state.values)
+    descend(bench.p, bench.bodies, bench.o)
     found = bench.units() @ bench.p.step
-    assert np.linalg.norm(A @ found - g) <= 1.1 * np.sqrt(prediction.ENOUGH) * np.linalg.norm(g)
+    assert np.linalg.norm(A @ found - g) <= 1.1 * np.sqrt(ENOUGH) * np.linalg.norm(g)
     np.testing.assert_allclose(bench.S() @ found, S @ np.linalg.solve(A, g), atol=1e-2 * np.linalg.norm(S @ found))
 
 
@@ -119,7 +126,7 @@ def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
     told(rng, bench, truth=truth)
     for _ in range(20):
         before = bench.distance(truth)
-        follow(bench.p, bench.a, bench.state.values)
+        follow(bench.p, bench.o)
         assert bench.distance(truth) <= before * (1 + 1e-12)
 
 
@@ -132,7 +139,7 @@ def test_v_falls_by_the_square_of_the_prediction_error(seed):
     truth[REGRESSOR.inertial :] = 0.5
     told(rng, bench, truth=truth)
     before, error = bench.distance(truth), truth - bench.theta
-    follow(bench.p, bench.a, bench.state.values)
+    follow(bench.p, bench.o)
     expected = bench.p.weight * error @ bench.state["Q"] @ error
     assert before - bench.distance(truth) == pytest.approx(expected, rel=0.02)
 
@@ -145,7 +152,7 @@ def test_the_estimate_stays_physical_and_bounded_whatever_was_filtered(seed, siz
     for _ in range(5):
         bench.state["Q"] = 10.0**size * (A := rng.standard_normal((64, 64))) @ A.T
         bench.state["b"] = 10.0**size * rng.standard_normal(64)
-        follow(bench.p, bench.a, bench.state.values)
+        follow(bench.p, bench.o)
         for P, P0 in zip(pseudo_inertias(bench.theta[: REGRESSOR.inertial]), starts, strict=True):
             ratios = np.linalg.eigvals(np.linalg.solve(P0, P)).real
             assert ratios.min() > 1 / 7.01 and ratios.max() < 7.01
@@ -193,6 +200,6 @@ def test_coarse_encoders_do_not_carry_it_away():
 def test_impossible_settings_are_refused_with_their_key():
     for name, value in (("weight", -1.0), ("memory", 0.0), ("every", 0.0), ("pole", np.nan)):
         with pytest.raises(ConfigError) as error:
-            Predicting(**{name: value})
-        assert error.value.key == f"prediction.{name}"
-    assert Adapting().rate and divergence(np.eye(4), np.eye(4)) == 0.0
+            AdaptiveCompositeSettings(**{name: value})
+        assert error.value.key == f"adaptive_composite.{name}"
+    assert AdaptiveSettings().rate and divergence(np.eye(4), np.eye(4)) == 0.0

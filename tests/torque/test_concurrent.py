@@ -15,11 +15,10 @@ from test_composite import EIGHT
 from mmnn_pin import Regressor
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.torque.concurrent import Concurrent
+from mmnn_pin.torque.concurrent import ConcurrentSettings, estimate, into_ball
 from mmnn_pin.torque.controller import ControllerState
-from mmnn_pin.torque.history import consider, estimate_of, scratch, shapes, views
-from mmnn_pin.torque.motor_limits import limit, motor_limits
-from mmnn_pin.torque.recall import into_ball, recall
+from mmnn_pin.torque.history import Stack, consider, estimate_of, scratch, shapes
+from mmnn_pin.torque.law import limit, motor_limits
 
 seeds = st.integers(0, 2**32 - 1)
 N, P, K = 6, 2, 5
@@ -36,7 +35,7 @@ class Book:
         state = ControllerState.of(**shapes(entries, P, K))
         state["L"] = state["P"] = np.eye(K)
         state["born"] = -1.0
-        self.s, self.w = getattr(views, "py_func", views)(state.values, entries, P, K), scratch(P, K)
+        self.s, self.w = state.view(Stack), scratch(P, K)
         self.growth, self.lifetime, self.time = growth, lifetime, 0.0
 
     def take(self, Phi, y):
@@ -129,11 +128,11 @@ def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
     loop, rng = made("concurrent"), np.random.default_rng(seed)
     learner, context = loop.controller, loop.context()
     limits = motor_limits(loop.robot.E, np.full(loop.robot.layout.motors, 20.0))
-    a, state, row = learner.law(context).history, learner.init(context), context.layout.new_row()
+    a, state, row = learner.law(context).learner, learner.init(context), context.layout.new_row()
     for k in range(30):
         row[:] = 10.0**size * rng.standard_normal(row.size)
         row[0] = k * a.h
-        recall(row, context.layout.offsets, a, state.values)
+        estimate(row, context.layout.offsets, a, state.values)
         assert np.linalg.norm(state["w"]) <= a.radius * (1 + 1e-9)
         psi_hat = row[context.layout.where("psi_hat")]
         limit(psi_hat, 0.0 * psi_hat, limits)
@@ -146,7 +145,7 @@ def test_a_sample_is_the_law(tracking):
     """By numpy: Psi_hat, and w after the tracking term, below its share of the feedback and cut to it."""
     loop = made("concurrent", f"concurrent.tracking={tracking}")
     learner, context = loop.controller, loop.context()
-    a, state, row = learner.law(context).history, learner.init(context), context.layout.new_row()
+    a, state, row = learner.law(context).learner, learner.init(context), context.layout.new_row()
     rng, k = np.random.default_rng(0), learner.dimension
     state["w"] = w = 0.1 * rng.standard_normal(k)
     A = rng.standard_normal((k, k))
@@ -156,7 +155,7 @@ def test_a_sample_is_the_law(tracking):
     row[context.layout.where("nu_ref")] = nu_ref = rng.standard_normal(4)
     Y = learner.regressor.matrix(learner.regressor.massless.offset, np.zeros(4), nu_ref, np.zeros(4))
     Phi, s = Y @ learner.basis, np.concatenate([row[context.layout.where(n)] for n in ("z", "r")])
-    recall(row, context.layout.offsets, a, state.values)
+    estimate(row, context.layout.offsets, a, state.values)
     np.testing.assert_allclose(row[context.layout.where("psi_hat")], Y @ learner.start() + Phi @ w, rtol=1e-9)
     step = a.h * a.tracking * P @ Phi.T @ s
     late = s @ Phi @ step
@@ -229,11 +228,11 @@ def test_a_gain_of_0_is_refused_before_anything_is_computed_from_it():
 def test_impossible_settings_are_refused_with_their_key():
     for name, value in (("entries", 0), ("rate", -1.0), ("noise", 0.0), ("growth", 0.0), ("pole", np.inf)):
         with pytest.raises(ConfigError) as error:
-            Concurrent(**{name: value})
+            ConcurrentSettings(**{name: value})
         assert error.value.key == f"concurrent.{name}"
     learner = made("concurrent").controller
     with pytest.raises(ConfigError, match="no nominal parameters"):
-        replace(learner, settings=Concurrent(initial="nominal"))
+        replace(learner, settings=ConcurrentSettings(initial="nominal"))
     with pytest.raises(ConfigError, match="give 64 finite ones"):
         replace(learner, nominal=np.ones(3))
     nominal = made("concurrent", "concurrent.initial=nominal", "nominal.masses=0.5")

@@ -14,7 +14,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.controller import ControllerState
-from mmnn_pin.torque.filtered import low_pass, new_filter, parts, period, remember
+from mmnn_pin.torque.filtered import Filtered, low_pass, new_filter, parts, period, remember
 
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
 LAYOUT = ROBOT.layout
@@ -29,15 +29,16 @@ class Bench:
     def __init__(self, h=2e-3, pole=0.0, state_pole=0.0, rows=4, k=4):
         self.f, self.h = new_filter(LAYOUT, h, pole, state_pole), h
         self.state, self.row, self.k = ControllerState.of(**parts(LAYOUT, rows, k)), LAYOUT.new_row(), 0
+        self.seen = self.state.view(Filtered)
 
     def take(self, q, nu, torque, time=None):
         """One sample, and the torque held after it; whether a period has ended."""
         self.row[0] = self.k * self.h if time is None else time
         self.row[LAYOUT.where("velocity")], self.row[LAYOUT.where("q")] = nu[:2], q
         self.row[LAYOUT.where("qdot")] = nu[2:]
-        ended = period(self.row, LAYOUT.offsets, self.f, self.state.values)
+        ended = period(self.row, LAYOUT.offsets, self.f, self.seen)
         self.row[LAYOUT.where("torque")] = torque
-        remember(self.row, LAYOUT.offsets, self.state.values)
+        remember(self.row, LAYOUT.offsets, self.seen)
         self.k += 1
         return ended
 
@@ -72,7 +73,7 @@ def misfit(h, pole, state_pole, duration=2.0):
             position = ROBOT.neutral_position()
             position[ROBOT.arm_index] = bench.f.q
             Phi = REGRESSOR.matrix(ROBOT.follow(position), bench.f.nu, bench.f.nu, bench.f.nudot)
-            low_pass(bench.f, Phi, bench.state.values)
+            low_pass(bench.f, Phi, bench.seen)
             worst = max(worst, float(np.abs(bench.state["Phi_f"] @ TRUE - bench.state["Y_f"]).max()))
             largest = max(largest, float(np.abs(bench.state["Y_f"]).max()))
     return worst / largest
@@ -128,7 +129,7 @@ def test_features_linear_in_acceleration_commute_with_both_filters(seed, pole, s
         after = nu + 0.1 * rng.standard_normal(4)
         torque = M @ (after - nu) / h
         if bench.take(np.zeros(2), nu, torque):
-            low_pass(bench.f, (M @ bench.f.nudot)[:, None], bench.state.values)
+            low_pass(bench.f, (M @ bench.f.nudot)[:, None], bench.seen)
         nu = after
     Phi, Y = bench.state["Phi_f"][:, 0], bench.state["Y_f"]
     np.testing.assert_allclose(Phi, Y, atol=1e-9 * max(1.0, np.abs(Y).max()))
@@ -139,7 +140,7 @@ def test_the_low_pass_is_the_held_one_of_scipy():
     bench, Phi, torque = Bench(h, pole, 0.0, 2, 3), rng.standard_normal((N, 2, 3)), rng.standard_normal((N, 4))
     for k in range(N):
         bench.f.torque[:] = torque[k]
-        low_pass(bench.f, Phi[k], bench.state.values)
+        low_pass(bench.f, Phi[k], bench.seen)
     times = np.arange(N + 1) * h
     for part, values in (("Phi_f", Phi), ("Y_f", torque)):
         flat = np.vstack((values.reshape(N, -1), np.zeros((1, values[0].size))))

@@ -1,4 +1,4 @@
-"""What learners take a robot for before it has moved: guesses and priors for arms of grams and of kilograms."""
+"""What learners take a robot for before it has moved: priors for arms of grams and of kilograms."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from robots import fixed_arm, mobile_arm, place, robot_of
 
 from mmnn_pin import load_experiment
 from mmnn_pin.model.regressor import Regressor
-from mmnn_pin.torque import guess
-from mmnn_pin.torque.features import BILINEAR, GENERIC, paired, terms
-from mmnn_pin.torque.guess import guess_of, sizes_of
+from mmnn_pin.torque.prior import balls, prior_of, sizes_of
+from mmnn_pin.torque.random_features import BILINEAR, GENERIC, paired, terms
 
 PLAIN = bool(config.DISABLE_JIT)
 BALLS = ((30.0, 2.0), (0.3, 0.2))
@@ -58,11 +57,11 @@ def heaviest(robot, bodies, theta, samples=50):
 
 @settings(max_examples=5 if PLAIN else 15, deadline=None)
 @given(name=st.sampled_from(sorted(ROBOTS)), seed=st.integers(0, 1000), slowest=st.floats(0.01, 1.0))
-def test_no_velocity_feels_more_of_the_guess_than_its_gain_can_handle(name, seed, slowest):
-    """Against Pinocchio with the guess's inertias; random positions, so a little beyond those that were looked at."""
+def test_no_velocity_feels_more_of_the_prior_than_its_gain_can_handle(name, seed, slowest):
+    """Against Pinocchio with the prior's inertias; random positions, so a little beyond those that were looked at."""
     robot, known = ROBOTS[name], KNOWN[name]
     K = 10.0 ** np.random.default_rng(seed).uniform(-3, 3, robot.layout.dof)
-    theta = guess_of(known, K, *BALLS, slowest)[: known.inertial]
+    theta = prior_of(known, K, *BALLS, slowest)[: known.inertial]
     assert (theta[::10] > 0).all()
     assert (heaviest(robot, known.bodies, theta) < 1.1 * slowest * K).all()
 
@@ -70,8 +69,8 @@ def test_no_velocity_feels_more_of_the_guess_than_its_gain_can_handle(name, seed
 def test_a_feedback_that_can_handle_the_balls_leaves_them_as_they_are():
     for known in KNOWN.values():
         K = np.full(known.massless.nu.size, 1e6)
-        theta = guess_of(known, K, *BALLS, 0.3)
-        np.testing.assert_array_equal(theta, guess.balls(known, *BALLS))
+        theta = prior_of(known, K, *BALLS, 0.3)
+        np.testing.assert_array_equal(theta, balls(known, *BALLS))
         moments = sizes_of(known, K, *BALLS, 0.3).reshape(-1, 10)
         mass = theta[: known.inertial].reshape(-1, 10)[:, 0]
         size = np.where(np.array(known.bodies) == "root", 0.3, 0.2)

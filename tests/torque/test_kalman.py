@@ -36,20 +36,26 @@ from mmnn_pin import (
     load_experiment,
 )
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.lab.experiments.kalman import kalman_from_facts, machine_of
+from mmnn_pin.lab.experiments.controllers import Granted, Nominal, machine_of
 from mmnn_pin.loop.control import Torque
+from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robots import extra
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import INDEX, Measurement
+from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
-from mmnn_pin.torque.features import coprime
-from mmnn_pin.torque.kalman import KalmanLearner
-from mmnn_pin.torque.kalman_settings import KalmanBilinear, KalmanFeatures, KalmanRegressor, KalmanResidual
-from mmnn_pin.torque.least_squares import project, track
-from mmnn_pin.torque.linear import learn, parts_of
-from mmnn_pin.torque.motor_limits import limit, motor_limits
+from mmnn_pin.torque.kalman import (
+    Kalman,
+    KalmanBilinearSettings,
+    KalmanFeaturesSettings,
+    KalmanRegressorSettings,
+    KalmanResidualSettings,
+)
+from mmnn_pin.torque.law import limit, motor_limits
+from mmnn_pin.torque.linear import Parts, estimate, project, track
+from mmnn_pin.torque.random_features import coprime
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 LONG = pytest.mark.skipif(PLAIN, reason="needs a long run")
@@ -59,10 +65,10 @@ REGRESSOR, TRUE, THETA0 = Regressor.of(ROBOT), parameters(ROBOT), parameters(NOM
 LAYOUT, K = ROBOT.layout, Feedback(500.0, 30.0)
 GAINS = K.vector(LAYOUT)
 KINDS = {
-    "regressor": KalmanRegressor,
-    "bilinear": KalmanBilinear,
-    "features": KalmanFeatures,
-    "residual": KalmanResidual,
+    "regressor": KalmanRegressorSettings,
+    "bilinear": KalmanBilinearSettings,
+    "features": KalmanFeaturesSettings,
+    "residual": KalmanResidualSettings,
 }
 SMALL = {"bilinear": {"hidden": 4}, "residual": {"hidden": 4}, "features": {"hidden": 12}, "regressor": {}}
 NOISY = Sensor(noise=1e-4, velocity_noise=2e-3, pose_noise=(1e-4, 1e-4, 1e-4))
@@ -73,7 +79,7 @@ LIMITS = motor_limits(ROBOT.E, ROBOT.effort_limits)
 def learner(kind, learning=True, **own):
     regressor = REGRESSOR if kind in ("regressor", "residual") else None
     theta0 = THETA0 if kind == "residual" else None
-    return KalmanLearner(KINDS[kind](**own), machine_of(ROBOT), K, regressor, theta0, learning)
+    return Kalman(KINDS[kind](**own), machine_of(ROBOT), K, regressor, theta0, learning)
 
 
 def small(kind, **own):
@@ -94,10 +100,9 @@ class Bench:
     def __init__(self, kind, h=1e-2, **own):
         self.controller = small(kind, **own)
         context = Context(LAYOUT, h, 10, np.random.default_rng(3))
-        self.a, self.state = self.controller.law(context).linear, self.controller.init(context)
+        self.a, self.state = self.controller.law(context).learner, self.controller.init(context)
         (self.rows, self.k, self.m), self.h = self.controller.shape, h
-        size = sum(int(np.prod(shape)) for shape in list(self.state.shapes.values())[5:-2])
-        self.o = getattr(parts_of, "py_func", parts_of)(self.state.values, self.m, self.k, size)
+        self.o = self.state.view(Parts)
         self.row, self.P0 = LAYOUT.new_row(), np.diag(self.state["prior"])
 
     def random_covariance(self, rng):
@@ -117,7 +122,7 @@ class Bench:
             self.row[LAYOUT.where(name)] = size * rng.standard_normal(self.row[LAYOUT.where(name)].size)
 
     def step(self):
-        learn(self.row, LAYOUT.offsets, self.a, self.a.known, self.a.random, self.state.values)
+        estimate(self.row, LAYOUT.offsets, self.a, self.state.values)
         return self.row[LAYOUT.where("psi_hat")].copy()
 
 
@@ -220,7 +225,7 @@ def test_a_robot_with_many_joints_gets_no_more_features_than_allowed():
         machine_of(ROBOT),
         velocities=velocities, lower=np.full(10, -1.0), upper=np.ones(10),
     )  # fmt: skip
-    rows, k, m = KalmanLearner(KalmanBilinear(largest=100), machine, K).shape
+    rows, k, m = Kalman(KalmanBilinearSettings(largest=100), machine, K).shape
     assert (rows, k, m) == (1, (12 + 78 + 1) + 100 + 24, 12)
 
 
@@ -291,7 +296,7 @@ def regressor_at(q, nu, nudot):
 
 def phi_at(controller, state, q, nu, nudot):
     """Random features in the learner's order, by numpy."""
-    if isinstance(controller.settings, KalmanFeatures):
+    if isinstance(controller.settings, KalmanFeaturesSettings):
         x = np.concatenate((q, nu / 3, nu / 3, nudot / 20))
         g = np.tanh(state["a"] @ x + state["b"])
         return np.concatenate((nudot, nu, [1.0], g, nu, np.tanh(nu / 0.03)))
@@ -428,7 +433,7 @@ def test_everything_stays_bounded_whatever_comes(seed, kind, size, data):
         P = bench.P
         assert np.trace(P) <= trace * (1 + 1e-9) and (np.diag(P) <= bench.state["prior"] * (1 + 1e-9)).all()
         assert np.isfinite(P).all()
-    assert np.isfinite(bench.state.values[: -bench.o.filter.size]).all()
+    assert np.isfinite(bench.state.values[: -sum(part.size for part in bench.o.filtered)]).all()
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -613,7 +618,9 @@ def test_other_robots(name, kind):
 def test_it_is_built_again_from_what_it_told(kind):
     controller = small(kind, noise=0.05)
     facts = json.loads(json.dumps(controller.facts()))
-    again = kalman_from_facts(controller.name, facts, ROBOT)
+    again = Kalman.from_facts(
+        controller.name, facts, Granted(CONTROLLERS[controller.name], ROBOT, Nominal(), Overrides())
+    )
     runs = [loop_of(which, 0.02).run() for which in (controller, again)]
     np.testing.assert_array_equal(runs[0].final["memory"], runs[1].final["memory"])
     assert again.settings == controller.settings
@@ -625,10 +632,10 @@ def test_it_is_built_again_from_what_it_told(kind):
 @pytest.mark.parametrize(
     ("kind", "own", "key"),
     [
-        (KalmanRegressor, {"noise": 0.0}, "kalman.regressor.noise"),
-        (KalmanBilinear, {"drift": -1.0}, "kalman.bilinear.drift"),
-        (KalmanBilinear, {"hidden": 0}, "kalman.bilinear.hidden"),
-        (KalmanFeatures, {"speed": np.nan}, "kalman.features.speed"),
+        (KalmanRegressorSettings, {"noise": 0.0}, "kalman.regressor.noise"),
+        (KalmanBilinearSettings, {"drift": -1.0}, "kalman.bilinear.drift"),
+        (KalmanBilinearSettings, {"hidden": 0}, "kalman.bilinear.hidden"),
+        (KalmanFeaturesSettings, {"speed": np.nan}, "kalman.features.speed"),
     ],
 )
 def test_impossible_settings_are_refused_with_their_key(kind, own, key):
@@ -639,11 +646,11 @@ def test_impossible_settings_are_refused_with_their_key(kind, own, key):
 
 def test_what_does_not_fit_is_refused():
     with pytest.raises(ConfigError, match="without a regressor"):
-        KalmanLearner(KalmanRegressor(), machine_of(ROBOT))
+        Kalman(KalmanRegressorSettings(), machine_of(ROBOT))
     with pytest.raises(ConfigError, match="no nominal parameters"):
-        KalmanLearner(KalmanResidual(), machine_of(ROBOT), K, REGRESSOR, np.ones(3))
+        Kalman(KalmanResidualSettings(), machine_of(ROBOT), K, REGRESSOR, np.ones(3))
     with pytest.raises(ConfigError, match="needs all > 0"):
-        KalmanLearner(KalmanFeatures(), machine_of(ROBOT), Feedback(0.0, 1.0)).law(Context(LAYOUT, 0.001, 1))
+        Kalman(KalmanFeaturesSettings(), machine_of(ROBOT), Feedback(0.0, 1.0)).law(Context(LAYOUT, 0.001, 1))
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))

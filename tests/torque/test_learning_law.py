@@ -16,8 +16,8 @@ from robots import feedback
 
 from mmnn_pin import (
     PD,
-    Adapting,
     Adaptive,
+    AdaptiveSettings,
     ComputedTorque,
     ControllerState,
     LearningLaw,
@@ -31,8 +31,8 @@ from mmnn_pin.lab.proof.linear_fit import linear_fit
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.torque.inputs import THESIS_INPUT
 from mmnn_pin.torque.learning_law import norms
+from mmnn_pin.torque.neural import THESIS_INPUT
 
 SIGNALS = ("psi_hat", "torque", "effective_gain", "position", "nu", "motor_torque")
 
@@ -169,7 +169,9 @@ def test_friction_in_numpy_is_that_of_the_adaptive_law(kind: str) -> None:
     K, regressor = feedback(robot_of_kind(kind), 0.002), Regressor.of(robot_of_kind(kind))
     known = parameters(robot_of_kind(kind)) + np.where(np.arange(regressor.size) < regressor.inertial, 0.0, 0.1)
     slower = float(np.median(K.arm)) / 30.0  # the rates of `Adapting` are those of an arm with gains of 30 N m s
-    adapting = Adapting(rate=0.0, viscous=slower, coulomb=10 * slower, share=1e9, friction_bound=1e9, initial="nominal")
+    adapting = AdaptiveSettings(
+        rate=0.0, viscous=slower, coulomb=10 * slower, share=1e9, friction_bound=1e9, initial="nominal"
+    )
     theirs = Adaptive(regressor, K, adapting, known)
     masses = theirs.start().copy()
 
@@ -326,7 +328,7 @@ class Wrong(Nothing):
     ("how", "words"),
     [
         ("shape", r"returned a Psi_hat of shape \(7,\)"),
-        ("no memory", "Wrong.init returned dict: a law learns in a `ControllerState`: return Memory.of"),
+        ("no memory", "Wrong.init returned dict: a law learns in a `ControllerState`: return ControllerState.of"),
         ("init", "controller 'Wrong' failed: KeyError: 'V'"),
         ("raises", r"test_learning_law.py:\d+: error: controller 'Wrong' failed: KeyError: 'W'"),
     ],

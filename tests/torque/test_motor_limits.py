@@ -28,12 +28,12 @@ from mmnn_pin.lab.proof.certified_loop import refusal
 from mmnn_pin.lab.proof.ideal import ideal_weights
 from mmnn_pin.lab.proof.limited import taken
 from mmnn_pin.lab.proof.lyapunov import lyapunov
+from mmnn_pin.lab.proof.parts import weights_of
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.weights_of import weights_of
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement
-from mmnn_pin.torque.motor_limits import limit, motor_limits, share_left
+from mmnn_pin.torque.law import limit, motor_limits, share_left
 
 ROBOT = load("platform_arm")
 E_INV = np.linalg.pinv(ROBOT.E)

@@ -15,14 +15,8 @@ from scipy.spatial.distance import cdist
 from scipy.special import expit
 
 from mmnn_pin.signals import Array
-from mmnn_pin.torque.network import (
-    numerical_rank,
-    one_layer_output,
-    one_layer_update,
-    project,
-    two_layer_output,
-    two_layer_update,
-)
+from mmnn_pin.torque.one_layer import one_layer_output, one_layer_update
+from mmnn_pin.torque.two_layer import numerical_rank, project, two_layer_output, two_layer_update
 
 patient = settings(deadline=None)  # the first call may compile
 seeds = st.integers(0, 2**31)

@@ -15,16 +15,15 @@ from test_concurrent import CIRCLE
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.control import Torque
-from mmnn_pin.torque.composite import Replaying
-from mmnn_pin.torque.inputs import MEASURED, Inputs
-from mmnn_pin.torque.replay import descend, keep_sample, recollect, replay
+from mmnn_pin.torque.neural import MEASURED, Inputs
+from mmnn_pin.torque.two_layer_composite import TwoLayerCompositeSettings, descend, estimate, keep_sample, recollect
 
 seeds = st.integers(0, 2**32 - 1)
 
 
 def parts_of(loop):
     controller, context = loop.controller, loop.context()
-    return controller.law(context).replay, controller.init(context), context.layout
+    return controller.law(context).learner, controller.init(context), context.layout
 
 
 def output(W, V, x):
@@ -105,13 +104,16 @@ def test_what_is_kept_is_spread_evenly_over_the_run(entries, samples):
 @settings(max_examples=10, deadline=None)
 @given(seeds, st.floats(0, 8))
 def test_the_weights_stay_bounded_whatever_the_sensors_say(seed, size):
-    loop, rng = made("two_layer_composite", "replay.bound=7.0", "replay.pole=1000.0"), np.random.default_rng(seed)
+    loop, rng = (
+        made("two_layer_composite", "two_layer_composite.bound=7.0", "two_layer_composite.pole=1000.0"),
+        np.random.default_rng(seed),
+    )
     a, state, layout = parts_of(loop)
     row = layout.new_row()
     for k in range(40):
         row[:] = 10.0**size * rng.standard_normal(row.size)
         row[0] = k * a.filter.h
-        replay(row, layout.offsets, a, state.values)
+        estimate(row, layout.offsets, a, state.values)
         state["held"] = row[layout.where("torque")]
         unit = {"1": a.unit[:2], "2": a.unit[2:]}
         for i in "12":
@@ -121,7 +123,7 @@ def test_the_weights_stay_bounded_whatever_the_sensors_say(seed, size):
 
 
 def test_engines_batch_resumption_and_freezing():
-    loop = made("two_layer_composite", "replay.entries=7")
+    loop = made("two_layer_composite", "two_layer_composite.entries=7")
     assert_engines_agree(loop)
     assert_it_resumes(loop, loop.timing.duration / 2)
     assert_frozen(loop)
@@ -148,7 +150,7 @@ def test_without_its_memory_it_follows_and_forgets():
     truth = made("computed_torque", *faster, duration=10.0).run()
     left = {}
     for replays in (0, 4):
-        loop = made("two_layer_composite", *EIGHT, f"replay.replays={replays}", duration=24.0)
+        loop = made("two_layer_composite", *EIGHT, f"two_layer_composite.replays={replays}", duration=24.0)
         run = loop.run()
         state = loop.controller.init(loop.context())
         state.values[:] = run.final["memory"]
@@ -161,8 +163,8 @@ def test_without_its_memory_it_follows_and_forgets():
 def test_impossible_settings_are_refused_with_their_key():
     for name, value in (("rate", 2.0), ("rate", -0.1), ("entries", 0), ("unit", 0.0), ("pole", np.nan)):
         with pytest.raises(ConfigError) as error:
-            Replaying(**{name: value})
-        assert error.value.key == f"replay.{name}"
+            TwoLayerCompositeSettings(**{name: value})
+        assert error.value.key == f"two_layer_composite.{name}"
     loop = made("two_layer_composite", "feedback.base=0.0")
     with pytest.raises(ConfigError, match="needs all > 0"):
         loop.controller.law(loop.context())

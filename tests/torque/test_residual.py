@@ -14,7 +14,7 @@ from mmnn_pin.loop.control import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.model_based import ComputedTorque
-from mmnn_pin.torque.residual import Residual
+from mmnn_pin.torque.two_layer_residual import TwoLayerResidual
 
 FRICTION = ["friction.base=[30.0,5.0]", "friction.arm=0.5", "friction.coulomb=0.5"]
 SHORT = 0.02 if config.DISABLE_JIT else 0.4
@@ -31,7 +31,7 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
     loop = made("two_layer_residual", "nominal.masses=0.6")
     run = loop.run()
     controller = loop.controller
-    assert isinstance(controller, Residual) and controller.model is not None
+    assert isinstance(controller, TwoLayerResidual) and controller.model is not None
     expected = loop.robot.with_masses(0.6).without_friction()
     np.testing.assert_allclose(parameters(controller.model), parameters(expected), rtol=1e-12)
     dynamics, layout, row = Dynamics(expected), loop.robot.layout, loop.robot.layout.new_row()
@@ -83,7 +83,7 @@ def test_a_projection_bounds_the_weights_at_every_sample(name):
     loop = made(name, *wild, "learning.leakage=false", "learning.projection=0.5")
     runs = [replace(loop, engine=engine).run() for engine in ("compiled", "ordinary")]
     np.testing.assert_allclose(runs[0]["torque"], runs[1]["torque"], rtol=1e-9, atol=1e-9)
-    network = loop.controller.own if isinstance(loop.controller, Residual) else loop.controller
+    network = loop.controller.networks
     state = network.init(loop.context())
     state.values[:] = runs[0].final["memory"]
     sizes = {name: np.linalg.norm(W) for name, W in network.weights(state).items()}
@@ -99,8 +99,8 @@ def test_a_projection_bounds_the_weights_at_every_sample(name):
 
 
 def test_a_network_on_a_model_has_a_bound_unless_told():
-    assert made("two_layer_residual").controller.own.projection == 100.0
-    assert made("two_layer_residual", "learning.projection=7.0").controller.own.projection == 7.0
+    assert made("two_layer_residual").controller.networks.projection == 100.0
+    assert made("two_layer_residual", "learning.projection=7.0").controller.networks.projection == 7.0
     assert made("two_layer").controller.projection is None
     for bad in ("0.0", "-1.0", "nan", "inf"):
         with pytest.raises(ConfigError) as error:
@@ -112,9 +112,11 @@ def test_a_bound_needs_one_gain_of_a_network_that_learns():
     """A joint without a gain has the bound of its network; where nothing is learned, nothing is bounded."""
     zero = ["feedback.arm=0.0", "learning.robust_term=false"]
     some = made("two_layer_residual", "feedback.arm=[60.0,0.0]", "learning.robust_term=false")
-    gain = some.controller.feedback_gain(some.robot.layout) / some.controller.own.network_scales(some.robot.layout)[1]
+    gain = (
+        some.controller.feedback_gain(some.robot.layout) / some.controller.networks.network_scales(some.robot.layout)[1]
+    )
     assert gain[3] == 0 and some.run().outcome.status == "completed"
-    assert some.controller.own.radii(some.robot.layout)[2] == pytest.approx((100 * 0.1 * gain[2], 100))
+    assert some.controller.networks.radii(some.robot.layout)[2] == pytest.approx((100 * 0.1 * gain[2], 100))
     with pytest.raises(ConfigError, match="all gains of the arm are 0") as error:
         made("two_layer_residual", *zero).run()
     assert error.value.key == "feedback.arm"

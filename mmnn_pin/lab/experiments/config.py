@@ -22,7 +22,7 @@ from ...model.base.overrides import Overrides
 from ...recording.recording import Recording
 from ...settings import wrong_type
 from .contest import ONLY
-from .controllers import CONTROLLERS
+from .controllers import CONTROLLERS, new_name, renamed
 from .experiment import Experiment
 
 FOLDER = Path(__file__).parent
@@ -71,7 +71,7 @@ def recorded_experiment(recording: Recording) -> Experiment | None:
     if not recording.config_text:
         return None
     try:
-        return msgspec.convert(without_null(msgspec.json.decode(recording.config_text)), Experiment)
+        return msgspec.convert(renamed(without_null(msgspec.json.decode(recording.config_text))), Experiment)
     except (msgspec.DecodeError, InputError) as error:
         why = f"another version of mmnn_pin wrote it: {' '.join(str(error).split())}"
         raise RecordingError("its config cannot be read", why=why, file=recording.path) from error
@@ -332,7 +332,11 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
     there = re.sub(r"\[(\d+)\]", r".\1", where.strip("`").removeprefix("$").replace("[...]", ".*")).removeprefix(".")
     key = with_names(there, table) or None
     kind, known = kind_at(key, table), tuple[str, ...]()
-    if unknown := re.search(r"unknown field `(\w+)`", message):
+    unknown = re.search(r"unknown field `(\w+)`", message)
+    last = unknown[1] if unknown else value_at(key, table)
+    if now := new_name(".".join(filter(None, (key, last))) if unknown else key or "", None if unknown else last):
+        return ConfigError(f"'{last}' is now called '{now}'", fix=f"write {now}", file=path, key=key)
+    if unknown:
         message, known = f"unknown key '{unknown[1]}'", keys_of(kind)
     elif missing := re.search(r"missing required field `(\w+)`", message):
         message, known = f"the key '{missing[1]}' is missing", tags_of(kind) if missing[1] == "type" else ()

@@ -1,52 +1,102 @@
-"""The controllers of experiments by name, and the switches of the learners."""
+"""The controllers of an experiment: their names and settings, and each of them made with what it is told of the robot.
+
+`mmnn_pin.torque` has the list; nothing here knows a single one of its learners.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Literal
 
+import msgspec
+import numpy as np
+
+from ...errors import ConfigError, InputError, UnknownName
+from ...model.base.overrides import Overrides
+from ...model.loading import load_with
+from ...model.regressor import Regressor
+from ...model.robot import Robot
+from ...model.tree.body import parameters
 from ...settings import Settings, require_numbers
-from ...torque.neural_settings import Robust
+from ...signals import Array
+from ...torque import CONTROLLERS as ENTRIES
+from ...torque import Entry
+from ...torque.controller import CompiledController, Feedback, Given, Machine, TorqueController
+from ...torque.neural import STARTS, Robust
+from .laws import own_controller
 
+CONTROLLERS = {name: entry.about for name, entry in ENTRIES.items()}
 # PD at a learner's effective gain: the learner whose gain it takes, see also `effective`.
-EFFECTIVE = {"pd_effective": "two_layer", "pd_effective_one_layer": "one_layer"}
-CONTROLLERS = {
-    "two_layer": "the thesis's two-layer network, both layers learn (3.39), (3.48)-(3.50)",
-    "two_layer_zero": "the same with all weights from zero, whatever two_layer.initial says",
-    "two_layer_random": "the same with W = 0 and V random",
-    "one_layer": "one-layer Gaussian network of reference [9], its law reconstructed",
-    "pd": "the feedback alone",
-    "pd_effective": "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
-    "pd_effective_one_layer": "PD at the effective gain of one_layer",
-    "adaptive": "Slotine-Li adaptive control: knows the kinematics, learns masses, inertias and friction",
-    "adaptive_composite": "the same with the prediction error of filtered torque: its estimate is knowledge",
-    "concurrent": "knows the kinematics; a stack of chosen equations, so that knowledge outlasts the excitation",
-    "two_layer_composite": "the two-layer network with the prediction error of filtered torque and a memory",
-    "two_layer_residual": "a nominal model with wrong masses, and the two-layer network on the difference",
-    "nominal": "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
-    "kalman_regressor": "knows the kinematics; least squares with a covariance on filtered torque",
-    "kalman_bilinear": "knows the form of the equations: random functions of the arm's joints, the same least squares",
-    "kalman_features": "knows nothing: random functions of states and references, the same least squares",
-    "kalman_residual": "a nominal model with wrong masses, and kalman_bilinear for what it does not say",
-    "computed_torque": "feedback and the true model: the oracle",
-}
-ORACLES = ("computed_torque",)
-# Two-layer networks: how their weights start, None for what `two_layer.initial` says.
-TWO_LAYERS: dict[str, Literal["zero", "random"] | None] = {
-    "two_layer": None,
-    "two_layer_zero": "zero",
-    "two_layer_random": "random",
-}
-LEARNERS = (*TWO_LAYERS, "one_layer")
-KALMAN = {f"kalman_{table}": table for table in ("regressor", "bilinear", "features", "residual")}
+EFFECTIVE = {name: entry.gain_of for name, entry in ENTRIES.items() if entry.gain_of}
+ORACLES = tuple(name for name, entry in ENTRIES.items() if entry.oracle)
+LEARNERS = tuple(name for name, entry in ENTRIES.items() if entry.thesis)
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")
+# Keys and values of experiments that have another name now, and what they are called in a recording made before.
+RENAMED = {
+    "prediction": "adaptive_composite",
+    "adaptive_composite.memory": "forgetting_time",
+    "replay": "two_layer_composite",
+}
+RENAMED_VALUES = {"adaptive.initial": {"guess": "prior"}, "concurrent.initial": {"guess": "prior"}}
 
 
 def effective(controllers: Iterable[str]) -> dict[str, str]:
-    """`EFFECTIVE` for controllers that run together: `pd_effective` goes with the first of `TWO_LAYERS` among them."""
+    """`EFFECTIVE` for controllers that run together: `pd_effective` goes with the first two-layer network of them."""
     names = set(controllers)
-    return EFFECTIVE | {"pd_effective": next((name for name in TWO_LAYERS if name in names), "two_layer")}
+    return EFFECTIVE | {"pd_effective": next((name for name in ("two_layer", *STARTS) if name in names), "two_layer")}
+
+
+def tables_of_learners() -> dict[str, Any]:
+    """Settings of all learners by the key of an experiment; a table of tables where a key path has two parts."""
+    found: dict[str, Any] = {}
+    for entry in ENTRIES.values():
+        head, _, rest = entry.key.partition(".")
+        kind = entry.load_settings()
+        if kind is not None and rest:
+            found.setdefault(head, {})[rest] = kind
+        elif kind is not None:
+            found[head] = kind
+    return {key: struct_of(key, kind) if isinstance(kind, dict) else kind for key, kind in found.items()}
+
+
+def struct_of(name: str, kinds: dict[str, Any]) -> Any:
+    """Settings with one table of each kind."""
+    entries = [(key, kind, msgspec.field(default_factory=kind)) for key, kind in kinds.items()]
+    options: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
+    return msgspec.defstruct(name, entries, bases=(Settings,), **options)
+
+
+if TYPE_CHECKING:
+
+    class LearnerTables(Settings, frozen=True):
+        """The tables of all learners, by the keys that the list of controllers says."""
+
+        def __getattr__(self, name: str) -> Any: ...
+
+else:
+    LearnerTables = struct_of("LearnerTables", tables_of_learners())
+
+
+def renamed(config: dict[str, Any]) -> dict[str, Any]:
+    """The config of a recording that an older version made, with the keys and values of today."""
+    config = {RENAMED.get(key, key): value for key, value in config.items()}
+    for path, name in RENAMED.items():
+        table, _, key = path.rpartition(".")
+        if table and key in (own := config.get(table) or {}):
+            config[table] = {k: v for k, v in own.items() if k != key} | {name: own[key]}
+    for path, names in RENAMED_VALUES.items():
+        table, _, key = path.rpartition(".")
+        if (own := config.get(table) or {}).get(key) in names:
+            config[table] = own | {key: names[own[key]]}
+    return config
+
+
+def new_name(key: str, value: Any = None) -> str:
+    """What a key path, or a value that stands there, is called now; empty for one that was never called otherwise."""
+    return RENAMED_VALUES.get(key, {}).get(value, "") if isinstance(value, str) else RENAMED.get(key, "")
 
 
 class RobustOf(Settings, frozen=True):
@@ -72,7 +122,7 @@ class Learning(Settings, frozen=True):
         robust_term: Off drops the robust term (3.50).
         projection: Bound on |W|_F in units (what the feedback answers to 0.1 m/s or rad/s) and on |V|_F of every
             network: larger ones are scaled back onto it. Without it 100 for `two_layer_residual` and none for the
-            thesis's networks; `two_layer_composite` has `replay.bound`.
+            thesis's networks; `two_layer_composite` has a bound of its own.
         within_limits: Whether robust term and Psi_hat take of every motor's limit only what the feedback leaves, of all
             controllers; without it of the learners beyond the thesis, not of its networks.
 
@@ -90,3 +140,158 @@ class Learning(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_numbers(self, "learning", ("projection",))
+
+
+class Nominal(Settings, frozen=True):
+    """A model that is wrong on purpose: the start of `adaptive`, the model of `nominal` and of every residual learner.
+
+    Args:
+        robot: Name or path of a robot that moves alike; empty for the robot itself.
+        masses: Factor on its inertias, one for all bodies or one per joint that carries a body, see `with_masses`.
+        friction: Whether it knows the friction: of joints, gears and base.
+
+    Raises:
+        ConfigError: A factor that is not finite and positive.
+    """
+
+    robot: str = ""
+    masses: float | dict[str, float] = 0.7
+    friction: bool = False
+
+    def __post_init__(self) -> None:
+        factors = np.array([*self.masses.values()] if isinstance(self.masses, dict) else [self.masses], float)
+        if not (factors.size and (np.isfinite(factors) & (factors > 0)).all()):
+            raise ConfigError(f"{self.masses}", fix="use finite factors > 0", key="nominal.masses")
+
+
+@dataclass(frozen=True)
+class Granted:
+    """What a controller is told of its robot: of `torque.controller.Told` what its entry grants.
+
+    Attributes:
+        entry: The controller.
+        robot: The true robot; None where there is none.
+        model: The nominal robot, as the experiment says it.
+        overrides: What the experiment says about its robots.
+    """
+
+    entry: Entry
+    robot: Robot | None
+    model: Nominal
+    overrides: Overrides
+
+    @property
+    def motion(self) -> Regressor:
+        """How the robot moves; errors as of `true`."""
+        return Regressor.of(self.true("motion"))
+
+    @property
+    def machine(self) -> Machine:
+        """Names, ends of the joints, limits of the motors; errors as of `true`."""
+        return machine_of(self.true("machine"))
+
+    @property
+    def nominal(self) -> Robot:
+        """The nominal robot; errors as of `nominal_robot`."""
+        return nominal_robot(self.model, self.true("nominal"), self.overrides)
+
+    @property
+    def parameters(self) -> Array:
+        """Its parameters, (k,), with which a regressor of the robot gives its Psi; errors as of `nominal_robot`."""
+        return parameters(nominal_robot(self.model, self.true("parameters"), self.overrides))
+
+    def true(self, what: str) -> Robot:
+        """The true robot, where the controller may be told something of it.
+
+        Raises:
+            ConfigError: There is no robot, or the list of controllers does not grant it.
+        """
+        name = self.entry.name
+        if what not in self.entry.told:
+            raise ConfigError(f"{name} may not know '{what}'", fix="grant it in mmnn_pin/torque/__init__.py")
+        if self.robot is None:
+            raise ConfigError(f"{name} of no robot", fix="give the robot", key="controllers")
+        return self.robot
+
+
+def machine_of(robot: Robot) -> Machine:
+    """What a learner may know of a robot without knowing how it moves: names, and of its joints the ends and motors."""
+    n, limits = robot.layout.arm, robot.effort_limits
+    joints = (np.abs(robot.E) @ limits)[robot.layout.dof - n :] if np.isfinite(limits).all() else np.full(n, np.inf)
+    return Machine(
+        velocities=tuple(robot.velocity_names),
+        lower=robot.lower[robot.arm_index],
+        upper=robot.upper[robot.arm_index],
+        effort=joints,
+    )
+
+
+def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
+    """The robot that is believed in.
+
+    Args:
+        nominal: What is said of it.
+        robot: The robot that the controllers are made for.
+        said: What the experiment says about its robots.
+
+    Raises:
+        ConfigError: It moves otherwise.
+        UnknownName: No robot of that name, or no such body.
+        InputError: It cannot be loaded, or has no such body.
+    """
+    try:
+        believed = load_with(nominal.robot, said) if nominal.robot else robot
+    except UnknownName as error:
+        error.key = "nominal.robot"
+        raise
+    alike = (believed.layout.dof, believed.layout.base) == (robot.layout.dof, robot.layout.base)
+    if not alike or not np.array_equal(believed.T, robot.T):
+        fix = "name one with the same base and the same joints"
+        raise ConfigError(f"{believed.name} does not move as {robot.name}", fix=fix, key="nominal.robot")
+    try:
+        believed = believed.with_masses(nominal.masses)
+    except InputError as error:
+        error.key = "nominal.masses"
+        raise
+    return believed if nominal.friction else believed.without_friction()
+
+
+def new_controller(
+    experiment: Any, name: str, gains: Array | None, robot: Robot | None
+) -> CompiledController | TorqueController:
+    """A controller of an `Experiment` by name; arguments and errors as in `Experiment.controller`."""
+    switches = experiment.learning
+    feedback, robust, inertia = scaled(experiment, name, robot)
+    if name in experiment.laws:
+        return own_controller(name, experiment.laws[name], feedback, switches.learning)
+    entry = ENTRIES[name]
+    tables = [attrgetter(ENTRIES[other].key)(experiment) for other in entry.beside]
+    own = attrgetter(entry.key)(experiment) if entry.settings else None
+    given = Given(
+        name=name,
+        settings=(*tables, own) if tables else own,
+        feedback=feedback,
+        learning=switches.learning,
+        told=Granted(entry, robot, experiment.nominal, experiment.overrides),
+        inertia=None if inertia is None else tuple(inertia.tolist()),
+        networks={
+            "robust": robust if switches.robust_term else None,
+            "inputs": experiment.inputs,
+            "rates": switches.rates,
+            "leakage": switches.leakage,
+            "update": switches.update,
+            "projection": switches.projection,
+        },
+        gains=gains,
+    )
+    made: CompiledController = entry.load().build(given)
+    return made
+
+
+def scaled(experiment: Any, name: str, robot: Robot | None) -> tuple[Feedback, Robust, Array | None]:
+    """Feedback and robust term of a controller, and the effective inertias (p,) that both are scaled by, or None."""
+    feedback, robust = experiment.feedback, experiment.robust_term(name)
+    inertia = None if robot is None else experiment.inertia(robot)
+    if robot is not None and inertia is not None:
+        feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
+    return feedback, robust, inertia

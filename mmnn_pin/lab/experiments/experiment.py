@@ -29,17 +29,20 @@ from ...sensing import Sensor
 from ...settings import Settings, require_gains
 from ...signals import Array, Layout
 from ...timing import Timing
-from ...torque.adaptive_settings import Adapting, Predicting
-from ...torque.composite import Replaying
-from ...torque.concurrent import Concurrent
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
-from ...torque.inputs import Inputs
-from ...torque.kalman_settings import KalmanTables
-from ...torque.neural_settings import OneLayer, Robust, TwoLayer
+from ...torque.neural import Inputs, Robust
 from .contest import Contest
-from .controllers import CONTROLLERS, DEFAULT, EFFECTIVE, TWO_LAYERS, Learning, RobustOf
+from .controllers import (
+    CONTROLLERS,
+    DEFAULT,
+    EFFECTIVE,
+    LearnerTables,
+    Learning,
+    Nominal,
+    RobustOf,
+    new_controller,
+)
 from .laws import resolved
-from .nominal import Nominal
 from .references import HeldOut, ReferenceTables
 
 # Pictures that a run can write; `show.gallery` has them.
@@ -112,8 +115,10 @@ class Tolerance(Settings, frozen=True):
         require_gains(self, "tolerance")
 
 
-class Experiment(Settings, frozen=True):
+class Experiment(LearnerTables, frozen=True):
     """Everything that defines an experiment; see the bundled TOML files for commented examples.
+
+    Beside the keys here it has a table for every learner, such as `adaptive` (see `mmnn_pin.torque`).
 
     Args:
         title: One line for tables and plots.
@@ -136,15 +141,8 @@ class Experiment(Settings, frozen=True):
         feedback: k1, k2.
         robust: Kz, ZB.
         robust_of: Kz, ZB of single learners.
-        two_layer: The two-layer network.
-        one_layer: The one-layer network.
-        adaptive: The adaptive controller.
-        prediction: The prediction error of `adaptive_composite`.
-        concurrent: The concurrent learner.
-        replay: The prediction error of `two_layer_composite`.
         nominal: The model that is wrong on purpose, for those that have one.
         laws: Controllers of a user by name: `law`, where the class is, and its settings.
-        kalman: The linear learners.
         inputs: What the networks see.
         learning: Conventions and switches.
         friction: Friction of the true robot beside its URDF's.
@@ -184,15 +182,8 @@ class Experiment(Settings, frozen=True):
     feedback: Feedback = Feedback()
     robust: Robust = Robust()
     robust_of: RobustOf = RobustOf()
-    two_layer: TwoLayer = TwoLayer()
-    one_layer: OneLayer = OneLayer()
-    adaptive: Adapting = Adapting()
-    prediction: Predicting = Predicting()
-    concurrent: Concurrent = Concurrent()
-    replay: Replaying = Replaying()
     nominal: Nominal = Nominal()
     laws: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
-    kalman: KalmanTables = KalmanTables()
     inputs: Inputs = Inputs()
     learning: Learning = Learning()
     friction: Friction = Friction()
@@ -309,16 +300,7 @@ class Experiment(Settings, frozen=True):
             ConfigError: Gains that are to be scaled, and no robot.
             InputError: A user's file or class that cannot be used.
         """
-        from .new_controller import new_controller
-
         return new_controller(self, name, gains, robot)
-
-    def network(self, name: str) -> TwoLayer | OneLayer:
-        """The network of a learner that has one."""
-        if name == "one_layer":
-            return self.one_layer
-        initial = TWO_LAYERS.get(name)
-        return self.two_layer if initial is None else msgspec.structs.replace(self.two_layer, initial=initial)
 
     def robust_term(self, name: str) -> Robust:
         """Kz and ZB of a controller: its own, or the common ones."""

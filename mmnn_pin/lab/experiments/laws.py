@@ -21,8 +21,7 @@ import msgspec
 from ...errors import ConfigError, InputError, UnknownName
 from ...settings import wrong_type
 from ...torque.controller import Feedback, TorqueController
-from ...torque.learning_law import LearningLaw
-from ...torque.origin import DIGEST, sha256, told
+from ...torque.learning_law import DIGEST, LearningLaw, sha256, told
 
 SPEC = re.compile(r"(?P<place>.+\.py|[A-Za-z_][\w.]*):(?P<kind>[A-Za-z_]\w*)")
 NAME = re.compile(r"[A-Za-z_][\w-]*")

@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 
 from ...recording.metrics import ERRORS
-from ...torque.inputs import THESIS_INPUT
+from ...torque.neural import THESIS_INPUT
 from .controllers import LEARNERS
 from .experiment import Experiment
 from .runner import Result, run_experiment

@@ -15,7 +15,7 @@ import numpy as np
 
 from .boxes import STRICT, Box, Boxes, Faces
 from .certified_loop import CertifiedLoop
-from .networks import NAMES
+from .learner import NAMES
 
 ENERGIES = np.geomspace(1e-6, 30.0, 32)  # [J]
 SIZES = np.array([0.01, 0.03, 0.07, 0.13, 0.2, 0.3, 0.42, 0.56, 0.72])  # of the largest size of the pose error

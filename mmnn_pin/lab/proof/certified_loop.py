@@ -14,9 +14,9 @@ from ...model.base.differential import DifferentialDrive
 from ...model.robot import Robot
 from ...signals import Array
 from ...torque.controller import per_velocity
+from .learner import Networks
 from .motion_samples import Along, MotionSamples, sample
 from .moving_reference import drift, jump
-from .networks import Networks
 from .pose_bound import PoseBound
 from .subject import Subject
 from .supervised import Supervisor, supervisor_of

@@ -13,9 +13,8 @@ import numpy as np
 from ...model.regressor import Regressor
 from ...signals import Array, IntArray
 from ...torque.adaptive import EXCITED
-from ...torque.network import numerical_rank
-from .learner import Learner, Stepper
-from .networks import NAMES, Networks, seen
+from ...torque.two_layer import numerical_rank
+from .learner import NAMES, Learner, Networks, Stepper, seen
 from .rank import Excitation, effective_rank, excitation
 from .unknown import MOST as FEW
 from .unknown import Unknown, network_in, tangents, unknown

@@ -19,8 +19,8 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import expit
 
 from ...signals import Array
-from ...torque.neural_settings import TwoLayer
-from .networks import Networks, seen
+from ...torque.two_layer import TwoLayer
+from .learner import Networks, seen
 from .subject import Subject
 
 PENALTY = 1e-6

@@ -1,7 +1,9 @@
-"""The learner of a run, built again, and its steps over rows: its weights at every sample, and what fixed ones say.
+"""The learner of a run, built again from its recording, and its steps over rows.
 
 A controller stepped again over the rows of its run, each with the torque of the sample before it still in place, gives
-the weights of every sample; with learning switched off it gives what fixed weights say of any rows.
+the weights of every sample; with learning switched off it gives what fixed weights say of any rows. It is built from
+the settings that the recording tells, or from the experiment that it names. Nothing of this runs code of a user: a law
+in plain Python is rebuilt only where its class is handed over.
 """
 
 from __future__ import annotations
@@ -9,14 +11,25 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import msgspec
 import numpy as np
 
-from ...loop.control import Torque
+from ...errors import RecordingError
+from ...loop.control import Torque, context_of
+from ...model.base.overrides import Overrides
 from ...model.robot import Robot
+from ...recording.recording import Recording
+from ...recording.run_file import encode
 from ...signals import Array
-from ...torque.controller import CompiledController, Context, ControllerState, Feedback, TorqueController
+from ...torque import CONTROLLERS
+from ...torque.controller import Context, ControllerState, Feedback
+from ...torque.learning_law import LearningLaw
+from ...torque.neural import Neural, channels
+from ..experiments.config import recorded_experiment
+from ..experiments.controllers import Granted, Nominal
+from ..experiments.laws import GIVEN, known_law, with_settings
 
-Controller = CompiledController | TorqueController
+NAMES = {1: "base", 2: "arm"}  # of the networks
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,8 +39,8 @@ class Learner:
     Attributes:
         controller: Its settings; one with a field `learning`.
         context: What it was told before the run.
-        start: Its memory before the first row.
-        end: Its memory at the end, or the last one that is known.
+        start: Its state before the first row.
+        end: Its state at the end, or the last one that is known.
         end_time: When that is [s].
         robot: The robot whose model it adds, where it uses the loop's.
     """
@@ -55,7 +68,7 @@ class Stepper:
 
     Args:
         learner: The learner.
-        state: Its memory, changed in place.
+        state: Its state, changed in place.
         learning: Off holds its weights fixed.
 
     Attributes:
@@ -94,7 +107,7 @@ class Stepper:
 
 
 def said(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
-    """What the weights of a memory, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
+    """What the weights of a state, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
 
     It is what they know: before the motors' limits take of it.
     """
@@ -105,3 +118,156 @@ def said(learner: Learner, state: ControllerState, rows: Array, every: int = 1) 
         if n % every == 0:
             found[n // every] = stepper.known
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class Networks(Learner):
+    """A learner with a network for the base, one for the arm: the thesis's, on a nominal model, or composite."""
+
+    @property
+    def own(self) -> Neural:
+        """The thesis's controller in it."""
+        found: Neural = self.controller.networks
+        return found
+
+    @property
+    def networks(self) -> list[tuple[int, slice]]:
+        """Number of every network (1 the base's, 2 the arm's) and its velocities."""
+        layout = self.context.layout
+        parts = {1: slice(0, layout.base), 2: slice(layout.base, layout.dof)}
+        return [(i, parts[i]) for i, _ in channels(layout)]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """What networks with fixed weights do along rows.
+
+    Attributes:
+        psi_hat: (N, p) their output [N, N m].
+        inputs: (N, nx) what they see.
+        activations: Network to (N, h) hidden outputs.
+    """
+
+    psi_hat: Array
+    inputs: Array
+    activations: dict[int, Array]
+
+
+def seen(learner: Networks, state: ControllerState, rows: Array) -> Seen:
+    """What networks with the weights of a state, held fixed, do along rows (N, width)."""
+    stepper = Stepper(learner, state.snapshot(), learning=False)
+    psi_hat, inputs = np.zeros((len(rows), learner.context.layout.dof)), np.zeros((len(rows), state["x"].size))
+    activations = {i: np.zeros((len(rows), state[f"sigma{i}"].size)) for i, _ in learner.networks}
+    x, hidden = stepper.state["x"], {i: stepper.state[f"sigma{i}"] for i in activations}
+    for k, row in enumerate(rows):
+        psi_hat[k], inputs[k] = stepper.step(row), x
+        for i, sigma in hidden.items():
+            activations[i][k] = sigma
+    return Seen(psi_hat, inputs, activations)
+
+
+def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
+    """The learner of a run; None where its controller learns nothing, or is none of this package's.
+
+    Args:
+        recording: The run.
+        robot: Its robot.
+
+    Raises:
+        RecordingError: It is one, and the recording does not hold its settings or its weights.
+        InputError: It needs a nominal robot that cannot be loaded.
+    """
+    controller = controller_of(recording, robot)
+    if controller is None:
+        return None
+    seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
+    period = float(recording.meta["control_period"])
+    kept, rng = recording.meta.get("within_limits"), np.random.default_rng(seed)
+    context = context_of(controller, robot, period, len(recording), rng, kept)
+    start = controller.init(context)
+    snapshots = recording.weights
+    if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:
+        put(start, snapshots, 0)
+    kind = Learner if getattr(controller, "networks", None) is None else Networks
+    return kind(controller, context, start, *last(recording, start), robot)
+
+
+def controller_of(recording: Recording, robot: Robot) -> Any:
+    """The learning controller of a run; None where it learns nothing, or is none of this package's.
+
+    Raises:
+        RecordingError: The recording does not hold its settings, or they do not give it.
+        InputError: It needs a nominal robot that cannot be loaded.
+    """
+    name, settings = str(recording.meta.get("controller")), recording.meta.get("controller_settings") or {}
+    if "law" in recording.meta:
+        return law_of(recording, settings)
+    entry = CONTROLLERS.get(name)
+    if entry is None or entry.gain_of:
+        return None
+    found = entry.load().from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
+    if found is None and entry.thesis:
+        what = f"the recording does not tell the settings of {name}"
+        raise RecordingError(what, why="an older mmnn_pin wrote it", fix="run it again", file=recording.path)
+    return of_experiment(recording, robot, name, settings) if found is None else found
+
+
+def law_of(recording: Recording, settings: dict[str, Any]) -> LearningLaw | None:
+    """A user's law, where its class is defined in this process; None where it is not, or where it is no law.
+
+    Raises:
+        InputError: The class does not take the recorded settings.
+    """
+    about = recording.meta["law"]
+    kind = known_law(about["class"].rpartition(".")[2], about["sha256"]) if set(GIVEN) <= settings.keys() else None
+    if kind is None:
+        return None
+    given = {"feedback": msgspec.convert(settings["feedback"], Feedback), "learning": bool(settings["learning"])}
+    rest = {key: value for key, value in settings.items() if key not in GIVEN}
+    return with_settings(kind, rest, f"laws.{recording.meta['controller']}", given)
+
+
+def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[str, Any]) -> Any:
+    """A controller as the recorded experiment makes it; None where it learns nothing, or without an experiment.
+
+    Raises:
+        RecordingError: The experiment makes another one than the recording tells of.
+        InputError: It needs a nominal robot that cannot be loaded.
+    """
+    experiment = recorded_experiment(recording)
+    if experiment is None:
+        return None
+    controller = experiment.controller(name, robot=robot)
+    if not hasattr(controller, "learning"):
+        return None
+    if encode(controller.facts()) != encode(settings):
+        what, why = f"the config of the recording does not give its {name}", "it tells of other settings"
+        raise RecordingError(what, why=why, file=recording.path)
+    return controller
+
+
+def put(state: ControllerState, snapshots: dict[str, Array], k: int) -> None:
+    """Write the k-th snapshot of the weights into a state."""
+    for name, values in snapshots.items():
+        if name != "time":
+            state[name] = values[k]
+
+
+def last(recording: Recording, start: ControllerState) -> tuple[ControllerState, float]:
+    """The last finite weights that a recording holds, and their time [s].
+
+    Raises:
+        RecordingError: There are none.
+    """
+    state, final = start.snapshot(), recording.final.get("memory")
+    if final is not None and final.shape == state.values.shape and np.isfinite(final).all():
+        state.values[:] = final
+        return state, recording.outcome.time
+    times = recording.weights.get("time", np.zeros(0))
+    for k in reversed(range(len(times))):
+        if all(np.isfinite(values[k]).all() for values in recording.weights.values()):
+            put(state, recording.weights, k)
+            return state, float(times[k])
+    raise RecordingError(
+        "the recording holds no weights", why="its run ended before", fix="run again", file=recording.path
+    )

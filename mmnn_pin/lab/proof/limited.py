@@ -1,6 +1,6 @@
 """What the motors' limits take from Psi_hat along a run: a term of the Lyapunov function's derivative.
 
-Its weights' part speaks of what the weights say, the torque has the Psi_hat that `torque.motor_limits` left of that:
+Its weights' part speaks of what the weights say, the torque has the Psi_hat that `torque.law` left of that:
 
     s' (Psi - Psi_hat) = s' (Psi - said) + s' (said - Psi_hat)
 """

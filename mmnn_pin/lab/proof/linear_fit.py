@@ -21,7 +21,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from ...errors import InputError
 from ...signals import Array
-from ...torque.kalman import KalmanLearner
+from ...torque.controller import CompiledController
 from .features import along
 from .ideal import PENALTY, variances
 from .learner import Learner
@@ -94,9 +94,9 @@ def true_or_none(subject: Subject, learner: Learner) -> Array | None:
 def units(learner: Learner, Phi: Array, scale: Array) -> Array:
     """What a weight of every feature and component counts as one, (k, p); 0 for one that the prior does not let be."""
     controller = learner.controller
-    if isinstance(controller, KalmanLearner):
-        K = controller.feedback_gain(learner.context.layout)
-        return np.sqrt(learner.start["prior"])[:, None] * K
+    deviation = controller.prior_deviation(learner.start) if isinstance(controller, CompiledController) else None
+    if deviation is not None:
+        return np.asarray(deviation)
     size = np.sqrt((Phi**2).mean(axis=0))
     return np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)[:, None] * scale
 

@@ -27,11 +27,10 @@ import numpy as np
 
 from ...signals import Array, IntArray
 from ...torque.controller import ControllerState
-from ...torque.neural_settings import TwoLayer
-from ...torque.replay import replay
+from ...torque.law import estimate
+from ...torque.two_layer import TwoLayer
 from .ideal import Ideal
-from .learner import Stepper
-from .networks import Networks
+from .learner import Networks, Stepper
 from .weights_part import Missed, WeightsPart
 
 Weights = dict[int, tuple[Array, Array]]
@@ -179,7 +178,7 @@ class Unbounded:
         return cls(Stepper(free, learner.start.snapshot()))
 
     def step(self, row: Array, state: ControllerState, networks: dict[int, Network]) -> Weights:
-        """The weights after a row, from the memory before its step."""
+        """The weights after a row, from the state before its step."""
         self.stepper.state.values[:] = state.values
         self.stepper.step(row)
         return copied(views(networks, self.stepper.state))
@@ -191,7 +190,7 @@ class Replayed:
 
     Attributes:
         stepper: The learner, about to be stepped.
-        state: What its memory is after the prediction error of a sample, and before its output.
+        state: What its state is after the prediction error of a sample, and before its output.
     """
 
     stepper: Stepper
@@ -200,20 +199,18 @@ class Replayed:
     @classmethod
     def of(cls, stepper: Stepper) -> Replayed | None:
         """None for a network without a prediction error."""
-        learners = stepper.torque.learners
-        return None if learners is None or learners.replay is None else cls(stepper, stepper.state.snapshot())
+        return None if stepper.torque.learner is None else cls(stepper, stepper.state.snapshot())
 
     def step(self, row: Array, state: ControllerState, networks: dict[int, Network]) -> Weights:
-        """The weights that the output of a row uses, from the memory before its step."""
-        learners = self.stepper.torque.learners
-        assert learners is not None and learners.replay is not None
+        """The weights that the output of a row uses, from the state before its step."""
+        torque = self.stepper.torque
         self.state.values[:] = state.values
-        replay(row, self.stepper.torque.at, learners.replay, self.state.values)
+        estimate(row, torque.at, torque.learner, self.state.values)
         return copied(views(networks, self.state))
 
 
 def views(networks: dict[int, Network], state: ControllerState) -> Weights:
-    """W and V of every network, as they are in a memory."""
+    """W and V of every network, as they are in a state."""
     return {i: (state[f"W{i}"], state[f"V{i}"]) for i in networks}
 
 

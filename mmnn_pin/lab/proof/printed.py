@@ -19,9 +19,9 @@ import numpy as np
 
 from ...model.base import BY_SIZE
 from ...signals import Array
-from ...torque.neural_settings import Robust
+from ...torque.neural import Robust
 from .ideal import Ideal
-from .networks import Networks, seen
+from .learner import Networks, seen
 from .subject import Subject
 
 

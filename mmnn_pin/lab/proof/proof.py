@@ -10,18 +10,17 @@ import numpy as np
 
 from ...errors import InputError, RecordingError
 from ...recording.recording import Recording
-from ...torque.adaptive import Adaptive
 from ...torque.learning_law import LearningLaw
 from .balance import BUDGET, Balance, balance
 from .growth import Growth, growth
 from .ideal import Ideal, ideal_weights
+from .learner import Networks
 from .linear_fit import LinearFit, linear_fit
 from .lyapunov import Lyapunov, lyapunov
-from .networks import Networks
+from .parts import weights_of
 from .psi import WINDOWS, Psi, how_to_know, psi_of
 from .subject import Subject
 from .truth import Truth, true_parameters
-from .weights_of import weights_of
 from .weights_part import WITHOUT
 
 PARTS = ("psi", "ideal", "lyapunov", "balance")
@@ -69,14 +68,14 @@ class Proof:
         subject, learner = self.subject, self.subject.learner
         if isinstance(learner, Networks):
             return ideal_weights(subject, learner)
-        if learner is not None and isinstance(learner.controller, Adaptive):
+        if learner is not None and learner.controller.lyapunov_part == "estimate":
             return true_parameters(subject, learner)
         fit = None if learner is None else linear_fit(subject, learner)
         if fit is not None:
             return fit
         why = f"{subject.controller} does not tell what its weights are multiplied with"
         if learner is not None and isinstance(learner.controller, LearningLaw):
-            why += "; write methods features(now, memory) and gain(memory), and V has its weights' part"
+            why += "; write methods features(sample, state) and gain(state), and V has its weights' part"
         raise RecordingError("no ideal weights", why=why, file=subject.recording.path)
 
     @cached_property

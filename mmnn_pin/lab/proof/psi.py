@@ -17,7 +17,7 @@ from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...recording.metrics import halves
 from ...signals import Array, Layout
-from ...torque.origin import origin_of
+from ...torque.learning_law import origin_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.laws import GIVEN
 from . import held_out as held

@@ -21,9 +21,8 @@ from ...errors import RecordingError
 from ...loop.sampled import HeldLoop, held_loop, viscous_friction
 from ...signals import Array
 from ...torque.controller import ControllerState
-from ...torque.neural_settings import OneLayer
-from .networks import Networks
-from .rebuild import put
+from ...torque.one_layer import OneLayer
+from .learner import Networks, put
 from .subject import Subject
 
 PLACES = 12

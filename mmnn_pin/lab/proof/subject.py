@@ -19,9 +19,7 @@ from ...signals import Array, Layout
 from ...timing import Timing
 from ...torque.neural import Neural
 from .given import Given
-from .learner import Learner
-from .networks import Networks
-from .rebuild import recorded_learner
+from .learner import Learner, Networks, recorded_learner
 
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
 

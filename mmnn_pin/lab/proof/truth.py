@@ -2,10 +2,31 @@
 
     V_theta = sum over bodies of D(P || P_hat) / gamma + sum over the rest of theta_tilde_j^2 / (2 gamma_j)
 
-with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptation`); how it changes along
-a run is told in `estimate_part`. The other learners that know how the robot moves have these parameters as the truth of
-their weights, too; of all weights that say the same Psi on every motion, those are the ones nearest to their start,
-measured by their prior.
+with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptive`). The other learners
+that know how the robot moves have these parameters as the truth of their weights, too; of all weights that say the same
+Psi on every motion, those are the ones nearest to their start, measured by their prior.
+
+The weights' part of adaptive control is `V_theta / a`.
+
+a is the factor on the gradient of the tracking error, `tracking`, 1 without a prediction error. A gradient g moves the
+estimate by `Gamma g`, which takes `g' theta~` out of V_theta, whatever g is (docs/learners.md). With `g = eta Y' s` in
+every sample, eta < a where the sample's update was cut,
+
+    d/dt V_theta / a = -s' Y theta~ + (1 - eta / a) s' Y theta~ + leakage:        pull, cut, leakage.
+
+A composite one (`adaptive_composite`) also makes, once in a period tau, an implicit step down the prediction error
+`b - Q theta_hat = Q theta~ + d`, d what the filtered equations have wrong. It is a step along `Gamma g` with
+
+    g = c tau (1 + c tau Q Gamma)^-1 (Q theta~ + d)
+
+so that to first order it takes `g' theta~` out of V_theta. The first part is the term `prediction`,
+
+    -c tau / a  theta~' (1 + c tau Q Gamma)^-1 Q theta~ = -c tau / a  y' (1 + c tau R Gamma R)^-1 y <= 0
+
+with `R = Q^1/2`, `y = R theta~`, which is `-c theta~' Q theta~ tau / a` for short periods; the second, with d, is
+`noise`. What the step has of second order, what its conjugate gradients have not reached and what the bounds clip is in
+`step`. Parameters with the rate 0 are not learned: they have no part in V, and what their errors do is in the remainder
+and in d.
 """
 
 from __future__ import annotations
@@ -14,21 +35,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import RecordingError
 from ...model.tree.body import parameters
 from ...signals import Array, IntArray
-from ...torque.adaptation import Adaptation
-from ...torque.adaptive import Adaptive, pseudo_inertias
-from ...torque.concurrent import ConcurrentLearner
-from ...torque.controller import ControllerState
-from ...torque.kalman import KalmanLearner
-from ...torque.pseudo_inertia import to_matrix
+from ...torque.adaptive import Adaptation
+from ...torque.adaptive_composite import LARGEST, Prediction
+from ...torque.controller import CompiledController, ControllerState
+from ...torque.pseudo_inertia import BODY, Bodies, pseudo_inertias, to_matrix, vector_of
 from .learner import Learner, Stepper
 from .subject import Subject
-from .weights_part import Missed
-
-BODY = 10
+from .weights_part import WITHOUT, Missed, WeightsPart, part_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +90,8 @@ def true_parameters(subject: Subject, learner: Learner) -> Truth:
         RecordingError: A body without a density, so that no estimate can come to it, or a robot whose friction on the
             base's motion is of another kind.
     """
-    controller: Adaptive = learner.controller
-    theta, numbers = parameters(subject.robot), adaptation_of(learner)
+    controller, theta = learner.controller, parameters(subject.robot)
+    metric = numbers_of(learner)[0].bodies
     bodies = controller.regressor.bodies
     for name, P in zip(bodies, pseudo_inertias(theta[: controller.regressor.inertial]), strict=True):
         if np.linalg.eigvalsh(P)[0] <= 1e-12 * np.trace(P):
@@ -84,29 +102,31 @@ def true_parameters(subject: Subject, learner: Learner) -> Truth:
     ends = np.array([learner.start["theta"], learner.end["theta"]])
     first = controller.regressor.inertial
     parts = {
-        "bodies": distances(numbers, theta, ends, slice(0, first)),
-        "friction": distances(numbers, theta, ends, slice(first, None)),
+        "bodies": distances(metric, theta, ends, slice(0, first)),
+        "friction": distances(metric, theta, ends, slice(first, None)),
     }
     known = controller.unit.shape[1]
     return Truth(theta, known, np.abs(eps).max(axis=0), parts["bodies"] + parts["friction"], parts)
 
 
-def adaptation_of(learner: Learner) -> Adaptation:
-    """The numbers of an adaptive law."""
-    found = learner.controller.law(learner.context).adaptation
-    assert found is not None
-    return found
+def numbers_of(learner: Learner) -> tuple[Adaptation, Prediction | None]:
+    """The numbers of an adaptive law, and of its prediction error where it has one."""
+    return parts_of(learner.controller.law(learner.context).learner)
+
+
+def parts_of(numbers: Adaptation | Prediction) -> tuple[Adaptation, Prediction | None]:
+    """The numbers of an adaptive law out of those of a law with or without a prediction error."""
+    return (numbers.adaptation, numbers) if isinstance(numbers, Prediction) else (numbers, None)
 
 
 def regressors(learner: Learner, rows: Array) -> Array:
     """Y of an adaptive controller at rows (N, width), (N, p, k), which no estimate changes."""
     stepper = Stepper(learner, learner.start.snapshot(), learning=False)
-    adaptation = stepper.torque.law.adaptation
-    assert adaptation is not None
-    Y = np.zeros((len(rows), *adaptation.known.Y.shape))
+    known = parts_of(stepper.torque.learner)[0].known
+    Y = np.zeros((len(rows), *known.Y.shape))
     for n, row in enumerate(rows):
         stepper.step(row)
-        Y[n] = adaptation.known.Y
+        Y[n] = known.Y
     return Y
 
 
@@ -119,19 +139,18 @@ def stepped(
 ) -> Estimates:
     """Estimates along rows (N, width) from the start of a run, and regressors at some of them, ascending.
 
-    `visit` is called after every row with its number and the memory.
+    `visit` is called after every row with its number and the state.
     """
     stepper = Stepper(learner, learner.start.snapshot())
-    adaptation = stepper.torque.law.adaptation
-    assert adaptation is not None
-    theta, Y = np.zeros((len(rows), stepper.state["theta"].size)), np.zeros((len(at), *adaptation.known.Y.shape))
+    known = parts_of(stepper.torque.learner)[0].known
+    theta, Y = np.zeros((len(rows), stepper.state["theta"].size)), np.zeros((len(at), *known.Y.shape))
     missed, wanted = Missed(rows[:, learner.context.layout.where("psi_hat")]), {n: i for i, n in enumerate(at)}
     for n, row in enumerate(rows):
         theta[n] = stepper.state["theta"]
         if missed.lost(n, stepper.step(row)):
             break
         if n in wanted:
-            Y[wanted[n]] = adaptation.known.Y
+            Y[wanted[n]] = known.Y
         visit(n, stepper.state)
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
@@ -145,18 +164,12 @@ def true_weights(subject: Subject, learner: Learner) -> Array | None:
         RobotError: A joint that cannot be flattened.
     """
     controller = learner.controller
-    if isinstance(controller, ConcurrentLearner):
-        basis, deviation = controller.basis, controller.deviation
-        scaled = (parameters(subject.robot) - controller.start()) / deviation
-        return np.asarray((basis / deviation[:, None]).T @ scaled)
-    if isinstance(controller, KalmanLearner) and controller.regressor is not None and controller.drawn is None:
-        matters = controller.regressor.identifiable()
-        spread = learner.start["prior"][:, None] * matters
-        return np.asarray(spread @ np.linalg.solve(matters.T @ spread, matters.T @ parameters(subject.robot)))
-    return None
+    if not isinstance(controller, CompiledController):
+        return None
+    return controller.true_weights(parameters(subject.robot), learner.start)
 
 
-def distances(a: Adaptation, theta: Array, estimates: Array, part: slice = slice(None)) -> Array:
+def distances(a: Bodies, theta: Array, estimates: Array, part: slice = slice(None)) -> Array:
     """V_theta of estimates (N, k), or the part of some of the parameters, (N,)."""
     first, total = BODY * len(a.roots), np.zeros(len(estimates))
     wanted = np.zeros(len(theta), bool)
@@ -187,3 +200,109 @@ def matrices(numbers: Array, side: float = 1.0) -> Array:
     """The same of many, (N, 10) to (N, 4, 4)."""
     basis = np.array([matrix(e, side) for e in np.eye(BODY)])
     return np.asarray(np.einsum("nk,kij->nij", numbers, basis))
+
+
+def estimate_part(
+    subject: Subject, learner: Learner, truth: Truth, at: IntArray, progress: Callable[[float], None] | None = None
+) -> WeightsPart:
+    """`V_theta / a` at some rows of a run, (k,) ascending, and what learning leaves of its derivative.
+
+    Raises:
+        RecordingError: `tracking` is 0, so that nothing takes the pull out.
+    """
+    (a, p), rows, h, theta = numbers_of(learner), subject.rows, learner.context.control_period, truth.theta
+    if not a.tracking > 0:
+        raise RecordingError(WITHOUT, why="the estimate does not follow s: tracking is 0")
+    m = a.bodies
+    first = BODY * len(m.roots)
+    learned = np.concatenate((np.full(first, m.gamma > 0), m.rates > 0)) & a.learning
+    before, steps = learner.start["theta"].copy(), np.zeros((2, len(rows)))
+
+    def visit(n: int, state: ControllerState) -> None:
+        if p is not None and int(state["samples"][0] - 1) % p.every == 0:
+            steps[:, n] = prediction_step(m, p, before, theta, learned, state)
+        before[:] = state["theta"]
+
+    found = stepped(learner, rows, at, progress, visit)
+    estimate, s = found.theta[at], np.hstack((subject.signal("z"), subject.signal("r")))[at]
+    g = np.einsum("npk,np->nk", found.Y, s)
+    pull = (g * (theta - estimate))[:, learned].sum(axis=1)  # s' Y theta_tilde of what is learned
+    eta = shares_of_update(a, estimate, g, (s**2 @ a.gain), h)
+    leak = leakage_of(a, theta, estimate, s) if a.learning else np.zeros(len(at))
+    prediction, noise = steps[:, at] / h
+    terms = {"leakage": leak, "cut": (a.tracking - eta) * pull, "prediction": prediction, "noise": noise}
+    terms = {name: values / a.tracking for name, values in terms.items()}
+    return part_of(subject, at, distances(m, theta, estimate) / a.tracking * a.learning, pull, terms, found.missed)
+
+
+def prediction_step(
+    a: Bodies, p: Prediction, estimate: Array, theta: Array, learned: NDArray[np.bool_], state: ControllerState
+) -> tuple[float, float]:
+    """What a step down the prediction error does to V_theta, to first order: prediction and noise.
+
+    Args:
+        a: The metric of the estimate.
+        p: The numbers of its prediction error.
+        estimate: (k,) the estimate before.
+        theta: (k,) the truth.
+        learned: (k,) which parameters are.
+        state: The state after, with Q and b.
+    """
+    Q, b, error = state["Q"], state["b"], np.where(learned, theta - estimate, 0.0)
+    Gamma = metric(a, estimate)
+    wanted = p.weight * np.column_stack((Q @ error, b - Q @ (estimate + error)))
+    known, wrong = np.linalg.solve(np.eye(len(Q)) + p.weight * Q @ Gamma, wanted).T
+    share = shortening(a, estimate, Gamma @ (known + wrong))
+    return -share * float(error @ known), -share * float(error @ wrong)
+
+
+def metric(a: Bodies, estimate: Array) -> Array:
+    """Gamma, (k, k): where a gradient takes the estimate, `gamma P L P` of a body and `gamma_j` of the rest."""
+    first = BODY * len(a.roots)
+    Gamma = np.diag(np.concatenate((np.zeros(first), a.rates)))
+    L = matrices(np.eye(BODY), 0.5)
+    for here in bodies(a):
+        P = matrix(estimate[here])
+        Gamma[here, here] = a.gamma * np.array([vector_of(one) for one in P @ L @ P]).T
+    return Gamma
+
+
+def shortening(a: Bodies, estimate: Array, step: Array) -> float:
+    """The factor that lets no body change by more than `LARGEST` of itself."""
+    share = 1.0
+    for here in bodies(a):
+        X = np.linalg.solve(matrix(estimate[here]), matrix(step[here]))
+        size = np.sqrt(max(np.trace(X @ X), 0.0))
+        share = min(share, LARGEST / size if size > 0 else 1.0)
+    return share
+
+
+def bodies(a: Bodies) -> list[slice]:
+    """Where the numbers of every body stand in theta."""
+    return [slice(BODY * b, BODY * b + BODY) for b in range(len(a.roots))]
+
+
+def shares_of_update(a: Adaptation, estimate: Array, g: Array, feedback: Array, h: float) -> Array:
+    """Eta, (N,): with which factor each sample moves, for gradients `Y' s` (N, k) and `s' K s` (N,)."""
+    m = a.bodies
+    answer = (m.rates * g[:, BODY * len(m.roots) :] ** 2).sum(axis=1)
+    for here in bodies(m):
+        PL = matrices(estimate[:, here]) @ matrices(g[:, here], 0.5)
+        answer += m.gamma * np.einsum("nij,nji->n", PL, PL)
+    answer *= h
+    most = a.share * feedback
+    return np.where(a.tracking * answer > most, most / np.where(answer > 0, answer, 1.0), a.tracking)
+
+
+def leakage_of(a: Adaptation, theta: Array, estimate: Array, s: Array) -> Array:
+    """What leakage does to V_theta, (N,) [W]."""
+    m = a.bodies
+    sigma, first = a.sigma * (np.linalg.norm(s, axis=1) if a.by_error else np.ones(len(s))), BODY * len(m.roots)
+    learned = m.rates > 0
+    error, moved = (theta - estimate)[:, first:], estimate[:, first:] - m.start
+    found = (error * moved)[:, learned] @ (1 / m.rates[learned])
+    for b, here in enumerate(bodies(m) if m.gamma > 0 else ()):
+        P, P0, Q = matrix(theta[here]), m.roots[b] @ m.roots[b].T, matrices(estimate[:, here])
+        back = np.array([divergence(one, P0[None])[0] for one in Q])
+        found -= (divergence(P, Q) + back - divergence(P, P0[None])[0]) / m.gamma
+    return np.asarray(sigma * found)

@@ -24,13 +24,11 @@ import numpy as np
 from ...model.robot import Robot
 from ...signals import Array, Layout
 from ...torque.controller import ControllerState
-from ...torque.inputs import MEASURED
 from ...torque.learning_law import LearningLaw
-from ...torque.neural import Neural, channels
-from ...torque.neural_settings import TwoLayer
-from ...torque.residual import Residual
-from .learner import Learner, Stepper
-from .networks import NAMES
+from ...torque.neural import MEASURED, Neural, channels
+from ...torque.two_layer import TwoLayer
+from ...torque.two_layer_residual import TwoLayerResidual
+from .learner import NAMES, Learner, Stepper
 from .rank import excitation
 
 NOISE = 1e-3  # of what random motion does: less does not count as excited, as in `torque.adaptive`
@@ -52,7 +50,7 @@ def signals_for(controller: Any) -> tuple[str, ...]:
 
 def network_in(controller: Any) -> Neural | None:
     """The thesis's controller, where one is it or has one inside and does not judge its excitation itself."""
-    if isinstance(controller, Residual):
+    if isinstance(controller, TwoLayerResidual):
         return controller.learner
     return controller if isinstance(controller, Neural) else None
 

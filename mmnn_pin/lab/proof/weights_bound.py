@@ -17,8 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...signals import Array
-from ...torque.neural_settings import TwoLayer
-from .networks import Networks
+from ...torque.two_layer import TwoLayer
+from .learner import Networks
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,18 +5,22 @@
 
     s' (Psi - Psi_hat) + d/dt (weights' part) = s' w + what else moves the weights
 
-Each kind of learner has a file that says what its part is and what else moves it: `network_part`, `estimate_part`,
-`covariance_part`, `stack_part`, `own_part`. The learner is stepped again over the recorded rows, which gives its
-weights at every sample; what a change of the part has beyond its terms is `step`, so that all add up exactly.
+Every kind of learner has a part of its own and says what else moves its weights: `parts` has the list. The learner is
+stepped again over the recorded rows, which gives its weights at every sample; what a change of the part has beyond its
+terms is `step`, so that all add up exactly.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...signals import Array, IntArray
+from ...torque.controller import ControllerState
+from ...torque.learning_law import LearningLaw
+from .learner import Learner, Stepper
 from .subject import Subject
 
 WITHOUT = "V is without the weights' part"
@@ -82,3 +86,68 @@ def part_of(
     step, follows = np.zeros(len(at)), np.flatnonzero(np.diff(at) == 1)
     step[follows + 1] = (value[follows + 1] - value[follows]) / subject.timing.control_period - rate[follows]
     return WeightsPart(value, {**terms, "remainder": error - pull}, {"step": step}, missed)
+
+
+@dataclass(frozen=True, eq=False)
+class Row:
+    """One sample of a learner.
+
+    Attributes:
+        number: Which.
+        values: (width,) the recorded row.
+        s: (p,) the error that it was told.
+        Phi: (rows, k) features at it, with the state before.
+        before: What was kept of the state before.
+        state: The state after.
+    """
+
+    number: int
+    values: Array
+    s: Array
+    Phi: Array
+    before: dict[str, Array]
+    state: ControllerState
+
+
+def step_again(
+    learner: Learner,
+    rows: Array,
+    keep: Callable[[ControllerState], dict[str, Array]],
+    visit: Callable[[Row], None],
+    progress: Callable[[float], None] | None = None,
+) -> float:
+    """Step a learner over the rows (N, width) of its run.
+
+    Args:
+        learner: The learner; one that tells its features.
+        rows: All rows of the run.
+        keep: What is kept of its state before each, copies by name.
+        visit: Called with every row.
+        progress: Called now and then with the fraction done.
+
+    Returns:
+        How far it was from the recorded Psi_hat, as of `Missed.share`.
+    """
+    stepper = Stepper(learner, learner.start.snapshot())
+    still = Stepper(learner, learner.start.snapshot(), learning=False)
+    where, own = learner.context.layout.where, isinstance(learner.controller, LearningLaw)
+    missed = Missed(rows[:, where("psi_hat")])
+    for n, row in enumerate(rows):
+        if own:  # features of a user's law may be learned
+            still.state.values[:] = stepper.state.values
+        still.step(row)
+        Phi = still.features()
+        assert Phi is not None
+        before = keep(stepper.state)
+        if missed.lost(n, stepper.step(row)):
+            break
+        s = np.concatenate((row[where("z")], row[where("r")]))
+        visit(Row(n, row, s, Phi, before, stepper.state))
+        if progress is not None and n % 500 == 0:
+            progress(n / len(rows))
+    return missed.share
+
+
+def copies(state: ControllerState, *parts: str) -> dict[str, Array]:
+    """Parts of a state, by name."""
+    return {name: state[name].copy() for name in parts}

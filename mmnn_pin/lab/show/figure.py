@@ -22,6 +22,7 @@ import numpy as np
 from ...errors import RecordingError
 from ...recording.recording import Recording
 from ...signals import Array
+from ...torque import CONTROLLERS
 from .files import atomic_file
 
 if TYPE_CHECKING:
@@ -65,26 +66,7 @@ class Style:
         return {"color": self.color, "linestyle": self.dash, "linewidth": self.width, "zorder": depth}
 
 
-STYLES = {
-    "two_layer": Style("#0072B2", (0, None), 1.8),
-    "two_layer_zero": Style("#0072B2", (0, None), 1.8),
-    "two_layer_random": Style("#CC79A7", (0, (9, 1.5)), 1.6),
-    "one_layer": Style("#D55E00", (0, (5, 1.6))),
-    "two_layer_composite": Style("#8E44AD", (0, (11, 1.5))),
-    "two_layer_residual": Style("#5DADE2", (0, (4, 1))),
-    "kalman_features": Style("#E84393", (0, (3, 1.5, 1, 1.5))),
-    "kalman_bilinear": Style("#E0A800", (0, (7, 1.5))),
-    "kalman_residual": Style("#FF7F50", (0, (6, 1.5, 2, 1.5))),
-    "kalman_regressor": Style("#C0392B", (0, (2, 1))),
-    "adaptive": Style("#7F4F24", (0, (3, 1))),
-    "adaptive_composite": Style("#B7950B", (0, (8, 1.5, 3, 1.2))),
-    "concurrent": Style("#2E7D32", (0, (5, 1))),
-    "nominal": Style("#7F8C8D", (0, (1, 1))),
-    "pd": Style("#000000", (0, (1, 1.4))),
-    "pd_effective": Style("#56B4E9", (0, (6, 1.5, 1, 1.5)), 1.6),
-    "pd_effective_one_layer": Style("#E69F00", (0, (5, 1.2, 1, 1.2, 1, 1.2)), 1.6),
-    "computed_torque": Style("#009E73", (0, (10, 2.5))),
-}
+STYLES = {name: Style(one.colour, (0, one.dashes or None), one.width) for name, one in CONTROLLERS.items()}
 OTHERS = tuple(
     Style(color, dash)
     for color in ("#CC79A7", "#666666")

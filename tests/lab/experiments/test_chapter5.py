@@ -21,12 +21,11 @@ from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.readings import readings
 from mmnn_pin.lab.experiments.runner import Result, unfair
 from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio, ratios, thesis_ratios
-from mmnn_pin.lab.proof.rebuild import recorded_learner
-from mmnn_pin.lab.show import comparison as table
+from mmnn_pin.lab.proof.learner import recorded_learner
+from mmnn_pin.lab.show import comparison
 from mmnn_pin.recording.robot import recorded_robot
-from mmnn_pin.torque.inputs import Inputs
-from mmnn_pin.torque.neural import Neural
-from mmnn_pin.torque.neural_settings import TwoLayer
+from mmnn_pin.torque.neural import Inputs, Neural
+from mmnn_pin.torque.two_layer import TwoLayer
 
 pytestmark = pytest.mark.lab
 
@@ -255,7 +254,7 @@ def test_largest_errors_are_those_of_the_whole_measured_run(result: Result) -> N
 def test_a_run_that_is_lost_has_no_largest_error() -> None:
     run = run_experiment(short("controllers=['pd', 'one_layer']", "bounds.joint_speed=1e-6", seconds=0.02), "x")
     assert not run.completed and run.largest_errors()["largest_errors_deg"] == {}
-    assert "-" in table.render(run)
+    assert "-" in comparison.render(run)
 
 
 @whole

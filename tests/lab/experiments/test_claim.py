@@ -110,7 +110,8 @@ def test_both_networks_of_a_draw_meet_the_same_robot_gains_and_start():
 def test_tuning_starts_at_the_thesis_s_numbers_and_may_choose_every_one_of_the_network():
     from dataclasses import fields
 
-    from mmnn_pin.torque.neural_settings import OneLayer, TwoLayer
+    from mmnn_pin.torque.one_layer import OneLayer
+    from mmnn_pin.torque.two_layer import TwoLayer
     from studies.chapter4.choices import TUNED, choice, with_choice
     from studies.chapter4.unstated import chapter4
 
@@ -129,7 +130,7 @@ def test_tuning_starts_at_the_thesis_s_numbers_and_may_choose_every_one_of_the_n
 
 @pytest.mark.parametrize("centres", ["diagonal", "random"])
 def test_level_is_the_mean_square_of_the_gaussians_at_zero(centres):
-    from mmnn_pin.torque.neural_settings import OneLayer
+    from mmnn_pin.torque.one_layer import OneLayer
     from studies.chapter4.choices import level
 
     chosen = {"width": 12.0, "centre_range": 4.0, "centres": centres}

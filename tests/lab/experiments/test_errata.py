@@ -20,8 +20,8 @@ from mmnn_pin.kinematic import command
 from mmnn_pin.lab.experiments.readings import readings, summaries
 from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.signals import INDEX, Array, Layout
-from mmnn_pin.torque.inputs import Inputs
-from mmnn_pin.torque.network import numerical_rank, two_layer_update
+from mmnn_pin.torque.neural import Inputs
+from mmnn_pin.torque.two_layer import numerical_rank, two_layer_update
 
 pytestmark = pytest.mark.lab
 

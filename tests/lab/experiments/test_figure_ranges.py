@@ -21,7 +21,7 @@ from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
 from mmnn_pin.lab.show import comparison as effects
 from mmnn_pin.lab.show import comparison as verdicts
 from mmnn_pin.signals import Array
-from mmnn_pin.torque.inputs import MEASURED
+from mmnn_pin.torque.neural import MEASURED
 
 pytestmark = pytest.mark.lab
 

@@ -28,8 +28,8 @@ from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Trajectory
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import Context, Feedback
-from mmnn_pin.torque.neural import Neural
-from mmnn_pin.torque.neural_settings import Robust, TwoLayer
+from mmnn_pin.torque.neural import Neural, Robust
+from mmnn_pin.torque.two_layer import TwoLayer
 
 DURATION = 0.02 if config.DISABLE_JIT else 1.5
 CONTROLLERS = {"two_layer", "pd", "pd_effective", "computed_torque"}
@@ -158,7 +158,7 @@ def test_scaling_is_a_change_of_coordinates():
         for row, state, number in zip(rows, memories, numbers, strict=True):
             number.settings[-22 * 2 :][:22][10:12] = 0.0
             number.settings[-22 * 2 :][:22][14:16] = 0.0
-            law.step(number.kind, row, layout.offsets, number.sizes, number.settings, state.values, None)
+            law.step(row, layout.offsets, number.numbers, state.values, None)
         torque = rows[1][layout.where("torque")]
         np.testing.assert_allclose(rows[0][layout.where("torque")], np.sqrt(m * c) * torque, rtol=1e-12)
     for name in ("W1", "V1", "W2", "V2"):

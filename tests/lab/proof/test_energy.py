@@ -17,17 +17,14 @@ from robots import feedback
 
 from mmnn_pin import ControllerState, LearningLaw, load_experiment
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.proof.covariance_part import covariance_part
-from mmnn_pin.lab.proof.estimate_part import metric, prediction_step
-from mmnn_pin.lab.proof.learner import Stepper, said
+from mmnn_pin.lab.proof.learner import Networks, Stepper, said
+from mmnn_pin.lab.proof.linear_parts import covariance_part, stack_part
 from mmnn_pin.lab.proof.lyapunov import TERMS
 from mmnn_pin.lab.proof.network_part import network_part
-from mmnn_pin.lab.proof.networks import Networks
 from mmnn_pin.lab.proof.proof import Proof
-from mmnn_pin.lab.proof.stack_part import stack_part
-from mmnn_pin.lab.proof.truth import adaptation_of, distances, true_weights
+from mmnn_pin.lab.proof.truth import distances, metric, numbers_of, prediction_step, true_weights
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.torque.adaptation import directions, factor, move
+from mmnn_pin.torque.pseudo_inertia import directions, factor, move
 
 slow = pytest.mark.skipif(SLOW, reason="too long for uncompiled code")
 COVARIANCE = ("kalman_regressor", "kalman_bilinear", "kalman_features", "kalman_residual")
@@ -36,7 +33,7 @@ SMALL = {
     "kalman_bilinear": ("kalman.bilinear.hidden=5",),
     "kalman_features": ("kalman.features.hidden=20",),
     "kalman_residual": ("kalman.residual.hidden=5",),
-    "two_layer_composite": ("replay.entries=20",),
+    "two_layer_composite": ("two_layer_composite.entries=20",),
 }
 
 
@@ -95,7 +92,7 @@ def test_a_covariance_by_dense_matrices(name: str) -> None:
     proof = proof_of(name)
     subject, learner, W_true = proof.subject, proof.subject.learner, proof.ideal.W
     assert learner is not None
-    a, h = learner.controller.law(learner.context).linear, learner.context.control_period
+    a, h = learner.controller.law(learner.context).learner, learner.context.control_period
     every = np.arange(len(subject.rows))
     found = covariance_part(subject, learner, W_true, every)
     stepper, still = (Stepper(learner, learner.start.snapshot(), on) for on in (True, False))
@@ -160,7 +157,7 @@ def test_a_stack_by_derivatives_along_what_it_says() -> None:
     proof = proof_of("concurrent")
     subject, learner, w_true = proof.subject, proof.subject.learner, proof.ideal.W[:, 0]
     assert learner is not None
-    a, h = learner.controller.law(learner.context).history, learner.context.control_period
+    a, h = learner.controller.law(learner.context).learner, learner.context.control_period
     found = stack_part(subject, learner, w_true, np.arange(len(subject.rows)))
     stepper, count, eps = Stepper(learner, learner.start.snapshot()), 0, 1e-6
     share = 1 - np.exp(-a.rate * a.every * h)
@@ -232,7 +229,7 @@ def test_the_metric_is_where_a_gradient_takes_the_estimate() -> None:
     proof = proof_of("adaptive_composite")
     learner = proof.subject.learner
     assert learner is not None
-    a, theta = adaptation_of(learner), proof.ideal.theta.copy()
+    a, theta = numbers_of(learner)[0].bodies, proof.ideal.theta.copy()
     theta[a.start.size :] += 1e-3 * np.abs(theta[a.start.size :])
     theta[-a.start.size :] = 0.5 * a.top
     g = np.random.default_rng(0).standard_normal(theta.size) * 1e-9
@@ -250,8 +247,8 @@ def test_a_prediction_step_by_derivatives_of_v() -> None:
     proof = proof_of("adaptive_composite")
     learner, theta = proof.subject.learner, proof.ideal.theta
     assert learner is not None
-    a, end, estimate = adaptation_of(learner), learner.end, learner.end["theta"].copy()
-    p = a.prediction
+    (numbers, p), end, estimate = numbers_of(learner), learner.end, learner.end["theta"].copy()
+    a = numbers.bodies
     assert p is not None and np.abs(end["Q"]).max() > 0
     first = theta.size - a.rates.size
     learned = np.concatenate((np.ones(first, bool), a.rates > 0))
@@ -301,7 +298,7 @@ def test_a_networks_part_changes_exactly_as_its_terms_say(name: str) -> None:
 
 @slow
 def test_without_a_prediction_error_there_is_no_such_term() -> None:
-    proof = proof_of("two_layer_composite", "replay.rate=0.0")
+    proof = proof_of("two_layer_composite", "two_layer_composite.rate=0.0")
     assert not proof.lyapunov.terms["prediction"].any() and proof.lyapunov.terms["remainder"].any()
 
 
@@ -330,7 +327,7 @@ def test_ideal_weights_put_into_the_learner_say_psi_up_to_eps(name: str) -> None
     [
         ("kalman_regressor", "kalman.regressor.tracking=0.0"),
         ("concurrent", "concurrent.tracking=0.0"),
-        ("adaptive_composite", "prediction.tracking=0.0"),
+        ("adaptive_composite", "adaptive_composite.tracking=0.0"),
     ],
 )
 def test_weights_that_do_not_follow_s_have_no_part(name: str, setting: str) -> None:

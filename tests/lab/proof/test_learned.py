@@ -20,14 +20,14 @@ from mmnn_pin.lab.proof import ideal as ideal_module
 from mmnn_pin.lab.proof.fvu import error_in, fvu, fvu_in, windows, worst
 from mmnn_pin.lab.proof.held_out import held_out, recorded_under_computed_torque
 from mmnn_pin.lab.proof.ideal import PENALTY, hidden_weights, ideal_weights, output_weights, variances
-from mmnn_pin.lab.proof.networks import seen
+from mmnn_pin.lab.proof.learner import seen
 from mmnn_pin.lab.proof.payload import loaded, tip, usual_payload
 from mmnn_pin.lab.proof.psi import psi_along, psi_of
 from mmnn_pin.lab.proof.rank import effective_rank, excitation
-from mmnn_pin.lab.proof.rebuild import networks_of
 from mmnn_pin.lab.proof.shares import shares, sizes
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.torque.neural_settings import OneLayer, TwoLayer
+from mmnn_pin.torque.neural import Neural
+from mmnn_pin.torque.two_layer import TwoLayer
 
 patient = settings(deadline=None, max_examples=25)
 seeds = st.integers(0, 2**32 - 1)
@@ -169,8 +169,7 @@ def test_a_killed_run_has_the_weights_of_its_last_snapshot() -> None:
 def test_settings_of_a_learner_survive_the_recording() -> None:
     for which, more in (("two_layer", {"rates": "per_second", "robust": None}), ("one_layer", {"leakage": False})):
         controller = learner("differential", which, **more)
-        kind = TwoLayer if which == "two_layer" else OneLayer
-        assert networks_of(kind, controller.facts()) == controller
+        assert Neural.from_facts(which, controller.facts(), None) == controller
 
 
 # -- frozen weights --

@@ -23,7 +23,7 @@ from mmnn_pin.lab.proof.network_part import network_part
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.torque.neural_settings import TwoLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 DURATION = 0.02 if SLOW else 0.3
 

@@ -29,7 +29,8 @@ from mmnn_pin.lab.proof.weights_bound import growth
 from mmnn_pin.loop.sampled import held_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array
-from mmnn_pin.torque.network import one_layer_update, two_layer_update
+from mmnn_pin.torque.one_layer import one_layer_update
+from mmnn_pin.torque.two_layer import two_layer_update
 
 DOCUMENT = ROOT / "docs" / "theory.md"
 ex, ey, ephi, vr, wr, z1, z2, w = sp.symbols("ex ey ephi vr wr z1 z2 w", real=True)

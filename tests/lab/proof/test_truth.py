@@ -16,8 +16,8 @@ from scipy.linalg import eigvals
 from test_arm import slaves
 
 from mmnn_pin import (
-    Adapting,
     Adaptive,
+    AdaptiveSettings,
     ComputedTorque,
     Hold,
     Loop,
@@ -31,19 +31,19 @@ from mmnn_pin import (
 )
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.proof import rebuild, truth
-from mmnn_pin.lab.proof.estimate_part import estimate_part, shares_of_update
+from mmnn_pin.lab.proof import learner as learners
+from mmnn_pin.lab.proof import truth
 from mmnn_pin.lab.proof.features import features_of
 from mmnn_pin.lab.proof.learner import said
 from mmnn_pin.lab.proof.linear_fit import linear_fit
 from mmnn_pin.lab.proof.lyapunov import lyapunov
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.truth import distances, divergence, stepped, true_parameters
+from mmnn_pin.lab.proof.truth import distances, divergence, estimate_part, shares_of_update, stepped, true_parameters
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Line
-from mmnn_pin.torque.adaptive import pseudo_inertias
-from mmnn_pin.torque.guess import scales
+from mmnn_pin.torque.prior import scales
+from mmnn_pin.torque.pseudo_inertia import pseudo_inertias
 
 patient = settings(deadline=None, max_examples=25)
 seeds = st.integers(0, 2**32 - 1)
@@ -64,7 +64,9 @@ def controller(kind: str = "differential", **more: object) -> Adaptive:
     regressor = Regressor.of(robot)
     start = parameters(robot) * np.random.default_rng(0).uniform(0.7, 1.3, regressor.size)
     start[regressor.inertial :] = parameters(robot)[regressor.inertial :] + 0.2
-    settings = Adapting(**({"rate": 0.5, "viscous": 0.01, "coulomb": 0.01, "share": 1e9, "initial": "nominal"} | more))
+    settings = AdaptiveSettings(
+        **({"rate": 0.5, "viscous": 0.01, "coulomb": 0.01, "share": 1e9, "initial": "nominal"} | more)
+    )
     return Adaptive(regressor, feedback(robot, 0.002), settings, start)
 
 
@@ -89,7 +91,7 @@ def test_it_is_built_again_and_says_y_theta(kind: str) -> None:
     subject = subject_of(own, kind, duration=0.03)
     learner = subject.learner
     assert learner is not None and subject.networks is None
-    assert learner.controller.adapting == own.adapting and learner.controller.feedback == own.feedback
+    assert learner.controller.settings == own.settings and learner.controller.feedback == own.feedback
     assert learner.controller.start() == pytest.approx(own.start(), rel=1e-12) and learner.end_time == pytest.approx(
         0.03
     )
@@ -183,7 +185,7 @@ def test_the_distance_is_that_of_bodies_and_of_friction() -> None:
     start, K = own.start(), own.feedback.vector(subject.layout)
     pace = 30.0 / np.median(K[subject.layout.base :])  # rates are those of an arm with gains of 30 N m s
     bodies = sum(
-        (r - np.log(r) - 1).sum() / (pace * own.adapting.rate)
+        (r - np.log(r) - 1).sum() / (pace * own.settings.rate)
         for P, Q in zip(pseudo_inertias(theta[:first]), pseudo_inertias(start[:first]), strict=True)
         for r in [eigvals(P, Q).real]
     )
@@ -254,12 +256,12 @@ def test_the_share_of_an_update_is_the_one_that_was_made() -> None:
     learner = subject.learner
     assert learner is not None
     every = np.arange(len(subject.rows))
-    found, a, h = stepped(learner, subject.rows, every), truth.adaptation_of(learner), learner.context.control_period
+    found, a, h = stepped(learner, subject.rows, every), truth.numbers_of(learner)[0], learner.context.control_period
     s = np.hstack((subject.signal("z"), subject.signal("r")))
     g = np.einsum("npk,np->nk", found.Y, s)
     eta = shares_of_update(a, found.theta, g, s**2 @ a.gain, h)
     j = own.regressor.labels.index("v.viscous")
-    rate = h * a.rates[j - own.regressor.inertial]
+    rate = h * a.bodies.rates[j - own.regressor.inertial]
     np.testing.assert_allclose(np.diff(found.theta[:, j]), eta[:-1] * rate * g[:-1, j], rtol=1e-9, atol=1e-15)
     assert eta.min() < 0.9 and eta.max() <= 1.0
 
@@ -351,6 +353,7 @@ def test_distances_of_a_learner_that_does_not_learn_are_no_part_of_v() -> None:
     theta = true_parameters(subject, subject.learner)
     found = estimate_part(subject, subject.learner, theta, np.arange(5))
     assert (
-        not found.value.any() and distances(truth.adaptation_of(subject.learner), theta.theta, own.start()[None])[0] > 0
+        not found.value.any()
+        and distances(truth.numbers_of(subject.learner)[0].bodies, theta.theta, own.start()[None])[0] > 0
     )
-    assert rebuild.recorded_learner(subject.recording, subject.robot) is not None
+    assert learners.recorded_learner(subject.recording, subject.robot) is not None

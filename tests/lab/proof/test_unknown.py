@@ -19,7 +19,8 @@ from mmnn_pin.lab.proof.learner import Learner
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.proof.unknown import NOISE, Unknown, left, not_excited, random_motion, signals_for, tangents, unknown
 from mmnn_pin.loop.batch import simulate_many
-from mmnn_pin.torque.neural_settings import OneLayer, TwoLayer
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 LONG = pytest.mark.skipif(SLOW, reason="needs a long run")
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from ...proof.boxes import Faces
 from ...proof.certified_run import CertifiedRun
-from ...proof.networks import NAMES
+from ...proof.learner import NAMES
 from ...proof.printed import Printed
 from ...proof.rate import Rate
 from ...proof.reached import Reached

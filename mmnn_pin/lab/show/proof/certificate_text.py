@@ -12,7 +12,7 @@ from rich.table import Table
 
 from ...proof.certificate import Certificate, Condition
 from ...proof.certified_run import CertifiedRun
-from ...proof.networks import NAMES
+from ...proof.learner import NAMES
 from ...proof.rate import Rate
 from ...proof.reached import Reached
 from ..table import WIDTH, number

@@ -12,9 +12,9 @@ from ...proof.features import Network
 from ...proof.fvu import worst
 from ...proof.growth import Growth
 from ...proof.ideal import Ideal
+from ...proof.learner import NAMES
 from ...proof.linear_fit import LinearFit
 from ...proof.lyapunov import Lyapunov
-from ...proof.networks import NAMES
 from ...proof.proof import Proof
 from ...proof.psi import Psi
 from ...proof.truth import Truth

@@ -1,23 +1,74 @@
-"""The networks and their update laws; they know no robot.
+"""The thesis's two-layer network: its arithmetic, its update law and its settings. It knows no robot.
 
-Two-layer network of Lewis with e-modification (3.23)-(3.28), (3.48), (3.49), and the one-layer Gaussian network
-of Lin and Goldenberg (reference [9] of the thesis; its law is not printed there and is reconstructed from the
-names of its parameters). Weights are updated in place; `s` is the error that drives the learning (z or r).
+    Psi_hat = W' sigma(V' x),      sigma(a) = 1 / (1 + exp(-a))                                          (3.23)-(3.28)
+    W' = F sigma s' - F sigma' V'x s' - kappa F |s| W                                                           (3.48)
+    V' = G x (sigma'' W s)' - kappa G |s| V                                                                     (3.49)
+
+with `sigma' = diag(sigma) (I - diag(sigma))` and `sigma''` its transpose: the network of Lewis with e-modification. The
+base has one and the arm another; `torque.neural` makes the controller of them, `torque.law` calls them at every sample.
+Weights are updated in place; `s` is the error that drives the learning (z or r).
 """
 
 from __future__ import annotations
 
 import math
+from typing import ClassVar, Literal
 
 import numpy as np
 
 from ..compiled import compiled
+from ..errors import ConfigError
+from ..settings import Settings, require_at_most, require_gains
 from ..signals import Array
+
+TWO_LAYER = 2  # kind of law
+MOST_HIDDEN = 10_000  # hidden units of a network
+
+
+class TwoLayer(Settings, frozen=True):
+    """Two-layer network with sigmoid units; both layers learn (3.23)-(3.28), (3.48), (3.49).
+
+    Args:
+        hidden: Hidden units per network.
+        F: Rates of the output weights, (base, arm).
+        G: Rates of the hidden weights, (base, arm).
+        kappa: Leakage, e-modification.
+        initial: "random" draws V uniform in +-v_range and sets W = 0 (Lewis's practice); "zero" is the thesis's
+            section 5.2 and keeps both layers at rank one for ever.
+        v_range: Half-width of the initial V.
+
+    Raises:
+        ConfigError: A rate is negative or not finite, or there are no hidden units or too many.
+    """
+
+    hidden: int = 22
+    F: tuple[float, float] = (1.0, 0.2)
+    G: tuple[float, float] = (1.0, 0.2)
+    kappa: float = 1.0
+    initial: Literal["random", "zero"] = "random"
+    v_range: float = 1.0
+
+    kind: ClassVar[int] = TWO_LAYER
+    name: ClassVar[str] = "two_layer"
+
+    def __post_init__(self) -> None:
+        require_hidden(self, self.hidden, "two_layer")
+        require_gains(self, "two_layer", "F", "G", "kappa", "v_range")
+        require_width(self.v_range, "two_layer.v_range")
+
+    def rates(self, which: int, leakage: bool) -> tuple[float, float, float]:
+        """Rate of W, rate of V, leakage of the base's (0) or the arm's (1) network."""
+        return self.F[which], self.G[which], self.kappa if leakage else 0.0
+
+    def initialise(self, W: Array, V: Array, rng: np.random.Generator) -> None:
+        """Initial weights, in place."""
+        W[:] = 0.0
+        V[:] = rng.uniform(-self.v_range, self.v_range, V.shape) if self.initial == "random" else 0.0
 
 
 @compiled
 def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi_hat: Array) -> float:
-    """Output `Psi_hat = W' sigma(V' x)`, `sigma(a) = 1 / (1 + exp(-a))` (3.25).
+    """Output `Psi_hat = W' sigma(V' x)` (3.25).
 
     Args:
         W: (h, m) output weights.
@@ -88,9 +139,6 @@ def two_layer_update(
 ) -> None:
     """One step of the update law (3.48), (3.49), both lines with the weights as they were before.
 
-    `Wdot = F sigma s' - F sigma' V'x s' - kappa F |s| W`, `Vdot = G x (sigma'' W s)' - kappa G |s| V`, with
-    `sigma' = diag(sigma) (I - diag(sigma))` and `sigma''` its transpose.
-
     Args:
         W: (h, m) updated.
         V: (nx, h) updated.
@@ -119,42 +167,6 @@ def two_layer_update(
         gain = dt * G * x[i]
         for j in range(sigma.size):
             V[i, j] = keep_V * V[i, j] + gain * net[j]
-
-
-@compiled
-def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Array, psi_hat: Array) -> float:
-    """Output `Psi_hat = W' phi(x)`, `phi_j = exp(-|x - c_j|^2 / (2 width^2))`.
-
-    Args:
-        W: (h, m) output weights.
-        centres: (nx, h) centres of the Gaussians, fixed.
-        width: Their common width.
-        x: (nx,) input.
-        phi: (h,) written: activations.
-        psi_hat: (m,) written.
-
-    Returns:
-        The norm of the weights, `|W|_F`.
-    """
-    phi[:] = 0.0
-    for i in range(x.size):
-        for j in range(phi.size):
-            phi[j] += (x[i] - centres[i, j]) ** 2
-    for j in range(phi.size):
-        phi[j] = np.exp(-phi[j] / (2.0 * width * width))
-    return math.sqrt(weighted_sum(W, phi, psi_hat))
-
-
-@compiled
-def one_layer_update(W: Array, phi: Array, s: Array, beta: float, mu: float, dt: float) -> None:
-    """One step of `Wdot = beta phi s' - mu beta |s| W` (reconstructed); shapes as in `one_layer_output`."""
-    norm = 0.0
-    for i in range(s.size):
-        norm += s[i] * s[i]
-    leak = mu * math.sqrt(norm)
-    for j in range(phi.size):
-        for i in range(s.size):
-            W[j, i] += dt * beta * (phi[j] * s[i] - leak * W[j, i])
 
 
 @compiled
@@ -190,3 +202,24 @@ def numerical_rank(W: Array, tolerance: float = 1e-9) -> int:
     """
     singular = np.linalg.svd(np.asarray(W), compute_uv=False)
     return int(np.sum(singular > tolerance * singular[0])) if singular.size and singular[0] > 0 else 0
+
+
+def require_hidden(network: Settings, hidden: int, section: str) -> None:
+    """Refuse a network without hidden units, and one too large for any machine.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    if hidden < 1:
+        raise ConfigError(f"{hidden} hidden units", fix="use at least one", key=f"{section}.hidden")
+    require_at_most(network, section, {"hidden": MOST_HIDDEN})
+
+
+def require_width(half: float, key: str) -> None:
+    """Refuse a range from -half to half whose width is not finite.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    if not np.isfinite(2 * half):
+        raise ConfigError(f"{half}", why="the range's width is no finite number", fix="use a smaller one", key=key)

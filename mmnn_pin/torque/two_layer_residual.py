@@ -9,11 +9,10 @@ learning inverse dynamics, IEEE ICRA.)
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from ..signals import Array, Layout
-from . import law
-from .controller import CompiledController, Context, ControllerState, Feedback, Law
+from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told
 from .neural import Neural
 
 if TYPE_CHECKING:
@@ -24,7 +23,7 @@ PROJECTION = 100.0  # bound on the weights unless told, as of `Neural`
 
 
 @dataclass(frozen=True, eq=False)
-class Residual(CompiledController):
+class TwoLayerResidual(CompiledController):
     """`tau = k s + Psi_0 + network + robust term`: a network of the thesis with a nominal model taken out of it.
 
     Args:
@@ -42,9 +41,16 @@ class Residual(CompiledController):
     name: str = "two_layer_residual"
 
     within_limits: ClassVar[bool] = True
+    lyapunov_part = "networks"
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With the thesis's network, and the nominal robot."""
+        learner, bound = Neural.build(given), given.networks["projection"]
+        return cls(learner, given.told.nominal, given.learning, PROJECTION if bound is None else bound)
 
     @property
-    def feedback(self) -> Feedback:
+    def feedback(self) -> Feedback:  # type: ignore[override]
         """k1, k2."""
         return self.learner.feedback
 
@@ -54,41 +60,44 @@ class Residual(CompiledController):
         return True
 
     @property
+    def networks(self) -> Neural:
+        """The network's controller, as it is called and learns here."""
+        learning = self.learning and self.learner.learning
+        return replace(self.learner, called=self.name, learning=learning, projection=self.projection, adds_model=True)
+
+    @property
     def notes(self) -> list[str]:
         """What the network has to say."""
-        return self.own.notes
+        return self.networks.notes
 
     def law(self, context: Context) -> Law:
         """The network's numbers; the loop writes the model's Psi into psi_hat."""
-        numbers = self.own.law(context)
-        numbers.sizes[law.MODEL] = 1
-        return numbers
+        return self.networks.law(context)
 
     def init(self, context: Context) -> ControllerState:
         """Initial weights of the network."""
-        return self.own.init(context)
+        return self.networks.init(context)
 
     def feedback_gain(self, layout: Layout) -> Array:
         """The network's, (p,)."""
-        return self.own.feedback_gain(layout)
+        return self.networks.feedback_gain(layout)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The network's."""
-        return self.own.weights(state)
+        return self.networks.weights(state)
 
     def facts(self) -> dict[str, Any]:
         """The network's settings and what is told of the model."""
         if self.model is None:
-            return self.own.facts()
-        told = self.model.facts()
-        return self.own.facts() | {"model": {k: v for k, v in told.items() if k not in ("urdf", "urdf_sha256")}}
+            return self.networks.facts()
+        model = {k: v for k, v in self.model.facts().items() if k not in ("urdf", "urdf_sha256")}
+        return self.networks.facts() | {"model": model}
 
     def findings(self, state: ControllerState) -> list[str]:
         """What the network's weights show."""
-        return self.own.findings(state)
+        return self.networks.findings(state)
 
-    @property
-    def own(self) -> Neural:
-        """The network's controller, as it is called and learns here."""
-        learning = self.learning and self.learner.learning
-        return replace(self.learner, called=self.name, learning=learning, projection=self.projection)
+    @classmethod
+    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
+        """None: the recording's experiment says the nominal robot."""
+        return None

@@ -1,25 +1,102 @@
 """What a learner that knows the kinematics takes a robot for before it has moved: balls at the joints.
 
-Which balls? A guess multiplies `nudot_ref`, which holds `K edot`, so a guess much heavier than the robot is a feedback
+Which balls? A prior multiplies `nudot_ref`, which holds `K edot`, so a prior much heavier than the robot is a feedback
 that the control period does not stand: 2 kg in every joint of a servo arm of 50 g. Masses are unknown, but the feedback
 K was chosen for this robot, and says how heavy it can be: K over the inertia is the bandwidth of a velocity. So the
-guess is made lighter, body by body, until no velocity feels more inertia of it than `slowest` times its gain.
+prior is made lighter, body by body, until no velocity feels more inertia of it than `slowest` times its gain.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, Self
+
 import numpy as np
 
+from ..errors import ConfigError
 from ..model.regressor import BODY, Regressor
 from ..signals import Array, Layout
-from .controller import Feedback
+from .controller import CompiledController, Feedback, Given, Told, read_facts
 
 GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
 SAMPLES = 100  # of random positions
 POWERS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)  # of the size in the ten numbers of a body
 
 
-def guess_of(
+@dataclass(frozen=True, eq=False)
+class ParameterLearner(CompiledController):
+    """A learner that is told how the robot moves, and starts from a prior or from the numbers of a nominal robot.
+
+    Args:
+        regressor: How the robot moves.
+        feedback: K.
+        settings: Its table, with `initial`.
+        nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
+        learning: Off keeps the estimate as it starts.
+
+    Raises:
+        ConfigError: A start from nominal parameters without them, or with others than k finite ones.
+    """
+
+    regressor: Regressor
+    feedback: Feedback = field(default_factory=Feedback)
+    settings: Any = None
+    nominal: Array | None = None
+    learning: bool = True
+
+    within_limits: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        require_start(self.settings.initial, self.nominal, self.regressor.size, self.name.partition("_")[0])
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With how the robot moves, and the nominal parameters where it starts from them."""
+        start = given.told.parameters if given.settings.initial == "nominal" else None
+        return cls(given.told.motion, given.feedback, given.settings, start, given.learning)
+
+    @classmethod
+    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
+        """From gains, settings and start."""
+        if not facts:
+            return None
+        own = dict(facts.get("settings") or facts["adapting"])
+        own["initial"] = own["initial"].replace("guess", "prior")
+        made = read_facts(cls, {**facts, "settings": own}, "feedback", "settings", "learning")
+        start = np.array(facts["start"], float) if own["initial"] == "nominal" else None
+        return cls(told.motion, nominal=start, **made)
+
+    def facts(self) -> dict[str, Any]:
+        """Gains, settings and start, with the names of the parameters."""
+        return super().facts() | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
+
+    def start(self) -> Array:
+        """The parameters before anything is learned, (k,)."""
+        return self._start.copy()
+
+    @cached_property
+    def _start(self) -> Array:
+        """The same, computed once: a prior looks at many positions."""
+        raise NotImplementedError
+
+
+def require_start(initial: str, nominal: Array | None, k: int, section: str) -> None:
+    """Refuse a start from nominal parameters without them, and others than k finite ones.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    if initial == "guess":
+        raise ConfigError("'guess' is now called 'prior'", fix="write initial = 'prior'", key=f"{section}.initial")
+    if initial == "nominal" and nominal is None:
+        fix = "give them, or use initial = 'prior'"
+        raise ConfigError("no nominal parameters", fix=fix, key=f"{section}.initial")
+    if nominal is not None and (nominal.shape != (k,) or not np.isfinite(nominal).all()):
+        raise ConfigError(f"{nominal.size} parameters", fix=f"give {k} finite ones", key=f"{section}.nominal")
+
+
+def prior_of(
     regressor: Regressor, K: Array, mass: tuple[float, float], size: tuple[float, float], slowest: float
 ) -> Array:
     """Balls at every joint and no friction, (k,).
@@ -29,7 +106,7 @@ def guess_of(
         K: (p,) feedback gains.
         mass: Masses at most (base, every other body) [kg].
         size: Radii of gyration about each axis, likewise [m].
-        slowest: Inertia that a velocity feels of the guess, over its gain, at most [s].
+        slowest: Inertia that a velocity feels of the prior, over its gain, at most [s].
     """
     theta = balls(regressor, mass, size)
     return theta * np.concatenate(
@@ -42,7 +119,7 @@ def sizes_of(
 ) -> Array:
     """How large the inertial parameters of such bodies may be, (10 bodies,): mass times powers of the size.
 
-    Arguments as in `guess_of`.
+    Arguments as in `prior_of`.
     """
     found = np.array([mass[b != "root"] * size[b != "root"] ** np.array(POWERS) for b in regressor.bodies])
     return np.asarray(found * lightness(regressor, balls(regressor, mass, size), K, slowest)[:, None]).ravel()
@@ -70,7 +147,7 @@ def lightness(regressor: Regressor, theta: Array, K: Array, slowest: float) -> A
 
 
 def inertia_of_bodies(regressor: Regressor, theta: Array, seed: int = 0) -> Array:
-    """What of the diagonal of M every body is at most, over random positions, (bodies, p) [kg, kg m^2]."""
+    """How much of the diagonal of M every body is, at most, over random positions, (bodies, p) [kg, kg m^2]."""
     rng, count, p = np.random.default_rng(seed), len(regressor.bodies), regressor.massless.nu.size
     felt, still, first = np.zeros((count, p)), np.zeros(p), regressor.inertial
     for _ in range(SAMPLES):

@@ -28,7 +28,7 @@ GRAVITY = 4  # one in so many random features is one of gravity, where there is 
 
 
 class Random(NamedTuple):
-    """The numbers of random features; a and b stand in the controller's memory, so that they are recorded.
+    """The numbers of random features; a and b stand in the controller's state, so that they are recorded.
 
     Attributes:
         kind: `BILINEAR` or `GENERIC`.
@@ -39,9 +39,9 @@ class Random(NamedTuple):
         eps: Speed over which dry friction turns [rad/s or m/s].
         centre: (n,) where the joints are counted from [rad or m].
         scale: (inputs,) what inputs are multiplied with.
-        x: (inputs,) memory to work in.
-        g: (units,) memory to work in.
-        t: (terms,) memory to work in.
+        x: (inputs,) room to work in.
+        g: (units,) room to work in.
+        t: (terms,) room to work in.
     """
 
     kind: int
@@ -105,13 +105,14 @@ def paired(kind: int, p: int, hidden: int, largest: int) -> IntArray:
 
 @compiled
 def fill(
-    r: Random, drawn: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array, phi: Array
+    r: Random, a: Array, b: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array, phi: Array
 ) -> None:
     """The features at a state, (k,), into phi.
 
     Args:
         r: The numbers.
-        drawn: a (units, inputs), then b (units,).
+        a: (units, inputs) what was drawn.
+        b: (units,) likewise.
         q: (n,) joints.
         velocity: (nb,) velocity of the base.
         qdot: (n,) rates of the joints.
@@ -133,9 +134,9 @@ def fill(
             x[n + p + i] = r.scale[n + p + i] * nu_ref[i]
             x[n + 2 * p + i] = r.scale[n + 2 * p + i] * nudot_ref[i]
     for u in range(r.units):
-        total = drawn[r.units * r.inputs + u]
+        total = b[u]
         for i in range(r.inputs):
-            total += drawn[u * r.inputs + i] * x[i]
+            total += a[u, i] * x[i]
         r.g[u] = math.tanh(total)
     t, last = r.t, r.t.size - 1
     for i in range(p):

@@ -1,5 +1,6 @@
-"""The weights' part of a linear learner with a covariance, `sum_i W~_i' P^-1 W~_i / (2 tau_i)`, and what changes it.
+"""The weights' parts of the learners that keep a covariance, or a stack of equations, and what changes them.
 
+A linear learner with a covariance has `sum_i W~_i' P^-1 W~_i / (2 tau_i)`.
 With the ideal weights W* and P as it was at every sample (`torque.linear`). Once in an interval the weights move by
 `eta interval tau_i P Phi' s`, which takes `eta interval s' Phi W~` out: pull and cut. Then each equation `y = phi' W`
 of filtered torque is one Kalman update with the variance R. Let `e = y - phi' W*` be what it has wrong, `u = phi' W~`
@@ -15,6 +16,19 @@ it changes `W~' P^-1 W~` by
 Variance q that comes back at a place j takes `q (P^-1 W~)_j^2 / (1 + q (P^-1)_jj)` out: the term `state`, never
 positive, as errors count less where less is known. (Continuous: the two sums of V' in docs/learners.md.) The rest, the
 second order of the first move and the projection onto the bound, is `step`.
+
+A concurrent learner has `w~' L w~ / (2 tracking)` with L of its stack and `w* = basis^+ (theta - theta_0)` of the true
+parameters, `w~ = w* - w` (see `torque.concurrent`). A sample moves w by `eta h tracking P Phi' s`, P = L^-1, which
+takes `eta h s' Phi w~` out: pull and cut. When a candidate was looked at it goes on by a share `c = 1 - exp(-rate tau)`
+towards `w_L = P b`. With exact equations `b = (L - 1) w*`, in truth `b = (L - 1) w* + d`, so that `L (w_L - w) = (L -
+1) w~ - w + d`, and to first order in c the part changes by
+
+    prediction  -c/tracking w~' (L - 1) w~ <= 0     what the stack says
+    leakage      c/tracking w~' w                   the pull of the prior, to w_0 = 0
+    noise       -c/tracking w~' d                   what the stack's equations have wrong
+
+A change of the stack makes it jump by `w~' (L+ - L) w~ / (2 tracking)`, the term `state`. The rest, second order
+and the ball that w is kept in, is `step`.
 """
 
 from __future__ import annotations
@@ -26,14 +40,14 @@ from scipy.linalg import solve_triangular
 
 from ...errors import RecordingError
 from ...signals import Array, IntArray
+from ...torque.concurrent import History
 from ...torque.controller import ControllerState
-from ...torque.covariance import measure
-from ...torque.least_squares import predict, track
-from ...torque.linear import Linear, Parts
+from ...torque.linear import Linear, Parts, measure, predict, track
 from .learner import Learner
 from .subject import Subject
-from .together import Row, copies, together
-from .weights_part import WITHOUT, WeightsPart, part_of
+from .weights_part import WITHOUT, Row, WeightsPart, copies, part_of, step_again
+
+LEARNED = ("W", "U", "D", "prior", "counts")  # what an update changes
 
 
 def covariance_part(
@@ -44,20 +58,15 @@ def covariance_part(
     Raises:
         RecordingError: `tracking` is 0, so that nothing takes the pull out.
     """
-    a = learner.controller.law(learner.context).linear
-    assert a is not None
+    a: Linear = learner.controller.law(learner.context).learner
     if not (a.answer > 0).all():
         raise RecordingError(WITHOUT, why="the weights do not follow s: tracking is 0")
     ledger = Ledger(learner, a, ideal, len(subject.rows))
-    missed = together(learner, subject.rows, ledger.keep, ledger.take, progress)
+    missed = step_again(learner, subject.rows, ledger.keep, ledger.take, progress)
     value, pull, *rest = ledger.found[:, at]
     return part_of(
         subject, at, value, pull, dict(zip(("cut", "prediction", "noise", "memory"), rest, strict=True)), missed
     )
-
-
-PARTS = ("W", "U", "D", "prior", "counts")
-FILTER = ("clock", "held", "filtered_torque", "states", "Phi_f", "Y_f")  # they follow
 
 
 class Ledger:
@@ -65,7 +74,7 @@ class Ledger:
 
     Args:
         learner: The learner.
-        a: The numbers of its law, with a memory of their own to work in.
+        a: The numbers of its law, with room of their own to work in.
         ideal: (k, m) ideal weights.
         rows: How many rows there are.
 
@@ -78,12 +87,12 @@ class Ledger:
         self.a, self.ideal, self.found = a, np.ascontiguousarray(ideal.T), np.zeros((6, rows))
         self.at, self.h = learner.context.layout.offsets, learner.context.control_period
         self.matters = learner.start["prior"] > 0.0
-        self.value = self.energy(views(learner.start))
+        self.value = self.energy(learner.start.view(Parts))
 
     def keep(self, state: ControllerState) -> dict[str, Array]:
-        """The memory before an update; of other samples the weights."""
+        """The state before an update; of other samples the weights."""
         now = int(state["counts"][0]) % self.a.every == 0
-        return copies(state, *PARTS) if now else copies(state, "W")
+        return copies(state, *LEARNED) if now else copies(state, "W")
 
     def take(self, row: Row) -> None:
         """Value, pull and terms of one row."""
@@ -91,9 +100,9 @@ class Ledger:
         pull = float(row.s @ along.ravel())
         self.found[:2, row.number] = self.value, pull
         if "U" in row.before:
-            o = parts_of(row.before, np.zeros(0))
+            o = Parts(**row.state.view(Parts)._asdict() | row.before)
             self.found[2:, row.number] = np.array(self.update(row, o, pull)) / self.h
-            self.value = self.energy(views(row.state))
+            self.value = self.energy(row.state.view(Parts))
 
     def update(self, row: Row, o: Parts, pull: float) -> tuple[float, float, float, float]:
         """Cut, prediction, noise and memory of one update, over the whole of it; changes o."""
@@ -103,9 +112,8 @@ class Ledger:
         cut = a.interval * pull - float((weighed * (o.W - before)).sum())
         if row.state["counts"][1] == o.counts[1]:  # no control period to learn from
             return cut, 0.0, 0.0, 0.0
-        after = views(row.state)
         prediction, noise, known = self.measured(row, o)
-        predict(a, o._replace(filter=after.filter))
+        predict(a, o)
         return cut, prediction, noise, self.energy(o) - known
 
     def measured(self, row: Row, o: Parts) -> tuple[float, float, float]:
@@ -148,14 +156,47 @@ class Ledger:
         return U if self.matters.all() else U[np.ix_(self.matters, self.matters)]
 
 
-def views(state: ControllerState) -> Parts:
-    """The parts of a memory that an update reads and writes."""
-    first = sum(state[name].size for name in PARTS)
-    size = sum(state[name].size for name in FILTER)
-    return parts_of({name: state[name] for name in PARTS}, state.values[first : first + size])
+def stack_part(
+    subject: Subject, learner: Learner, ideal: Array, at: IntArray, progress: Callable[[float], None] | None = None
+) -> WeightsPart:
+    """The part at some rows of a run, (k,) ascending, for the true weights (k,).
+
+    Raises:
+        RecordingError: `tracking` is 0, so that nothing takes the pull out.
+    """
+    history: History = learner.controller.law(learner.context).learner
+    if not history.tracking > 0:
+        raise RecordingError(WITHOUT, why="the estimate does not follow s: tracking is 0")
+    found = np.zeros((7, len(subject.rows)))
+    missed = step_again(
+        learner,
+        subject.rows,
+        lambda state: copies(state, "w", "L", "P"),
+        lambda row: fill(history, ideal, row, found),
+        progress,
+    )
+    value, pull, *rest = found[:, at]
+    terms = dict(zip(("cut", "prediction", "leakage", "noise", "memory"), rest, strict=True))
+    return part_of(subject, at, value, pull, terms, missed)
 
 
-def parts_of(arrays: dict[str, Array], filtered: Array) -> Parts:
-    """The parts by name, with what the filter remembers."""
-    W, U, D, prior, counts = (arrays[name] for name in PARTS)
-    return Parts(W, U, D, prior, counts, filtered, np.zeros(0))
+def fill(a: History, ideal: Array, row: Row, found: Array) -> None:
+    """Value, pull and terms of one row."""
+    w, L, P = (row.before[name] for name in ("w", "L", "P"))
+    state, s, n = row.state, row.s, row.number
+    error, g = ideal - w, row.Phi.T @ s
+    found[0, n] = error @ L @ error / (2 * a.tracking)
+    found[1, n] = g @ error
+    answer, most = a.h * a.tracking * float(g @ P @ g), a.share * float(a.gain @ s**2)
+    eta = most / answer if answer > most else 1.0
+    found[2, n] = (1 - eta) * found[1, n]
+    learned = int(state["samples"][0] - 1) % a.every == 0 and state["clock"][1] > a.filter.wait + 1
+    if not learned:
+        return
+    w = w + eta * a.h * a.tracking * P @ g
+    error, now, weight = ideal - w, state["L"], (1 - np.exp(-a.rate * a.every * a.h)) / a.tracking
+    seen = now @ ideal - ideal
+    found[3, n] = -weight * (error @ now @ error - error @ error) / a.h
+    found[4, n] = weight * (error @ w) / a.h
+    found[5, n] = -weight * (error @ (state["b"] - seen)) / a.h
+    found[6, n] = error @ (now - L) @ error / (2 * a.tracking * a.h)

@@ -1,0 +1,315 @@
+"""Composite adaptive control: `torque.adaptive` with the prediction error of filtered torque beside that of tracking.
+
+The filtered regressor and torque of `torque.filtered` obey `Y_f theta = y_f` whatever the motion, so what they leave,
+`y_f - Y_f theta_hat`, tells of theta without any tracking error. Kreisselmeier's integrals (1977, IEEE TAC 22(1))
+
+    Q' = (Y_f' R Y_f - Q) / T,      b' = (Y_f' R y_f - b) / T,      so that      b - Q theta_hat = Q (theta - theta_hat)
+
+keep what has been seen for a time T. With R = K^-1 a torque counts as the velocity error that it costs under the
+feedback, `Q theta_tilde` has the unit of `Y' s`, and one factor c suits newtons and newton metres.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Self
+
+import msgspec
+import numpy as np
+
+from ..compiled import Matrix, Vector, compiled, layout_of, views
+from ..model.regressor import measured, regress
+from ..settings import Settings, plain, require_numbers
+from ..signals import Array, IntArray
+from .adaptive import Adaptation, Adaptive, Estimate, adapt, look
+from .controller import Context, ControllerState, Given, Law, Told
+from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
+from .law import KERNELS, Kernels, constant_gain
+from .pseudo_inertia import Bodies, factor, move, sandwich, to_matrix, to_vector, transposed_sandwich
+
+ITERATIONS = 12  # of conjugate gradients in a step
+ENOUGH = 1e-8  # share of the residual's square at which they end
+LARGEST = 0.3  # by which a step may change a body, relative to itself
+
+
+class AdaptiveCompositeSettings(Settings, frozen=True):
+    """The prediction error's term of a composite adaptive controller.
+
+    Args:
+        weight: c, its factor; dimensionless. Large is safe: a step never overshoots.
+        tracking: a, the factor on the gradient of the tracking error, which is 1 without a prediction error.
+        pole: Of the low-pass of regressor and torque [1/s].
+        forgetting_time: T, how long what was seen counts [s].
+        every: Time between two steps [s].
+
+    Raises:
+        ConfigError: A number that is negative or not finite, or a forgetting time or period of 0.
+    """
+
+    weight: float = 1000.0
+    tracking: float = 0.1
+    pole: float = 3.0
+    forgetting_time: float = 30.0
+    every: float = 0.01
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "adaptive_composite", ("forgetting_time", "every"))
+
+
+class Prediction(NamedTuple):
+    """The numbers of a composite adaptive controller.
+
+    Attributes:
+        adaptation: Those of the adaptive controller that it is.
+        filter: The filter of regressor and torque.
+        trust: (p,) diagonal of R.
+        weight: c times the time between two steps [s].
+        keep: `exp(-period / T)` of the period between two steps.
+        every: Samples between two steps.
+        gradient: (k,) room to work in.
+        velocity: (k,) room to work in.
+        step: (16 bodies + rest,) written: y.
+        work: (3, 16 bodies + rest) room to work in.
+        layout: Of `Composite` in the state.
+    """
+
+    adaptation: Adaptation
+    filter: Filter
+    trust: Array
+    weight: float
+    keep: float
+    every: int
+    gradient: Array
+    velocity: Array
+    step: Array
+    work: Array
+    layout: IntArray
+
+
+class Composite(NamedTuple):
+    """What a composite adaptive controller remembers: its estimate, what the filter does, Q (k, k) and b (k,)."""
+
+    estimate: Estimate
+    filtered: Filtered
+    Q: Matrix
+    b: Vector
+
+
+composite_of = views(Composite)
+
+
+@compiled
+def estimate(row: Array, at: IntArray, p: Prediction, state: Array) -> None:
+    """What the control period before this sample says; Psi_hat; the update of theta along s, and down the error."""
+    a, o = p.adaptation, composite_of(state, p.layout)
+    f, known, nb = p.filter, a.known, a.known.base
+    now = int(o.estimate.samples[0]) % p.every == 0
+    if period(row, at, f, o.filtered):
+        measured(known, f.pose, f.nu[:nb], f.q, f.nu[nb:])
+        regress(known, f.nu, f.nudot)
+        low_pass(f, known.Y, o.filtered)
+        if now:
+            gather(p, o)
+    look(row, at, known)
+    adapt(row, at, a, o.estimate)
+    if now:
+        follow(p, o)
+
+
+@compiled
+def settle(row: Array, at: IntArray, p: Prediction, state: Array) -> None:
+    """Keep the torque that is held from this sample on."""
+    remember(row, at, composite_of(state, p.layout).filtered)
+
+
+@compiled
+def gather(p: Prediction, o: Composite) -> None:
+    """Take the filtered regressor and torque into Q and b."""
+    Y, y, k = o.filtered.Phi_f, o.filtered.Y_f, p.gradient.size
+    Q, b = o.Q, o.b
+    for j in range(k):
+        b[j] *= p.keep
+        for c in range(k):
+            Q[j, c] *= p.keep
+    for i in range(p.trust.size):
+        share = (1.0 - p.keep) * p.trust[i]
+        for j in range(k):
+            if Y[i, j] != 0.0:
+                b[j] += share * Y[i, j] * y[i]
+                for c in range(k):
+                    Q[j, c] += share * Y[i, j] * Y[i, c]
+
+
+@compiled
+def follow(p: Prediction, o: Composite) -> None:
+    """One step down the prediction error."""
+    a, theta = p.adaptation.bodies, o.estimate.theta
+    for b in range(len(a.roots)):
+        factor(theta[10 * b : 10 * b + 10], a, b)
+    descend(p, a, o)
+    move(theta, shortened(p.step, a), 0.0, a)
+
+
+@compiled
+def descend(p: Prediction, a: Bodies, o: Composite) -> None:
+    """One step down the prediction error, into p.step; `a.factors` belong to the theta in the state.
+
+    With `Gamma = S S'` it is the implicit Euler step of `theta' = c Gamma (b - Q theta)` over the time tau since the
+    last, `theta+ = theta + S y`, `(1 + c tau S' Q S) y = c tau S' (b - Q theta)`, by conjugate gradients from y = 0.
+    It does not overshoot for any c tau, and excited directions of all sizes take their full part in it.
+    """
+    k, n = p.gradient.size, p.step.size
+    y, residual, direction, image = p.step, p.work[0], p.work[1], p.work[2]
+    Q, b = o.Q, o.b
+    times(Q, o.estimate.theta, p.gradient)
+    for j in range(k):
+        p.gradient[j] = b[j] - p.gradient[j]
+    pulled(p.gradient, a, residual)
+    square = 0.0
+    for i in range(n):
+        residual[i] *= p.weight
+        y[i], direction[i] = 0.0, residual[i]
+        square += residual[i] * residual[i]
+    enough = ENOUGH * square
+    for _ in range(ITERATIONS):
+        if not square > enough:
+            break
+        pushed(direction, a, p.velocity)
+        times(Q, p.velocity, p.gradient)
+        pulled(p.gradient, a, image)
+        bend = 0.0
+        for i in range(n):
+            image[i] = direction[i] + p.weight * image[i]
+            bend += direction[i] * image[i]
+        length, before, square = square / bend, square, 0.0
+        for i in range(n):
+            y[i] += length * direction[i]
+            residual[i] -= length * image[i]
+            square += residual[i] * residual[i]
+        for i in range(n):
+            direction[i] = residual[i] + square / before * direction[i]
+
+
+@compiled
+def times(Q: Array, x: Array, out: Array) -> None:
+    """`Q x` of a symmetric Q (k, k)."""
+    for j in range(x.size):
+        out[j] = 0.0
+    for i in range(x.size):
+        if x[i] != 0.0:
+            for j in range(x.size):
+                out[j] += Q[i, j] * x[i]
+
+
+@compiled
+def pushed(y: Array, a: Bodies, theta: Array) -> None:
+    """`S y`: sixteen numbers of a symmetric matrix per body and one per parameter of the rest, to (k,)."""
+    half, X, root = a.work[0], a.work[1], math.sqrt(a.gamma)
+    for b in range(len(a.roots)):
+        sandwich(a.factors[b], y[16 * b : 16 * b + 16].reshape((4, 4)), half, X)
+        sandwich(a.roots[b], X, half, a.work[2])
+        to_vector(a.work[2], theta[10 * b : 10 * b + 10])
+        for j in range(10 * b, 10 * b + 10):
+            theta[j] *= root
+    for j in range(a.rates.size):
+        theta[10 * len(a.roots) + j] = math.sqrt(a.rates[j]) * y[16 * len(a.roots) + j]
+
+
+@compiled
+def pulled(gradient: Array, a: Bodies, y: Array) -> None:
+    """`S' gradient`, of the shape that `pushed` takes."""
+    half, L, X, root = a.work[0], a.work[1], a.work[2], math.sqrt(a.gamma)
+    for b in range(len(a.roots)):
+        to_matrix(gradient[10 * b : 10 * b + 10], 0.5, L)
+        transposed_sandwich(a.roots[b], L, half, X)
+        out = y[16 * b : 16 * b + 16].reshape((4, 4))
+        transposed_sandwich(a.factors[b], X, half, out)
+        for i in range(4):
+            for j in range(4):
+                out[i, j] *= root
+    for j in range(a.rates.size):
+        y[16 * len(a.roots) + j] = math.sqrt(a.rates[j]) * gradient[10 * len(a.roots) + j]
+
+
+@compiled
+def shortened(y: Array, a: Bodies) -> float:
+    """The step y as `a.steps` and `a.rest`, and the factor that lets no body change by more than `LARGEST`."""
+    eta, root = 1.0, math.sqrt(a.gamma)
+    for b in range(len(a.roots)):
+        square = 0.0
+        for i in range(4):
+            for j in range(4):
+                a.steps[b, i, j] = root * y[16 * b + 4 * i + j]
+                square += a.steps[b, i, j] ** 2
+        eta = min(eta, LARGEST / math.sqrt(square) if square > 0.0 else 1.0)
+    for j in range(a.rates.size):
+        a.rest[j] = math.sqrt(a.rates[j]) * y[16 * len(a.roots) + j]
+    return eta
+
+
+KERNELS[Prediction] = Kernels(estimate, settle)
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptiveComposite(Adaptive):
+    """`Adaptive` whose estimate also follows a prediction error: with excitation it is knowledge.
+
+    Args:
+        composite: The prediction error's numbers.
+    """
+
+    composite: AdaptiveCompositeSettings = field(default_factory=AdaptiveCompositeSettings)
+    name: str = "adaptive_composite"
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With the settings of `adaptive`, and its own."""
+        adaptive, own = given.settings
+        return replace(super().build(replace(given, settings=adaptive)), composite=own)
+
+    @classmethod
+    def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
+        """From gains, settings and start."""
+        found = super().from_facts(name, facts, told)
+        own = dict(facts.get("composite") or facts.get("predicting") or {})
+        if found is None or not own:
+            return None
+        own["forgetting_time"] = own.pop("memory", own.get("forgetting_time"))
+        return replace(found, composite=msgspec.convert(own, AdaptiveCompositeSettings))
+
+    def law(self, context: Context) -> Law:
+        """The numbers of the law, with room of its own to work in; without learning those of `Adaptive`."""
+        if not self.learning:
+            return super().law(context)
+        own, k, h = self.composite, self.regressor.size, float(context.control_period)
+        K, every = self.positive_gains(context.layout, "adaptation needs all > 0"), max(1, round(own.every / h))
+        size = 16 * len(self.regressor.bodies) + k - self.regressor.inertial
+        prediction = Prediction(
+            adaptation=self.adaptation(context, K, float(own.tracking)),
+            filter=new_filter(context.layout, h, own.pole),
+            trust=1.0 / K,
+            weight=float(own.weight) * every * h,
+            keep=float(np.exp(-every * h / own.forgetting_time)),
+            every=every,
+            gradient=np.zeros(k),
+            velocity=np.zeros(k),
+            step=np.zeros(size),
+            work=np.zeros((3, size)),
+            layout=layout_of(Composite, self.shapes(context)),
+        )
+        return Law(constant_gain(K), prediction)
+
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The estimate, what the filter remembers, and the integrals."""
+        k = self.regressor.size
+        return {**super().shapes(context), **parts(context.layout, context.layout.dof, k), "Q": (k, k), "b": (k,)}
+
+    def facts(self) -> dict[str, Any]:
+        """Those of `Adaptive`, and the prediction error's."""
+        return super().facts() | {"composite": plain(self.composite)}
+
+    def features(self, law: Law, state: ControllerState) -> Array | None:
+        """Y, (p, k)."""
+        learner: Adaptation | Prediction = law.learner
+        return (learner.adaptation if isinstance(learner, Prediction) else learner).known.Y

@@ -1,0 +1,43 @@
+"""Keys and values of experiments that have another name now: a clear error, and recordings made before are read."""
+
+from __future__ import annotations
+
+import pytest
+
+from mmnn_pin import AdaptiveSettings, load_experiment
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.lab.experiments.controllers import renamed
+
+
+@pytest.mark.parametrize(
+    ("said", "new"),
+    [
+        ("prediction.weight=1.0", "adaptive_composite"),
+        ("adaptive_composite.memory=1.0", "forgetting_time"),
+        ("replay.rate=1.0", "two_layer_composite"),
+        ("adaptive.initial=guess", "prior"),
+        ("concurrent.initial=guess", "prior"),
+    ],
+)
+def test_an_old_name_is_refused_with_the_new_one(said, new):
+    with pytest.raises(ConfigError) as error:
+        load_experiment("track", [said])
+    assert f"is now called '{new}'" in str(error.value) and "\n" not in str(error.value)
+
+
+def test_in_python_too():
+    from mmnn_pin import Adaptive, Regressor, load
+
+    with pytest.raises(ConfigError, match="'guess' is now called 'prior'"):
+        Adaptive(Regressor.of(load("platform_arm")), settings=AdaptiveSettings(initial="guess"))
+
+
+def test_the_config_of_an_older_recording_is_read():
+    old = {"prediction": {"memory": 3.0, "weight": 2.0}, "replay": {"rate": 1.0}, "adaptive": {"initial": "guess"}}
+    new = renamed(old | {"robot": "differential"})
+    assert new == {
+        "adaptive_composite": {"forgetting_time": 3.0, "weight": 2.0},
+        "two_layer_composite": {"rate": 1.0},
+        "adaptive": {"initial": "prior"},
+        "robot": "differential",
+    }
