@@ -9,7 +9,7 @@ import numpy as np
 from mmnn_pin import Feedback, Hold, Line, Loop, Neural, Robust, Sine, Start, Timing, Trajectory, TwoLayer, load
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
-from mmnn_pin.lab.proof.motion_samples import Along
+from mmnn_pin.lab.proof.motion_bound import Along
 from mmnn_pin.lab.proof.networks import Networks
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.torque.controller import Context

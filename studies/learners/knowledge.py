@@ -18,7 +18,7 @@ import numpy as np
 
 from mmnn_pin import ControllerState, Loop, Recording, load_experiment
 from mmnn_pin.lab.contest.frozen import frozen, said
-from mmnn_pin.lab.proof.fvu import fvu
+from mmnn_pin.lab.proof.psi import fvu
 from mmnn_pin.signals import Array, Layout
 
 

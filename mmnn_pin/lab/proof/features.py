@@ -14,11 +14,10 @@ from ...model.regressor import Regressor
 from ...signals import Array, IntArray
 from ...torque.adaptive import EXCITED
 from ...torque.network import numerical_rank
+from .excitation import MOST as FEW
+from .excitation import Excitation, Unknown, effective_rank, excitation, network_in, tangents, unknown
 from .learner import Learner, Stepper
 from .networks import NAMES, Networks, seen
-from .rank import Excitation, effective_rank, excitation
-from .unknown import MOST as FEW
-from .unknown import Unknown, network_in, tangents, unknown
 
 MOST = 2000  # rows that are looked at, evenly spread
 

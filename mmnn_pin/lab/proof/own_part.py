@@ -17,8 +17,8 @@ from ...errors import RecordingError
 from ...signals import Array, IntArray
 from ...torque.controller import ControllerState
 from ...torque.learning_law import LearningLaw
+from .ideal import of_shape
 from .learner import Learner
-from .linear_fit import of_shape
 from .subject import Subject
 from .together import Row, together
 from .weights_part import WITHOUT, WeightsPart, part_of

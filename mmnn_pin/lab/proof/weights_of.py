@@ -12,8 +12,7 @@ from ...torque.kalman import KalmanLearner
 from ...torque.learning_law import LearningLaw
 from .covariance_part import covariance_part
 from .estimate_part import estimate_part
-from .ideal import Ideal
-from .linear_fit import LinearFit
+from .ideal import Ideal, LinearFit
 from .lyapunov import MOST, Part
 from .network_part import network_part
 from .networks import Networks

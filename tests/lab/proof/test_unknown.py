@@ -15,9 +15,18 @@ from mmnn_pin.lab.contest.heat import found_in
 from mmnn_pin.lab.contest.row import KEPT
 from mmnn_pin.lab.contest.task import tasks_of
 from mmnn_pin.lab.experiments.cases import chosen_cases
+from mmnn_pin.lab.proof.excitation import (
+    NOISE,
+    Unknown,
+    left,
+    not_excited,
+    random_motion,
+    signals_for,
+    tangents,
+    unknown,
+)
 from mmnn_pin.lab.proof.learner import Learner
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.unknown import NOISE, Unknown, left, not_excited, random_motion, signals_for, tangents, unknown
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.torque.neural_settings import OneLayer, TwoLayer
 

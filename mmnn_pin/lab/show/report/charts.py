@@ -13,13 +13,13 @@ import numpy as np
 
 from ....recording.recording import Recording
 from ....signals import Array, IntArray
+from ...proof.proof import proofs_with
 from ..figure import scale_rows, styles_of
 from ..monitors import NETWORKS, RESIDUALS
 from ..panels import Panel, base_labels, error_panels, panels_of
 from ..path_plot import distance, distinct
 from ..plots import learners
-from ..proof.cache import proofs_with
-from ..proof.psi_figures import sliced
+from ..proof.figures import sliced
 from ..replay.blob import Blob
 from ..replay.scene import label
 

@@ -9,9 +9,8 @@ import numpy as np
 
 from ....recording.recording import Recording
 from ...proof.balance import TOLERANCE
-from ...proof.fvu import worst
-from ...proof.proof import Proof
-from ..proof.cache import proofs_with
+from ...proof.proof import Proof, proofs_with
+from ...proof.psi import worst
 from ..proof.text import small, verdicts
 from ..table import number
 from .tables import Cell, Row, Table
