@@ -38,7 +38,7 @@ class Motors(TorqueController):
         deadline = clock.monotonic() + patience
         while (kind := self.channel.receive()) != COMMAND:
             if clock.monotonic() > deadline:
-                raise InputError("no controller", why=f"no command within {patience:g} s", fix="start loop/control.py")
+                raise InputError("no controller", why=f"no command within {patience:g} s", fix="start control.py")
             if kind == HELLO:
                 self.channel.send(MEASUREMENT, measured)
             clock.sleep(0.001)

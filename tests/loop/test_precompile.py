@@ -15,7 +15,7 @@ SCRIPT = """
 import sys
 from dataclasses import replace
 import mmnn_pin as mm
-from mmnn_pin import precompile
+from mmnn_pin.loop import precompile
 precompile.call_control_blocks()
 precompile.call_plant_blocks()
 def versions():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_frozen
 from numba import config
 from robots import mobile_arm
 
@@ -28,7 +29,6 @@ from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.neural_settings import TwoLayer
-from tests.learning import assert_engines_agree, assert_frozen
 
 GAINS = np.array([2.0, 3.0, 4.0])
 PATHS = {

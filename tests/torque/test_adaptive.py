@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_frozen, assert_it_resumes
 from places import ROOT
 from scipy.linalg import expm, sqrtm
 
@@ -24,7 +25,6 @@ from mmnn_pin.torque.adaptive import Adaptive, lifted, pseudo_inertias, vector_o
 from mmnn_pin.torque.adaptive_settings import Adapting
 from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, within
-from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from numba import config
-from tests.test_adaptive import REGRESSOR, ROBOT, TRUE, Bench, divergence, dual
+from test_adaptive import REGRESSOR, ROBOT, TRUE, Bench, divergence, dual
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.parameters import parameters
@@ -16,7 +17,6 @@ from mmnn_pin.torque.adaptation import factor, follow
 from mmnn_pin.torque.adaptive import pseudo_inertias, vector_of
 from mmnn_pin.torque.adaptive_settings import Adapting, Predicting
 from mmnn_pin.torque.prediction import descend, gather, pushed
-from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 
 seeds = st.integers(0, 2**32 - 1)
 EXAMPLES = 4 if config.DISABLE_JIT else 15  # plain Python takes a hundred times as long

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from numba import config
-from tests.test_composite import EIGHT
+from test_composite import EIGHT
 
 from mmnn_pin import Regressor
 from mmnn_pin.errors import ConfigError
@@ -19,7 +20,6 @@ from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.history import consider, estimate_of, scratch, shapes, views
 from mmnn_pin.torque.motor_limits import limit, motor_limits
 from mmnn_pin.torque.recall import into_ball, recall
-from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 
 seeds = st.integers(0, 2**32 - 1)
 N, P, K = 6, 2, 5

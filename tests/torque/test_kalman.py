@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_it_resumes
 from places import ROOT
 from robots import fixed_arm, mobile_arm
 from scipy.signal import lfilter
@@ -49,7 +50,6 @@ from mmnn_pin.torque.kalman_settings import KalmanBilinear, KalmanFeatures, Kalm
 from mmnn_pin.torque.least_squares import project, track
 from mmnn_pin.torque.linear import learn, parts_of
 from mmnn_pin.torque.motor_limits import limit, motor_limits
-from tests.learning import assert_engines_agree, assert_it_resumes
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 LONG = pytest.mark.skipif(PLAIN, reason="needs a long run")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import SHORT, assert_engines_agree, assert_it_resumes, made
 from proofs import learner, loop_of
 from test_lyapunov import DURATION
 
@@ -32,7 +33,6 @@ from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement
 from mmnn_pin.torque.motor_limits import limit, motor_limits, share_left
-from tests.learning import SHORT, assert_engines_agree, assert_it_resumes, made
 
 ROBOT = load("platform_arm")
 E_INV = np.linalg.pinv(ROBOT.E)

@@ -30,7 +30,7 @@ SHORT = ("--set", "time.duration=0.6", "--set", "time.control_period=0.002", "--
 
 LAW = """
 import numpy as np
-from mmnn_pin import LearningLaw, Memory, TorqueController
+from mmnn_pin import LearningLaw, ControllerState, TorqueController
 
 open({marker!r}, "a").write("x")
 
@@ -38,29 +38,29 @@ class Own(LearningLaw):
     rate: float = 2.0
     sizes: tuple[int, ...] = (3, 4)
 
-    def init(self, wiring):
-        return Memory.of(W=(1, wiring.layout.dof))
+    def init(self, context):
+        return ControllerState.of(W=(1, context.layout.dof))
 
-    def estimate(self, now, memory):
-        return memory["W"][0]
+    def estimate(self, now, state):
+        return state["W"][0]
 
-    def learn(self, now, memory):
-        memory["W"] += self.rate * now.s
+    def learn(self, now, state):
+        state["W"] += self.rate * now.s
 
 class Half(LearningLaw):
-    def init(self, wiring):
-        return Memory.of()
+    def init(self, context):
+        return ControllerState.of()
 
 class Plain(TorqueController):
     def __init__(self, feedback, ki):
         self.feedback, self.ki = feedback, ki
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         return 20.0 * np.concatenate((command.z, command.r))
 
 class Picky(Own):
-    def init(self, wiring):
-        return Memory.of(W=(2, 2))[self.name]
+    def init(self, context):
+        return ControllerState.of(W=(2, 2))[self.name]
 
 class Loose:
     pass
@@ -302,9 +302,9 @@ def test_a_law_cannot_change_what_it_is_told(
     law.write_text(
         f"{law.read_text()}\n"
         "class Greedy(Own):\n"
-        "    def estimate(self, now, memory):\n"
+        "    def estimate(self, now, state):\n"
         f"        now.{signal}[:] *= 2.0\n"
-        "        return memory['W'][0]\n"
+        "        return state['W'][0]\n"
     )
     words = ["run", "track", "--controller", f"{law}:Greedy", "--out", tmp_path / "runs", *SHORT]
     code, found, _ = told(capsys, *words)
@@ -317,12 +317,12 @@ PLAIN = """
 from mmnn_pin import TorqueController
 
 class Tells(Own):
-    def findings(self, memory):
+    def findings(self, state):
         return [f"W is {state['W'].shape}"]
 
 class Fails(Own):
-    def findings(self, memory):
-        return [memory["U"]]
+    def findings(self, state):
+        return [state["U"]]
 
 class Stiff(TorqueController):
     name = "Stiff"
@@ -330,10 +330,10 @@ class Stiff(TorqueController):
     def __init__(self, feedback, learning):
         self.feedback = feedback
 
-    def init(self, wiring):
-        self.gain = self.feedback.vector(wiring.layout)
+    def init(self, context):
+        self.gain = self.feedback.vector(context.layout)
 
-    def step(self, time, reference, measurement, command, memory):
+    def step(self, time, reference, measurement, command, state):
         return self.gain * np.concatenate((command.z, command.r))
 """
 
@@ -341,7 +341,7 @@ class Stiff(TorqueController):
 RAISES = """
 
 class Raises(Tells):
-    def learn(self, now, memory):
+    def learn(self, now, state):
         if now.time > 0.1:
             raise ValueError("in the middle of it")
 """

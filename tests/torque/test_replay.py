@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 from numba import config
-from tests.test_composite import EIGHT
-from tests.test_concurrent import CIRCLE
+from test_composite import EIGHT
+from test_concurrent import CIRCLE
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.control import Torque
 from mmnn_pin.torque.composite import Replaying
 from mmnn_pin.torque.inputs import MEASURED, Inputs
 from mmnn_pin.torque.replay import descend, keep_sample, recollect, replay
-from tests.learning import assert_engines_agree, assert_frozen, assert_it_resumes, made
 
 seeds = st.integers(0, 2**32 - 1)
 
