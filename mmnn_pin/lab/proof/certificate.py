@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from ...signals import Array
 from .bounds import PoseSet, WeightsBound, weights_bound
-from .certified_loop import CertifiedLoop, Limit, limits_in
+from .certified_loop import CertifiedLoop, Condition, limits_in
 from .motion_bound import Drive, Gains, MotionBound, MotionSamples, drive, motion_bound
 from .networks import NAMES
 
@@ -91,30 +91,6 @@ def certify(loop: CertifiedLoop, region: Box | None = None, start: Box | None = 
     return Certificate(boxes, boxes.descend(), region is not None)
 
 
-@dataclass(frozen=True)
-class Condition:
-    """A condition of the theorem: `value < limit`, or `value > limit`.
-
-    Attributes:
-        name: Which.
-        value: Left side.
-        limit: Right side.
-        words: What it says.
-        need: "below" or "above".
-    """
-
-    name: str
-    value: float
-    limit: float
-    words: str
-    need: str = "below"
-
-    @property
-    def holds(self) -> bool:
-        """Whether it is met; what is no number is not."""
-        return bool(self.value > self.limit if self.need == "above" else self.value < self.limit)
-
-
 def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     """See `Certificate.conditions`."""
     loop, motion, box = boxes.loop, faces.motion, faces.box
@@ -141,7 +117,7 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
         Condition("face, pose", faces.pose, box.pose, stands),
         *(arm if len(faces.joints) else ()),
         Condition("face, energy", motion.level, box.energy, "the same of the energy of the errors [J]"),
-        *(Condition(limit.name, limit.value, limit.limit, limit.words) for limit in faces.limits),
+        *faces.limits,
     )
 
 
@@ -344,7 +320,7 @@ class Boxes:
             limits=self.limits(box),
         )
 
-    def limits(self, box: Box) -> list[Limit]:
+    def limits(self, box: Box) -> list[Condition]:
         """What may be reached in a box of the supervisor's limits."""
         if self.loop.supervisor is None:
             return []
@@ -420,11 +396,11 @@ class Faces:
     motion: MotionBound
     pose: float
     arm: float
-    limits: list[Limit]
+    limits: list[Condition]
 
     @property
     def invariant(self) -> bool:
         """Whether no motion leaves the box, and no supervisor steps in."""
         inside = self.pose < self.box.pose and self.motion.level < self.box.energy
-        inside = inside and all(limit.value < limit.limit for limit in self.limits)
+        inside = inside and all(limit.holds for limit in self.limits)
         return bool(inside and (self.arm < self.box.arm or not len(self.joints)))

@@ -294,23 +294,30 @@ def supervisor_of(subject: Subject) -> Supervisor | None:
 
 
 @dataclass(frozen=True)
-class Limit:
-    """What may be reached of a limit.
+class Condition:
+    """A condition of the theorem: `value < limit`, or `value > limit`.
 
     Attributes:
         name: Which.
-        value: Largest value in the box.
-        limit: The limit.
-        words: What it is.
+        value: Left side.
+        limit: Right side.
+        words: What it says.
+        need: "below" or "above".
     """
 
     name: str
     value: float
     limit: float
     words: str
+    need: str = "below"
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is met; what is no number is not."""
+        return bool(self.value > self.limit if self.need == "above" else self.value < self.limit)
 
 
-def limits_in(supervisor: Supervisor, bounds: dict[str, Array], torque: Array) -> list[Limit]:
+def limits_in(supervisor: Supervisor, bounds: dict[str, Array], torque: Array) -> list[Condition]:
     """What a box may reach of every limit: bounds of its signals (see `signal_bounds`), torques on nu up to (p,)."""
     nu = np.concatenate((bounds["velocity"], bounds["qdot"]))
     limits = [
@@ -323,10 +330,12 @@ def limits_in(supervisor: Supervisor, bounds: dict[str, Array], torque: Array) -
     return [limit for limit in limits if limit is not None]
 
 
-def worst(name: str, values: Array, limits: Array | float, words: str) -> Limit | None:
+def worst(name: str, values: Array, limits: Array | float, words: str) -> Condition | None:
     """The value that comes nearest to its limit or passes it furthest; None where there is no limit."""
     limits = np.broadcast_to(limits, values.shape)
     if not np.isfinite(limits).any():
         return None
     k = int(np.argmax(values / limits))
-    return Limit(f"supervisor, {name}", float(values[k]), float(limits[k]), f"{words}, within the supervisor's limit")
+    return Condition(
+        f"supervisor, {name}", float(values[k]), float(limits[k]), f"{words}, within the supervisor's limit"
+    )

@@ -77,7 +77,8 @@ def certified_run(
     certificate = run = rate = None
     bounds: dict[int, ThesisBounds] = {}
     try:
-        loop = with_forces(certified_loop(subject), force)
+        loop = certified_loop(subject)
+        loop = loop.disturbed(loop.disturbance + force)
         sizes = sizes_of(subject, loop)
         certificate = certify(loop, wanted, sizes.start)
         run = compare(subject, certificate, sizes)
@@ -90,11 +91,6 @@ def certified_run(
     except InputError as error:
         missing["rate"] = sentence(error)
     return CertifiedRun(certificate, run, rate, bounds, missing)
-
-
-def with_forces(loop: CertifiedLoop, force: Array) -> CertifiedLoop:
-    """A loop with external forces of at most (p,) more [N, N m]."""
-    return loop.disturbed(loop.disturbance + force) if force.any() else loop
 
 
 def box_of(region: Mapping[str, float] | None, joints: int) -> Box | None:

@@ -13,7 +13,8 @@ from rich.text import Text
 
 from ....signals import Array
 from ...proof.balance import TOLERANCE, Balance
-from ...proof.certificate import Certificate, Condition
+from ...proof.certificate import Certificate
+from ...proof.certified_loop import Condition
 from ...proof.certified_run import CertifiedRun, Comparison
 from ...proof.ideal import IdealWeights, LinearFit
 from ...proof.lyapunov import TERMS, Growth, Lyapunov
