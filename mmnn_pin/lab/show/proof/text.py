@@ -301,7 +301,8 @@ def verdict(certificate: Certificate) -> str:
         )
     failed = [c for c in certificate.conditions if not c.holds]
     why = "; ".join(f"{c.name}: {side(c.value)} is not {c.need} {side(c.limit)}" for c in failed)
-    where = "The region asked for is not shown to be invariant" if certificate.asked else "No region was found. At the one nearest to it"
+    none = "No region was found. At the one nearest to it"
+    where = "The region asked for is not shown to be invariant" if certificate.asked else none
     return f"FAILS. {where}: {why}. That proves nothing against the loop."
 
 
