@@ -3,7 +3,8 @@
 import numpy as np
 
 from mmnn_pin import TorqueController, load_experiment
-from mmnn_pin.lab.proof.fvu import START, fvu
+from mmnn_pin.lab.proof.held_out import START
+from mmnn_pin.lab.proof.psi import fvu
 
 
 class PI(TorqueController):

@@ -10,7 +10,7 @@ from mmnn_pin import Feedback, Hold, Line, Loop, Neural, Robust, Sine, Start, Ti
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
 from mmnn_pin.lab.proof.learner import Networks
-from mmnn_pin.lab.proof.motion_samples import Along
+from mmnn_pin.lab.proof.motion_bound import Along
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.torque.controller import Context
 

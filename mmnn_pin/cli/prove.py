@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from ..errors import InputError, RecordingError
 from .options import examples, law, numbers, shared
 from .output import DONE, FAILED, compile_if_cold, progress_bar, recordings_in, say, say_json
+
+if TYPE_CHECKING:
+    from ..recording.recording import Recording
 
 
 @click.command(
@@ -75,33 +79,42 @@ def prove(
     from ..lab.proof.balance import BUDGET
     from ..lab.proof.certified_run import certified_run
     from ..lab.proof.proof import Proof, sentence
-    from ..lab.show.proof.certificate_numbers import certificate_dict
-    from ..lab.show.proof.certificate_text import render_certificate
     from ..lab.show.proof.figures import write_proof
-    from ..lab.show.proof.numbers import to_dict
-    from ..lab.show.proof.text import render
-    from ..recording.recording import Recording
+    from ..lab.show.proof.numbers import certificate_dict, to_dict
+    from ..lab.show.proof.text import render, render_certificate
 
     wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
-    if run.is_dir():
-        raise RecordingError("a folder", why="one run is judged at a time", fix=recordings_in(run), file=run)
-    recording = Recording.open(run)
-    if not len(recording):
-        raise RecordingError("holds no rows", why="the run ended before its first sample", file=run)
+    recording = opened(run)
     compile_if_cold()
     with progress_bar() as show:
         budget = float("inf") if every_period else BUDGET
         proof = Proof(recording, payload=payload, windows=windows, budget=budget, progress=show)
         missing = proof.missing
     if len(missing) == 4:
-        raise InputError("nothing to tell", why="; ".join(map(sentence, missing.values())), file=run)
+        raise InputError("nothing to judge", why="; ".join(map(sentence, missing.values())), file=run)
     certified = certified_run(proof, wanted, forces)
     files = {} if plots is None else write_proof(proof, plots, force)
     if as_json:
-        told = to_dict(proof) | {"certificate": certificate_dict(certified)}
-        say_json(told | ({} if plots is None else {"files": {k: str(v) for k, v in files.items()}}))
+        result = to_dict(proof) | {"certificate": certificate_dict(certified)}
+        say_json(result | ({} if plots is None else {"files": {k: str(v) for k, v in files.items()}}))
     else:
         say(render(proof, colour=sys.stdout.isatty()))
         say(render_certificate(certified, colour=sys.stdout.isatty()))
         say("\n".join(f"wrote {file}" for file in files.values())) if files else None
     return DONE if proof.holds and certified.holds else FAILED
+
+
+def opened(run: Path) -> Recording:
+    """The recording to be judged.
+
+    Raises:
+        RecordingError: A folder, no recording, or one without rows.
+    """
+    from ..recording.recording import Recording
+
+    if run.is_dir():
+        raise RecordingError("a folder", why="one run is judged at a time", fix=recordings_in(run), file=run)
+    recording = Recording.open(run)
+    if not len(recording):
+        raise RecordingError("holds no rows", why="the run ended before its first sample", file=run)
+    return recording

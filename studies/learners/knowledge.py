@@ -19,7 +19,7 @@ import numpy as np
 from mmnn_pin import ControllerState, Loop, Recording, load_experiment
 from mmnn_pin.lab.contest.task import frozen
 from mmnn_pin.lab.contest.trial import psi_hat_along
-from mmnn_pin.lab.proof.fvu import fvu
+from mmnn_pin.lab.proof.psi import fvu
 from mmnn_pin.signals import Array, Layout
 
 

@@ -26,8 +26,7 @@ from mmnn_pin import (
 from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.proof.certified_loop import refusal
 from mmnn_pin.lab.proof.ideal import ideal_weights
-from mmnn_pin.lab.proof.limited import taken
-from mmnn_pin.lab.proof.lyapunov import lyapunov
+from mmnn_pin.lab.proof.lyapunov import limited_power, lyapunov
 from mmnn_pin.lab.proof.parts import weights_of
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.safety import Safety
@@ -233,7 +232,7 @@ def test_what_the_limits_take_is_a_term_of_v(tmp_path, which):
     rows, every = subject.rows, np.arange(len(subject.rows))
     ideal = ideal_weights(subject, one)
     part = weights_of(subject, ideal).part
-    found, lost = part(every, None), taken(one, rows, every)
+    found, lost = part(every, None), limited_power(one, rows, every)
     s = subject.signal("nu_ref") - subject.signal("nu")
     error = (s * (subject.signal("psi") - subject.signal("psi_hat"))).sum(axis=1)
     change = np.diff(found.value) / subject.timing.control_period

@@ -15,7 +15,8 @@ import numpy as np
 from ...recording.metrics import as_columns
 from ...recording.recording import Recording
 from ...signals import Array
-from ..proof.fvu import START, fvu
+from ..proof.held_out import START
+from ..proof.psi import fvu
 
 ERRORS = ("true_pose_error", "true_e")
 KEPT = (*ERRORS, "psi", "psi_hat", "motor_torque")  # of a training run

@@ -19,10 +19,11 @@ from ...loop.loop import Loop
 from ...recording.recording import Recording
 from ...signals import Array, Layout
 from ...torque.controller import ControllerState
-from ..proof.fvu import START, fvu
+from ..proof.excitation import not_excited, signals_for, unknown
+from ..proof.held_out import START
 from ..proof.learner import Learner, Stepper
+from ..proof.psi import fvu
 from ..proof.subject import finite_rows
-from ..proof.unknown import not_excited, signals_for, unknown
 from .result import ERRORS, KEPT, Tracking, TrialResult, known, summary, tracking, training_numbers
 from .task import Task, frozen
 

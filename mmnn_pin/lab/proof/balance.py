@@ -6,10 +6,14 @@ With `s = nu_ref - nu` of the true state, `Mdot = C + C'` makes this an equality
 
 It needs M, C, gravity, friction, the command with its analytic derivative, the reference, the torque and the integrator
 all to be right. Over a control period, in which tau and f are held, the right side is integrated along the motion that
-starts at the recorded state: DOP853 (order 8) on Pinocchio's matrices. Inside the period alpha follows the true state,
-and the reference is that of `between`. The run itself came from the plant's integrator, so the recorded states are held
-to two things: to the plant's own steps, made again from the recorded state under the recorded torque, and to the
-equality, which they miss by what these steps miss the motion.
+starts at the recorded state: DOP853 (order 8) on Pinocchio's matrices. Inside the period alpha follows the true state.
+The reference is the one that its samples determine: base velocities are cubic Hermite polynomials of the recorded
+velocities and accelerations, and the pose follows from integrating them, so that it stays one that the base can follow;
+joints are quintic polynomials of recorded angles, rates and accelerations.
+
+The run itself came from the plant's integrator, so the recorded states are held to two things: to the plant's own
+steps, made again from the recorded state under the recorded torque, and to the equality, which they miss by what these
+steps miss the motion.
 """
 
 from __future__ import annotations
@@ -24,8 +28,7 @@ from ...kinematic import command
 from ...model.reduction import position_rate, quadratic
 from ...plant.ideal import IdealPlant
 from ...sensing import exact
-from ...signals import Array
-from .between import Between
+from ...signals import INDEX, Array, Layout
 from .subject import Subject
 
 TOLERANCE = 1e-6
@@ -91,22 +94,22 @@ def balance(subject: Subject, budget: float = BUDGET, progress: Callable[[float]
     Raises:
         RecordingError: The run is on the contact plant, or a joint is blocked in it.
     """
-    if subject.given.blocked:
+    if subject.hardware.blocked:
         why = "a joint is blocked, which is no friction of the model"
         raise RecordingError("no equality", why=why, file=subject.recording.path)
     if subject.plant != "ideal":
         why = "its wheels may slip, and then nu does not move by the reduced model"
         raise RecordingError(f"no equality on the {subject.plant} plant", why=why, file=subject.recording.path)
     periods, motion = len(subject.rows) - 1, Motion(subject)
-    found: dict[int, tuple[float, ...]] = {}
+    result: dict[int, tuple[float, ...]] = {}
     for k in evenly(periods):
         if motion.evaluations > budget:
             break
-        found[k] = motion.over(k)
+        result[k] = motion.over(k)
         if progress is not None:
-            progress(max(len(found) / periods, motion.evaluations / budget))
-    places = np.array(sorted(found))
-    increment, model, again, work, scale = np.array([found[k] for k in places]).T
+            progress(max(len(result) / periods, motion.evaluations / budget))
+    places = np.array(sorted(result))
+    increment, model, again, work, scale = np.array([result[k] for k in places]).T
     return Balance(subject.signal("time")[places, 0], increment, model, again, work, scale, periods)
 
 
@@ -137,7 +140,7 @@ class Motion:
         self.row, self.at, self.arm = layout.new_row(), layout.offsets, subject.robot.arm_index
         self.gains, self.K = subject.kinematic.base_gains(layout.base), subject.kinematic.arm_gains(layout)
         self.h, self.steps = subject.timing.control_period, subject.timing.steps_per_control
-        robots, timing = (subject.robot, subject.given.loaded or subject.robot), subject.timing
+        robots, timing = (subject.robot, subject.hardware.loaded or subject.robot), subject.timing
         self.plants = [IdealPlant(robot, timing.plant_step, timing.integrator) for robot in robots]
         self.between = Between(subject.rows, layout, self.h)
         names = ("pose_ref", "velocity_ref", "nu_ref", "nudot_ref", "psi", "torque")
@@ -151,8 +154,8 @@ class Motion:
         from scipy.integrate import DOP853  # slow to import
 
         start, end = (self._state(row) for row in (self.rows[k], self.rows[k + 1]))
-        given = self.subject.given
-        self.k, self.view["torque"][:] = k, given.torque[k] + given.push[k]
+        hardware = self.subject.hardware
+        self.k, self.view["torque"][:] = k, hardware.torque[k] + hardware.push[k]
         self.dynamics = self.subject.dynamics(float(self.rows[k][0]))
         before = self._energy(0.0, start)
         flow = self._flow(0.0, start)
@@ -173,7 +176,7 @@ class Motion:
 
     def _stepped(self, start: Array, end: Array) -> Array:
         """Where the plant's own steps lead over the period, with the reference of its end."""
-        if self.subject.given.varies:
+        if self.subject.hardware.varies:
             return np.full_like(end, np.nan)
         tau, there = self.view["torque"].copy(), end.copy()
         plant = self.plants[int(self.dynamics is not self.subject.dynamics(-1.0))]
@@ -217,3 +220,45 @@ class Motion:
         command(self.row, self.at, self.gains, self.K)
         self.dynamics.refresh(position, nu)
         return self.view["nu_ref"] - nu
+
+
+class Between:
+    """The reference between the rows of a run, but for the pose.
+
+    Args:
+        rows: (N, width) the rows.
+        layout: Where signals stand in them.
+        period: Time between two rows [s].
+    """
+
+    def __init__(self, rows: Array, layout: Layout, period: float) -> None:
+        from scipy.interpolate import BPoly, CubicHermiteSpline, PPoly  # slow to import
+
+        time = np.arange(len(rows)) * period
+        velocity, acceleration, q, qdot, qddot = (
+            rows[:, layout.where(name)]
+            for name in ("velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref")
+        )
+        # coefficients (degree + 1, N - 1, size), highest first, in the time since the row
+        self.base = CubicHermiteSpline(time, velocity, acceleration).c if layout.base else np.zeros((4, len(rows), 0))
+        joints = np.stack((q, qdot, qddot), axis=1)
+        self.arm = PPoly.from_bernstein_basis(BPoly.from_derivatives(time, joints)).c if layout.arm else None
+        at = layout.offsets
+        self.of_base = slice(int(at[INDEX["velocity_ref"]]), int(at[INDEX["acceleration_ref"] + 1]))
+        self.of_arm = slice(int(at[INDEX["q_ref"]]), int(at[INDEX["qddot_ref"] + 1]))
+
+    def write(self, k: int, t: float, row: Array) -> None:
+        """Reference at a time t [s] after row k into a row (width,)."""
+        row[self.of_base] = np.concatenate(polynomial(self.base[:, k], t)[:2])
+        if self.arm is not None:
+            row[self.of_arm] = np.concatenate(polynomial(self.arm[:, k], t))
+
+
+def polynomial(coefficients: Array, t: float) -> tuple[Array, Array, Array]:
+    """Value and first two derivatives at t of polynomials (n, m), highest coefficient first; (m,) each."""
+    value = rate = half = np.zeros(coefficients.shape[1])
+    for c in coefficients:  # Horner's scheme
+        half = half * t + rate
+        rate = rate * t + value
+        value = value * t + c
+    return value, rate, 2.0 * half

@@ -1,8 +1,13 @@
 """The certificate: what docs/theory.md guarantees for one robot, gains, reference and region, every constant a number.
 
-A region of errors that no motion of the sampled loop leaves, and the smaller one that every motion from there ends up
-in, for any weights that the update can reach and any disturbance within its bound. Where the region asked for cannot
-be certified, the largest that can is looked for; where there is none, the conditions tell what fails and by how much.
+A box bounds the size of the pose error, every arm error, and the energy of the errors in velocity. It is *invariant*
+when on each of its faces that error falls: no motion of the sampled loop leaves it, for any weights that the update can
+reach and any disturbance within its bound (section 5). From an invariant box every motion enters the next smaller one
+of `Boxes.descend` and stays there: the sublevel sets of a Lyapunov function of the kind max(error over its bound). The
+last one contains all places where that function may grow: the ultimate bound.
+
+Where the region asked for cannot be certified, the conditions tell what fails and by how much; where none is asked for,
+the largest that can be is searched for.
 """
 
 from __future__ import annotations
@@ -10,60 +15,28 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import chain
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .boxes import STRICT, Box, Boxes, Faces
-from .certified_loop import CertifiedLoop
+from ...signals import Array
+from .bounds import PoseSet, WeightsBound, weights_bound
+from .certified_loop import CertifiedLoop, Condition, limits_in
 from .learner import NAMES
+from .motion_bound import Drive, Gains, MotionBound, MotionSamples, drive, motion_bound
 
+BoolArray = NDArray[np.bool_]
+Row = tuple[str, float, str, str, str]  # the fields of a Constant
+STRICT = 1.02  # a box is this much larger than the place where its error may stand still
+STEPS = 200
+SMALL = 1e-12  # of the region's energy: what is below is left to rounding
+SETTLED = 1e-3
 ENERGIES = np.geomspace(1e-6, 30.0, 32)  # [J]
 SIZES = np.array([0.01, 0.03, 0.07, 0.13, 0.2, 0.3, 0.42, 0.56, 0.72])  # of the largest size of the pose error
 THIN = 8  # of the samples, every which is looked at in the search
 ARMS = (1.0, 2.5)  # of the size that the energy drives the arm errors to
-
-
-@dataclass(frozen=True)
-class Constant:
-    """A number of the certificate.
-
-    Attributes:
-        name: As in docs/theory.md.
-        value: In SI units.
-        unit: Its unit.
-        source: "given" (robot, settings, reference), "computed" from others, or "sampled" (over configurations).
-        words: What it is.
-    """
-
-    name: str
-    value: float
-    unit: str
-    source: str
-    words: str
-
-
-@dataclass(frozen=True)
-class Condition:
-    """A condition of the theorem: `value < limit`, or `value > limit`.
-
-    Attributes:
-        name: Which.
-        value: Left side.
-        limit: Right side.
-        words: What it says.
-        need: "below" or "above".
-    """
-
-    name: str
-    value: float
-    limit: float
-    words: str
-    need: str = "below"
-
-    @property
-    def holds(self) -> bool:
-        """Whether it is met; what is no number is not."""
-        return bool(self.value > self.limit if self.need == "above" else self.value < self.limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +45,7 @@ class Certificate:
 
     Attributes:
         boxes: The boxes of the loop.
-        faces: From the region to the one that every motion from there ends up in; one if the region is not held.
+        faces: From the region to the one that every motion from there ends up in; one if the region is not invariant.
         asked: Whether the region is one that was asked for; else it was looked for.
     """
 
@@ -83,7 +56,7 @@ class Certificate:
     @property
     def holds(self) -> bool:
         """Whether a region is certified."""
-        return self.region.held
+        return self.region.invariant
 
     @property
     def region(self) -> Faces:
@@ -118,26 +91,132 @@ def certify(loop: CertifiedLoop, region: Box | None = None, start: Box | None = 
     return Certificate(boxes, boxes.descend(), region is not None)
 
 
+def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
+    """See `Certificate.conditions`."""
+    loop, motion, box = boxes.loop, faces.motion, faces.box
+    yield Condition("speed", loop.pose.slowest, 0.0, "slowest speed of the reference [m/s]", "above")
+    for i, network in boxes.networks.items():
+        if not network.projected:
+            leak = max(network.leak, network.leak_V)
+            yield Condition(f"leakage, {NAMES[i]}", leak, 2.0, "kappa F |s| per sample, also with G")
+        yield Condition(f"weights, {NAMES[i]}", network.norm, math.inf, f"|Z| has a bound, by {network.why}")
+    feedback = "smallest s'Ks / s'Ms: feedback less kinematic gains and Coriolis [1/s]"
+    less = "the same less what the hold of the torque takes [1/s]"
+    stands = "where the pose error may stand still, within the region [m]"
+    share = float((faces.joints / loop.samples.spread).max(initial=0.0))
+    arm = (
+        Condition("decay, arm", loop.arm_decay, 0.0, "decay of the arm errors' size [1/s]", "above"),
+        Condition("face, arm", faces.arm, box.arm, "the same of the arm errors' size"),
+        Condition("arm", share, 1.0 + 1e-12, "the region's arm errors over those that were sampled"),
+    )
+    yield from (
+        Condition("pose", faces.decay, 0.0, "decay of the pose error in the region [1/s]", "above"),
+        Condition("period", loop.period * motion.fastest, 0.5, "h times the largest eigenvalue of M^-1 k"),
+        Condition("feedback", motion.unheld, 0.0, feedback, "above"),
+        Condition("feedback, held", motion.margin, 0.0, less, "above"),
+        Condition("face, pose", faces.pose, box.pose, stands),
+        *(arm if len(faces.joints) else ()),
+        Condition("face, energy", motion.level, box.energy, "the same of the energy of the errors [J]"),
+        *faces.limits,
+    )
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A number of the certificate.
+
+    Attributes:
+        name: As in docs/theory.md.
+        value: In SI units.
+        unit: Its unit.
+        source: "given" by robot, settings, reference; "computed" from others; or "sampled" over configurations.
+        words: What it is.
+    """
+
+    name: str
+    value: float
+    unit: str
+    source: str
+    words: str
+
+
+def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
+    """See `Certificate.constants`."""
+    rows = chain(error_constants(boxes.loop, faces), controller_constants(boxes))
+    for name, value, *words in chain(rows, energy_constants(boxes.loop, faces.motion)):
+        yield Constant(name, float(value), *words)
+
+
+def error_constants(loop: CertifiedLoop, faces: Faces) -> list[Row]:
+    """Of the reference, the pose and the arm: fields of `Constant`."""
+    pose = loop.pose
+    arm = [
+        ("lambda_b", loop.arm_decay, "1/s", "computed", "decay of the arm errors"),
+        ("gamma_b", loop.samples.arm_gain, "", "sampled", "how the energy drives the arm errors"),
+    ]
+    return [
+        ("h", loop.period, "s", "given", "control period"),
+        ("vmin", pose.slowest, "m/s", "given", "slowest reference"),
+        ("vmax", pose.fastest, "m/s", "given", "fastest reference"),
+        ("wmax", pose.turning, "rad/s", "given", "largest yaw rate of the reference"),
+        ("drift", loop.drift[0], "m/s", "given", "at which the reference's poses leave its velocities"),
+        ("drift, yaw", loop.drift[1], "rad/s", "given", "the same of its heading"),
+        ("eps", pose.eps, "", "computed", "weight of ey eta in Vk"),
+        ("lambda_a", faces.decay, "1/s", "computed", "decay of the pose error"),
+        ("g", faces.yaw_gain, "m", "computed", "how z2 drives the pose error, z1 counting as 1"),
+        ("ephi_max", faces.reach.heading, "rad", "computed", "largest heading error"),
+        *(arm if len(loop.K) else ()),
+    ]
+
+
+def controller_constants(boxes: Boxes) -> Iterator[Row]:
+    """Of the controller and the disturbance, by velocity and by network."""
+    gains, names = boxes.gains, boxes.loop.robot.velocity_names
+    for name, low, high in zip(names, gains.lower, gains.upper, strict=True):
+        yield f"k[{name}] from", low, "SI", "given", "gain on s: k + Kz ZB"
+        yield f"k[{name}] to", high, "SI", "computed", "gain on s: k + Kz (|Z| + ZB)"
+    for name, value in zip(names, gains.network, strict=True):
+        yield f"Psi_hat[{name}]", value, "N, N m", "computed", "what the network may say at most"
+    for name, value in zip(names, gains.disturbance, strict=True):
+        yield f"d[{name}]", value, "N, N m", "given", "external force at most"
+    for i, bound in boxes.networks.items():
+        yield f"|W| {NAMES[i]}", bound.W, "", "computed", "bound on the output weights"
+        yield f"|V| {NAMES[i]}", bound.V, "", "computed", "bound on the hidden weights that learn"
+
+
+def energy_constants(loop: CertifiedLoop, motion: MotionBound) -> list[Row]:
+    """Of the energy of the errors."""
+    eigenvalues = np.linalg.eigvalsh(loop.samples.M)
+    return [
+        ("M_min", eigenvalues.min(), "SI", "sampled", "smallest eigenvalue of M"),
+        ("M_max", eigenvalues.max(), "SI", "sampled", "largest eigenvalue of M"),
+        ("mu", motion.fastest, "1/s", "sampled", "largest eigenvalue of M^-1 k"),
+        ("margin", motion.margin, "1/s", "sampled", "smallest s' K s / s' M s, hold included"),
+        ("lambda_E", motion.rate, "1/s", "sampled", "rate used for the energy of the errors"),
+        ("push", motion.pushed, "SI", "sampled", "largest |ds/dt| but for the feedback, in the norm of k"),
+    ]
+
+
 def search(loop: CertifiedLoop, start: Box | None = None) -> Boxes:
-    """The largest held box of a grid, those around the start first; where there is none, the one nearest to it.
+    """The largest invariant box of a grid, those around the start first; where there is none, the one nearest to it.
 
     Boxes are looked at with few samples first, from the best on with all.
     """
     few = loop.samples.thinned(THIN)
-    held, nearest, least = [], None, math.inf
+    invariant, nearest, least = [], None, math.inf
     for box in candidates(loop):
         boxes = Boxes(loop, box, few)
         if not (boxes.pose_stands(box) < box.pose and boxes.arm_stands(box) <= box.arm):
             continue
         faces = boxes.faces(box)
-        if faces.held:
+        if faces.invariant:
             around = start is not None and start.within(box)
-            held.append((around, math.log(box.pose * math.sqrt(box.energy) * (box.arm or 1.0)), box))
+            invariant.append((around, math.log(box.pose * math.sqrt(box.energy) * (box.arm or 1.0)), box))
         elif (over := excess(faces)) < least:
             nearest, least = box, over
-    for _, _, box in sorted(held, key=lambda one: one[:2], reverse=True):
+    for _, _, box in sorted(invariant, key=lambda one: one[:2], reverse=True):
         boxes = Boxes(loop, box)
-        if boxes.faces(box).held:
+        if boxes.faces(box).invariant:
             return boxes
     return Boxes(loop, nearest or Box(SIZES[0] * loop.pose.largest, 0.0, ENERGIES[0]))
 
@@ -152,72 +231,176 @@ def candidates(loop: CertifiedLoop) -> Iterator[Box]:
 
 
 def excess(faces: Faces) -> float:
-    """How far a box is from being held: the largest of its errors' standstills over their bounds; then the margin."""
+    """How far a box is from being invariant: the largest of its standstills over its bounds; then the margin."""
     box, motion = faces.box, faces.motion
     if not motion.margin > 0:
         return 1e6 - motion.margin if np.isfinite(motion.margin) else 1e12
     return float(min(max(faces.pose / box.pose, motion.level / box.energy), 1e5))
 
 
-def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
-    """See `Certificate.conditions`."""
-    loop, motion, box = boxes.loop, faces.motion, faces.box
-    yield Condition("speed", loop.pose.slowest, 0.0, "slowest speed of the reference [m/s]", "above")
-    for i, network in boxes.networks.items():
-        name = NAMES[i]
-        if not network.projected:
-            leak = max(network.leak, network.leak_V)
-            yield Condition(f"leakage, {name}", leak, 2.0, "kappa F |s| per sample, also with G")
-        yield Condition(f"weights, {name}", network.norm, math.inf, f"|Z| has a bound, by {network.why}")
-    yield Condition("pose", faces.decay, 0.0, "decay of the pose error in the region [1/s]", "above")
-    yield Condition("period", loop.period * motion.fastest, 0.5, "h times the largest eigenvalue of M^-1 k")
-    words = "smallest s'Ks / s'Ms: feedback less kinematic gains and Coriolis [1/s]"
-    yield Condition("feedback", motion.unheld, 0.0, words, "above")
-    yield Condition(
-        "feedback, held", motion.margin, 0.0, "the same less what the hold of the torque takes [1/s]", "above"
-    )
-    yield Condition("face, pose", faces.pose, box.pose, "where the pose error may stand still, within the region [m]")
-    if len(faces.joints):
-        yield Condition("decay, arm", loop.arm_decay, 0.0, "decay of the arm errors' size [1/s]", "above")
-        yield Condition("face, arm", faces.arm, box.arm, "the same of the arm errors' size")
-        share = float((faces.joints / loop.samples.spread).max())
-        yield Condition("arm", share, 1.0 + 1e-12, "the region's arm errors over those that were sampled")
-    yield Condition("face, energy", motion.level, box.energy, "the same of the energy of the errors [J]")
-    for limit in faces.limits:
-        yield Condition(limit.name, limit.value, limit.limit, limit.words)
+class Boxes:
+    """The boxes of one loop, for weights that are bounded as they are in the outermost one.
+
+    Args:
+        loop: The loop.
+        outer: The outermost box; the weights' bounds are taken there.
+        samples: The robot along the reference; all samples if None.
+    """
+
+    def __init__(self, loop: CertifiedLoop, outer: Box, samples: MotionSamples | None = None) -> None:
+        self.loop, self.outer, self.samples = loop, outer, samples or loop.samples
+
+    @cached_property
+    def networks(self) -> dict[int, WeightsBound]:
+        """Bounds on the weights of every network, (1 the base's, 2 the arm's)."""
+        loop = self.loop
+        if loop.learner is None:
+            return {}
+        s = self.velocity(self.outer)
+        x = loop.input_norm(self.drive(self.outer), self.outer.pose, self.joints(self.outer), s)
+        return {i: weights_bound(loop.learner, i, s, x, loop.projection) for i, _ in loop.learner.networks}
+
+    @cached_property
+    def gains(self) -> Gains:
+        """What the controller does inside of the outermost box."""
+        loop, network = self.loop, np.zeros(self.loop.robot.layout.dof)
+        (Kz, ZB), norm = loop.robust, np.zeros_like(network)
+        for i, part in loop.learner.networks if loop.learner else ():
+            network[part], norm[part] = self.networks[i].output, self.networks[i].norm
+        upper = loop.gain + np.where(Kz > 0, Kz * (np.where(Kz > 0, norm, 0.0) + ZB), 0.0)
+        return Gains(loop.gain + Kz * ZB, upper, network, loop.K, loop.disturbance, loop.period)
+
+    def velocity(self, box: Box) -> Array:
+        """(p,) largest |s_i| in a box."""
+        return np.asarray(np.sqrt(2 * box.energy * self.samples.lightest))
+
+    def joints(self, box: Box) -> Array:
+        """(n,) largest |e_i| in a box."""
+        return box.arm * self.samples.joint_reach
+
+    def drive(self, box: Box) -> Drive:
+        """What the errors of a box do to the reference velocity."""
+        loop, reach = self.loop, self.loop.pose.reach(box.pose)
+        return drive(loop.pose, reach, box.arm, self.joints(box), loop.K, loop.along.a_ref, loop.drift)
+
+    def pose_stands(self, box: Box, energy: float | None = None) -> float:
+        """Size below which the pose error may grow in a box [m], for energies up to one below the box's if given.
+
+        inf where nothing holds it.
+        """
+        pose, (away, turning) = self.loop.pose, self.loop.drift
+        decay = pose.decay(box.pose, float(self.velocity(box)[1]))
+        G = np.array([1.0, pose.yaw_gain(pose.reach(box.pose).cosine)])
+        driven = np.linalg.eigvalsh(G[:, None] * self.samples.M_inverse[:, :2, :2] * G).max()
+        speed = np.sqrt(2 * (box.energy if energy is None else energy) * driven) + away + G[1] * turning
+        return float(speed / decay) if decay > 0 else np.inf
+
+    def arm_stands(self, box: Box) -> float:
+        """The same of the arm errors' size; inf for configurations that were not looked at, or without decay."""
+        if not len(self.loop.K):
+            return 0.0
+        if (self.joints(box) > self.samples.spread).any() or not self.loop.arm_decay > 0:
+            return np.inf
+        return float(np.sqrt(2 * box.energy) * self.samples.arm_gain / self.loop.arm_decay)
+
+    def faces(self, box: Box) -> Faces:
+        """Judge a box within the outermost one."""
+        pose = self.loop.pose
+        reach, s = pose.reach(box.pose), self.velocity(box)
+        return Faces(
+            box=box,
+            reach=reach,
+            decay=pose.decay(box.pose, float(s[1])),
+            yaw_gain=pose.yaw_gain(reach.cosine),
+            joints=self.joints(box),
+            velocity=s,
+            motion=motion_bound(self.samples, self.drive(box), box.energy, self.gains),
+            pose=self.pose_stands(box),
+            arm=self.arm_stands(box),
+            limits=self.limits(box),
+        )
+
+    def limits(self, box: Box) -> list[Condition]:
+        """What may be reached in a box of the supervisor's limits."""
+        if self.loop.supervisor is None:
+            return []
+        s = self.velocity(box)
+        bounds = self.loop.signal_bounds(self.drive(box), box.pose, self.joints(box), s)
+        return limits_in(self.loop.supervisor, bounds, self.gains.upper * s + self.gains.network)
+
+    def inner(self, faces: Faces) -> Box:
+        """The next smaller box: the energy first, then what it drives."""
+        box, level = faces.box, faces.motion.level
+        energy = min(box.energy, STRICT * level)
+        share = float(np.sqrt(energy / box.energy))
+        pose = min(box.pose, STRICT * self.pose_stands(box, energy))
+        return Box(pose, min(box.arm, STRICT * share * faces.arm), energy)
+
+    def descend(self) -> list[Faces]:
+        """From the outermost box, if it is invariant, to the one that every motion from there ends up in."""
+        result = [self.faces(self.outer)]
+        while result[0].invariant and len(result) < STEPS and result[-1].box.energy > SMALL * self.outer.energy:
+            faces = self.faces(self.inner(result[-1]))
+            result.append(faces)
+            if faces.box.energy > (1 - SETTLED) * result[-2].box.energy:
+                break
+        return result
 
 
-def constants(boxes: Boxes, faces: Faces) -> Iterator[Constant]:
-    """See `Certificate.constants`."""
-    loop, motion, pose, gains = boxes.loop, faces.motion, boxes.loop.pose, boxes.gains
-    yield Constant("h", loop.period, "s", "given", "control period")
-    yield Constant("vmin", pose.slowest, "m/s", "given", "slowest reference")
-    yield Constant("vmax", pose.fastest, "m/s", "given", "fastest reference")
-    yield Constant("wmax", pose.turning, "rad/s", "given", "largest yaw rate of the reference")
-    yield Constant("drift", loop.drift[0], "m/s", "given", "at which the reference's poses leave its velocities")
-    yield Constant("drift, yaw", loop.drift[1], "rad/s", "given", "the same of its heading")
-    yield Constant("eps", pose.eps, "", "computed", "weight of ey eta in Vk")
-    yield Constant("lambda_a", faces.decay, "1/s", "computed", "decay of the pose error")
-    yield Constant("g", faces.yaw_gain, "m", "computed", "how z2 drives the pose error, z1 counting as 1")
-    yield Constant("ephi_max", faces.reach.heading, "rad", "computed", "largest heading error")
-    if len(loop.K):
-        yield Constant("lambda_b", loop.arm_decay, "1/s", "computed", "decay of the arm errors")
-        yield Constant("gamma_b", loop.samples.arm_gain, "", "sampled", "how the energy drives the arm errors")
-    names = loop.robot.velocity_names
-    for name, low, high in zip(names, gains.lower, gains.upper, strict=True):
-        yield Constant(f"k[{name}] from", float(low), "SI", "given", "gain on s: k + Kz ZB")
-        yield Constant(f"k[{name}] to", float(high), "SI", "computed", "gain on s: k + Kz (|Z| + ZB)")
-    for name, value in zip(names, gains.network, strict=True):
-        yield Constant(f"Psi_hat[{name}]", float(value), "N, N m", "computed", "what the network may say at most")
-    for name, value in zip(names, gains.disturbance, strict=True):
-        yield Constant(f"d[{name}]", float(value), "N, N m", "given", "external force at most")
-    for i, network in boxes.networks.items():
-        yield Constant(f"|W| {NAMES[i]}", network.W, "", "computed", "bound on the output weights")
-        yield Constant(f"|V| {NAMES[i]}", network.V, "", "computed", "bound on the hidden weights that learn")
-    eigenvalues = np.linalg.eigvalsh(loop.samples.M)
-    yield Constant("M_min", float(eigenvalues.min()), "SI", "sampled", "smallest eigenvalue of M")
-    yield Constant("M_max", float(eigenvalues.max()), "SI", "sampled", "largest eigenvalue of M")
-    yield Constant("mu", motion.fastest, "1/s", "sampled", "largest eigenvalue of M^-1 k")
-    yield Constant("margin", motion.margin, "1/s", "sampled", "smallest s' K s / s' M s, hold included")
-    yield Constant("lambda_E", motion.rate, "1/s", "sampled", "rate used for the energy of the errors")
-    yield Constant("push", motion.pushed, "SI", "sampled", "largest |ds/dt| but for the feedback, in the norm of k")
+@dataclass(frozen=True, eq=False)
+class Box:
+    """Errors of at most this.
+
+    Attributes:
+        pose: Size of the pose error, see `pose_bound` [m].
+        arm: Size of the arm errors, see `MotionSamples.arm_metric`.
+        energy: s' M s / 2 [J].
+    """
+
+    pose: float
+    arm: float
+    energy: float
+
+    def within(self, other: Box) -> bool:
+        """Whether all of it is in another box."""
+        return self.pose <= other.pose and self.arm <= other.arm and self.energy <= other.energy
+
+    def holds(self, pose: Array, arm: Array, energy: Array) -> BoolArray:
+        """Which of k states are inside; (k,) each."""
+        return (pose <= self.pose) & (arm <= self.arm) & (energy <= self.energy)
+
+
+@dataclass(frozen=True, eq=False)
+class Faces:
+    """Where each error may stand still, the others anywhere in a box: it falls from there up to the box's face.
+
+    Attributes:
+        box: The box.
+        reach: Its pose errors.
+        decay: Rate at which the pose error decays in it [1/s].
+        yaw_gain: g [m].
+        joints: (n,) largest |e_i| in it [rad or m].
+        velocity: (p,) largest |s_i| in it.
+        motion: The energy in it.
+        pose: Size below which the pose error may grow [m]; inf where nothing holds it.
+        arm: The same of the arm errors.
+        limits: What may be reached in it of the supervisor's limits.
+    """
+
+    box: Box
+    reach: PoseSet
+    decay: float
+    yaw_gain: float
+    joints: Array
+    velocity: Array
+    motion: MotionBound
+    pose: float
+    arm: float
+    limits: list[Condition]
+
+    @property
+    def invariant(self) -> bool:
+        """Whether no motion leaves the box, and no supervisor steps in."""
+        inside = self.pose < self.box.pose and self.motion.level < self.box.energy
+        inside = inside and all(limit.holds for limit in self.limits)
+        return bool(inside and (self.arm < self.box.arm or not len(self.joints)))

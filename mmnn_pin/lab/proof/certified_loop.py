@@ -1,10 +1,18 @@
-"""The loop that a certificate speaks of, from a recording: robot, gains, reference, learner; or why there is none."""
+"""The loop that a certificate speaks of, from a recording: robot, gains, reference, learner; or why there is none.
+
+The reference must be one motion. Between two samples a rate that moves smoothly from f0 to f1, with derivatives g0 and
+g1, adds `h (f0 + f1)/2 + h^2 (g0 - g1)/12` (corrected trapezoidal rule, an error of order h^5); a rate without them
+`h (f0 + f1)/2`. Poses of a table may drift away from its velocities by a little, which the certificate counts with; a
+velocity that jumps gives the errors a jump, which it cannot. Where a limit of a supervisor may be passed, another loop
+begins.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import msgspec
 import numpy as np
 
 from ...errors import RecordingError
@@ -12,15 +20,16 @@ from ...kinematic import Kinematic
 from ...model.base import BY_SIZE
 from ...model.base.differential import DifferentialDrive
 from ...model.robot import Robot
+from ...safety import Safety
+from ...safety.supervisor import HEADING, POSITION
 from ...signals import Array
 from ...torque.controller import per_velocity
+from .bounds import PoseBound
 from .learner import Networks
-from .motion_samples import Along, MotionSamples, sample
-from .moving_reference import drift, jump
-from .pose_bound import PoseBound
+from .motion_bound import Along, Drive, MotionSamples, sample
 from .subject import Subject
-from .supervised import Supervisor, supervisor_of
 
+TOLERANCE = 1e-3  # of the largest rate
 SPREAD = 0.5  # [rad or m]: arm errors beyond this are not looked at
 SIGNALS = ("velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref", "pose_ref")
 RATES = (("velocity_ref", "acceleration_ref"), ("q_ref", "qdot_ref"), ("qdot_ref", "qddot_ref"))
@@ -71,10 +80,10 @@ class CertifiedLoop:
     def samples(self) -> MotionSamples:
         """The robot along the reference; the arm's metric is the one whose errors a given energy drives less far."""
         n = self.robot.layout.arm
-        found = sample(self.robot, self.along, np.full(n, SPREAD) if self.spread is None else self.spread)
+        result = sample(self.robot, self.along, np.full(n, SPREAD) if self.spread is None else self.spread)
         if n == 0 or not np.ptp(self.K):
-            return found
-        return max((found, replace(found, decoupled=True)), key=lambda one: one.arm_decay(self.K) / one.arm_gain)
+            return result
+        return max((result, replace(result, decoupled=True)), key=lambda one: one.arm_decay(self.K) / one.arm_gain)
 
     @cached_property
     def arm_decay(self) -> float:
@@ -88,6 +97,49 @@ class CertifiedLoop:
         if term is None:
             return np.zeros(layout.dof), np.zeros(layout.dof)
         return per_velocity(term.base, term.arm, layout, "robust"), per_velocity(*term.ZB, layout, "robust.ZB")
+
+    def input_norm(self, added: Drive, pose: float, arm: Array, s: Array) -> float:
+        """Largest |x|, for a size of the pose error [m], arm errors (n,), velocity errors (p,) and what they drive."""
+        assert self.learner is not None
+        inputs, layout = self.learner.own.inputs, self.robot.layout
+        row = layout.new_row()
+        for name, value in self.signal_bounds(added, pose, arm, s).items():
+            row[layout.where(name)] = value
+        scale, offset = inputs.affine(layout)
+        return float(np.linalg.norm(np.abs(scale) * row[inputs.rows(layout)] + np.abs(offset)))
+
+    def signal_bounds(self, added: Drive, pose: float, arm: Array, s: Array) -> dict[str, Array]:
+        """Largest absolute value of every signal that a network may see."""
+        along, reach = self.along, self.pose.reach(pose)
+        ref = {name: np.abs(getattr(along, name)).max(axis=0) for name in along.__dataclass_fields__}
+        nu = np.abs(along.nu).max(axis=0) + added.nu
+        nudot = np.abs(along.nudot).max(axis=0) + np.concatenate((added.nudot, self.K**2 * arm))
+        nudot += (np.abs(added.middle) + added.half) @ s
+        away = pose / np.sqrt(1 - self.pose.eps)  # |(ex, ey)| at most: the smallest eigenvalue of the metric is 1 - eps
+        error = np.array([reach.ex, reach.ey, reach.heading])
+        edot = s[2:] + self.K * arm
+        return {
+            "pose_ref": ref["pose_ref"],
+            "velocity_ref": ref["v_ref"],
+            "acceleration_ref": ref["a_ref"],
+            "q_ref": ref["q_ref"],
+            "qdot_ref": ref["qdot_ref"],
+            "qddot_ref": ref["qddot_ref"],
+            "pose": ref["pose_ref"] + np.array([away, away, reach.heading]),
+            "velocity": nu[:2] + s[:2],
+            "q": ref["q_ref"] + arm,
+            "qdot": ref["qdot_ref"] + edot,
+            "alpha": nu[:2],
+            "alphadot": nudot[:2],
+            "pose_error": error,
+            "world_error": np.array([away, away, reach.heading]),
+            "z": s[:2],
+            "e": arm,
+            "edot": edot,
+            "r": s[2:],
+            "nu_ref": nu,
+            "nudot_ref": nudot,
+        }
 
     def disturbed(self, disturbance: Array) -> CertifiedLoop:
         """The same with an external force of at most (p,) [N, N m]."""
@@ -161,17 +213,40 @@ def refusal(subject: Subject) -> str:
     return ""
 
 
+def drift(pose: Array, velocity: Array, acceleration: Array, period: float) -> tuple[float, float]:
+    """Largest speed [m/s] and yaw rate [rad/s] at which poses (N, 3) leave those that velocities (N, 2) lead to."""
+    (v, w), (vdot, wdot), (c, s) = velocity.T, acceleration.T, (np.cos(pose[:, 2]), np.sin(pose[:, 2]))
+    rate = np.stack([v * c, v * s, w], axis=1)
+    change = np.stack([vdot * c - v * w * s, vdot * s + v * w * c, wdot], axis=1)
+    off = np.diff(pose, axis=0) / period - mean(rate) + period / 12 * np.diff(change, axis=0)
+    return float(np.hypot(off[:, 0], off[:, 1]).max(initial=0.0)), float(np.abs(off[:, 2]).max(initial=0.0))
+
+
+def jump(time: Array, value: Array, rate: Array, period: float) -> float:
+    """When values (N, k) first change by something else than their rates (N, k) say [s]; nan if never."""
+    off = np.abs(np.diff(value, axis=0) / period - mean(rate))
+    rounding = 1e-14 * np.abs(value).max(axis=0) / period
+    fastest = np.maximum(np.abs(rate).max(axis=0), 1e-6 * np.abs(value).max(axis=0))
+    result = (off > TOLERANCE * fastest + rounding).any(axis=1)
+    return float(time[int(np.argmax(result))]) if result.any() else float("nan")
+
+
+def mean(rate: Array) -> Array:
+    """Of every two samples that follow each other, (N - 1, k)."""
+    return (rate[1:] + rate[:-1]) / 2
+
+
 def push_bound(subject: Subject) -> Array:
     """(p,) largest external force of the run's pushes: steps and sines as given, impulses and noise as they were."""
-    names, found = list(subject.robot.velocity_names), np.zeros(subject.layout.dof)
+    names, result = list(subject.robot.velocity_names), np.zeros(subject.layout.dof)
     for event in subject.recording.meta.get("disturbances", ()):
         force = abs(event.get("force", 0.0))
         if event.get("shape", "step") == "impulse":
             force /= subject.timing.plant_step
         elif event.get("shape") == "noise":
             force = float(np.abs(subject.recording["disturbance"][:, names.index(event["on"])]).max())
-        found[names.index(event["on"])] += force
-    return found
+        result[names.index(event["on"])] += force
+    return result
 
 
 def proportional(subject: Subject) -> bool:
@@ -181,3 +256,87 @@ def proportional(subject: Subject) -> bool:
     scale = np.abs(tau).max() + 1e-300
     constant = bool((gain > 0).all()) and not np.ptp(gain, axis=0).any()
     return constant and bool(np.abs(gain * s - tau).max() <= 1e-9 * scale)
+
+
+@dataclass(frozen=True, eq=False)
+class Supervisor:
+    """Limits, inf where there is none.
+
+    Attributes:
+        torque: (motors,) of every motor, clipped [N m or N].
+        speed: (p,) of every velocity [m/s, rad/s].
+        position: Distance of the base from its reference [m].
+        heading: Heading error [rad].
+        joints: (n,) errors of the arm [rad or m].
+        E_inv: (motors, p) motor torques from torques on nu.
+    """
+
+    torque: Array
+    speed: Array
+    position: float
+    heading: float
+    joints: Array
+    E_inv: Array
+
+    @classmethod
+    def of(cls, safety: Safety, robot: Robot, period: float) -> Supervisor:
+        """From settings."""
+        its = safety.supervisor(robot, period, np.zeros(robot.layout.dof), np.zeros(robot.layout.arm))
+        position, heading = its.numbers[[POSITION, HEADING]]
+        return cls(its.torque, its.speed, position, heading, its.error, np.asarray(np.linalg.inv(robot.E)))
+
+
+def supervisor_of(subject: Subject) -> Supervisor | None:
+    """The supervisor of a run, if there is one."""
+    safety = subject.recording.meta.get("safety")
+    if not safety:
+        return None
+    return Supervisor.of(msgspec.convert(safety, Safety), subject.robot, subject.timing.control_period)
+
+
+@dataclass(frozen=True)
+class Condition:
+    """A condition of the theorem: `value < limit`, or `value > limit`.
+
+    Attributes:
+        name: Which.
+        value: Left side.
+        limit: Right side.
+        words: What it says.
+        need: "below" or "above".
+    """
+
+    name: str
+    value: float
+    limit: float
+    words: str
+    need: str = "below"
+
+    @property
+    def holds(self) -> bool:
+        """Whether it is met; what is no number is not."""
+        return bool(self.value > self.limit if self.need == "above" else self.value < self.limit)
+
+
+def limits_in(supervisor: Supervisor, bounds: dict[str, Array], torque: Array) -> list[Condition]:
+    """What a box may reach of every limit: bounds of its signals (see `signal_bounds`), torques on nu up to (p,)."""
+    nu = np.concatenate((bounds["velocity"], bounds["qdot"]))
+    limits = [
+        worst("torque", np.abs(supervisor.E_inv) @ torque, supervisor.torque, "largest motor torque [N m or N]"),
+        worst("speed", nu, supervisor.speed, "largest speed [m/s, rad/s or m/s of a joint]"),
+        worst("position", bounds["world_error"][:1], supervisor.position, "largest distance from the reference [m]"),
+        worst("heading", bounds["pose_error"][2:], supervisor.heading, "largest heading error [rad]"),
+        worst("joint error", bounds["e"], supervisor.joints, "largest error of a joint [rad or m]"),
+    ]
+    return [limit for limit in limits if limit is not None]
+
+
+def worst(name: str, values: Array, limits: Array | float, words: str) -> Condition | None:
+    """The value that comes nearest to its limit or passes it furthest; None where there is no limit."""
+    limits = np.broadcast_to(limits, values.shape)
+    if not np.isfinite(limits).any():
+        return None
+    k = int(np.argmax(values / limits))
+    return Condition(
+        f"supervisor, {name}", float(values[k]), float(limits[k]), f"{words}, within the supervisor's limit"
+    )

@@ -14,10 +14,9 @@ from ...model.regressor import Regressor
 from ...signals import Array, IntArray
 from ...torque.adaptive import EXCITED
 from ...torque.two_layer import numerical_rank
+from .excitation import MOST as FEW
+from .excitation import Excitation, Unknown, effective_rank, excitation, network_in, tangents, unknown
 from .learner import NAMES, Learner, Networks, Stepper, seen
-from .rank import Excitation, effective_rank, excitation
-from .unknown import MOST as FEW
-from .unknown import Unknown, network_in, tangents, unknown
 
 MOST = 2000  # rows that are looked at, evenly spread
 

@@ -1,8 +1,9 @@
-"""The held-out trajectory: other path, other speed, other arm motion, recorded once under computed torque.
+"""What frozen weights are judged on: a trajectory that the learner never saw, and a robot with a load.
 
-A config may name one in `[held_out]`. Else it follows from the run's reference alone, so that all learners of an
-experiment get the same one: the base drives an eight at 1.3 times the mean speed, turning at most 1.3 times as fast as
-the run; every joint swings 1.3 times as fast, those that stood still, too, each with a phase of its own.
+The held-out trajectory has another path, speed and arm motion, and is recorded once under computed torque. A config may
+name one in `[held_out]`. Otherwise it follows from the run's reference alone, so that all learners of an experiment get
+the same one: the base drives an eight at 1.3 times the mean speed, turning at most 1.3 times as fast as the run; every
+joint swings 1.3 times as fast, those that stood still, too, each with a phase of its own.
 """
 
 from __future__ import annotations
@@ -11,13 +12,14 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 
 from ...errors import ConfigError, RecordingError
 from ...kinematic import Kinematic
 from ...loop.loop import Loop
 from ...loop.start import Start
 from ...model.base.holonomic import moves_sideways
-from ...model.robot import Robot
+from ...model.robot import Robot, carrying
 from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
 from ...signals import Array
 from ...timing import Timing
@@ -25,7 +27,6 @@ from ...torque.controller import Feedback
 from ...torque.model_based import ComputedTorque
 from ..experiments.config import recorded_experiment
 from ..experiments.experiment import Experiment
-from .fvu import START
 from .subject import Subject, finite_rows
 
 FASTER = 1.3
@@ -35,6 +36,8 @@ SPEED = 0.2  # [m/s] where the run's base stands still
 SWING = 0.3  # [rad or m] of a joint that stood still and has no limits; else this share of half its range
 MARGIN = 0.95  # of a joint's range
 GOLDEN = 2.399963  # [rad]: phases that do not repeat
+START = 0.5  # [s] of a run that do not count: the transient
+SHARE = 0.25  # of the arm's mass, about what arms are made to carry
 
 
 @dataclass(frozen=True)
@@ -70,16 +73,18 @@ def all_held_out(experiment: Experiment, robot: Robot) -> dict[str, HeldOut]:
     Raises:
         InputError: One does not suit the robot, or is over before errors count.
     """
-    for name, given in experiment.held_out.items():
-        if given.duration <= START:
+    for name, settings in experiment.held_out.items():
+        if settings.duration <= START:
             why, fix = f"the first {START:g} s do not count", "make it longer"
-            raise ConfigError(f"{given.duration:g} s", why=why, fix=fix, key=f"held_out.{name}.duration")
+            raise ConfigError(f"{settings.duration:g} s", why=why, fix=fix, key=f"held_out.{name}.duration")
     if not experiment.held_out:
         rows = whole_reference(experiment, robot)
         return {"usual": usual(robot, experiment.time.control_period, rows)}
     return {
-        name: HeldOut(experiment.held_out_of(robot, name), given.duration, f"as [held_out.{name}] of its config says")
-        for name, given in experiment.held_out.items()
+        name: HeldOut(
+            experiment.held_out_of(robot, name), settings.duration, f"as [held_out.{name}] of its config says"
+        )
+        for name, settings in experiment.held_out.items()
     }
 
 
@@ -181,3 +186,29 @@ def recorded_under_computed_torque(
             "no held-out trajectory", why=f"computed torque does not get through: {run.outcome.message}"
         )
     return finite_rows(run, robot.layout)
+
+
+def usual_payload(robot: Robot) -> float:
+    """A quarter of the mass that the arm moves, or of the whole robot's where it has no arm [kg]."""
+    model, arm = robot.model, [robot.model.getJointId(name) for name in robot.joint_names]
+    bodies = {i for joint in arm for i in model.subtrees[joint]} if arm else range(1, model.njoints)
+    return float(SHARE * sum(model.inertias[i].mass for i in bodies))
+
+
+def loaded(robot: Robot, mass: float) -> Robot:
+    """The robot with a point mass [kg] at the tip of its arm, or at the centre of its base where it has no arm.
+
+    The tip is the point of the last arm joint's body that is farthest from the joint, among the frames and joints
+    that it carries.
+    """
+    joint = robot.model.getJointId(robot.joint_names[-1]) if robot.joint_names else 1
+    return carrying(robot, mass, at=tuple(tip(robot.model, joint, bool(robot.joint_names))))
+
+
+def tip(model: pin.Model, joint: int, of_arm: bool) -> Array:
+    """Where the load is, (3,) in the joint's frame [m]."""
+    points = [frame.placement.translation for frame in model.frames if frame.parentJoint == joint]
+    points += [model.jointPlacements[child].translation for child in model.children[joint]]
+    if not of_arm or not any(np.linalg.norm(point) > 1e-9 for point in points):
+        return np.array(model.inertias[joint].lever)
+    return np.array(max(points, key=np.linalg.norm))

@@ -1,11 +1,19 @@
-"""The Lyapunov function along a run: V of (3.53) with the corrected V1, its derivative term by term, and when it grows.
+"""The Lyapunov function along a run: V of (3.53) with the corrected V1, its derivative term by term, when it grows.
 
-    V = V1(pose error) + s' M s / 2 + weights' part            (see `errors`, `weights_part`)
+    V = V1(pose error) + s' M s / 2 + weights' part            s = [z; r]; the weights' part: see `weights_part`
     Vdot = pose + coupling + feedback + robust + leakage + prediction + remainder + ...   continuous loop, predicted
 
-What the measured change of V over a control period adds to that is told apart: `step`, the second order of the update
-of the weights, and `hold`, the rest: torque and weights are held while the errors move on. With sensors that err,
-`sensors` is what the controller's error in s does. The terms add up to the measured change exactly.
+`V1 = (ex^2 + ey^2)/2 + (1 - cos ephi)/ky` for a differential drive: the corrected form of (3.4), which as printed is
+indefinite. For a holonomic base the heading counts as `1 - cos ephi`; a fixed arm has no V1. Along a motion
+
+    V1dot = -kx ex^2 - (|vr| kth/ky) sin^2 ephi + ex z1 + (sin ephi/ky) z2        z is the input; (3.19) drops it
+    d/dt (s' M s/2) = s' (Psi - torque)                                           by skew symmetry
+
+What the measured change of V over a control period adds to the prediction is split in two: `step`, the second order of
+the update of the weights, and `hold`, the rest: torque and weights are held while the errors move on. With sensors that
+err, `sensors` is what the controller's error in s does. The weights' part speaks of what the weights say; the torque
+has the Psi_hat that `torque.law` leaves of that, which is the term `limits`. The terms add up to the measured
+change exactly.
 """
 
 from __future__ import annotations
@@ -15,9 +23,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...errors import RecordingError
+from ...kinematic import Kinematic
+from ...model.base import BY_SIZE
+from ...model.base.base import PoseEnergy
 from ...signals import Array, IntArray
-from .errors import motion_energy, pose_of
-from .limited import taken
+from .learner import Learner, Stepper
 from .subject import Subject
 from .weights_part import WeightsPart
 
@@ -44,6 +55,7 @@ TERMS = {
 }
 PREDICTED = tuple(name for name in TERMS if name not in ("step", "hold"))
 Part = Callable[[IntArray, Callable[[float], None] | None], WeightsPart]
+SPANS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +127,13 @@ def lyapunov(
     weights = None if part is None else part(at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
-    rates = powers(subject, rows[here], true[here], subject.given.torque[starts], subject.given.push[starts])
+    rates = powers(subject, rows[here], true[here], subject.hardware.torque[starts], subject.hardware.push[starts])
     terms = {"pose": pose.decay[here], "coupling": pose.coupling[here]} | rates
     if weights is not None:
         terms |= {name: values[here] for name, values in weights.terms.items()}
         terms |= {name: values[there] for name, values in weights.arrived.items()}
         assert subject.learner is not None
-        terms["limits"] = taken(subject.learner, subject.rows, starts)
+        terms["limits"] = limited_power(subject.learner, subject.rows, starts)
         terms["remainder"] = terms["remainder"] - terms["limits"]
     terms = {name: terms.get(name, np.zeros(len(here))) for name in TERMS if name != "hold"}
     terms["hold"] = measured - np.sum(list(terms.values()), axis=0)
@@ -154,13 +166,137 @@ def powers(subject: Subject, rows: Array, true: Array, torque: Array, push: Arra
         return table[:, where("nu_ref")] - np.hstack((table[:, where("velocity")], table[:, where("qdot")]))
 
     psi, psi_hat, robust, tau = (rows[:, where(name)] for name in ("psi", "psi_hat", "robust", "torque"))
-    told, really = s(rows), s(true)
-    truly = (really * (true[:, where("psi")] - tau)).sum(axis=1)
+    seen, true_s = s(rows), s(true)
+    truly = (true_s * (true[:, where("psi")] - tau)).sum(axis=1)
     return {
-        "feedback": -(told * (tau - psi_hat - robust)).sum(axis=1),
-        "robust": -(told * robust).sum(axis=1),
-        "remainder": (told * (psi - psi_hat)).sum(axis=1),
-        "sensors": truly - (told * (psi - tau)).sum(axis=1),
-        "motors": -(really * (torque - tau)).sum(axis=1),
-        "push": -(really * push).sum(axis=1),
+        "feedback": -(seen * (tau - psi_hat - robust)).sum(axis=1),
+        "robust": -(seen * robust).sum(axis=1),
+        "remainder": (seen * (psi - psi_hat)).sum(axis=1),
+        "sensors": truly - (seen * (psi - tau)).sum(axis=1),
+        "motors": -(true_s * (torque - tau)).sum(axis=1),
+        "push": -(true_s * push).sum(axis=1),
     }
+
+
+def pose_part(error: Array, z: Array, v_ref: Array, gains: Kinematic) -> PoseEnergy:
+    """V1 and its derivative from the pose error (k, 3), z and the reference's velocity (k, nb); nb = 0 has none.
+
+    Raises:
+        RecordingError: `ky` is 0: there is no V1.
+    """
+    nb = z.shape[1]
+    energy = BY_SIZE[nb].pose_energy(error, z, v_ref, gains.base_gains(nb))
+    if energy is None:
+        raise RecordingError("no Lyapunov function of the pose", why="ky is 0")
+    return energy
+
+
+def pose_of(subject: Subject, rows: Array) -> PoseEnergy:
+    """V1 along rows of the truth (k, width); errors as in `pose_part`."""
+    where, nb = subject.layout.where, subject.layout.base
+    s = rows[:, where("nu_ref")] - rows[:, where("nu")]
+    try:
+        return pose_part(rows[:, where("pose_error")], s[:, :nb], rows[:, where("velocity_ref")], subject.kinematic)
+    except RecordingError as error:
+        error.file = subject.recording.path
+        raise
+
+
+def motion_energy(subject: Subject, rows: Array) -> Array:
+    """`s' M s / 2` along rows of the truth (k, width) [J]."""
+    where, times = subject.layout.where, rows[:, subject.layout.where("time")][:, 0].tolist()
+    positions, velocities = (np.ascontiguousarray(rows[:, where(name)]) for name in ("position", "nu"))
+    s, result = rows[:, where("nu_ref")] - velocities, np.zeros(len(rows))
+    for k, (time, position, nu) in enumerate(zip(times, positions, velocities, strict=True)):
+        dynamics = subject.dynamics(time)
+        dynamics.refresh(position, nu)
+        result[k] = s[k] @ dynamics.M @ s[k] / 2
+    return result
+
+
+def limited_power(learner: Learner, rows: Array, at: IntArray) -> Array:
+    """What the motors' limits take from Psi_hat: `s' (Psi_hat of the weights - Psi_hat)` at some rows, (k,) [W].
+
+    Zeros for a learner that is not limited.
+
+    Args:
+        learner: The learner; it is stepped over all rows once more.
+        rows: (N, width) rows of its run.
+        at: (k,) which of them.
+    """
+    layout, limits, result = learner.context.layout, learner.context.limits, np.zeros(len(rows))
+    if limits is None:
+        return result[at]
+    stepper = Stepper(learner, learner.start.snapshot())
+    for n, row in enumerate(rows):
+        psi_hat = stepper.step(row)
+        s = np.concatenate((row[layout.where("z")], row[layout.where("r")]))
+        result[n] = s @ (stepper.known - psi_hat)
+    return result[at]
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of time in which V grows without a break.
+
+    Attributes:
+        start: [s].
+        end: [s].
+        rise: By how much V grows.
+        why: Term with the largest positive sum over it.
+    """
+
+    start: float
+    end: float
+    rise: float
+    why: str
+
+
+@dataclass(frozen=True)
+class Growth:
+    """When and why V grows.
+
+    Attributes:
+        samples: Share of the control periods in which it does.
+        rise: Sum of its growth.
+        fall: Sum of its decrease, a number >= 0.
+        why: Term to the share of the growing periods in which it is the largest, largest first.
+        work: Term to its sum over the run: what it adds to V.
+        spans: Those of most growth, largest first.
+    """
+
+    samples: float
+    rise: float
+    fall: float
+    why: dict[str, float]
+    work: dict[str, float]
+    spans: tuple[Span, ...]
+
+
+def growth(v: Lyapunov) -> Growth:
+    """When and why V grows along a run; over the samples that were looked at, each standing for those it skips."""
+    stride = (v.time[1] - v.time[0]) if len(v.time) > 1 else v.period
+    change, names = v.measured * stride, list(v.terms)
+    table = np.array([v.terms[name] for name in names]) * stride
+    grows = change > 0
+    largest = table[:, grows].argmax(axis=0)
+    counts = {name: float((largest == i).mean()) for i, name in enumerate(names)} if grows.any() else {}
+    why = {name: share for name, share in sorted(counts.items(), key=lambda item: -item[1]) if share}
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], grows.astype(int), [0]))))
+    result = [
+        Span(
+            float(v.time[a]),
+            float(v.time[b - 1] + stride),
+            float(change[a:b].sum()),
+            names[int(table[:, a:b].sum(axis=1).argmax())],
+        )
+        for a, b in zip(edges[::2], edges[1::2], strict=True)
+    ]
+    return Growth(
+        samples=float(grows.mean()),
+        rise=float(change[grows].sum()),
+        fall=float(-change[~grows].sum()),
+        why=why,
+        work=dict(zip(names, table.sum(axis=1).tolist(), strict=True)),
+        spans=tuple(sorted(result, key=lambda span: -span.rise)[:SPANS]),
+    )

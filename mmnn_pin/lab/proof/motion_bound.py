@@ -9,100 +9,27 @@ With K the matrix in brackets, R = (K - rate M)^-1 and |u|_R = sqrt(u' R u)
     Edot <= -2 rate E + |u|_R^2 / 4 + constant        for every rate with K - rate M > 0
 
 so that E falls while it is above `(|u|_R^2 / 4 + constant) / (2 rate)`.
+
+Mass, Coriolis and gravity terms are those of the robot *sampled* along its reference, the arm's configuration off it by
+an offset in a box, the corners first. What follows from them holds for these configurations, not for all between.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from ...signals import Array
-from .motion_samples import MotionSamples
-from .pose_bound import PoseBound, PoseSet
+from ...loop.sampled import viscous_friction
+from ...model.dynamics import Dynamics
+from ...model.robot import Robot
+from ...signals import Array, IntArray
+from .bounds import PoseBound, PoseSet
 
+SAMPLES = 240
 SPENT = (0.03, 0.1, 0.3)  # of the feedback, on what the hold lets pass
 SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85])  # of the largest rate
-
-
-@dataclass(frozen=True, eq=False)
-class Gains:
-    """What the controller does, in numbers.
-
-    Attributes:
-        lower: (p,) smallest gain on s [N s/m, N m s]: it dissipates.
-        upper: (p,) largest gain on s: held, it overshoots.
-        network: (p,) largest |Psi_hat| [N, N m].
-        K: (n,) of the filtered arm error [1/s].
-        disturbance: (p,) largest external force [N, N m].
-        period: Control period [s].
-    """
-
-    lower: Array
-    upper: Array
-    network: Array
-    K: Array
-    disturbance: Array
-    period: float
-
-
-@dataclass(frozen=True, eq=False)
-class Drive:
-    """What the errors of a box do to the reference velocity and acceleration, at s = 0.
-
-    Attributes:
-        nu: (p,) largest difference between nu_ref and the reference's own velocity.
-        nudot: (2,) the same of the base's part of nudot_ref.
-        arm: Size b of the arm errors, `sqrt(e' N e)`, which add `-K^2 e` to the arm's part of nudot_ref.
-        middle: (p, p) middle of `Az = d nudot_ref / d s` over the box.
-        half: (p, p) half-widths of its entries.
-    """
-
-    nu: Array
-    nudot: Array
-    arm: float
-    middle: Array
-    half: Array
-
-
-def drive(
-    pose: PoseBound,
-    reach: PoseSet,
-    arm: float,
-    joints: Array,
-    K: Array,
-    a_ref: Array,
-    drift: tuple[float, float] = (0.0, 0.0),
-) -> Drive:
-    """For pose errors, a size of the arm errors and with it |e_i| up to joints (n,), and a reference that drifts."""
-    away, turning = drift
-    fastest, flat = pose.fastest, 1 - reach.cosine
-    turn, side = fastest * reach.turn, fastest * reach.sine
-    yaw, (v_dot, _) = pose.turning + turn, np.abs(a_ref).max(axis=0)
-    forward = fastest * flat + pose.kx * reach.ex
-    ex_dot, ey_dot = yaw * reach.ey + pose.kx * reach.ex, yaw * reach.ex + side
-    v = v_dot * flat + side * turn + pose.kx * ex_dot
-    w = pose.ky * (v_dot * reach.ey + fastest * ey_dot) + pose.kth * (v_dot * reach.sine + fastest * turn)
-    v += pose.kx * away + side * turning
-    w += fastest * (pose.ky * away + pose.kth * turning)
-    nu = np.concatenate(([forward, turn], K * joints))
-    return Drive(nu, np.array([v, w]), arm, *input_matrix(pose, reach, K))
-
-
-def input_matrix(pose: PoseBound, reach: PoseSet, K: Array) -> tuple[Array, Array]:
-    """Middle and half-width, (p, p) each, of `Az = d nudot_ref / d s`.
-
-    Of the base `[[kx, -kx ey - vr sin ephi], [0, ky vr ex + kth vr cos ephi]]`, of the arm `diag(K)`.
-    """
-    p = 2 + len(K)
-    middle, half = np.zeros((p, p)), np.zeros((p, p))
-    middle[0, 0] = pose.kx
-    middle[2:, 2:] = np.diag(K)
-    half[0, 1] = pose.kx * reach.ey + pose.fastest * reach.sine
-    low, high = pose.kth * pose.slowest * reach.cosine, pose.kth * pose.fastest
-    middle[1, 1] = (low + high) / 2
-    half[1, 1] = (high - low) / 2 + pose.ky * pose.fastest * reach.ex
-    return middle, half
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,3 +145,247 @@ def dissipation(samples: MotionSamples, added: Drive, gain: Array) -> tuple[Arra
     K = np.diag(gain) + samples.viscous - driven + coriolis
     lost = np.einsum("nik,ik->n", samples.shears, added.half) + samples.gyration @ added.nu
     return (K + K.swapaxes(1, 2)) / 2, lost
+
+
+@dataclass(frozen=True, eq=False)
+class Gains:
+    """What the controller does, in numbers.
+
+    Attributes:
+        lower: (p,) smallest gain on s [N s/m, N m s]: it dissipates.
+        upper: (p,) largest gain on s: held, it overshoots.
+        network: (p,) largest |Psi_hat| [N, N m].
+        K: (n,) of the filtered arm error [1/s].
+        disturbance: (p,) largest external force [N, N m].
+        period: Control period [s].
+    """
+
+    lower: Array
+    upper: Array
+    network: Array
+    K: Array
+    disturbance: Array
+    period: float
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What the errors of a box do to the reference velocity and acceleration, at s = 0.
+
+    Attributes:
+        nu: (p,) largest difference between nu_ref and the reference's own velocity.
+        nudot: (2,) the same of the base's part of nudot_ref.
+        arm: Size b of the arm errors, `sqrt(e' N e)`, which add `-K^2 e` to the arm's part of nudot_ref.
+        middle: (p, p) middle of `Az = d nudot_ref / d s` over the box.
+        half: (p, p) half-widths of its entries.
+    """
+
+    nu: Array
+    nudot: Array
+    arm: float
+    middle: Array
+    half: Array
+
+
+def drive(
+    pose: PoseBound,
+    reach: PoseSet,
+    arm: float,
+    joints: Array,
+    K: Array,
+    a_ref: Array,
+    drift: tuple[float, float] = (0.0, 0.0),
+) -> Drive:
+    """For pose errors, a size of the arm errors and with it |e_i| up to joints (n,), and a reference that drifts."""
+    away, turning = drift
+    fastest, flat = pose.fastest, 1 - reach.cosine
+    turn, side = fastest * reach.turn, fastest * reach.sine
+    yaw, (v_dot, _) = pose.turning + turn, np.abs(a_ref).max(axis=0)
+    forward = fastest * flat + pose.kx * reach.ex
+    ex_dot, ey_dot = yaw * reach.ey + pose.kx * reach.ex, yaw * reach.ex + side
+    v = v_dot * flat + side * turn + pose.kx * ex_dot
+    w = pose.ky * (v_dot * reach.ey + fastest * ey_dot) + pose.kth * (v_dot * reach.sine + fastest * turn)
+    v += pose.kx * away + side * turning
+    w += fastest * (pose.ky * away + pose.kth * turning)
+    nu = np.concatenate(([forward, turn], K * joints))
+    return Drive(nu, np.array([v, w]), arm, *input_matrix(pose, reach, K))
+
+
+def input_matrix(pose: PoseBound, reach: PoseSet, K: Array) -> tuple[Array, Array]:
+    """Middle and half-width, (p, p) each, of `Az = d nudot_ref / d s`.
+
+    Of the base `[[kx, -kx ey - vr sin ephi], [0, ky vr ex + kth vr cos ephi]]`, of the arm `diag(K)`.
+    """
+    p = 2 + len(K)
+    middle, half = np.zeros((p, p)), np.zeros((p, p))
+    middle[0, 0] = pose.kx
+    middle[2:, 2:] = np.diag(K)
+    half[0, 1] = pose.kx * reach.ey + pose.fastest * reach.sine
+    low, high = pose.kth * pose.slowest * reach.cosine, pose.kth * pose.fastest
+    middle[1, 1] = (low + high) / 2
+    half[1, 1] = (high - low) / 2 + pose.ky * pose.fastest * reach.ex
+    return middle, half
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """A reference at N instants.
+
+    Attributes:
+        v_ref: (N, 2) vr, wr [m/s, rad/s].
+        a_ref: (N, 2) their derivatives.
+        q_ref: (N, n) [rad or m].
+        qdot_ref: (N, n).
+        qddot_ref: (N, n).
+        pose_ref: (N, 3) [m, m, rad].
+    """
+
+    v_ref: Array
+    a_ref: Array
+    q_ref: Array
+    qdot_ref: Array
+    qddot_ref: Array
+    pose_ref: Array
+
+    def at(self, places: IntArray) -> Along:
+        """The reference at some of the instants."""
+        return Along(*(getattr(self, name)[places] for name in self.__dataclass_fields__))
+
+    @property
+    def nu(self) -> Array:
+        """Velocities without any error, (N, p)."""
+        return np.concatenate((self.v_ref, self.qdot_ref), axis=1)
+
+    @property
+    def nudot(self) -> Array:
+        """Accelerations without any error, (N, p)."""
+        return np.concatenate((self.a_ref, self.qddot_ref), axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSamples:
+    """Terms of the reduced dynamics at N instants of a reference.
+
+    Args:
+        along: The reference there.
+        q: (N, n) the arm's configurations, off the reference by up to `spread` [rad or m].
+        M: (N, p, p) mass matrices.
+        coriolis: (N, p, p, p): `C(q, nu)_ik = sum_j coriolis_ijk nu_j`.
+        gravity: (N, p).
+        viscous: (p, p) viscous friction on nu, positive semi-definite.
+        dry: (p,) largest dry friction on nu.
+        spread: (n,) half-width of the box of the arm's offsets from the reference [rad or m].
+        decoupled: Whether the size of arm errors counts every joint by itself, see `arm_metric`.
+    """
+
+    along: Along
+    q: Array
+    M: Array
+    coriolis: Array
+    gravity: Array
+    viscous: Array
+    dry: Array
+    spread: Array
+    decoupled: bool = False
+    root_inverse: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root_inverse", np.linalg.inv(np.linalg.cholesky(self.M)))
+
+    def thinned(self, step: int) -> MotionSamples:
+        """Every step-th sample."""
+        keep = np.arange(0, len(self.M), step)
+        M, C, gravity = self.M[keep], self.coriolis[keep], self.gravity[keep]
+        return replace(self, along=self.along.at(keep), q=self.q[keep], M=M, coriolis=C, gravity=gravity)
+
+    @cached_property
+    def M_inverse(self) -> Array:
+        """(N, p, p)."""
+        return np.asarray(np.linalg.inv(self.M))
+
+    @cached_property
+    def lightest(self) -> Array:
+        """(p,) largest `(M^-1)_ii`: an energy E of the errors allows `|s_i| <= sqrt(2 E (M^-1)_ii)`."""
+        return np.asarray(np.einsum("nii->ni", self.M_inverse).max(axis=0))
+
+    def fastest(self, gain: Array) -> float:
+        """Largest eigenvalue of `M^-1 diag(gain)` [1/s]; inf for gains (p,) without bound."""
+        if not np.isfinite(gain).all():
+            return np.inf
+        L = self.root_inverse
+        return float(np.linalg.eigvalsh(L * gain @ L.swapaxes(1, 2)).max())
+
+    @cached_property
+    def arm_metric(self) -> Array:
+        """N (n, n): the size of an arm error e is `sqrt(e' N e)`.
+
+        The arm's inertia with the base free; `decoupled` the inverse of what is on the diagonal of its inverse.
+        """
+        mean = self.M_inverse[:, 2:, 2:].mean(axis=0)
+        return np.diag(1 / np.diag(mean)) if self.decoupled else np.asarray(np.linalg.inv(mean))
+
+    @cached_property
+    def arm_root(self) -> Array:
+        """(n, n): `e = arm_root y` with |y| the size of e."""
+        return np.linalg.inv(np.linalg.cholesky(self.arm_metric)).T
+
+    @cached_property
+    def joint_reach(self) -> Array:
+        """(n,) largest |e_i| for a size of 1."""
+        return np.linalg.norm(self.arm_root, axis=1)
+
+    @cached_property
+    def arm_gain(self) -> float:
+        """Largest `|r|_N / sqrt(s' M s)`."""
+        if not self.M.shape[1] > 2:
+            return 0.0
+        root = np.linalg.cholesky(self.arm_metric)
+        return float(np.sqrt(np.linalg.eigvalsh(root.T @ self.M_inverse[:, 2:, 2:] @ root).max()))
+
+    def arm_decay(self, K: Array) -> float:
+        """Rate at which the size of the arm errors decays for r = 0 [1/s]: of `e' N e`, with edot = r - K e, K (n,)."""
+        N = self.arm_metric
+        if not len(N):
+            return np.inf
+        L, NK = np.linalg.inv(np.linalg.cholesky(N)), N * K
+        return float(np.linalg.eigvalsh(L @ (NK + NK.T) @ L.T / 2)[0])
+
+    @cached_property
+    def gyration(self) -> Array:
+        """(N, p) rates: `|s' C(q, s) e_k| <= gyration_k s' M s`."""
+        return self.rate(self.coriolis.transpose(0, 3, 1, 2))
+
+    @cached_property
+    def shears(self) -> Array:
+        """(N, p, p) rates: `|s' M E_ik s| <= shears_ik s' M s`, E_ik the matrix with a single 1."""
+        p = self.M.shape[1]
+        units = np.eye(p * p).reshape(p * p, p, p)
+        return self.rate(np.einsum("nij,ujk->nuik", self.M, units)).reshape(-1, p, p)
+
+    def rate(self, X: Array) -> Array:
+        """Largest `|s' X s| / s' M s` of matrices (N, k, p, p); (N, k) [1/s]."""
+        L = self.root_inverse[:, None]
+        symmetric = (X + X.swapaxes(2, 3)) / 2
+        return np.asarray(np.abs(np.linalg.eigvalsh(L @ symmetric @ L.swapaxes(2, 3))).max(axis=-1))
+
+
+def sample(robot: Robot, along: Along, spread: Array, seed: int = 0, samples: int = SAMPLES) -> MotionSamples:
+    """Terms along a whole reference (T instants), `samples` of them, the arm spread around it."""
+    rng, n, dynamics = np.random.default_rng(seed), robot.layout.arm, Dynamics(robot)
+    places = np.unique(np.linspace(0, len(along.v_ref) - 1, samples).astype(int))
+    places = np.resize(places, samples)  # a short reference is sampled again with other offsets
+    offsets = rng.uniform(-1, 1, (samples, n))
+    offsets[: samples * 3 // 4] = np.where(offsets[: samples * 3 // 4] < 0, -1.0, 1.0)
+    offsets[::4] = 0.0
+    rng.shuffle(offsets)
+    here, p = along.at(places), robot.layout.dof
+    M, C, g = np.zeros((samples, p, p)), np.zeros((samples, p, p, p)), np.zeros((samples, p))
+    position = robot.neutral_position()
+    for k in range(samples):
+        position[robot.arm_index] = here.q_ref[k] + offsets[k] * spread
+        placed = robot.follow(position)
+        M[k], g[k] = dynamics.mass_matrix(placed), dynamics.gravity(placed)
+        for j, unit in enumerate(np.eye(p)):
+            C[k, :, j, :] = dynamics.coriolis_matrix(placed, unit)
+    dry = np.abs(robot.T).T @ robot.dry[:, :2].sum(axis=1)
+    return MotionSamples(here, here.q_ref + offsets * spread, M, C, g, viscous_friction(robot), dry, spread)

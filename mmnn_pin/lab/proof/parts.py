@@ -20,9 +20,8 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from ...errors import RecordingError
 from ...signals import Array, IntArray
 from ...torque.controller import ControllerState
-from .ideal import Ideal
+from .ideal import Ideal, LinearFit, of_shape
 from .learner import Learner
-from .linear_fit import LinearFit, of_shape
 from .linear_parts import covariance_part, stack_part
 from .lyapunov import MOST, Part
 from .network_part import network_part

@@ -1,30 +1,28 @@
-"""All that is told of one run: each part when it is first asked for, and why a part cannot be had."""
+"""All that is known of one run: each part computed when it is first asked for, and why a part cannot be had."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ...errors import InputError, RecordingError
 from ...recording.recording import Recording
-from ...torque.learning_law import LearningLaw
 from .balance import BUDGET, Balance, balance
-from .growth import Growth, growth
-from .ideal import Ideal, ideal_weights
-from .learner import Networks
-from .linear_fit import LinearFit, linear_fit
-from .lyapunov import Lyapunov, lyapunov
+from .ideal import IdealWeights, best_weights
+from .lyapunov import Growth, Lyapunov, growth, lyapunov
 from .parts import weights_of
 from .psi import WINDOWS, Psi, how_to_know, psi_of
 from .subject import Subject
-from .truth import Truth, true_parameters
 from .weights_part import WITHOUT
 
 PARTS = ("psi", "ideal", "lyapunov", "balance")
 MISSED = 1e-6  # relative difference of Psi_hat beyond which the weights of a run are not its weights
+QUICK = 5_000  # evaluations of the dynamics for one of several runs: a fraction of a second
+PROOFS: WeakKeyDictionary[Recording, Proof] = WeakKeyDictionary()
 
 
 class Proof:
@@ -59,24 +57,9 @@ class Proof:
         return psi_of(self.subject, self.payload, self.windows, self._progress)
 
     @cached_property
-    def ideal(self) -> dict[int, Ideal] | Truth | LinearFit:
-        """Ideal weights of networks, true parameters for an adaptive controller, best ones of another linear learner.
-
-        Raises:
-            RecordingError: The controller has none of these, or its law is not at hand.
-        """
-        subject, learner = self.subject, self.subject.learner
-        if isinstance(learner, Networks):
-            return ideal_weights(subject, learner)
-        if learner is not None and learner.controller.lyapunov_part == "estimate":
-            return true_parameters(subject, learner)
-        fit = None if learner is None else linear_fit(subject, learner)
-        if fit is not None:
-            return fit
-        why = f"{subject.controller} does not tell what its weights are multiplied with"
-        if learner is not None and isinstance(learner.controller, LearningLaw):
-            why += "; write methods features(sample, state) and gain(state), and V has its weights' part"
-        raise RecordingError("no ideal weights", why=why, file=subject.recording.path)
+    def ideal(self) -> IdealWeights:
+        """The best weights that there are, see `best_weights`."""
+        return best_weights(self.subject)
 
     @cached_property
     def lyapunov(self) -> Lyapunov:
@@ -85,18 +68,16 @@ class Proof:
         kept = weights_of(self.subject, self.ideal) if self.has("ideal") else None
         if kept is not None:
             try:
-                found = lyapunov(self.subject, kept.part, kept.most, show, kept.every)
+                result = lyapunov(self.subject, kept.part, kept.most, show, kept.every)
             except RecordingError as error:
                 if error.what != WITHOUT:
                     raise
                 self.left_out = sentence(error)
             else:
-                if found.missed <= MISSED:
-                    return found
-                what = (
-                    f"stepped again, the learner misses the recorded Psi_hat by {found.missed:.1e} of its largest value"
-                )
-                self.left_out = f"{WITHOUT}: {what}, as under a supervisor or another version"
+                if result.missed <= MISSED:
+                    return result
+                what = f"stepped again, the learner misses the recorded Psi_hat by {result.missed:.1e} of its largest"
+                self.left_out = f"{WITHOUT}: {what} value, as under a supervisor or another version"
         return lyapunov(self.subject, progress=show)
 
     @cached_property
@@ -120,27 +101,29 @@ class Proof:
 
     def remarks(self) -> list[str]:
         """What to know before believing the numbers, one line each."""
-        subject, found = self.subject, []
+        subject, result = self.subject, []
         outcome = subject.recording.outcome
         if outcome.status != "completed":
-            found.append(f"the run was {outcome.status}; told is the time before {subject.signal('time')[-1, 0]:.3g} s")
+            result.append(
+                f"the run was {outcome.status}; this is about the time before {subject.signal('time')[-1, 0]:.3g} s"
+            )
         # one line says it: of a controller without Psi_hat, of a law that is not at hand
         idle = {"psi", "ideal"} <= self.missing.keys() or bool(how_to_know(subject))
-        found += [sentence(error) for name, error in self.missing.items() if not (idle and name == "ideal")]
+        result += [sentence(error) for name, error in self.missing.items() if not (idle and name == "ideal")]
         if subject.plant != "ideal":
-            found.append(f"Psi is that of wheels that roll; on the {subject.plant} plant they may slip")
+            result.append(f"Psi is that of wheels that roll; on the {subject.plant} plant they may slip")
         if self.has("psi"):
-            found += self.psi.remarks
+            result += self.psi.remarks
             if self.psi.frozen and self.psi.weights_time < outcome.time - subject.timing.control_period / 2:
-                found.append(f"frozen weights are those of t = {self.psi.weights_time:.3g} s, the last that are known")
+                result.append(f"frozen weights are those of t = {self.psi.weights_time:.3g} s, the last that are known")
         if self.left_out:
-            found.append(self.left_out)
-        if np.isfinite(subject.given.pick) and subject.given.pick < subject.signal("time")[-1, 0]:
-            found.append(f"M and with it V jump where the payload is picked up, at {subject.given.pick:g} s")
-        if self.has("balance") and subject.given.varies:
+            result.append(self.left_out)
+        if np.isfinite(subject.hardware.pick) and subject.hardware.pick < subject.signal("time")[-1, 0]:
+            result.append(f"M and with it V jump where the payload is picked up, at {subject.hardware.pick:g} s")
+        if self.has("balance") and subject.hardware.varies:
             what = "motors or pushes may vary within control periods, of which the recording has the means"
-            found.append(f"{what}: only model and command are held to the equality")
-        return found
+            result.append(f"{what}: only model and command are held to the equality")
+        return result
 
     @property
     def holds(self) -> bool:
@@ -165,3 +148,30 @@ class Proof:
 def sentence(error: InputError) -> str:
     """What and why of an error, on one line."""
     return " ".join(": ".join(part for part in (error.what, error.why) if part).split())
+
+
+def keep(proof: Proof) -> None:
+    """Remember a proof for the figures of its recording."""
+    PROOFS[proof.subject.recording] = proof
+
+
+def proof_of(recording: Recording) -> Proof:
+    """The proof of a recording; errors as of `Proof`."""
+    if recording not in PROOFS:
+        PROOFS[recording] = Proof(recording, budget=QUICK)
+    return PROOFS[recording]
+
+
+def proofs_with(recordings: Mapping[str, Recording], part: str) -> tuple[dict[str, Proof], list[str]]:
+    """The proofs that have a part, by name, and why the others have none."""
+    result, reasons = {}, []
+    for name, recording in recordings.items():
+        if not len(recording):
+            continue
+        try:
+            proof = proof_of(recording)
+            getattr(proof, part)
+            result[name] = proof
+        except InputError as error:
+            reasons.append(f"{name}: {' '.join(str(error).split())}")
+    return result, reasons

@@ -1,14 +1,16 @@
-"""Psi_hat against the Psi of Pinocchio: online while it learns, and with the weights held as they were at the end.
+"""Psi_hat against the Psi of Pinocchio: online while the weights adapt, and frozen, with the final weights held fixed.
 
-A learner that adapts fast follows Psi without knowing it: its error online is small, and the weights of any instant
-say little about the next. Held fixed they tell what it knows: along the same trajectory, along one that it never saw,
-and after a change of the robot that it was not told of (see docs/proof.md).
+The measure is the fraction of variance unexplained (FVU) of every component, after the first 0.5 s. A learner that
+adapts fast follows Psi without knowing it: its error online is small, and the weights of any instant say little about
+the next. Frozen weights show what it knows: along the same trajectory, along one that it never saw (`held_out`), and
+after a change of the robot that it was not told of (docs/proof.md).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,14 +22,13 @@ from ...signals import Array, Layout
 from ...torque.learning_law import origin_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.laws import GIVEN
-from . import held_out as held
 from .features import Network, features_of
-from .fvu import START, error_in, fvu, fvu_in, windows
+from .held_out import START, held_out, loaded, recorded_under_computed_torque, usual_payload
 from .learner import Learner, said
-from .payload import loaded, usual_payload
-from .shares import shares, sizes
 from .subject import Subject
 
+FLAT = 1e-9  # spread of Psi, relative to its size, below which it has no variance to explain
+PARTS = ("feedback", "network", "robust")
 WINDOWS = 5
 MOST = 20_000  # rows of a run along which frozen weights are evaluated, evenly spread
 Progress = Callable[[str, float], None]
@@ -71,9 +72,9 @@ class Psi:
         sizes: Part of the torque to its RMS over that of the torque, (p,) each.
         frozen: Final weights held fixed, by name: `same`, `held_out`, `payload`; empty for a controller that learns
             nothing.
-        networks: Its networks, or its regressor; empty likewise, and where it does not tell.
+        networks: Its networks, or its regressor; empty likewise, and where it gives no features.
         weights_time: When the weights were taken [s].
-        remarks: What could not be told, and why.
+        remarks: What is left out, and why.
     """
 
     labels: tuple[str, ...]
@@ -117,7 +118,7 @@ def psi_of(
     remarks: list[str] = []
     learner = subject.learner
     if learner is not None:
-        frozen, networks, remarks = known(subject, learner, payload, progress)
+        frozen, networks, remarks = frozen_weights(subject, learner, payload, progress)
     remarks += remarks_on_law(subject)
     return Psi(
         labels=subject.robot.velocity_names,
@@ -169,13 +170,13 @@ def how_to_know(subject: Subject) -> str:
     if not set(GIVEN) <= (subject.recording.meta.get("controller_settings") or {}).keys():
         return ""
     file = about["file"] or "FILE.py"
-    return f"what the weights of {subject.controller} know is told with --law {file}, which runs that file"
+    return f"what the weights of {subject.controller} know is judged with --law {file}, which runs that file"
 
 
-def known(
+def frozen_weights(
     subject: Subject, learner: Learner, payload: float | None, progress: Progress | None
 ) -> tuple[dict[str, Frozen], list[Network], list[str]]:
-    """What the final weights say; the networks; what could not be told."""
+    """What the final weights say; the networks; what is left out, and why."""
     show = progress or (lambda what, fraction: None)
     robot, remarks, where = subject.robot, list[str](), subject.layout.where
     every = -(-len(subject.rows) // MOST)
@@ -186,11 +187,11 @@ def known(
     frozen = {"same": Frozen("the run's own trajectory", time, rows[:, where("psi")], visited)}
     show("frozen weights", 0.3)
     try:
-        wanted = held.held_out(subject)
-        seen = held.recorded_under_computed_torque(robot, wanted, learner.feedback, subject.kinematic, subject.timing)
+        wanted = held_out(subject)
+        seen = recorded_under_computed_torque(robot, wanted, learner.feedback, subject.kinematic, subject.timing)
         show("frozen weights", 0.7)
-        told = said(learner, learner.end, seen)
-        frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], told)
+        estimate = said(learner, learner.end, seen)
+        frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], estimate)
     except InputError as error:
         remarks.append(f"no held-out trajectory: {' '.join(str(error).split())}")
     mass = usual_payload(robot) if payload is None else payload
@@ -203,11 +204,89 @@ def known(
 
 def psi_along(robot: Robot, rows: Array, layout: Layout) -> Array:
     """Psi of a robot at the states and commands of rows, (N, p) [N, N m]."""
-    dynamics, found = Dynamics(robot), np.zeros((len(rows), layout.dof))
+    dynamics, result = Dynamics(robot), np.zeros((len(rows), layout.dof))
     names = ("position", "nu", "nu_ref", "nudot_ref")
     for psi, position, nu, nu_ref, nudot_ref in zip(
-        found, *(np.ascontiguousarray(rows[:, layout.where(name)]) for name in names), strict=True
+        result, *(np.ascontiguousarray(rows[:, layout.where(name)]) for name in names), strict=True
     ):
         dynamics.refresh(position, nu)
         dynamics.refresh_psi(nu_ref, nudot_ref, psi)
-    return found
+    return result
+
+
+def fvu(psi: Array, psi_hat: Array) -> Array:
+    """Fraction of variance unexplained of every component, `sum (Psi - Psi_hat)^2 / sum (Psi - mean Psi)^2`, (p,).
+
+    0 is perfect; the best constant has 1; saying nothing at all has `1 + mean(Psi)^2 / var(Psi)`; there is no upper
+    bound. NaN where Psi does not vary, or without samples.
+
+    Args:
+        psi: (N, p) the truth [N, N m].
+        psi_hat: (N, p) what a controller says of it.
+    """
+    if not len(psi):
+        return np.full(psi.shape[1], np.nan)
+    error = ((psi - psi_hat) ** 2).sum(axis=0)
+    variance = ((psi - psi.mean(axis=0)) ** 2).sum(axis=0)
+    flat = variance <= len(psi) * (FLAT * np.abs(psi).max(axis=0)) ** 2
+    return np.where(flat, np.nan, error / np.where(flat, 1.0, variance))
+
+
+def windows(time: Array, count: int) -> Array:
+    """Edges (count + 1,) of equal windows from `START` to the end of a run [s]; empty for a run that ends before."""
+    period = time[1] - time[0]
+    end = time[-1] + period
+    return np.linspace(START, end, count + 1) if end > START + period else np.zeros(0)
+
+
+def error_in(edges: Array, time: Array, psi: Array, psi_hat: Array) -> Array:
+    """Mean squared error in every window over the variance of Psi in all of them together, (count, p).
+
+    Unlike `fvu_in` it does not explode where Psi hardly varies; the mean over equal windows is the FVU of the whole.
+    """
+    places = np.searchsorted(time, edges - 1e-9)
+    span = slice(places[0], places[-1])
+    variance = fvu(psi[span], psi[span] + 1.0)  # 1 / variance, NaN where Psi does not vary
+    return np.array([((psi[a:b] - psi_hat[a:b]) ** 2).mean(axis=0) * variance for a, b in pairwise(places)])
+
+
+def fvu_in(edges: Array, time: Array, psi: Array, psi_hat: Array) -> Array:
+    """FVU in every window [a, b), (count, p); see `fvu`."""
+    places = np.searchsorted(time, edges - 1e-9)
+    return np.array([fvu(psi[a:b], psi_hat[a:b]) for a, b in pairwise(places)])
+
+
+def worst(values: Array) -> float:
+    """The worst component, which counts; NaN where none has a number."""
+    return float(np.nanmax(values)) if np.isfinite(values).any() else float("nan")
+
+
+def shares(torque: Array, psi_hat: Array, robust: Array) -> dict[str, Array]:
+    """Share of every part in the torque, (p,) each: `sum part tau / sum tau^2`; they add up to 1.
+
+    A part that works against the others has a share below 0. NaN where there is no torque.
+
+    Args:
+        torque: (N, p) applied torque [N, N m].
+        psi_hat: (N, p) of it the network's.
+        robust: (N, p) of it the robust term's.
+    """
+    total = (torque**2).sum(axis=0)
+    return {name: ratio((part * torque).sum(axis=0), total) for name, part in parts(torque, psi_hat, robust).items()}
+
+
+def sizes(torque: Array, psi_hat: Array, robust: Array) -> dict[str, Array]:
+    """RMS of every part over RMS of the torque, (p,) each; the network's is its learned share."""
+    total = (torque**2).sum(axis=0)
+    result = parts(torque, psi_hat, robust)
+    return {name: np.sqrt(ratio((part**2).sum(axis=0), total)) for name, part in result.items()}
+
+
+def parts(torque: Array, psi_hat: Array, robust: Array) -> dict[str, Array]:
+    """The torque taken apart, (N, p) each: `tau = feedback + network + robust` (3.39)."""
+    return {"feedback": torque - psi_hat - robust, "network": psi_hat, "robust": robust}
+
+
+def ratio(value: Array, total: Array) -> Array:
+    """Value over total, NaN where the total is 0."""
+    return np.where(total > 0, value / np.where(total > 0, total, 1.0), np.nan)

@@ -21,7 +21,7 @@ from ...errors import RecordingError
 from ...loop.sampled import HeldLoop, held_loop, viscous_friction
 from ...signals import Array
 from ...torque.controller import ControllerState
-from ...torque.one_layer import OneLayer
+from .excitation import hidden_learns
 from .learner import Networks, put
 from .subject import Subject
 
@@ -67,9 +67,9 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
         why = f"{subject.controller} is no learner of the thesis"
         raise RecordingError("no condition on the rates", why=why, file=subject.recording.path)
     rows = learned_at(subject, learner, places)
-    found = [judged(subject, learner, row, state) for row, state in rows]
+    result = [judged(subject, learner, row, state) for row, state in rows]
     time = np.array([row[subject.layout.where("time")][0] for row, _ in rows])
-    radii, without, share, limit = (np.array(column) for column in zip(*found, strict=True))
+    radii, without, share, limit = (np.array(column) for column in zip(*result, strict=True))
     return Rate(time, radii, without, share, limit, leakage(subject, learner))
 
 
@@ -78,13 +78,13 @@ def learned_at(subject: Subject, learner: Networks, places: int) -> list[tuple[A
     snapshots, times = subject.recording.weights, subject.signal("time")[:, 0]
     if "time" not in snapshots or not len(snapshots["time"]):
         return [(subject.rows[0], learner.start), (subject.rows[-1], learner.end)]
-    found = []
+    result = []
     for k in np.unique(np.linspace(0, len(snapshots["time"]) - 1, places).astype(int)):
         state = learner.start.snapshot()
         put(state, snapshots, k)
         row = min(int(np.searchsorted(times, snapshots["time"][k])), len(times) - 1)
-        found.append((subject.rows[row], state))
-    return found
+        result.append((subject.rows[row], state))
+    return result
 
 
 def judged(
@@ -113,19 +113,19 @@ def judged(
 
 
 def kernel(learner: Networks, row: Array, state: ControllerState) -> Array:
-    """L (p, p): what one update adds to Psi_hat per s, at a row (width,) and the weights of a memory [N s/m, ...]."""
+    """L (p, p): what one update adds to Psi_hat per s, at a row (width,) and the weights of a state [N s/m, ...]."""
     controller, layout = learner.own, learner.context.layout
     scale, offset = controller.inputs.affine(layout)
     x = scale * row[controller.inputs.rows(layout)] + offset
     into, out = controller.network_scales(layout)
-    found = np.zeros((layout.dof, layout.dof))
+    result = np.zeros((layout.dof, layout.dof))
     if not controller.learning:
-        return found
+        return result
     per = 1.0 if controller.rates == "per_sample" else learner.context.control_period
     for i, part in learner.networks:
         W, V = state[f"W{i}"], state[f"V{i}"]
         rate, other, _ = controller.network.rates(i - 1, controller.leakage)
-        if isinstance(controller.network, OneLayer):
+        if not hidden_learns(controller.network):
             phi = np.exp(-((x[:, None] - V) ** 2).sum(axis=0) / (2 * other**2))
             L = rate * (phi @ phi) * np.eye(W.shape[1])
         else:
@@ -134,8 +134,8 @@ def kernel(learner: Networks, row: Array, state: ControllerState) -> Array:
             slope = sigma * (1 - sigma)
             L = rate * (sigma @ (sigma - slope * net)) * np.eye(W.shape[1])
             L = L + other * (x @ x) * (W.T * slope**2) @ W
-        found[part, part] = per * out[part, None] * L * into[part]
-    return found
+        result[part, part] = per * out[part, None] * L * into[part]
+    return result
 
 
 def radius(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
@@ -144,8 +144,8 @@ def radius(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
     closed = held.closed(gain)
     if first:
         closed = closed + held.torque @ L @ held.errors
-    whole = np.block([[closed, held.torque], [L @ held.errors, np.eye(p)]])
-    return float(np.abs(np.linalg.eigvals(whole)).max())
+    loop = np.block([[closed, held.torque], [L @ held.errors, np.eye(p)]])
+    return float(np.abs(np.linalg.eigvals(loop)).max())
 
 
 def factor(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
@@ -173,9 +173,9 @@ def leakage(subject: Subject, learner: Networks) -> Array:
     if controller.rates == "per_second":
         per = learner.context.control_period
     s = np.hstack((subject.signal("z"), subject.signal("r"))) * into
-    found = np.zeros(2)
+    result = np.zeros(2)
     for i, part in learner.networks:
         rate, other, kappa = controller.network.rates(i - 1, controller.leakage)
-        fastest = rate if isinstance(controller.network, OneLayer) else max(rate, other)
-        found[i - 1] = kappa * per * fastest * np.linalg.norm(s[:, part], axis=1).max()
-    return found
+        fastest = max(rate, other) if hidden_learns(controller.network) else rate
+        result[i - 1] = kappa * per * fastest * np.linalg.norm(s[:, part], axis=1).max()
+    return result

@@ -1,4 +1,9 @@
-"""The run that is looked into: its robot, its rows, its gains, and the learner built again from its recording."""
+"""The run that is looked into: its robot, rows and gains, its hardware model, its learner built again.
+
+A recording holds the mean torque and push of every control period. Motors with lag, limits of speed or backlash, and
+pushes that change, vary within a period that has several steps of the plant; then the motion cannot be made again from
+the recording.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +13,17 @@ from functools import cached_property
 import msgspec
 import numpy as np
 
+from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Push, payload
 from ...errors import RecordingError
 from ...kinematic import Kinematic, command
 from ...model.dynamics import Dynamics
-from ...model.robot import Robot
+from ...model.robot import Robot, carrying
 from ...recording.recording import Recording
 from ...recording.robot import recorded_robot
 from ...sensing import exact
 from ...signals import Array, Layout
 from ...timing import Timing
 from ...torque.neural import Neural
-from .given import Given
 from .learner import Learner, Networks, recorded_learner
 
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
@@ -47,7 +52,7 @@ class Subject:
         """Everything from a recording.
 
         Raises:
-            RecordingError: It holds less than two rows that are finite, or does not tell its robot, gains or periods.
+            RecordingError: It holds less than two rows that are finite, or does not hold its robot, gains or periods.
             InputError: Its robot cannot be built.
         """
         if not recording.urdf.strip():
@@ -57,12 +62,12 @@ class Subject:
         for key, what in (("kinematic", "gains of its kinematic layer"), ("time", "periods")):
             if key not in recording.meta:
                 why = "an older mmnn_pin wrote it"
-                raise RecordingError(f"the recording does not tell the {what}", why=why, file=recording.path)
+                raise RecordingError(f"the recording does not hold the {what}", why=why, file=recording.path)
         require_signals(recording)
         rows = finite_rows(recording, robot.layout)
         if len(rows) < 2:
             why = f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}"
-            raise RecordingError("too short to tell anything", why=why, fix="run longer", file=recording.path)
+            raise RecordingError("too short to judge", why=why, fix="run longer", file=recording.path)
         return cls(
             recording,
             robot,
@@ -88,9 +93,9 @@ class Subject:
 
     @property
     def exact_sensors(self) -> bool:
-        """Whether the controller was told the true state at every control sample."""
+        """Whether the controller had the true state at every control sample."""
         every = self.timing.steps_per_control % self.timing.steps_per_measurement == 0
-        return "sensor" not in self.recording.meta and not self.given.senses and every
+        return "sensor" not in self.recording.meta and not self.hardware.senses and every
 
     @cached_property
     def learner(self) -> Learner | None:
@@ -100,24 +105,24 @@ class Subject:
     @property
     def networks(self) -> Networks | None:
         """The learner where it is one of the thesis, networks alone; None otherwise; errors as of `learner`."""
-        found = self.learner
-        return found if isinstance(found, Networks) and isinstance(found.controller, Neural) else None
+        learner = self.learner
+        return learner if isinstance(learner, Networks) and isinstance(learner.controller, Neural) else None
 
     @cached_property
-    def given(self) -> Given:
-        """What motors, pushes and a payload gave to the robot."""
-        return Given.of(self.recording, self.robot, self.timing)
+    def hardware(self) -> Hardware:
+        """What motors, pushes and a payload did to the robot."""
+        return Hardware.of(self.recording, self.robot, self.timing)
 
     @cached_property
     def _dynamics(self) -> tuple[Dynamics, Dynamics]:
-        return Dynamics(self.robot), Dynamics(self.given.loaded or self.robot)
+        return Dynamics(self.robot), Dynamics(self.hardware.loaded or self.robot)
 
     def dynamics(self, time: float) -> Dynamics:
         """Pinocchio's dynamics of the robot in the control period that begins at a time [s]."""
-        return self._dynamics[int(time + 5e-10 >= self.given.pick)]
+        return self._dynamics[int(time + 5e-10 >= self.hardware.pick)]
 
     def truth(self, rows: Array) -> Array:
-        """Rows as they were if the sensors told the true state: measurement, command, errors and Psi of the truth."""
+        """Rows as they were if the sensors gave the true state: measurement, command, errors and Psi of the truth."""
         if self.exact_sensors:
             return rows
         rows, layout, arm = rows.copy(), self.layout, self.robot.arm_index
@@ -158,3 +163,62 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
             rows[:, where] = recording[name].reshape(len(recording), where.stop - where.start)
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     return rows[: bad[0]] if len(bad) else rows
+
+
+@dataclass(frozen=True, eq=False)
+class Hardware:
+    """What the hardware model of a run did to its robot.
+
+    Attributes:
+        torque: (N, p) generalized torque of the motors [N, N m].
+        push: (N, p) external force `f` of `M nudot + C nu + ... = tau + f`; d of the equality is `-f` [N, N m].
+        loaded: The robot once it carries its payload; None without one.
+        pick: When that is [s], inf for never.
+        varies: Whether torque or push change within control periods.
+        blocked: Whether a joint is blocked at some time.
+        senses: Whether disturbances touch what the controller measures.
+    """
+
+    torque: Array
+    push: Array
+    loaded: Robot | None
+    pick: float
+    varies: bool
+    blocked: bool
+    senses: bool
+
+    @classmethod
+    def of(cls, recording: Recording, robot: Robot, timing: Timing) -> Hardware:
+        """From a recording."""
+        events = msgspec.convert(recording.meta.get("disturbances", ()), tuple[Disturbance, ...])
+        driven = "actuator" in recording.meta or has(events, DeadMotor)
+        rows, p = len(recording), robot.layout.dof
+        torque, push = recording["torque"].reshape(rows, p), np.zeros((rows, p))
+        if driven:
+            applied = recording["applied"].reshape(rows, -1) @ robot.E.T
+            driven = not np.allclose(applied, torque, rtol=1e-9, atol=1e-9 * np.abs(torque).max(initial=0.0))
+            torque = applied if driven else torque
+        if "disturbance" in recording:
+            push = recording["disturbance"].reshape(rows, p)
+        _, load = payload(events)
+        changes = driven or any(changing(one, timing.control_period) for one in events if isinstance(one, Push))
+        return cls(
+            torque=torque,
+            push=push,
+            loaded=None if load is None else carrying(robot, load.mass, load.joint, load.at),
+            pick=np.inf if load is None else load.start,
+            varies=changes and timing.steps_per_control > 1,
+            blocked=has(events, Block),
+            senses=has(events, Frozen, Messages),
+        )
+
+
+def has(events: tuple[Disturbance, ...], *kinds: type) -> bool:
+    """Whether there is a disturbance of one of these kinds."""
+    return any(isinstance(one, kinds) for one in events)
+
+
+def changing(push: Push, period: float) -> bool:
+    """Whether a push changes within control periods: by its shape, or as it begins or ends between two samples."""
+    edges = [edge / period for edge in (push.start, push.end) if np.isfinite(edge)]
+    return push.shape in ("impulse", "sine") or any(abs(edge - round(edge)) > 1e-6 for edge in edges)

@@ -13,8 +13,7 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Block, Payload, Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.proof import balance as module
-from mmnn_pin.lab.proof.balance import TOLERANCE, Balance, balance, evenly
-from mmnn_pin.lab.proof.between import Between, polynomial
+from mmnn_pin.lab.proof.balance import TOLERANCE, Balance, Between, balance, evenly, polynomial
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.sensing import Sensor
@@ -111,7 +110,7 @@ def changed(subject: Subject, name: str, factor: float) -> Subject:
 
 
 def more_torque(subject: Subject) -> Subject:
-    subject.given.torque[:] *= 1.001
+    subject.hardware.torque[:] *= 1.001
     return subject
 
 
@@ -220,22 +219,25 @@ def test_external_forces_and_motors_are_part_of_it() -> None:
     actuator = Actuator(lag=0.003, torque_gain=0.9)
     subject = rigged(disturbances=(push,), actuator=actuator)
     found = balance(subject)
-    assert found.holds and found.steps < 0.1 * TOLERANCE and not subject.given.varies
-    assert np.abs(subject.given.push).max() > 1 and np.abs(subject.given.torque - subject.signal("torque")).max() > 0.1
+    assert found.holds and found.steps < 0.1 * TOLERANCE and not subject.hardware.varies
+    assert (
+        np.abs(subject.hardware.push).max() > 1
+        and np.abs(subject.hardware.torque - subject.signal("torque")).max() > 0.1
+    )
     for name in ("push", "torque"):
         broken = rigged(disturbances=(push,), actuator=actuator)
-        given = {"push": 0 * broken.given.push, "torque": broken.signal("torque")}[name]
-        object.__setattr__(broken.given, name, given)
+        given = {"push": 0 * broken.hardware.push, "torque": broken.signal("torque")}[name]
+        object.__setattr__(broken.hardware, name, given)
         assert not balance(broken).holds
 
 
 def test_what_varies_within_a_period_is_not_made_again() -> None:
     subject = rigged(steps=2, actuator=Actuator(lag=0.003))
     found = balance(subject)
-    assert subject.given.varies and np.isnan(found.steps) and found.holds and found.identity < TOLERANCE
+    assert subject.hardware.varies and np.isnan(found.steps) and found.holds and found.identity < TOLERANCE
     constant = rigged(steps=2, disturbances=(Push(on="joint_0", force=2.0, start=5 * PERIOD, end=9 * PERIOD),))
-    assert not constant.given.varies and balance(constant).steps < 0.1 * TOLERANCE
-    assert rigged(steps=2, disturbances=(Push(on="joint_0", force=2.0, start=5.5 * PERIOD),)).given.varies
+    assert not constant.hardware.varies and balance(constant).steps < 0.1 * TOLERANCE
+    assert rigged(steps=2, disturbances=(Push(on="joint_0", force=2.0, start=5.5 * PERIOD),)).hardware.varies
 
 
 def test_a_payload_changes_the_dynamics_where_it_is_picked_up() -> None:
@@ -245,7 +247,7 @@ def test_a_payload_changes_the_dynamics_where_it_is_picked_up() -> None:
     assert found.holds and found.steps < 0.1 * TOLERANCE
     before, after = (subject.dynamics(t).mass_matrix(subject.robot.neutral_position()) for t in (0.0, 0.05))
     assert np.abs(after - before).max() > 1e-3
-    object.__setattr__(subject.given, "pick", np.inf)
+    object.__setattr__(subject.hardware, "pick", np.inf)
     assert not balance(subject).holds
 
 

@@ -32,11 +32,10 @@ from mmnn_pin import (
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Push
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.boxes import Box, Boxes, Faces
-from mmnn_pin.lab.proof.certificate import Certificate, certify
+from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, Faces, certify
 from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
+from mmnn_pin.lab.proof.certified_run import Sizes, sizes_of
 from mmnn_pin.lab.proof.rate import Rate, rate_of
-from mmnn_pin.lab.proof.reached import Sizes, sizes_of
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.recording.recording import Recording
 
@@ -69,7 +68,7 @@ def test_a_region_is_certified_and_its_boxes_shrink() -> None:
 def test_it_takes_less_where_there_is_more_to_fear() -> None:
     """A box that is held stops to be for a longer period, a larger force, a weaker feedback, a larger network."""
     box = certificate().region.box
-    assert Boxes(learner_loop(disturbance=FORCE), box).faces(box).held
+    assert Boxes(learner_loop(disturbance=FORCE), box).faces(box).invariant
     for loop in (
         learner_loop(disturbance=FORCE, period=8 * PERIOD),
         learner_loop(disturbance=10 * FORCE),
@@ -78,7 +77,7 @@ def test_it_takes_less_where_there_is_more_to_fear() -> None:
         learner_loop(disturbance=FORCE, kappa=0.0),
         learner_loop(disturbance=FORCE, F=(2.0, 2.0)),
     ):
-        assert not Boxes(loop, box).faces(box).held
+        assert not Boxes(loop, box).faces(box).invariant
 
 
 def test_a_projection_bounds_what_no_leakage_does() -> None:
@@ -215,11 +214,11 @@ def test_a_search_for_the_worst_run_finds_none_that_leaves_the_region() -> None:
 
 
 @compiled_only
-def test_the_search_finds_runs_that_leave_a_box_that_is_not_held() -> None:
+def test_the_search_finds_runs_that_leave_a_box_that_is_not_invariant() -> None:
     """Power: the region's box with a tenth of its energy for the same pose errors is left."""
     box = certificate().region.box
     small = Box(box.pose, box.arm, 0.002 * box.energy)
-    assert not Boxes(learner_loop(disturbance=FORCE), small).faces(small).held
+    assert not Boxes(learner_loop(disturbance=FORCE), small).faces(small).invariant
     faces = replace(certificate().region, box=small)
     rng = np.random.default_rng(0)
     assert max(worst(run_from(rng.uniform(-3, 3, 17).clip(-1, 1), 0.15, faces), small) for _ in range(10)) > 1.0

@@ -12,14 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import PD, Feedback, Hold, Line, Safety, Start, Table, Timing, Trajectory, load
-from mmnn_pin.lab.proof.boxes import Box, Boxes
-from mmnn_pin.lab.proof.certificate import Certificate, certify
-from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop, refusal
+from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, certify
+from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop, drift, jump, refusal
+from mmnn_pin.lab.proof.certified_run import compare, sizes_of
 from mmnn_pin.lab.proof.motion_bound import motion_bound
-from mmnn_pin.lab.proof.moving_reference import drift, jump
-from mmnn_pin.lab.proof.reached import reached, sizes_of
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.show.proof.certificate_text import side
+from mmnn_pin.lab.show.proof.text import side
 from mmnn_pin.reference.path import BasePath, BaseSamples
 
 STILL = Trajectory(Line(speed=0.3), (Hold(0.0), Hold(0.8)))
@@ -105,7 +103,7 @@ def test_what_has_no_bound_is_told_with_its_sign() -> None:
         (Safety(torque=8.0), "torque"),
     ],
 )
-def test_a_region_in_which_a_supervisor_may_step_in_is_not_held(safety: Safety, name: str) -> None:
+def test_a_region_in_which_a_supervisor_may_step_in_is_not_invariant(safety: Safety, name: str) -> None:
     subject = pd_run(0.01, safety=safety)
     assert refusal(subject) == ""
     loop = certified_loop(subject)
@@ -113,7 +111,7 @@ def test_a_region_in_which_a_supervisor_may_step_in_is_not_held(safety: Safety, 
     box = certify(free).region.box
     faces = Boxes(loop, box).faces(box)
     passed = [limit.name for limit in faces.limits if not limit.value < limit.limit]
-    assert Boxes(free, box).faces(box).held and not faces.held and passed == [f"supervisor, {name}"]
+    assert Boxes(free, box).faces(box).invariant and not faces.invariant and passed == [f"supervisor, {name}"]
     smaller = certify(loop)
     assert smaller.holds and all(condition.holds for condition in smaller.conditions)
     assert smaller.region.box.energy < box.energy or smaller.region.box.pose < box.pose
@@ -160,7 +158,7 @@ def test_a_reference_that_drifts_is_counted_with(sideways: bool) -> None:
     subject, loop, found = drifting(sideways)
     sizes = sizes_of(subject, loop)
     assert loop.drift[0] == pytest.approx(1.5 * 0.3 * 0.019, rel=1e-3) and loop.drift[1] < 1e-9  # of Hermite cubics
-    run = reached(subject, found, sizes)
+    run = compare(subject, found, sizes)
     assert found.holds and run.stays and run.settles < 8.0
     assert sizes.pose[-1] > 0.15 * found.bound.box.pose  # not far below
     without = certify(replace(loop, drift=(0.0, 0.0)))

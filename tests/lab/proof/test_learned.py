@@ -17,14 +17,11 @@ from mmnn_pin import Dynamics, Timing, load, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.proof import held_out as held
 from mmnn_pin.lab.proof import ideal as ideal_module
-from mmnn_pin.lab.proof.fvu import error_in, fvu, fvu_in, windows, worst
-from mmnn_pin.lab.proof.held_out import held_out, recorded_under_computed_torque
+from mmnn_pin.lab.proof.excitation import effective_rank, excitation
+from mmnn_pin.lab.proof.held_out import held_out, loaded, recorded_under_computed_torque, tip, usual_payload
 from mmnn_pin.lab.proof.ideal import PENALTY, hidden_weights, ideal_weights, output_weights, variances
 from mmnn_pin.lab.proof.learner import seen
-from mmnn_pin.lab.proof.payload import loaded, tip, usual_payload
-from mmnn_pin.lab.proof.psi import psi_along, psi_of
-from mmnn_pin.lab.proof.rank import effective_rank, excitation
-from mmnn_pin.lab.proof.shares import shares, sizes
+from mmnn_pin.lab.proof.psi import error_in, fvu, fvu_in, psi_along, psi_of, shares, sizes, windows, worst
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.two_layer import TwoLayer

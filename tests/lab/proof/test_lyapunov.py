@@ -15,10 +15,8 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.errors import pose_part
-from mmnn_pin.lab.proof.growth import growth
 from mmnn_pin.lab.proof.ideal import ideal_weights
-from mmnn_pin.lab.proof.lyapunov import PREDICTED, TERMS, Lyapunov, lyapunov
+from mmnn_pin.lab.proof.lyapunov import PREDICTED, TERMS, Lyapunov, growth, lyapunov, pose_part
 from mmnn_pin.lab.proof.network_part import network_part
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject

@@ -21,13 +21,21 @@ from mmnn_pin import PD, Feedback, Recording, TorqueController, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import recorded_experiment
-from mmnn_pin.lab.proof.fvu import worst
+from mmnn_pin.lab.proof import proof as cache
 from mmnn_pin.lab.proof.lyapunov import TERMS
 from mmnn_pin.lab.proof.proof import Proof
-from mmnn_pin.lab.show.proof import cache
-from mmnn_pin.lab.show.proof.figures import PROOF_FIGURES
-from mmnn_pin.lab.show.proof.lyapunov_figures import COLOURS, equality_figure, lyapunov_figure, terms_figure
-from mmnn_pin.lab.show.proof.psi_figures import frozen_figure, fvu_figure, ranks_figure, shares_figure
+from mmnn_pin.lab.proof.psi import worst
+from mmnn_pin.lab.show.proof.figures import (
+    COLOURS,
+    PROOF_FIGURES,
+    equality_figure,
+    frozen_figure,
+    fvu_figure,
+    lyapunov_figure,
+    ranks_figure,
+    shares_figure,
+    terms_figure,
+)
 from mmnn_pin.lab.show.proof.text import judgement, render
 from mmnn_pin.lab.show.report import report
 from mmnn_pin.safety import Safety
@@ -100,11 +108,11 @@ def test_the_text_tells_them(runs: dict[str, Recording], capsys: pytest.CaptureF
 @pytest.mark.parametrize(
     ("numbers", "words"),
     [
-        ((0.01, 2.6, 1.5), "follows Psi by fast adaptation and stores no model"),
-        ((1.4, 1.1, 0.99), "it stores no model"),
-        ((0.01, 0.02, 3.0), "holds what it was trained on, and nothing beyond"),
-        ((0.01, 0.02, 0.05), "knows 95 % of the variance where it was not trained"),
-        ((0.01, 0.02, float("nan")), "knows 98 % of the variance."),
+        ((0.01, 2.6, 1.5), "adapting, it explains 99 % of Psi; frozen, it predicts worse than a constant"),
+        ((1.4, 1.1, 0.99), "adapting, it predicts worse than a constant; frozen, it predicts worse than a constant"),
+        ((0.01, 0.02, 3.0), "explains 98 % of Psi on its own trajectory and predicts worse than a constant on a"),
+        ((0.01, 0.02, 0.05), "frozen, it explains 95 % of Psi on a trajectory that it never saw"),
+        ((0.01, 0.02, float("nan")), "frozen, it explains 98 % of Psi on its own trajectory ("),
         ((float("nan"), float("nan"), 1.0), "nothing to judge"),
     ],
 )
@@ -159,7 +167,7 @@ def test_a_short_run_tells_what_it_can(tmp_path: Path, capsys: pytest.CaptureFix
     assert found["remarks"][0].startswith("too short for Psi: it ends at 0.029 s")
     loop_of("fixed", duration=0.001).run(tmp_path / "one.h5")
     code, found, err = told(capsys, tmp_path / "one.h5")
-    assert code == 2 and "too short to tell anything" in err and err.count("\n") == 1
+    assert code == 2 and "too short to judge" in err and err.count("\n") == 1
 
 
 def test_a_run_that_was_killed_or_lost_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,7 +178,7 @@ def test_a_run_that_was_killed_or_lost_says_so(tmp_path: Path, capsys: pytest.Ca
         del file["final"]
     code, found, _ = told(capsys, path)
     assert code == 0 and found["outcome"] == "interrupted"
-    assert found["remarks"][0] == "the run was interrupted; told is the time before 0.029 s"
+    assert found["remarks"][0] == "the run was interrupted; this is about the time before 0.029 s"
     wild = PD(Feedback(arm=1e5))
     lost = loop_of("fixed", wild, period=0.01, duration=0.5).run(tmp_path / "lost.h5")
     assert lost.outcome.status == "diverged"
@@ -189,8 +197,8 @@ def edited(path: Path, target: Path, edit) -> Path:
     ("edit", "words"),
     [
         (lambda file: file.__delitem__("urdf"), "does not hold its robot's URDF"),
-        (lambda file: file.attrs.__delitem__("time"), "does not tell the periods"),
-        (lambda file: file.attrs.__delitem__("kinematic"), "does not tell the gains"),
+        (lambda file: file.attrs.__delitem__("time"), "does not hold the periods"),
+        (lambda file: file.attrs.__delitem__("kinematic"), "does not hold the gains"),
         (lambda file: file.attrs.__delitem__("mass_factors"), "does not tell 'mass_factors'"),
         (lambda file: file["signals"].__delitem__("psi"), "'psi' is not in the recording"),
     ],

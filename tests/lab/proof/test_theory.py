@@ -19,13 +19,11 @@ from scipy.linalg import eigh
 from scipy.special import expit
 
 from mmnn_pin.kinematic import command
-from mmnn_pin.lab.proof.boxes import Box, Boxes
+from mmnn_pin.lab.proof.bounds import PoseBound, PoseSet, growth
+from mmnn_pin.lab.proof.certificate import Box, Boxes
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
-from mmnn_pin.lab.proof.inputs_bound import signal_bounds
 from mmnn_pin.lab.proof.motion_bound import Forces, dissipation, drive, push
-from mmnn_pin.lab.proof.pose_bound import PoseBound, PoseSet
 from mmnn_pin.lab.proof.rate import radius
-from mmnn_pin.lab.proof.weights_bound import growth
 from mmnn_pin.loop.sampled import held_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array
@@ -281,7 +279,7 @@ def test_the_energy_of_the_errors_obeys_its_bound(seed: int) -> None:
     K, lost = dissipation(samples, added, bare.lower)
     pushed = push(samples, added, forces, box.energy, type(bare)(bare.lower, boxes.gains.upper, *list_of(bare)[2:]))
     reach, row, gains = loop.pose.reach(box.pose), layout.new_row(), loop.kinematic.base_gains(2)
-    limits = signal_bounds(loop, added, box.pose, boxes.joints(box), boxes.velocity(box))
+    limits = loop.signal_bounds(added, box.pose, boxes.joints(box), boxes.velocity(box))
     for _ in range(150):
         k = rng.integers(len(samples.M))
         along, position = samples.along, loop.robot.neutral_position()

@@ -15,9 +15,18 @@ from mmnn_pin.lab.contest.result import KEPT
 from mmnn_pin.lab.contest.task import tasks_of
 from mmnn_pin.lab.contest.trial import findings_after
 from mmnn_pin.lab.experiments.cases import chosen_cases
+from mmnn_pin.lab.proof.excitation import (
+    NOISE,
+    Unknown,
+    left,
+    not_excited,
+    random_motion,
+    signals_for,
+    tangents,
+    unknown,
+)
 from mmnn_pin.lab.proof.learner import Learner
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.unknown import NOISE, Unknown, left, not_excited, random_motion, signals_for, tangents, unknown
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer

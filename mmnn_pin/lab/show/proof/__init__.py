@@ -1,4 +1,4 @@
 """What `mmnn prove` shows: numbers for machines, tables for a terminal, figures.
 
-Proof -> numbers (JSON), text (terminal), figures (pictures, also in the gallery)
+numbers for JSON, text for a terminal, figures as pictures: each takes the proof, none another's output
 """

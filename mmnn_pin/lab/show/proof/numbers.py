@@ -1,22 +1,23 @@
-"""The numbers of a proof, as JSON has them; where there is none stands null."""
+"""The numbers of a proof and of a certificate, as JSON has them; null where there is none or it is infinite."""
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from ....signals import Array
 from ...proof.balance import TOLERANCE, Balance
+from ...proof.certificate import Faces
+from ...proof.certified_run import CertifiedRun, Comparison, ThesisBounds
 from ...proof.features import Network
-from ...proof.fvu import worst
-from ...proof.growth import Growth
-from ...proof.ideal import Ideal
+from ...proof.ideal import Ideal, LinearFit
 from ...proof.learner import NAMES
-from ...proof.linear_fit import LinearFit
-from ...proof.lyapunov import Lyapunov
+from ...proof.lyapunov import Growth, Lyapunov
 from ...proof.proof import Proof
-from ...proof.psi import Psi
+from ...proof.psi import Psi, worst
+from ...proof.rate import Rate
 from ...proof.truth import Truth
 
 
@@ -54,7 +55,7 @@ def psi_dict(psi: Psi) -> dict[str, Any]:
     return {
         "online": judged(psi.online),
         "windows": windows,
-        "frozen": {name: {"about": told.about, **judged(told.fvu)} for name, told in psi.frozen.items()},
+        "frozen": {name: {"about": frozen.about, **judged(frozen.fvu)} for name, frozen in psi.frozen.items()},
         "weights_time": number(psi.weights_time),
         "torque_share": {part: each(values) for part, values in psi.shares.items()},
         "torque_rms_ratio": {part: each(values) for part, values in psi.sizes.items()},
@@ -64,14 +65,14 @@ def psi_dict(psi: Psi) -> dict[str, Any]:
 
 def network_dict(network: Network) -> dict[str, Any]:
     """Ranks and excitation of a network."""
-    found = network.excitation
+    result = network.excitation
     return {
-        "effective_rank": {**network.ranks, network.what: found.rank},
+        "effective_rank": {**network.ranks, network.what: result.rank},
         "numerical_rank": network.numerical,
-        "units": found.units,
-        "gram_smallest": number(found.smallest),
-        "gram_largest": number(found.largest),
-        "excited_directions": found.directions,
+        "units": result.units,
+        "gram_smallest": number(result.smallest),
+        "gram_largest": number(result.largest),
+        "excited_directions": result.directions,
         "undetermined": None if network.unknown is None else number(network.unknown.share),
         "acting_units": network.unknown.acting if network.unknown is not None and network.unknown.units else None,
     }
@@ -124,19 +125,94 @@ def lyapunov_dict(v: Lyapunov, growth: Growth) -> dict[str, Any]:
     }
 
 
-def balance_dict(found: Balance) -> dict[str, Any]:
+def balance_dict(result: Balance) -> dict[str, Any]:
     """Worst relative errors of the equality."""
     return {
-        "model": number(found.identity),
-        "steps": number(found.steps),
-        "recorded": number(found.recorded),
+        "model": number(result.identity),
+        "steps": number(result.steps),
+        "recorded": number(result.recorded),
         "tolerance": TOLERANCE,
-        "periods": len(found.time),
-        "of": found.periods,
-        "holds": found.holds,
+        "periods": len(result.time),
+        "of": result.periods,
+        "holds": result.holds,
     }
 
 
 def number(value: float) -> float | None:
     """Number for JSON; nothing where there is none."""
     return float(value) if np.isfinite(value) else None
+
+
+def certificate_dict(run: CertifiedRun) -> dict[str, Any]:
+    """Whether it applies and holds, conditions, constants, region, bound, the run, rates, printed bounds."""
+    result: dict[str, Any] = {"applies": run.certificate is not None, "why_not": run.missing.get("certificate")}
+    if run.certificate is not None:
+        certificate = run.certificate
+        conditions = (asdict(c) | {"limit": number(c.limit), "value": number(c.value)} for c in certificate.conditions)
+        result |= {
+            "holds": certificate.holds,
+            "region_asked_for": certificate.asked,
+            "conditions": [c | {"holds": one.holds} for c, one in zip(conditions, certificate.conditions, strict=True)],
+            "constants": [asdict(c) | {"value": number(c.value)} for c in certificate.constants],
+            "region": faces_dict(certificate.region, certificate) if certificate.holds else None,
+            "bound": faces_dict(certificate.bound, certificate) if certificate.holds else None,
+            "run": None if run.comparison is None or not certificate.holds else comparison_dict(run.comparison),
+        }
+    result["rate"] = None if run.rate is None else rate_dict(run.rate)
+    result["printed"] = {NAMES[i]: thesis_dict(one) for i, one in run.thesis_bounds.items()} or None
+    return result
+
+
+def faces_dict(faces: Faces, certificate: Any) -> dict[str, Any]:
+    """A box in the units of its errors."""
+    names = certificate.boxes.loop.robot.velocity_names
+    return {
+        "pose_size": faces.box.pose,
+        "arm_size": faces.box.arm,
+        "energy": faces.box.energy,
+        "ex": faces.reach.ex,
+        "ey": faces.reach.ey,
+        "ephi": faces.reach.heading,
+        "e": {name: float(value) for name, value in zip(names[2:], faces.joints, strict=True)},
+        "s": {name: float(value) for name, value in zip(names, faces.velocity, strict=True)},
+    }
+
+
+def comparison_dict(run: Comparison) -> dict[str, Any]:
+    """Where the run was."""
+    return {
+        "starts_inside": run.starts,
+        "enters": number(run.enters),
+        "stays": run.stays,
+        "covered": run.covered,
+        "settles": number(run.settles),
+        "largest": asdict(run.largest),
+        "last_half": asdict(run.last),
+        "weights": {NAMES[i]: {"W": W, "V": V} for i, (W, V) in run.weights.items()},
+    }
+
+
+def rate_dict(rate: Rate) -> dict[str, Any]:
+    """The condition on the rates, the worst over the run."""
+    return {
+        "stable": rate.stable,
+        "spectral_radius": number(rate.radius.max()),
+        "without_learner": number(rate.without.max()),
+        "share_of_gain": [number(value) for value in rate.share.max(axis=0)],
+        "factor_left": number(rate.limit.min()),
+        "leak_per_sample": [number(value) for value in rate.leak],
+    }
+
+
+def thesis_dict(one: ThesisBounds) -> dict[str, Any]:
+    """The thesis's bounds of one network."""
+    return {
+        "C": list(one.C),
+        "error": one.error,
+        "weights": one.weights,
+        "half_width": one.half_width,
+        "Kz": one.robust,
+        "Kz_above_C2": one.gain_holds,
+        "reached": one.largest,
+        "proved": False,
+    }

@@ -1,22 +1,27 @@
-"""A proof for a terminal: sentences that judge, tables with the numbers."""
+"""A proof and its certificate for a terminal: sentences that judge, tables with the numbers."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from ....signals import Array
 from ...proof.balance import TOLERANCE, Balance
-from ...proof.fvu import worst
-from ...proof.growth import Growth
-from ...proof.linear_fit import LinearFit
-from ...proof.lyapunov import TERMS, Lyapunov
+from ...proof.certificate import Certificate
+from ...proof.certified_loop import Condition
+from ...proof.certified_run import CertifiedRun, Comparison
+from ...proof.ideal import IdealWeights, LinearFit
+from ...proof.learner import NAMES
+from ...proof.lyapunov import TERMS, Growth, Lyapunov
 from ...proof.proof import Proof
-from ...proof.psi import Psi, how_to_know
+from ...proof.psi import Psi, how_to_know, worst
+from ...proof.rate import Rate
 from ...proof.truth import Truth
 from ..table import WIDTH, number
 
@@ -24,29 +29,55 @@ FROZEN = {"same": "frozen,\nown run", "held_out": "frozen,\nheld out", "payload"
 SHARES = {"feedback": "feed-\nback", "network": "network,\nPsi_hat", "robust": "robust\nterm"}
 MOST_WINDOWS = 8  # columns that a terminal has room for
 PARTS = {"pose": "V1 of the pose", "motion": "s' M s / 2", "weights": "weights' part"}
+CONSTANT = "predicts worse than a constant"
+COLUMNS: dict[str, dict[str, Any]] = {
+    "text": {"overflow": "fold"},
+    "component": {"overflow": "fold", "vertical": "bottom"},
+    "label": {"no_wrap": True},
+    "number": {"justify": "right", "no_wrap": True},
+    "value": {"justify": "right", "overflow": "fold"},
+}
+Row = Sequence[str]
 
 
 def render(proof: Proof, colour: bool = False, width: int = WIDTH) -> str:
     """The whole proof as text of at most `width` columns."""
+    return as_text(parts(proof), colour, width)
+
+
+def render_certificate(run: CertifiedRun, colour: bool = False, width: int = WIDTH) -> str:
+    """The section on the certificate as text of at most `width` columns."""
+    return as_text(certificate_parts(run), colour, width)
+
+
+def as_text(parts: Iterable[str | Text | Table], colour: bool, width: int) -> str:
+    """Sentences and tables one below the other."""
     console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
-    subject = proof.subject
     with console.capture() as capture:
-        console.print(f"{subject.controller} on {subject.robot.name}", style="bold", highlight=False)
-        for part in parts(proof):
-            if isinstance(part, str):
-                console.print(part, highlight=False, markup=False)
-            else:
-                console.print(part)
-        said = how_to_know(subject) if proof.has("psi") else ""
-        for remark in (one for one in proof.remarks() if one != said):
-            console.print(f"note: {remark}", style="italic", highlight=False, markup=False)
+        for part in parts:
+            console.print(part, highlight=False, markup=False)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 
-def parts(proof: Proof) -> Iterator[str | Table]:
-    """Sentences and tables, in order."""
+def table_of(columns: Mapping[str, str], rows: Iterable[Row | None], title: str | None = None) -> Table:
+    """A table from its heads, each with a kind of `COLUMNS`, and its rows; None stands for a gap between rows."""
+    table = Table(box=SIMPLE_HEAD, padding=0, title=title, title_justify="left")
+    for head, kind in columns.items():
+        table.add_column(head, **COLUMNS[kind])
+    for row in rows:
+        table.add_section() if row is None else table.add_row(*row)
+    return table
+
+
+# -- the proof --
+
+
+def parts(proof: Proof) -> Iterator[str | Text | Table]:
+    """Title, sentences, tables and notes, in order."""
+    subject, how = proof.subject, how_to_know(proof.subject) if proof.has("psi") else ""
+    yield Text(f"{subject.controller} on {subject.robot.name}", style="bold")
     if proof.has("psi"):
-        yield from verdicts(proof.psi, how_to_know(proof.subject))
+        yield from verdicts(proof.psi, how)
         yield from psi_tables(proof.psi)
         if proof.psi.networks:
             yield network_table(proof)
@@ -56,8 +87,10 @@ def parts(proof: Proof) -> Iterator[str | Table]:
         if spans := spans_sentence(proof.growth):
             yield spans
     if proof.has("balance"):
-        timing = proof.subject.timing
-        yield balance_sentence(proof.balance, f"{timing.integrator} at {timing.plant_step:g} s")
+        yield balance_sentence(proof.balance, f"{subject.timing.integrator} at {subject.timing.plant_step:g} s")
+    for remark in proof.remarks():
+        if remark != how:
+            yield Text(f"note: {remark}", style="italic")
 
 
 def verdicts(psi: Psi, how: str = "") -> Iterator[str]:
@@ -77,32 +110,36 @@ def verdicts(psi: Psi, how: str = "") -> Iterator[str]:
 
 
 def judgement(online: float, same: float, other: float) -> str:
-    """In words what FVU online, frozen on the run's own trajectory and frozen on a held-out one say together."""
-    told = f"FVU online {number(online)}, frozen {number(same)} on the same trajectory"
-    told += f", {number(other)} on one held out" if math.isfinite(other) else ""
+    """What FVU online, frozen on the run's own trajectory and frozen on a held-out one say together, in words."""
+    numbers = f"FVU online {number(online)}, frozen {number(same)}"
+    numbers += f", held out {number(other)}" if math.isfinite(other) else ""
     if not math.isfinite(online) or not math.isfinite(same):
-        return f"{told}: Psi does not vary, there is nothing to judge."
+        return f"Psi does not vary, there is nothing to judge ({numbers})."
     if same >= 1:
-        follows = "it follows Psi by fast adaptation and" if online < 0.5 else "it"
-        return f"{told}: {follows} stores no model, a constant would say as much."
-    if math.isfinite(other) and other >= 1:
-        return f"{told}: it holds what it was trained on, and nothing beyond."
-    known = f"knows {share(1 - (other if math.isfinite(other) else same))} of the variance"
-    return f"{told}: it {known}{' where it was not trained' if math.isfinite(other) else ''}."
+        frozen = CONSTANT
+    elif not math.isfinite(other):
+        frozen = f"{prediction(same)} on its own trajectory"
+    elif other >= 1:
+        frozen = f"{prediction(same)} on its own trajectory and {CONSTANT} on a new one"
+    else:
+        frozen = f"{prediction(other)} on a trajectory that it never saw"
+    return f"adapting, it {prediction(online)}; frozen, it {frozen} ({numbers})."
 
 
-def share(part: float) -> str:
-    """A share in percent; never rounded to all of it."""
-    return "more than 99.9 %" if 0.999 < part < 1 else f"{100 * part:.3g} %"
+def prediction(fvu: float) -> str:
+    """How well something with this FVU predicts; never rounded to all of it."""
+    if fvu >= 1:
+        return CONSTANT
+    return f"explains {'more than 99.9' if 0 < fvu < 0.001 else f'{100 * (1 - fvu):.3g}'} % of Psi"
 
 
 def psi_tables(psi: Psi) -> Iterator[str | Table]:
     """FVU online and frozen and shares of the torque, then the online error in windows: a row per component."""
-    columns = {"online": psi.online} | {FROZEN[name]: told.fvu for name, told in psi.frozen.items()}
+    columns = {"online": psi.online} | {FROZEN[name]: frozen.fvu for name, frozen in psi.frozen.items()}
     columns |= {SHARES[part]: values for part, values in psi.shares.items()}
     yield component_table("FVU, then shares of the torque", psi, columns)
     if psi.frozen:
-        yield "\n".join(f"{FROZEN[name].replace(chr(10), ' ')}: {told.about}" for name, told in psi.frozen.items())
+        yield "\n".join(f"{FROZEN[name].replace(chr(10), ' ')}: {frozen.about}" for name, frozen in psi.frozen.items())
     if len(psi.errors) <= MOST_WINDOWS:
         edges = zip(psi.edges[:-1], psi.edges[1:], psi.errors, strict=True)
         spans = {f"{a:.3g} to\n{b:.4g} s": values for a, b, values in edges}
@@ -111,65 +148,69 @@ def psi_tables(psi: Psi) -> Iterator[str | Table]:
 
 def component_table(title: str, psi: Psi, columns: Mapping[str, Array]) -> Table:
     """Columns of one number per component."""
-    table = Table(box=SIMPLE_HEAD, padding=0)
-    table.add_column(title, overflow="fold", vertical="bottom")
-    for head in columns:
-        table.add_column("\n".join(f"  {line}" for line in head.split("\n")), justify="right", no_wrap=True)
-    for i, label in enumerate(psi.labels):
-        table.add_row(label.removesuffix("_joint"), *(number(values[i]) for values in columns.values()))
-    return table
+    heads = ("\n".join(f"  {line}" for line in head.split("\n")) for head in columns)
+    rows = (
+        [label.removesuffix("_joint"), *(number(values[i]) for values in columns.values())]
+        for i, label in enumerate(psi.labels)
+    )
+    return table_of({title: "component"} | dict.fromkeys(heads, "number"), rows)
 
 
 def network_table(proof: Proof) -> Table:
     """Ranks, excitation and ideal weights: a column per network."""
-    networks = {network.name: network for network in proof.psi.networks}
-    first = next(iter(networks.values()))
-    table = Table(box=SIMPLE_HEAD, padding=0)
-    table.add_column("Networks" if first.what == "activations" else "Learner", overflow="fold")
-    for name in networks:
-        table.add_column(f"  {name}", justify="right", no_wrap=True)
-    for weights in first.ranks:
-        cells = (f"{number(n.ranks[weights])} of {len(n.singular[weights])}" for n in networks.values())
-        table.add_row(f"effective rank of {weights}", *cells)
-    found = [network.excitation for network in networks.values()]
-    table.add_row(f"effective rank of the {first.what}", *(f"{number(e.rank)} of {e.units}" for e in found))
-    above = f"excited directions (eigenvalue > {first.excitation.visible:g} of the largest)"
-    table.add_row(above, *(f"{e.directions} of {e.units}" for e in found))
-    table.add_row(f"smallest eigenvalue of the Gram matrix of the {first.what}", *(small(e.smallest) for e in found))
-    if any(network.unknown for network in networks.values()):
-        shares = ("-" if n.unknown is None else f"{n.unknown.share:.0%}" for n in networks.values())
-        table.add_row("left undetermined of what random motion shows", *shares)
-        acting = [
-            f"{n.unknown.acting} of {n.unknown.units}" for n in networks.values() if n.unknown and n.unknown.units
-        ]
-        if acting:
-            table.add_row("as how many its units act on random motion", *acting)
+    networks = proof.psi.networks
+    first = "Networks" if networks[0].what == "activations" else "Learner"
+    rows: list[Row | None] = [*excitation_rows(proof.psi)]
     if proof.has("ideal"):
-        table.add_section()
-        if isinstance(proof.ideal, Truth):
-            for part, (start, end) in proof.ideal.parts.items():
-                cell = f"{number(start)} to {number(end)}"
-                table.add_row(f"distance in V from the true parameters, {part}, start to end", cell)
-            table.add_row("largest |Psi - Y theta| of the true ones [N, N m]", number(proof.ideal.eps.max()))
-            return table
-        if isinstance(proof.ideal, LinearFit):
-            start, end = proof.ideal.distance
-            best = "the true parameters" if proof.ideal.true else "the best fixed weights, fitted offline"
-            table.add_row(f"|W*| of {best}", number(proof.ideal.norm))
-            cell = f"{number(start)} to {number(end)}"
-            table.add_row("its Psi_hat against the run's, over Psi's deviation, start to end", cell)
-            table.add_row("eps_N: what W* leaves at most [N, N m]", number(proof.ideal.eps.max()))
-            table.add_row("FVU of W* (worst component)", number(proof.ideal.unexplained.max()))
-            return table
-        ideal = list(proof.ideal.values())
-        table.add_row("|Z| learned", *(number(w.learned_norm) for w in ideal))
-        table.add_row("|Z*| of the ideal weights, fitted offline", *(number(w.norm) for w in ideal))
-        table.add_row("ZB that the robust term counts with", *(number(w.assumed) for w in ideal))
-        ends = (f"{number(w.start_distance)} to {number(w.distance)}" for w in ideal)
-        table.add_row("|Z* - Z| from start to end", *ends)
-        table.add_row("eps_N: what the ideal weights leave at most", *(number(w.eps_N) for w in ideal))
-        table.add_row("FVU of the ideal weights (worst component)", *(number(w.unexplained.max()) for w in ideal))
-    return table
+        rows += [None, *ideal_rows(proof.ideal)]
+    return table_of({first: "text"} | {f"  {network.name}": "number" for network in networks}, rows)
+
+
+def excitation_rows(psi: Psi) -> Iterator[Row]:
+    """What the weights were multiplied with, and how well that was excited."""
+    networks, first = psi.networks, psi.networks[0]
+    excitations = [network.excitation for network in networks]
+    for weights in first.ranks:
+        cells = (f"{number(n.ranks[weights])} of {len(n.singular[weights])}" for n in networks)
+        yield f"effective rank of {weights}", *cells
+    yield f"effective rank of the {first.what}", *(f"{number(e.rank)} of {e.units}" for e in excitations)
+    above = f"excited directions (eigenvalue > {first.excitation.visible:g} of the largest)"
+    yield above, *(f"{e.directions} of {e.units}" for e in excitations)
+    yield f"smallest eigenvalue of the Gram matrix of the {first.what}", *(small(e.smallest) for e in excitations)
+    unknown = [network.unknown for network in networks]
+    if any(unknown):
+        yield (
+            "left undetermined of what random motion shows",
+            *("-" if one is None else f"{one.share:.0%}" for one in unknown),
+        )
+    if acting := [f"{one.acting} of {one.units}" for one in unknown if one and one.units]:
+        yield "as how many its units act on random motion", *acting
+
+
+def ideal_rows(ideal: IdealWeights) -> Iterator[Row]:
+    """The best weights that there are, and how far the run's weights are from them."""
+    if isinstance(ideal, Truth):
+        for part, (start, end) in ideal.parts.items():
+            yield f"distance in V from the true parameters, {part}, start to end", f"{number(start)} to {number(end)}"
+        yield "largest |Psi - Y theta| of the true ones [N, N m]", number(ideal.eps.max())
+    elif isinstance(ideal, LinearFit):
+        start, end = ideal.distance
+        best = "the true parameters" if ideal.true else "the best fixed weights, fitted offline"
+        yield f"|W*| of {best}", number(ideal.norm)
+        yield (
+            "its Psi_hat against the run's, over Psi's deviation, start to end",
+            f"{number(start)} to {number(end)}",
+        )
+        yield "eps_N: what W* leaves at most [N, N m]", number(ideal.eps.max())
+        yield "FVU of W* (worst component)", number(ideal.unexplained.max())
+    else:
+        weights = ideal.values()
+        yield "|Z| learned", *(number(w.learned_norm) for w in weights)
+        yield "|Z*| of the ideal weights, fitted offline", *(number(w.norm) for w in weights)
+        yield "ZB that the robust term counts with", *(number(w.assumed) for w in weights)
+        yield "|Z* - Z| from start to end", *(f"{number(w.start_distance)} to {number(w.distance)}" for w in weights)
+        yield "eps_N: what the ideal weights leave at most", *(number(w.eps_N) for w in weights)
+        yield "FVU of the ideal weights (worst component)", *(number(w.unexplained.max()) for w in weights)
 
 
 def lyapunov_sentence(v: Lyapunov, growth: Growth) -> str:
@@ -190,35 +231,31 @@ def lyapunov_sentence(v: Lyapunov, growth: Growth) -> str:
 
 def terms_table(growth: Growth) -> Table:
     """What every term adds to V over the run, and how often it is the one that makes it grow."""
-    table = Table(box=SIMPLE_HEAD, padding=0)
-    for head in ("term", ""):
-        table.add_column(head, overflow="fold")
-    table.add_column("  adds to V", justify="right", no_wrap=True)
-    table.add_column("  leads its growth", justify="right", no_wrap=True)
     largest = max(map(abs, growth.work.values()))
-    for name, words in TERMS.items():
-        if abs(growth.work[name]) > 1e-9 * largest:
-            share = growth.why.get(name, 0.0)
-            table.add_row(name, words, signed(growth.work[name]), f"{100 * share:.0f} %" if share else "")
-    return table
+    rows = (
+        (name, words, signed(growth.work[name]), f"{100 * growth.why[name]:.0f} %" if name in growth.why else "")
+        for name, words in TERMS.items()
+        if abs(growth.work[name]) > 1e-9 * largest
+    )
+    return table_of({"term": "text", "": "text", "  adds to V": "number", "  leads its growth": "number"}, rows)
 
 
 def spans_sentence(growth: Growth) -> str:
     """The stretches of most growth."""
-    told = [f"{s.start:.3g} to {s.end:.3g} s (+{number(s.rise)}, {s.why})" for s in growth.spans]
-    return f"Most growth: {'; '.join(told)}.\n" if told else ""
+    spans = [f"{s.start:.3g} to {s.end:.3g} s (+{number(s.rise)}, {s.why})" for s in growth.spans]
+    return f"Most growth: {'; '.join(spans)}.\n" if spans else ""
 
 
-def balance_sentence(found: Balance, integrator: str) -> str:
+def balance_sentence(balance: Balance, integrator: str) -> str:
     """Whether the equality holds, with its worst errors."""
-    steps = small(found.steps) if math.isfinite(found.steps) else "not known"
-    plant = f"that integrator's error, {small(found.recorded)} between the recorded states, is not in it"
-    off = f" The run was simulated by {integrator}: {plant}." if found.recorded > TOLERANCE else ""
+    steps = small(balance.steps) if math.isfinite(balance.steps) else "not known"
+    plant = f"that integrator's error, {small(balance.recorded)} between the recorded states, is not in it"
+    off = f" The run was simulated by {integrator}: {plant}." if balance.recorded > TOLERANCE else ""
     return (
-        f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {'holds' if found.holds else 'IS VIOLATED'}, checked along "
-        f"exact motions from the recorded states. Worst relative errors over {len(found.time):,} of {found.periods:,} "
-        f"control periods: model and command {small(found.identity)}, recorded states against the plant's own steps "
-        f"{steps} (tolerance {TOLERANCE:g}).{off}"
+        f"Equality d/dt (s' M s / 2) = s' (Psi - tau + d): {'holds' if balance.holds else 'IS VIOLATED'}, checked "
+        f"along exact motions from the recorded states. Worst relative errors over {len(balance.time):,} of "
+        f"{balance.periods:,} control periods: model and command {small(balance.identity)}, recorded states against "
+        f"the plant's own steps {steps} (tolerance {TOLERANCE:g}).{off}"
     )
 
 
@@ -228,5 +265,146 @@ def signed(value: float) -> str:
 
 
 def small(value: float) -> str:
-    """Two digits and an exponent; rounding is told as such."""
+    """Two digits and an exponent; 0 for what is rounding."""
     return f"{value:.1e}" if value > 1e-18 else "0"
+
+
+# -- the certificate --
+
+
+def certificate_parts(run: CertifiedRun) -> Iterator[str | Text | Table]:
+    """Title, sentences and tables, in order."""
+    yield ""
+    yield Text("Certificate (docs/theory.md)", style="bold")
+    if run.certificate is None:
+        yield f"Does not apply: {run.missing['certificate'].removeprefix('no certificate: ')}."
+    else:
+        yield verdict(run.certificate)
+        yield condition_table(run.certificate.conditions)
+        if run.certificate.holds and run.comparison is not None:
+            yield bound_table(run.certificate, run.comparison)
+            yield run_sentence(run.comparison)
+        yield constant_table(run.certificate)
+    if run.rate is not None:
+        yield rate_sentence(run.rate)
+    if run.thesis_bounds:
+        yield thesis_table(run)
+
+
+def verdict(certificate: Certificate) -> str:
+    """Whether a region is certified, and if not, what fails."""
+    if certificate.holds:
+        return (
+            "Holds: from every error in the region, with any weights that the update can reach and any force within d, "
+            "the sampled loop never leaves it and ends up in the bound. Sampled constants are the largest over "
+            f"{len(certificate.boxes.samples.M)} configurations along the reference."
+        )
+    failed = [c for c in certificate.conditions if not c.holds]
+    why = "; ".join(f"{c.name}: {side(c.value)} is not {c.need} {side(c.limit)}" for c in failed)
+    none = "No region was found. At the one nearest to it"
+    where = "The region asked for is not shown to be invariant" if certificate.asked else none
+    return f"FAILS. {where}: {why}. That proves nothing against the loop."
+
+
+def side(value: float) -> str:
+    """One side of a condition."""
+    if math.isnan(value):
+        return "no number"
+    if math.isinf(value):
+        return "infinity" if value > 0 else "-infinity"
+    return f"{'-' if value < 0 else ''}{number(abs(value))}"
+
+
+def condition_table(conditions: Iterable[Condition]) -> Table:
+    """A row per condition."""
+    columns = {"condition": "label", "  is": "number", "  limit": "number", " ": "label", " what it says": "text"}
+    rows = (
+        (
+            c.name,
+            side(c.value),
+            f"  {'<' if c.need == 'below' else '>'} {side(c.limit)}",
+            " yes" if c.holds else " NO",
+            f" {c.words}",
+        )
+        for c in conditions
+    )
+    return table_of(columns, rows)
+
+
+def bound_table(certificate: Certificate, run: Comparison) -> Table:
+    """Region, ultimate bound, and what the run had at most over its last half, in the units of the errors."""
+    columns = {"largest": "label"} | dict.fromkeys(("  region", "  bound", "  run, last half"), "number")
+    return table_of(columns, bound_rows(certificate, run))
+
+
+def bound_rows(certificate: Certificate, run: Comparison) -> Iterator[Row]:
+    """See `bound_table`."""
+    region, bound, last = certificate.region, certificate.bound, run.last
+    names = certificate.boxes.loop.robot.velocity_names
+    yield "pose, size a [m]", *map(number, (region.box.pose, bound.box.pose, last.pose))
+    for label, name in (("|ex| [m]", "ex"), ("|ey| [m]", "ey"), ("|ephi| [rad]", "heading")):
+        yield f"  {label}", number(getattr(region.reach, name)), number(getattr(bound.reach, name)), ""
+    if len(region.joints):
+        yield "arm, size b", *map(number, (region.box.arm, bound.box.arm, last.arm))
+        for name, *values in zip(names[2:], region.joints, bound.joints, strict=True):
+            yield f"  |e| {name} [rad or m]", *map(number, values), ""
+    yield "velocity, s'Ms/2 [J]", *map(number, (region.box.energy, bound.box.energy, last.energy))
+    for name, *values in zip(names, region.velocity, bound.velocity, strict=True):
+        yield f"  |s| {name} [SI]", *map(number, values), ""
+    for i, network in certificate.boxes.networks.items():
+        for letter, most, largest in zip("WV", (network.W, network.V), run.weights[i], strict=True):
+            if most:
+                yield f"weights |{letter}|, {NAMES[i]}", *map(number, (most, most, largest))
+
+
+def run_sentence(run: Comparison) -> str:
+    """How the run went beside its region."""
+    if math.isnan(run.enters):
+        return "The run never was inside of the region: nothing is guaranteed of it."
+    if not run.covered:
+        return "The run's weights are beyond the bounds, from before it was in the region: nothing is guaranteed."
+    outside = f"starts outside of the region, is inside at {run.enters:.3g} s"
+    begins = "starts inside of the region" if run.starts else outside
+    stays = "and stays" if run.stays else "and LEAVES IT: the certificate is violated"
+    settled = "not within the run" if math.isnan(run.settles) else f"at {run.settles:.3g} s"
+    return f"The run {begins} {stays}; inside of the bound for good {settled}."
+
+
+def constant_table(certificate: Certificate) -> Table:
+    """A row per constant, with its source."""
+    columns = {"constant": "text", "  value": "value"} | dict.fromkeys((" unit", " source", " what it is"), "text")
+    rows = (
+        (c.name, side(c.value) if math.isfinite(c.value) else "none", f" {c.unit}", f" {c.source}", f" {c.words}")
+        for c in certificate.constants
+    )
+    return table_of(columns, rows)
+
+
+def rate_sentence(rate: Rate) -> str:
+    """The condition on the learning rates, in words."""
+    left = rate.limit.min()
+    room = "more than 10000" if math.isinf(left) else number(left)
+    return (
+        f"Learning rate (discrete time, linearised): {'stable' if rate.stable else 'UNSTABLE'}; spectral radius of a "
+        f"control period {rate.radius.max():.6f}, {rate.without.max():.6f} without the learner; one update is at most "
+        f"{100 * rate.share.max():.3g} % of the gain; rates may be {room} times as large; leakage kappa F |s| at most "
+        f"{number(rate.leak.max())} per sample, limit 2."
+    )
+
+
+def thesis_table(run: CertifiedRun) -> Table:
+    """The thesis's own bounds, labelled as what they are."""
+    bounds = run.thesis_bounds.values()
+    rows = [
+        ("|z| or |r| at last, (3.59), (3.62)", *(number(one.error) for one in bounds)),
+        ("  the run's largest over its last half", *(number(one.largest) for one in bounds)),
+        ("  half-width with both braces (gap a)", *(number(one.half_width) for one in bounds)),
+        ("|Ztilde| at last, (3.60), (3.63)", *(number(one.weights) for one in bounds)),
+        ("  but V may grow at any |Ztilde|", *("no bound" for _ in bounds)),
+        (
+            "Kz > C2, C5 (3.51), (3.52)",
+            *(f"{side(one.robust)} > {side(one.C[2])}: {'yes' if one.gain_holds else 'NO'}" for one in bounds),
+        ),
+    ]
+    columns = {"": "label"} | {f"  {NAMES[i]}": "number" for i in run.thesis_bounds}
+    return table_of(columns, rows, "The thesis's bounds, as printed: not proved")

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 
 from ....signals import Array, IntArray
-from ...proof.proof import Proof
+from ...proof.proof import Proof, proofs_with
 from ..curves import CHARTS, Chart, Curve, Panel, Recordings, chart, learners
 from ..figure import run_label, scale_rows, styles_of
 from ..files import Blob
-from ..proof.cache import proofs_with
-from ..proof.psi_figures import sliced
+from ..proof.figures import sliced
 
 MOST = 4000  # points of a curve; of a longer one the extremes of this many stretches of time are kept
 LARGEST = 1e30  # what single precision and a plot can still hold

@@ -13,12 +13,11 @@ from ....recording.recording import Recording
 from ...experiments.controllers import LEARNERS, ORACLES, effective
 from ...experiments.runner import Improvement, Result, unfair
 from ...proof.balance import TOLERANCE
-from ...proof.fvu import worst
-from ...proof.proof import Proof
+from ...proof.proof import Proof, proofs_with
+from ...proof.psi import worst
 from ..comparison import limited, notes
 from ..curves import column_units, controller_of, milli
 from ..figure import run_label
-from ..proof.cache import proofs_with
 from ..proof.text import small, verdicts
 from ..table import Cell, Column, Row, Table, number, row_of
 
