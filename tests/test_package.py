@@ -78,48 +78,6 @@ def test_public_things_have_docstrings() -> None:
     assert [where for where in without if "Protocol" not in where] == []
 
 
-# -- what imports what ------------------------------------------------------------------------------------------------
-
-
-def own_imports(file: Path) -> set[str]:
-    """Modules of the package that a file imports, as dotted names without `mmnn_pin`; under TYPE_CHECKING too."""
-    parts = ("mmnn_pin", *file.relative_to(PACKAGE).with_suffix("").parts)
-    package = parts[:-1]
-    names = set()
-    for node in ast.walk(ast.parse(file.read_text())):
-        if isinstance(node, ast.ImportFrom):
-            base = package[: len(package) - node.level + 1] if node.level else ()
-            module = ".".join((*base, *filter(None, [node.module])))
-            names |= {f"{module}.{alias.name}" for alias in node.names}
-        elif isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-    return {name.removeprefix("mmnn_pin.") for name in names if name.startswith("mmnn_pin.")}
-
-
-def outside(file: Path) -> set[str]:
-    """What a file imports from elsewhere than its own folder."""
-    here = ".".join(file.relative_to(PACKAGE).parent.parts)
-    return {name for name in own_imports(file) if not name.startswith(here)}
-
-
-def test_a_controller_knows_what_it_imports() -> None:
-    network = {name.partition(".")[0] for name in own_imports(PACKAGE / "torque/network.py")}
-    assert network <= {"compiled", "signals"}
-    for module in ("torque/neural.py", "torque/law.py", "torque/controller.py"):
-        assert not any(name.startswith(("model", "plant", "loop")) for name in own_imports(PACKAGE / module)), module
-    laws = {"model.base.BY_SIZE", "model.base.velocity_command"}  # of the bases, which know how they roll
-    known = {name for name in own_imports(PACKAGE / "kinematic.py") if name.startswith(("model", "plant", "loop"))}
-    assert known <= laws
-    for module in ("__init__.py", "base.py", "differential.py", "holonomic.py"):
-        assert not any(name.startswith("model") for name in outside(PACKAGE / "model/base" / module)), module
-    features = {name.partition(".")[0] for name in own_imports(PACKAGE / "torque/features.py")}
-    assert features <= {"compiled", "signals"}
-    allowed = ("model.regressor", "model.tree_regressor")
-    for module in ("torque/adaptive.py", "torque/kalman.py", "torque/linear.py"):
-        model = [name for name in own_imports(PACKAGE / module) if name.startswith(("model", "plant", "loop"))]
-        assert all(name.startswith(allowed) for name in model), module
-
-
 # -- README, examples, docs -------------------------------------------------------------------------------------------
 
 
@@ -177,13 +135,6 @@ def test_documents_name_modules_and_commands_that_exist() -> None:
             assert list(PACKAGE.rglob(module)) or (ROOT / module).exists(), module
         for command in re.findall(r"\bmmnn ([a-z]+)\b", document):
             assert command in mmnn.commands, command
-
-
-def test_the_architecture_names_every_module_or_its_folder() -> None:
-    text = (ROOT / "docs/architecture.md").read_text()
-    modules = [str(file.relative_to(PACKAGE)) for file in PACKAGE.rglob("*.py") if file.name != "__init__.py"]
-    untold = [m for m in modules if f"`{m}`" not in text and f"`{m.rpartition('/')[0]}/`" not in text]
-    assert untold == []
 
 
 # -- where the robots are found ---------------------------------------------------------------------------------------

@@ -33,7 +33,6 @@ from ...recording.recording import Recording
 from ...recording.robot import recorded_position, recorded_robot
 from ...signals import Array
 from .curves import column_units
-from .export import about
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,8 +180,8 @@ At = Callable[[int, Message], Message]  # of a row and its stamp
 Topic = tuple[str, tuple[str, str], At]
 
 
-def write_bag(recording: Recording, path: Path) -> None:
-    """Write a recording as MCAP.
+def write_bag(recording: Recording, path: Path, about: dict[str, Any]) -> None:
+    """Write a recording as MCAP, with what there is to say about it (`export.about`).
 
     Raises:
         RecordingError: It does not tell its robot.
@@ -199,17 +198,16 @@ def write_bag(recording: Recording, path: Path) -> None:
         for row, at in enumerate(nanoseconds):
             for name, registered, message_at in topics:
                 writer.write_message(name, registered, message_at(row, stamp(at)), at, sequence=row)
-        attach(writer, recording)
+        attach(writer, about)
 
 
-def attach(writer: Writer, recording: Recording) -> None:
+def attach(writer: Writer, about: dict[str, Any]) -> None:
     """Add config, URDF and facts."""
-    told = about(recording)
-    config, urdf = told.pop("config"), told.pop("urdf")
+    config, urdf = about["config"], about["urdf"]
     for name, kind, text in (("config.json", "application/json", config), ("robot.urdf", "application/xml", urdf)):
         if text:
             writer.add_attachment(0, 0, name, kind, text.encode())
-    facts = {**told["meta"], **{f"outcome_{name}": value for name, value in told["outcome"].items()}}
+    facts = {**about["meta"], **{f"outcome_{name}": value for name, value in about["outcome"].items()}}
     writer.add_metadata("mmnn_pin", {k: v if isinstance(v, str) else json.dumps(v) for k, v in facts.items()})
 
 

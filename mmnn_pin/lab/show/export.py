@@ -114,7 +114,7 @@ def write_mcap(recording: Recording, path: Path) -> None:
     """Write MCAP, see `bag.write_bag`."""
     from .bag import write_bag
 
-    write_bag(recording, path)
+    write_bag(recording, path, about(recording))
 
 
 FORMATS: Mapping[str, Callable[[Recording, Path], None]] = {

@@ -1,0 +1,164 @@
+"""The house: which floor a module stands on, what it may import, and that nothing imports itself over others."""
+
+from __future__ import annotations
+
+import ast
+from functools import cache
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+PACKAGE = ROOT / "mmnn_pin"
+
+# From the ground up. A module may import its own floor and those below; type-only and late imports count, too.
+FLOORS = (
+    ("ground", ("errors", "signals", "settings", "compiled")),
+    ("model", ("model",)),
+    ("blocks", ("reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing")),
+    ("recording", ("recording",)),
+    ("loop", ("loop",)),
+    ("deploy", ("deploy",)),
+    ("experiments", ("lab.experiments",)),
+    ("studies and proofs", ("lab.study", "lab.proof")),
+    ("contest", ("lab.contest",)),
+    ("show", ("lab.show",)),
+    ("command line", ("cli",)),
+)
+FLOOR = {name: floor for floor, (_, names) in enumerate(FLOORS) for name in names}
+# Siblings that may use each other; all other blocks meet only in the loop.
+NEIGHBOURS = {("safety", "kinematic")}
+# What a controller imports is what it may know: nothing of the robot, or only how it moves.
+GROUND = dict(FLOORS)["ground"]
+KNOWS = {
+    "torque.random_features": GROUND,
+    "torque.two_layer": (*GROUND, "torque"),
+    "torque.one_layer": (*GROUND, "torque"),
+    "torque.neural": (*GROUND, "torque"),
+    "torque.law": (*GROUND, "torque"),
+    "torque": (*GROUND, "torque", "model.regressor"),
+    "model.base": (*GROUND, "model"),
+}
+# These are handed a robot that somebody believes in: the oracle, and a nominal model. They hold it and pass it on.
+HANDED = {"torque.model_based", "torque.two_layer_residual"}
+
+
+@cache
+def modules() -> dict[str, Path]:
+    """Dotted names of all modules of the package, without `mmnn_pin`, and their files; "" is the package itself."""
+    found = {}
+    for file in PACKAGE.rglob("*.py"):
+        parts = file.relative_to(PACKAGE).with_suffix("").parts
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = file
+    return found
+
+
+@cache
+def imports(module: str) -> frozenset[str]:
+    """Modules of the package that a module imports, anywhere in its text."""
+    file = modules()[module]
+    package = ("mmnn_pin", *file.relative_to(PACKAGE).parts[:-1])
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else ()
+            where = ".".join((*base, *filter(None, [node.module])))
+            for alias in node.names:
+                inner = f"{where}.{alias.name}".removeprefix("mmnn_pin").removeprefix(".")
+                found.add(inner if inner in modules() else where.removeprefix("mmnn_pin").removeprefix("."))
+        elif isinstance(node, ast.Import):
+            found |= {
+                alias.name.removeprefix("mmnn_pin.") for alias in node.names if alias.name.startswith("mmnn_pin.")
+            }
+    return frozenset((found & set(modules())) - {module, ""})
+
+
+def block_of(module: str) -> str:
+    """The entry of `FLOORS` that a module belongs to; "" for the package and for `lab` themselves."""
+    return next((name for name in FLOOR if module == name or module.startswith(f"{name}.")), "")
+
+
+def test_every_module_stands_on_a_floor() -> None:
+    assert [module for module in modules() if module not in ("", "lab") and not block_of(module)] == []
+
+
+def test_nothing_imports_what_stands_above_it() -> None:
+    upward = [
+        f"{module} imports {other}"
+        for module in modules()
+        if block_of(module)
+        for other in imports(module)
+        if block_of(other) and FLOOR[block_of(other)] > FLOOR[block_of(module)]
+    ]
+    assert upward == []
+
+
+def test_blocks_meet_only_in_the_loop() -> None:
+    blocks = dict(FLOORS)["blocks"]
+    meetings = [
+        f"{module} imports {other}"
+        for module in modules()
+        if block_of(module) in blocks
+        for other in imports(module)
+        if block_of(other) in blocks and block_of(other) != block_of(module)
+        if (block_of(module), block_of(other)) not in NEIGHBOURS
+    ]
+    assert meetings == []
+
+
+def test_no_module_imports_itself_over_others() -> None:
+    assert rings({module: set(imports(module)) for module in modules()}) == []
+
+
+def rings(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of nodes that reach each other (Tarjan's strongly connected components of more than one node)."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[list[str]] = []
+
+    def visit(node: str) -> None:
+        index[node] = low[node] = len(index)
+        stack.append(node)
+        for other in graph[node]:
+            if other not in index:
+                visit(other)
+                low[node] = min(low[node], low[other])
+            elif other in stack:
+                low[node] = min(low[node], index[other])
+        if low[node] == index[node]:
+            ring = []
+            while not ring or ring[-1] != node:
+                ring.append(stack.pop())
+            if len(ring) > 1:
+                found.append(sorted(ring))
+
+    for node in graph:
+        if node not in index:
+            visit(node)
+    return found
+
+
+def test_rings_are_found() -> None:
+    assert rings({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [["b", "c"]]
+    assert rings({"a": {"b"}, "b": set()}) == []
+
+
+@pytest.mark.parametrize("part", KNOWS)
+def test_a_controller_knows_what_it_imports(part: str) -> None:
+    own = [module for module in modules() if module == part or module.startswith(f"{part}.")]
+    assert own
+    too_much = [
+        f"{module} imports {other}"
+        for module in own
+        for other in imports(module)
+        if not any(other == name or other.startswith(f"{name}.") for name in KNOWS[part])
+        if not (module in HANDED and other == "model.robot")
+    ]
+    assert too_much == []
+
+
+def test_few_modules_stand_at_the_top_and_none_is_long() -> None:
+    at_the_top = sorted(module for module, file in modules().items() if file.parent == PACKAGE)
+    assert len(at_the_top) <= 8, at_the_top
+    assert [name for name, file in modules().items() if len(file.read_text().splitlines()) > 450] == []
