@@ -316,8 +316,8 @@ class CompiledController(Controller):
             facts: What `facts` told, perhaps that of an older version.
             told: What it is told of the recorded robot.
         """
-        own = read_facts(cls, facts, "feedback", "settings", "learning")
-        return cls(**own)
+        names = ("feedback", "settings", "learning")
+        return cls(**read_facts(cls, facts, *names)) if set(names) <= set(facts) else None
 
     def facts(self) -> dict[str, Any]:
         """Gains and settings; enough for `from_facts`."""

@@ -22,6 +22,7 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.start import Start
 from mmnn_pin.model import Robot, load
+from mmnn_pin.model.base.holonomic import Holonomic
 from mmnn_pin.plant.contact.feet import Contact, Patch, feet_of
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
@@ -501,7 +502,7 @@ def test_a_base_on_two_wheels_is_refused() -> None:
 def test_wheels_with_rollers_are_refused() -> None:
     this = robot_of(Drive().urdf(), base="differential_drive")
     with pytest.raises(RobotError, match="cannot carry the holonomic base"):
-        feet_of(replace(this, base=replace(this.base, kind="holonomic")))
+        feet_of(replace(this, base=Holonomic(wheels=this.base.wheels, frame=this.base.frame)))
 
 
 def test_an_inertia_that_no_body_can_have_is_refused() -> None:

@@ -198,7 +198,7 @@ def test_coarse_encoders_do_not_carry_it_away():
 
 
 def test_impossible_settings_are_refused_with_their_key():
-    for name, value in (("weight", -1.0), ("memory", 0.0), ("every", 0.0), ("pole", np.nan)):
+    for name, value in (("weight", -1.0), ("forgetting_time", 0.0), ("every", 0.0), ("pole", np.nan)):
         with pytest.raises(ConfigError) as error:
             AdaptiveCompositeSettings(**{name: value})
         assert error.value.key == f"adaptive_composite.{name}"

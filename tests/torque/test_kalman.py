@@ -221,10 +221,7 @@ def test_gravity_may_be_a_share_of_what_the_motors_give(kind):
 
 def test_a_robot_with_many_joints_gets_no_more_features_than_allowed():
     velocities = tuple(f"v{i}" for i in range(12))
-    machine = replace(
-        machine_of(ROBOT),
-        velocities=velocities, lower=np.full(10, -1.0), upper=np.ones(10),
-    )  # fmt: skip
+    machine = machine_of(ROBOT)._replace(velocities=velocities, lower=np.full(10, -1.0), upper=np.ones(10))
     rows, k, m = Kalman(KalmanBilinearSettings(largest=100), machine, K).shape
     assert (rows, k, m) == (1, (12 + 78 + 1) + 100 + 24, 12)
 

@@ -333,7 +333,7 @@ def config_error(error: msgspec.ValidationError, path: Path | None, table: Any =
     key = with_names(there, table) or None
     kind, known = kind_at(key, table), tuple[str, ...]()
     unknown = re.search(r"unknown field `(\w+)`", message)
-    last = unknown[1] if unknown else value_at(key, table)
+    last = unknown[1] if unknown else value_at(table, key)
     if now := new_name(".".join(filter(None, (key, last))) if unknown else key or "", None if unknown else last):
         return ConfigError(f"'{last}' is now called '{now}'", fix=f"write {now}", file=path, key=key)
     if unknown:

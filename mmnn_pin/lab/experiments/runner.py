@@ -349,7 +349,7 @@ def unfair(experiment: Experiment, metrics: Mapping[str, Mapping[str, float]]) -
     reasons = []
     if len({experiment.robust_term(name) for name in names}) > 1 and experiment.learning.robust_term:
         reasons.append("each learner has a robust term of its own")
-    if len({experiment.network(name).hidden for name in names}) > 1:
+    if len({getattr(experiment, "one_layer" if name == "one_layer" else "two_layer").hidden for name in names}) > 1:
         reasons.append("the networks differ in size")
     if not reasons:
         return ""

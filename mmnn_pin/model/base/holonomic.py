@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...compiled import compiled, inlined
+from ...compiled import compiled, spliced
 from ...signals import Array
 from .base import Base, LinearErrors, PoseEnergy
 
@@ -49,7 +49,7 @@ class Holonomic(Base):
         return float(max(gains))
 
 
-@inlined
+@spliced
 def moves_sideways(nb: int) -> bool:
     """Whether a base of nb velocities has vy among them: it stands second, w is always last."""
     return nb == 3

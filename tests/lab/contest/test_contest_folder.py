@@ -116,7 +116,7 @@ def test_what_a_folder_is_not_taken_for_is_one_line(words, says, folder, capsys)
 def test_numbers_of_a_logarithmic_axis_do_not_touch(span):
     """In the panel of the FVU, on both axes, wherever the range begins; a short one has two at least."""
     for low in (0.17, 1.0, 3.3):
-        figure, (axes,) = figures.panels_for(["one"], 4, 3.2, 3.1)
+        figure, (axes,) = figures.axes_grid(1, 4, 3.2, 3.1, 0.9)
         axes.plot([low, low * span], [low, low * span])
         axes.set(xscale="log", yscale="log", xlim=(low, low * span), ylim=(low, low * span))
         figures.number_short(axes)
@@ -149,7 +149,7 @@ def test_the_page_has_all_tables_targets_and_figures(standing, folder, tmp_path,
 def test_joined_windows_keep_the_mean_square():
     curve = list(np.random.default_rng(3).uniform(0.1, 3.0, 80))
     thin = figures.thinned(curve)
-    assert len(thin) == 20 <= figures.POINTS and figures.together(curve) == 4
+    assert len(thin) == 20 <= figures.POINTS and figures.joined_windows(curve) == 4
     assert np.mean(thin**2) == pytest.approx(np.mean(np.square(curve)))
     assert figures.thinned([2.0, 1.0]).tolist() == [2.0, 1.0]
 

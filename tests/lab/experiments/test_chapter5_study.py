@@ -158,7 +158,8 @@ def test_a_saved_rig_gives_its_saved_errors_again(saved):
 
 
 def test_the_document_is_what_the_saved_summary_gives(saved):
-    from studies.chapter5.document import DOCS, render
+    from studies.chapter5.document import render
+    from studies.document import DOCS
 
     text = (DOCS / "chapter5.md").read_text(encoding="utf-8")
     assert text == render(saved) and saved["ranking"]["rigs"] >= 100

@@ -293,7 +293,8 @@ def test_the_first_rows_of_the_claim_come_out_again(saved):
 
 
 def test_the_document_is_what_the_saved_summary_gives(saved):
-    from studies.chapter4.document import DOCS, render
+    from studies.chapter4.document import render
+    from studies.document import DOCS
 
     text = (DOCS / "chapter4.md").read_text(encoding="utf-8")
     assert text == render(saved)
