@@ -107,7 +107,7 @@ def peer_work(duration: float) -> dict[str, Array]:
     The peers' controller starts from our initial weights.
     """
     loop = thesis_loop(duration, engine="compiled")
-    controller, layout = loop.controller, loop.robot.layout
+    controller, layout = loop.controller, loop.layout
     assert isinstance(controller, Neural) and isinstance(controller.network, TwoLayer) and controller.robust
     state, network, nb = controller.init(loop.context()), controller.network, layout.base
     run = loop.run()

@@ -1,8 +1,11 @@
-"""The decorators that compile the arithmetic of the blocks with numba.
+"""How the arithmetic of the blocks is made fast: compiled by numba, with the linear algebra libraries on one thread.
 
 `@compiled` (`@inlined`, `@spliced` for small functions) is `numba.njit` without the interpreter lock and with a file
 cache. numba's cache looks only at the file of the function itself, so an edited callee would run stale; here the cache
 folder is keyed by a hash of all sources of the package. `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
+
+Our matrices are small: threads of a linear algebra library that wait for each other cost more than they compute. The
+command line limits them in the environment before numpy starts; in Python `@one_thread` does while a function runs.
 """
 
 from __future__ import annotations
@@ -11,14 +14,15 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 import numpy as np
 from numba.core.options import DefaultOptions
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 # Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
 # less time. One that does allocate fails to compile, loudly.
@@ -26,6 +30,8 @@ LEAN: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {
 
 MARKS = (b"@compiled", b"@inlined", b"@spliced")
 F = TypeVar("F", bound=Callable[..., Any])
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def cache_root() -> Path:
@@ -88,3 +94,26 @@ def copy_to(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
     """Copy a vector; an assignment of slices would drag numba's texts for shape errors into every caller."""
     for i in range(target.size):
         target[i] = source[i]
+
+
+@spliced
+def view(row: NDArray[np.float64], at: NDArray[np.int64], signal: int) -> NDArray[np.float64]:
+    """The part of a row that holds a signal, by the offsets of all signals and its place in `signals.INDEX`."""
+    return row[at[signal] : at[signal + 1]]
+
+
+@cache
+def libraries() -> ThreadpoolController:
+    """The thread pools of the libraries that are loaded."""
+    return ThreadpoolController()
+
+
+def one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, with linear algebra on one thread while it runs."""
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with libraries().limit(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited

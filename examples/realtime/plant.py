@@ -38,7 +38,7 @@ class Motors(TorqueController):
         deadline = clock.monotonic() + patience
         while (kind := self.channel.receive()) != COMMAND:
             if clock.monotonic() > deadline:
-                raise InputError("no controller", why=f"no command within {patience:g} s", fix="start loop/control.py")
+                raise InputError("no controller", why=f"no command within {patience:g} s", fix="start loop/sample.py")
             if kind == HELLO:
                 self.channel.send(MEASUREMENT, measured)
             clock.sleep(0.001)
@@ -92,7 +92,7 @@ def main():
     engine = loop.engine_at()
     path = Path(options.out) / "plant.h5"
     facts = loop.facts() | {"loop": "plant", "config": experiment.to_json()}
-    with Recorder(loop.robot.layout, facts, path, options.force) as recorder:
+    with Recorder(loop.layout, facts, path, options.force) as recorder:
         print(f"port {channel.port}", flush=True)
         position, nu = loop.start.state(robot, loop.table()[0])
         n = layout.base

@@ -32,7 +32,7 @@ from .study import study
 from .tune import tune
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
-    os.environ.setdefault(_library, "1")  # see one_thread.py; read when numpy is imported
+    os.environ.setdefault(_library, "1")  # see compiled.py; read when numpy is imported
 
 
 class Commands(click.Group):

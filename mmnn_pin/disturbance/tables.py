@@ -9,8 +9,8 @@ import numpy as np
 
 from ..errors import ConfigError, UnknownName
 from ..model.robot import Robot
+from ..settings import Timing
 from ..signals import Array
-from ..timing import Timing
 from .effects import PUSH, SHAPES
 from .settings import Commands, Disturbance, Messages, Payload, Push, Window
 

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from ..compiled import one_thread
 from ..errors import ConfigError, InputError
-from ..one_thread import one_thread
 from ..recording.metrics import Reducer, Windows
 from ..recording.recorder import Recorder, known
 from ..recording.recording import Outcome, Recording
 from ..signals import Array
-from .controller_state import told_with
+from .controller import with_findings
 from .loop import Loop
 
 
@@ -120,15 +120,15 @@ def simulate(
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
     if keep is not True:
         loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
-    engine, layout = loop.engine_at(state), loop.robot.layout
+    engine, layout = loop.engine_at(state), loop.layout
     facts = loop.facts() | {"loop": engine.name}
     reducer = Reducer.of(layout, facts, windows)
     if keep is False:
-        outcome = told_with(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.state)
+        outcome = with_findings(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.state)
         return Run(outcome, reducer.result(), loop.final(engine))
     with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
         outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
-        outcome = told_with(outcome, loop.controller, engine.state)
+        outcome = with_findings(outcome, loop.controller, engine.state)
         recording = recorder.finish(outcome, loop.final(engine))
     return Run(outcome, reducer.result(), loop.final(engine), recording)
 
@@ -167,13 +167,13 @@ def require_fit(loops: Sequence[Loop], memories: Sequence[Any]) -> None:
 
 def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:
     """Memory that signals, weights and references take [bytes]; reading a recording's signals copies them once more."""
-    in_flight = sum(sorted(8 * loop.timing.samples * loop.robot.layout.width for loop in loops)[-workers:])
+    in_flight = sum(sorted(8 * loop.timing.samples * loop.layout.width for loop in loops)[-workers:])
     return in_flight + 8 * sum(kept_numbers(loop, keep) for loop in loops)
 
 
 def kept_numbers(loop: Loop, keep: bool | Collection[str]) -> int:
     """How many numbers are kept of a run."""
-    layout = loop.robot.layout
+    layout = loop.layout
     if isinstance(keep, bool):
         return (loop.timing.samples * layout.width + recorded_weights(loop)) if keep else 0
     where = [layout.where(name) for name in {"time", *keep}]

@@ -2,7 +2,7 @@
 
 numba holds a lock while it compiles, so threads do not help; two processes meet in the cache on disk. Each block is
 called once on a small robot: what is compiled depends on the types of its arguments only. Imperfect sensors and all
-else that stands behind a rig is left out: it is compiled by the first run that has it.
+else that stands behind `Hardware` is left out: it is compiled by the first run that has it.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ..model.tree.body import body_of, evaluate, new_work
 from ..model.tree.dynamics import potential_energy, psi_again
 from ..plant.integrators import derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
+from ..sensing import exact
 from ..signals import INDEX, Layout
 from ..torque import law
 from ..torque.controller import Context
@@ -44,14 +45,15 @@ def precompile() -> None:
 
 
 def call_control_blocks() -> None:
-    """Call reference, exact measurement, velocity command, torque and the integrators."""
+    """Call exact measurement, velocity command, torque and the integrators."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
     controller, context = Neural(), Context(layout, 0.001, 1)
     numbers, state = controller.law(context), controller.init(context)
-    reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
+    setpoint = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
-    before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
+    exact(row, at, y[:nv], nu, arm)
+    before_torque(row, at, 0.0, setpoint, np.ones(3), np.ones(1))
     law.step(numbers.kind, row, at, numbers.sizes, numbers.settings, state.values, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
@@ -74,7 +76,7 @@ def call_plant_blocks() -> None:
     psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
     potential_energy(body.tree, y[:nv], work.scratch)
     quadratic(work.M, nu)
-    after_torque(row, layout.offsets, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
+    after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
     sums, windows = np.zeros(1), np.zeros((1, 2))
     accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import UnknownName
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
-from ..signals import Array
+from ..signals import Array, Layout
 from . import integrators
 
 Feedback = Callable[[float, Array, Array], Array]
@@ -83,7 +83,7 @@ class IdealPlant:
         """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
         np.dot(self.to_motors, self.nu, out=speeds)
 
-    def observe(self, row: Array) -> None:
+    def observe(self, row: Array, layout: Layout) -> None:
         """Nothing: the row has all that this plant knows."""
 
     def findings(self) -> list[str]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
-from .arm import JointProfile
 from .path import BasePath, BaseSamples, times
+from .trajectory import JointProfile
 
 
 @dataclass(frozen=True)

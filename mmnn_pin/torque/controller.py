@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
-from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
+from ..signals import Array, Layout, Measurement, Setpoint, VelocityCommand
 
 if TYPE_CHECKING:
     from .adaptation import Adaptation
@@ -135,7 +135,7 @@ class TorqueController(ABC):
 
     @abstractmethod
     def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
+        self, time: float, reference: Setpoint, measurement: Measurement, command: VelocityCommand, state: Any
     ) -> Array | tuple[Array, Array]:
         """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
 

@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import ConfigError, UnknownName
 from ..settings import plain
-from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
+from ..signals import Array, Layout, Measurement, Setpoint, VelocityCommand
 from .controller import Context, ControllerState, Feedback, TorqueController
 from .now import Now
 
@@ -115,7 +115,7 @@ class LearningLaw(TorqueController):
         return {f.name: plain(getattr(self, f.name)) for f in fields(self)}
 
     def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
+        self, time: float, reference: Setpoint, measurement: Measurement, command: VelocityCommand, state: Any
     ) -> Array:
         """Not for this kind of controller: the loop calls `estimate` and `learn`.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..model.tree.regressor import measured, regress
-from ..signals import Array, Measurement, Reference, VelocityCommand
+from ..signals import Array, Measurement, Setpoint, VelocityCommand
 from .controller import Context
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ class Now:
     s: Array
     nu: Array
     sent: Array
-    reference: Reference
+    reference: Setpoint
     measurement: Measurement
     command: VelocityCommand
     _torque: Array
@@ -52,7 +52,7 @@ class Now:
         """The samples of a row (width,)."""
         layout, h = context.layout, context.control_period
         told = read_only(row)
-        views = (Reference.of(told, layout), Measurement.of(told, layout), VelocityCommand.of(told, layout))
+        views = (Setpoint.of(told, layout), Measurement.of(told, layout), VelocityCommand.of(told, layout))
         known = None if context.regressor is None else context.regressor.workspace()
         written = np.zeros((3, layout.dof))
         s, nu, sent = read_only(written)

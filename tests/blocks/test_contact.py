@@ -19,14 +19,14 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, RobotError, UnknownName
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model import Robot, load
 from mmnn_pin.plant.contact.feet import feet_of
 from mmnn_pin.plant.contact.floor import Contact, Patch
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
-from mmnn_pin.timing import Timing
+from mmnn_pin.settings import Timing
 from mmnn_pin.torque.model_based import PD
 
 mujoco = pytest.importorskip("mujoco")

@@ -17,10 +17,10 @@ from hypothesis.strategies import SearchStrategy
 
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic, body_error, command, kanayama, wrap
-from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
+from mmnn_pin.signals import Array, Layout, Measurement, Setpoint, VelocityCommand
 
 THESIS = np.array([10.0, 64.0, 16.0])
-VIEWS = (Reference, Measurement, VelocityCommand)
+VIEWS = (Setpoint, Measurement, VelocityCommand)
 patient = settings(deadline=None)  # the first call may compile
 
 
@@ -220,7 +220,7 @@ def test_pose_error_is_the_reference_seen_from_the_base(pose_ref: Array, pose: A
 def filled(layout: Layout, seed: int) -> tuple[Array, dict[str, Array]]:
     """A row of random signals, and views into it by name."""
     row = np.random.default_rng(seed).uniform(-1, 1, layout.width)
-    names = [*(field.name for view in VIEWS for field in fields(view)), "nu"]
+    names = [*(field.name + view.suffix for view in VIEWS for field in fields(view)), "nu"]
     return row, {name: row[layout.where(name)] for name in names}
 
 

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from mmnn_pin import PD, Dynamics, Feedback, Hold, Line, Loop, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.plant.ideal import IdealPlant
-from mmnn_pin.recording.robot import recorded_robot
+from mmnn_pin.recording.recording import recorded_robot
 
 AXES = load("two_axis_arm")
 LEVEL = np.array([0.4, 0.3])

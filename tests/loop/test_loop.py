@@ -36,7 +36,7 @@ from mmnn_pin.errors import ConfigError, InputError, RecordingError
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.parsing import parse
 from mmnn_pin.plant.ideal import IdealPlant
-from mmnn_pin.signals import Measurement, Reference, VelocityCommand
+from mmnn_pin.signals import Measurement, Setpoint, VelocityCommand
 
 ROBOT = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])
 ARM = load("two_axis_arm")
@@ -68,7 +68,7 @@ class Mine(TorqueController):
         return self.gains * np.concatenate((command.z, command.r))
 
     def step(self, time, reference, measurement, command, state):
-        assert (type(reference), type(measurement), type(command)) == (Reference, Measurement, VelocityCommand)
+        assert (type(reference), type(measurement), type(command)) == (Setpoint, Measurement, VelocityCommand)
         self.seen.append({f.name: getattr(measurement, f.name).copy() for f in fields(measurement)})
         return self.torque(time, command)
 
@@ -202,7 +202,7 @@ def test_controller_sees_the_measurement_and_not_the_state():
         np.testing.assert_array_equal(mine.saw(name), run[name])
     assert np.abs(mine.saw("velocity") - run["nu"][:, :2]).max() > 1e-3  # stale: it contradicts the state
     assert np.abs(mine.saw("q") - run["position"][:, ROBOT.arm_index]).max() > 1e-4
-    shown = {f.name for record in (Reference, Measurement, VelocityCommand) for f in fields(record)}
+    shown = {f.name + record.suffix for record in (Setpoint, Measurement, VelocityCommand) for f in fields(record)}
     assert not shown & {"position", "nu", "psi", "energy"}
 
 

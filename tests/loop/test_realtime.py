@@ -73,7 +73,7 @@ def pair(out, *arguments):
     """A plant, and a controller for it in a process of its own."""
     plant = start("plant.py", out, "--port", 0, *arguments)
     port = plant.stdout.readline().split()[1]
-    return plant, start("loop/control.py", out, "--port", port, "--wait", DEADLINE, *arguments)
+    return plant, start("control.py", out, "--port", port, "--wait", DEADLINE, *arguments)
 
 
 def until_recorded(path, rows):
@@ -191,7 +191,7 @@ def test_a_plant_that_is_not_there_is_told(tmp_path):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    assert f"no plant at port {port}" in one_line(start("loop/control.py", tmp_path, "--port", port, "--wait", 0.3))
+    assert f"no plant at port {port}" in one_line(start("control.py", tmp_path, "--port", port, "--wait", 0.3))
 
 
 def options(**changes):

@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.before_run import SampledLoop, Start, require_stable, sampled_loop
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.sampled import SampledLoop, require_stable, sampled_loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.reference import Hold, Line, Trajectory
+from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array
-from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD
 

@@ -14,16 +14,15 @@ from robots import mobile_arm
 from mmnn_pin.errors import ConfigError, TrajectoryError
 from mmnn_pin.kinematic import Kinematic, body_error, holonomic
 from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.loop.before_run import Start, sampled_loop
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.sampled import sampled_loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Table, Trajectory, Waypoints
+from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array, Layout
-from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural

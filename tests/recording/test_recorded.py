@@ -22,10 +22,9 @@ from mmnn_pin.model.checks.world_frame import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.recording.recording import Recording
-from mmnn_pin.recording.robot import recorded_robot
+from mmnn_pin.recording.recording import Recording, recorded_robot
 from mmnn_pin.reference import Hold, Line, Trajectory
-from mmnn_pin.timing import Timing
+from mmnn_pin.settings import Timing
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 
 LENGTH = 0.004 if config.DISABLE_JIT else 0.05

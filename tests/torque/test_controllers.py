@@ -19,13 +19,13 @@ from scipy.special import expit
 
 import mmnn_pin
 from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model import load
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
-from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
-from mmnn_pin.timing import Timing
+from mmnn_pin.settings import Timing
+from mmnn_pin.signals import Array, Layout, Measurement, Setpoint, VelocityCommand
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import (
     CompiledController,
@@ -537,13 +537,13 @@ class Recital(TorqueController):
     def step(
         self,
         time: float,
-        reference: Reference,
+        reference: Setpoint,
         measurement: Measurement,
         command: VelocityCommand,
         state: ControllerState,
     ) -> Array:
         state["count"] += 1
-        assert np.array_equal(command.e, reference.q_ref - measurement.q)
+        assert np.array_equal(command.e, reference.q - measurement.q)
         assert np.array_equal(command.z, command.alpha - measurement.velocity)
         return Feedback().vector(LAYOUT) * np.concatenate((command.z, command.r))
 

@@ -19,7 +19,6 @@ from scipy.signal import lfilter
 from mmnn_pin import (
     Circle,
     ComputedTorque,
-    Cycle,
     Eight,
     Feedback,
     Hold,
@@ -29,6 +28,7 @@ from mmnn_pin import (
     Sensor,
     Sine,
     Start,
+    Stepper,
     Timing,
     Trajectory,
     load,
@@ -36,7 +36,7 @@ from mmnn_pin import (
 )
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.kalman import kalman_from_facts, machine_of
-from mmnn_pin.loop.control import Torque
+from mmnn_pin.loop.controller import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.model.regressor import Regressor
@@ -577,7 +577,7 @@ def test_a_cycle_learns_too():
     controller = small("regressor")
     loop = loop_of(controller, 0.02, safety=Safety(), sensor=Sensor())
     twin = loop_of(controller, 0.02, safety=Safety(), sensor=Sensor()).run()
-    with Cycle(loop) as cycle:
+    with Stepper(loop) as cycle:
         for k in range(cycle.samples):
             parts = {name: np.array(twin[name][k]) for name in ("pose", "velocity", "q", "qdot")}
             torque = cycle.step(k * 0.002, Measurement(**parts))

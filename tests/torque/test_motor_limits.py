@@ -13,11 +13,11 @@ from test_lyapunov import DURATION
 
 from mmnn_pin import (
     ControllerState,
-    Cycle,
     Feedback,
     LearningLaw,
     Recording,
     Robust,
+    Stepper,
     TorqueController,
     load,
     load_experiment,
@@ -204,7 +204,7 @@ def test_controllers_in_plain_python(kind):
 def test_a_cycle_does_the_same():
     loop = replace(weak("two_layer", duration=0.02), safety=Safety(torque=None), sensor=Sensor())
     twin = loop.run()
-    with Cycle(loop) as cycle:
+    with Stepper(loop) as cycle:
         for k in range(cycle.samples):
             parts = {name: np.array(twin[name][k]) for name in ("pose", "velocity", "q", "qdot")}
             np.testing.assert_allclose(cycle.step(k * cycle.period, Measurement(**parts)), twin["torque"][k], rtol=1e-9)

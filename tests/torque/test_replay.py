@@ -13,7 +13,7 @@ from tests.test_composite import EIGHT
 from tests.test_concurrent import CIRCLE
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.loop.control import Torque
+from mmnn_pin.loop.controller import Torque
 from mmnn_pin.torque.composite import Replaying
 from mmnn_pin.torque.inputs import MEASURED, Inputs
 from mmnn_pin.torque.replay import descend, keep_sample, recollect, replay

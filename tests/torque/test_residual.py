@@ -10,7 +10,7 @@ from numba import config
 
 from mmnn_pin import load_experiment, simulate_many
 from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.loop.control import Torque
+from mmnn_pin.loop.controller import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.parameters import parameters
 from mmnn_pin.torque.model_based import ComputedTorque

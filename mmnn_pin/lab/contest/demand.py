@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ...loop.start import Start
+from ...loop.before_run import Start
 from ...model.dynamics import Dynamics
 from ...model.limits import speed_limits
 from ..proof.held_out import whole_reference

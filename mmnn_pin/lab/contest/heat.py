@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from ...loop.batch import Run, simulate_many
-from ...loop.controller_state import findings_of
+from ...loop.controller import findings_of
 from ...loop.loop import Loop
 from ...recording.recording import Recording
 from ...signals import Array
@@ -173,7 +173,7 @@ def found_in(task: Task, name: str, controller: Any, seed: int, run: Run, state:
     loop = task.training(controller, seed)
     learner = Learner(controller, loop.context(), state, state, run.outcome.time, loop.believed)
     assert run.recording is not None
-    rows = finite_rows(run.recording, loop.robot.layout)
+    rows = finite_rows(run.recording, loop.layout)
     return [*findings_of(controller, state), *not_excited(name, unknown(learner, rows))]
 
 
@@ -195,13 +195,13 @@ def frozen_fvu(task: Task, controller: Any, seed: int, state: Any, held: str) ->
 
 def step_time(loop: Loop, recording: Recording) -> float:
     """Processor time of a control step of the controller alone, called from Python, least of several tries [s]."""
-    rows: Array = finite_rows(recording, loop.robot.layout)[:STEPS]
+    rows: Array = finite_rows(recording, loop.layout)[:STEPS]
     if not len(rows):
         return math.nan
     took = []
     for _ in range(REPEATS):
         state = loop.controller.init(loop.context())
         begin = clock.thread_time()
-        said(loop, loop.robot.layout, state, rows)
+        said(loop, loop.layout, state, rows)
         took.append(clock.thread_time() - begin)
     return min(took) / len(rows)

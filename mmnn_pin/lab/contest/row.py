@@ -10,8 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from ...signals import Array
 from ..proof.fvu import START, fvu
 

@@ -11,8 +11,8 @@ import msgspec
 
 from ...disturbance import Payload, payload
 from ...errors import ConfigError, InputError, RecordingError
+from ...loop.before_run import Start
 from ...loop.loop import Loop
-from ...loop.start import Start
 from ...model.payload import carrying
 from ...model.robot import Robot
 from ...signals import Array

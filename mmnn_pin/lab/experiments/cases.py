@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, InputError, UnknownName
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from .experiment import Experiment
 from .files import merged
 from .runner import Result, finite, require_free, require_runnable, run_experiment

@@ -11,8 +11,8 @@ from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
+from ...loop.before_run import Bounds, Start
 from ...loop.loop import PLANTS, Loop
-from ...loop.start import Bounds, Start
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -20,9 +20,8 @@ from ...plant.contact.floor import Contact
 from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor
-from ...settings import Settings
+from ...settings import Settings, Timing
 from ...signals import Array, Layout
-from ...timing import Timing
 from ...torque.adaptive_settings import Adapting, Predicting
 from ...torque.composite import Replaying
 from ...torque.concurrent import Concurrent

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import expm
 
-from ...loop.sampled import viscous_friction
-from ...loop.start import Start
+from ...loop.before_run import Start, viscous_friction
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...reference import Trajectory

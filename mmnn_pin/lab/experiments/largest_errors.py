@@ -12,8 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 
 # Section 5.2, (joint 1, joint 2) [deg].
 THESIS = {"one_layer": (1.7789, 1.7463), "two_layer": (1.6394, 1.6091)}

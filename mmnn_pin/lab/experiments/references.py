@@ -22,7 +22,7 @@ from ...reference import (
     Trajectory,
     Waypoints,
 )
-from ...reference.arm import JointProfile
+from ...reference.trajectory import JointProfile
 from ...settings import Settings, wrong_type
 from ...signals import Array, Layout
 

@@ -15,8 +15,8 @@ from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Push
 from ...model.payload import carrying
 from ...model.robot import Robot
 from ...recording.recording import Recording
+from ...settings import Timing
 from ...signals import Array
-from ...timing import Timing
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,12 +14,12 @@ import numpy as np
 
 from ...errors import ConfigError, RecordingError
 from ...kinematic import Kinematic
+from ...loop.before_run import Start
 from ...loop.loop import Loop
-from ...loop.start import Start
 from ...model.robot import Robot
 from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
+from ...settings import Timing
 from ...signals import Array
-from ...timing import Timing
 from ...torque.controller import Feedback
 from ...torque.model_based import ComputedTorque
 from ..experiments.config import recorded_experiment

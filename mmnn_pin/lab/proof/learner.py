@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...loop.control import Torque
+from ...loop.controller import Torque
 from ...model.robot import Robot
 from ...signals import Array
 from ...torque.controller import CompiledController, Context, ControllerState, Feedback, TorqueController

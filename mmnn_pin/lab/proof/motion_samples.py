@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...loop.sampled import viscous_friction
+from ...loop.before_run import viscous_friction
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...signals import Array, IntArray

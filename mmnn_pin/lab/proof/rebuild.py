@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-from ...loop.control import context_of
+from ...loop.controller import context_of
 from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...recording.recording import Recording

@@ -12,11 +12,10 @@ from ...errors import RecordingError
 from ...kinematic import Kinematic, command
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
-from ...recording.recording import Recording
-from ...recording.robot import recorded_robot
+from ...recording.recording import Recording, recorded_robot
 from ...sensing import exact
+from ...settings import Timing
 from ...signals import Array, Layout
-from ...timing import Timing
 from ...torque.neural import Neural
 from .given import Given
 from .learner import Learner

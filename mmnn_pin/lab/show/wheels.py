@@ -8,8 +8,7 @@ import numpy as np
 from rich.text import Text
 
 from ...plant.contact.slip import SLIPPING
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from ..experiments.runner import Result
 
 

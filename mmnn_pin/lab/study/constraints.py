@@ -13,7 +13,6 @@ import numpy as np
 
 from ...actuator import Actuator
 from ...errors import ConfigError
-from ...loop.before_run import require_stable_gains
 from ...loop.loop import Loop
 from ...sensing import Sensor
 from ...torque.neural import Neural
@@ -26,8 +25,8 @@ LOOK = 1.0  # of a run, to see where the weights go before the learning rates ar
 
 
 def stable_when_sampled(loop: Loop) -> None:
-    """The PD loop alone is stable at the control period, on the true robot; see `loop/sampled.py`."""
-    require_stable_gains(replace(loop, check_gains=True))
+    """The PD loop alone is stable at the control period, on the true robot; see `loop/before_run.py`."""
+    replace(loop, check_gains=True).require_stable_gains()
 
 
 def learns_slowly_enough(loop: Loop) -> None:

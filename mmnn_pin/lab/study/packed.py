@@ -12,7 +12,7 @@ from concurrent.futures import Executor, Future
 from functools import cache, lru_cache
 from typing import Any
 
-from ...one_thread import libraries
+from ...compiled import libraries
 from .bundle import Bundle
 from .worker import Done, Task, run
 

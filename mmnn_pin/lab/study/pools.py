@@ -13,8 +13,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from ...compiled import libraries
 from ...errors import ConfigError
-from ...one_thread import libraries
 from . import worker
 from .bundle import Bundle
 

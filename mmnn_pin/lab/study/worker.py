@@ -20,7 +20,7 @@ from ...errors import InputError, StudyError
 from ...loop.batch import simulate
 from ...loop.loop import Loop
 from ...model.robot import Robot
-from ...recording.metrics import as_columns
+from ...recording.recording import as_columns
 from ...signals import Array
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment

@@ -9,10 +9,10 @@ import numpy as np
 from ... import actuator as motor
 from ... import disturbance, safety
 from ...errors import ConfigError
-from ...given_arrays import given_array
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...sensing.encoders import DEPTH
+from ...settings import given_array
 from ...signals import Array, IntArray
 from ...torque.controller import CompiledController, ControllerState
 from ...torque.learning_law import LearningLaw
@@ -37,7 +37,7 @@ def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: 
         ConfigError: Settings that do not fit the robot; a memory of wrong shape or not finite.
         UnknownName: A joint that does not exist.
     """
-    robot, layout, timing, events = loop.robot, loop.robot.layout, loop.timing, loop.disturbances
+    robot, layout, timing, events = loop.robot, loop.layout, loop.timing, loop.disturbances
     disturbance.require_long_enough(events, timing.plant_step)
     late, added = disturbance.lateness(events, timing), disturbance.corruption(events, timing)
     frozen = disturbance.windows(disturbance.Frozen, events, measured_joints(robot))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
-from ...signals import Array
+from ...signals import Array, Layout
 from .feet import feet_of
 from .floor import Contact
 from .free_base import BaseMotion, FreeBase, tilt
@@ -151,9 +151,9 @@ class ContactPlant:
         if self.motion is not None:
             on_base(data, self.motion, float(force[0]), float(force[1]))
 
-    def observe(self, row: Array) -> None:
+    def observe(self, row: Array, layout: Layout) -> None:
         """Write constraint residual, slip and traction into a row, and start anew with the largest traction."""
-        where = self.robot.layout.where
+        where = layout.where
         row[where("constraint_residual")] = self.residual
         row[where("slip")], row[where("traction")] = self.speed, self.traction
         self.traction[:] = 0.0

@@ -24,7 +24,7 @@ from mmnn_pin.lab.experiments.readings import readings
 from mmnn_pin.lab.experiments.runner import Result
 from mmnn_pin.lab.proof.rebuild import recorded_learner
 from mmnn_pin.lab.show import table
-from mmnn_pin.recording.robot import recorded_robot
+from mmnn_pin.recording.recording import recorded_robot
 from mmnn_pin.torque.inputs import Inputs
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.neural_settings import TwoLayer

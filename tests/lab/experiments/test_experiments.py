@@ -15,9 +15,9 @@ from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.files import bundled, override, parse_value
 from mmnn_pin.lab.experiments.runner import Result, in_order
-from mmnn_pin.recording.metrics import as_columns, metrics
+from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recorder import Recorder
-from mmnn_pin.recording.recording import Outcome
+from mmnn_pin.recording.recording import Outcome, as_columns
 from mmnn_pin.signals import Layout
 
 SHORT = ("time.duration=0.02",)

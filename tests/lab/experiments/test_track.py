@@ -21,8 +21,7 @@ from mmnn_pin.lab.experiments.inertia import effective_inertia
 from mmnn_pin.lab.experiments.references import Swing
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show import table
-from mmnn_pin.loop.before_run import require_stable_gains
-from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
+from mmnn_pin.loop.before_run import SampledLoop, sampled_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
@@ -117,10 +116,10 @@ def test_scaled_gains_are_stable_where_plain_ones_are_not():
     robot = tiny_arm()
     scaled = experiment().controller("pd", robot=robot)
     loop = experiment().loop(robot, scaled)
-    require_stable_gains(loop)
+    loop.require_stable_gains()
     plain = replace(loop, controller=replace(scaled, feedback=Feedback(500.0, 30.0)))  # type: ignore[type-var]
     with pytest.raises(ConfigError, match=r"joint_6: 30 \(limit alone"):
-        require_stable_gains(plain)
+        plain.require_stable_gains()
 
 
 @pytest.mark.parametrize("friction", [(0.0, 0.0), (0.5, 0.5)])

@@ -26,7 +26,7 @@ from mmnn_pin.lab.proof.motion_bound import Forces, dissipation, drive, push
 from mmnn_pin.lab.proof.pose_bound import PoseBound, PoseSet
 from mmnn_pin.lab.proof.rate import radius
 from mmnn_pin.lab.proof.weights_bound import growth
-from mmnn_pin.loop.sampled import held_loop
+from mmnn_pin.loop.before_run import held_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.network import one_layer_update, two_layer_update

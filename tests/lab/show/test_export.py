@@ -19,8 +19,7 @@ from mmnn_pin.errors import RecordingError, UnknownName
 from mmnn_pin.lab.show.export import FORMATS, export
 from mmnn_pin.lab.show.export.schemas import field_names
 from mmnn_pin.lab.show.units import column_units
-from mmnn_pin.recording.metrics import as_columns
-from mmnn_pin.recording.recording import Outcome, Recording
+from mmnn_pin.recording.recording import Outcome, Recording, as_columns
 
 ROWS = 60
 

@@ -23,9 +23,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 
 from ....model.robot import Robot
-from ....recording.metrics import as_columns
-from ....recording.recording import Recording
-from ....recording.robot import recorded_position, recorded_robot
+from ....recording.recording import Recording, as_columns, recorded_position, recorded_robot
 from ....signals import Array
 from ..units import column_units
 from .frames import Frame, frames_of

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from ....model.robot import Robot
 from ....model.urdf.document import Document, Joint
 from ....model.urdf.parsing import parse
-from ....recording.recording import Recording
-from ....recording.robot import recorded_position
+from ....recording.recording import Recording, recorded_position
 from ....signals import Array
 
 

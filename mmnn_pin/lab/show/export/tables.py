@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ....recording.metrics import as_columns
-from ....recording.recording import Recording
+from ....recording.recording import Recording, as_columns
 from ....signals import Array
 from ..units import column_units
 

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ....plant.contact.slip import SLIPPING
-from ....recording.metrics import as_columns
-from ....recording.recording import Recording
+from ....recording.recording import Recording, as_columns
 from ....safety import RAMPING, STEPPED_IN, STOPPING
 from ....signals import Array
 from ..units import prismatic_joints

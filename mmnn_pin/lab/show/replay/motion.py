@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from ....errors import RecordingError
 from ....model.robot import Robot
-from ....recording.metrics import as_columns
-from ....recording.recording import Recording
-from ....recording.robot import recorded_position
+from ....recording.recording import Recording, as_columns, recorded_position
 from ....signals import Array, IntArray
 from .blob import Blob
 

@@ -11,8 +11,7 @@ import numpy as np
 from ....errors import RecordingError
 from ....model.robot import Robot
 from ....model.urdf.parsing import parse
-from ....recording.recording import Recording
-from ....recording.robot import recorded_robot
+from ....recording.recording import Recording, recorded_robot
 from ..figure import scale_rows, styles_of
 from .blob import Blob
 from .bodies import Tree

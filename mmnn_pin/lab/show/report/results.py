@@ -8,7 +8,7 @@ from typing import Any
 from ....errors import RecordingError
 from ....recording.metrics import metrics
 from ....recording.recording import Recording
-from ....timing import Timing
+from ....settings import Timing
 from ...experiments.config import recorded_experiment
 from ...experiments.controllers import CONTROLLERS
 from ...experiments.experiment import Experiment

@@ -8,8 +8,7 @@ from typing import Any
 
 from ....model.checks.properties import check_properties
 from ....model.inspection import inspection_of
-from ....recording.recording import Recording
-from ....recording.robot import recorded_robot
+from ....recording.recording import Recording, recorded_robot
 from ..inspection import arm, head, locked, wheels
 from ..properties import properties_text
 
