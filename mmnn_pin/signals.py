@@ -74,24 +74,20 @@ INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Where each signal stands in a row.
+class Dimensions:
+    """How many of everything a robot has.
 
     Args:
         base: Number of base velocities nb (0, 2 or 3).
         arm: Number of arm joints n.
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
-        wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
-        hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
     """
 
     base: int
     arm: int
     full: int
     motors: int
-    wheels: int = 0
-    hardware: int = 0
 
     @property
     def pose(self) -> int:
@@ -102,6 +98,19 @@ class Layout:
     def dof(self) -> int:
         """Number of independent velocities p."""
         return self.base + self.arm
+
+
+@dataclass(frozen=True)
+class Layout(Dimensions):
+    """Where each signal stands in a row: a robot's dimensions, and what is recorded of a run beside its motion.
+
+    Args:
+        wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
+        hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
+    """
+
+    wheels: int = 0
+    hardware: int = 0
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
@@ -172,9 +181,10 @@ class Setpoint(View):
     qddot: Array
 
     @classmethod
-    def side_by_side(cls, values: Array, layout: Layout) -> Setpoint:
+    def side_by_side(cls, values: Array, dimensions: Dimensions) -> Setpoint:
         """Views into its six arrays side by side, (..., 3 + 2 nb + 3 n): a row, or the rows of a table."""
-        sizes = (layout.pose, layout.base, layout.base, layout.arm, layout.arm)
+        d = dimensions
+        sizes = (d.pose, d.base, d.base, d.arm, d.arm)
         return cls(*np.split(values, np.cumsum(sizes), axis=-1))
 
 

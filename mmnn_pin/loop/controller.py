@@ -1,4 +1,4 @@
-"""A controller's memory around a run: a new one, one of an earlier run that fits, and what it shows at the end."""
+"""A controller around and in a run: what it is told, its state before and after, and its step wired to a row."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..torque.origin import blamed
 
 
 def state_from(controller: CompiledController | TorqueController, context: Context, given: Any = None) -> Any:
-    """A copy of a memory that fits a controller; a new one for None.
+    """A copy of a state that fits a controller; a new one for None.
 
     Raises:
         ConfigError: It is of another controller or of other settings, or not finite.
@@ -41,12 +41,12 @@ def state_from(controller: CompiledController | TorqueController, context: Conte
     if not isinstance(given, ControllerState) or given.shapes != new.shapes:
         is_of = given.shapes if isinstance(given, ControllerState) else type(given).__name__
         raise ConfigError(
-            f"not a memory of {controller.name} with these settings",
+            f"not a state of {controller.name} with these settings",
             why=f"it is {is_of}, not {new.shapes}",
             fix="use one made by its init",
-            key="memory",
+            key="state",
         )
-    new.values[:] = given_array("memory", given.values, new.values.shape)
+    new.values[:] = given_array("state", given.values, new.values.shape)
     return new
 
 
@@ -67,13 +67,15 @@ def new_state(controller: CompiledController | TorqueController, context: Contex
     if isinstance(controller, LearningLaw):
         if not isinstance(new, ControllerState):
             what = f"{controller.name}.init returned {type(new).__name__}"
-            raise ConfigError(what, why="a law learns in a `ControllerState`", fix="return Memory.of(name=shape, ...)")
+            raise ConfigError(
+                what, why="a law learns in a `ControllerState`", fix="return ControllerState.of(name=shape, ...)"
+            )
         controller.weights(new)
     return new
 
 
 def findings_of(controller: CompiledController | TorqueController, state: Any) -> list[str]:
-    """What a controller's memory shows after a run; of one in plain Python that fails, where: the run is kept."""
+    """What a controller's state shows after a run; of one in plain Python that fails, where: the run is kept."""
     if isinstance(controller, CompiledController):
         return controller.findings(state)
     try:
@@ -83,7 +85,7 @@ def findings_of(controller: CompiledController | TorqueController, state: Any) -
 
 
 def with_findings(outcome: Outcome, controller: CompiledController | TorqueController, state: Any) -> Outcome:
-    """An outcome whose message also tells what the controller's memory shows after the run."""
+    """An outcome whose message also tells what the controller's state shows after the run."""
     if outcome.status == "interrupted":
         return outcome
     findings = findings_of(controller, state)
@@ -138,7 +140,7 @@ class Torque:
         context: What it is told before the run.
         row: The row it reads and writes.
         nominal: The robot that a controller believes in which uses a model and brings none.
-        state: Its memory.
+        state: Its state.
     """
 
     def __init__(

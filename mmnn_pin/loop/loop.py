@@ -132,16 +132,16 @@ class Loop:
             path: File for the recording; None keeps it in memory.
             force: Replace an existing file.
             meta: More facts for the recording.
-            state: A controller's memory to start from (it is copied); None for a new one.
+            state: A controller's state to start from (it is copied); None for a new one.
             plant_state: Position (nv,) and nu (p,) to start from instead of `start`.
             hardware_state: What sensors, motors and supervisor remember (it is copied); None for a new one.
-            first: Control sample to start at, one with a measurement; with the memories and state of an earlier run at
+            first: Control sample to start at, one with a measurement; with the states of an earlier run at
                 that sample, the run resumes.
             progress: Called now and then with the simulated time [s].
 
         Raises:
             ConfigError: Gains of wrong shape, or a PD loop that is unstable when sampled; an engine that cannot run
-                this; a memory of another controller; a first sample outside the run or between two measurements.
+                this; a state of another controller; a first sample outside the run or between two measurements.
             TrajectoryError: A reference that the base cannot follow.
             RecordingError: The recording cannot be written.
         """
@@ -162,8 +162,8 @@ class Loop:
         """The engine that steps this loop, at its start; arguments as in `run`.
 
         Raises:
-            ConfigError: The engine cannot run this controller; a nominal robot of another shape; a memory of another
-                controller, a state of wrong shape or not finite, a first sample outside the run or between two
+            ConfigError: The engine cannot run this controller; a nominal robot of another shape; a state of another
+                controller, a plant's state of wrong shape or not finite, a first sample outside the run or between two
                 measurements.
             RobotError: The compiled engine is asked for and the robot cannot be flattened.
             TrajectoryError: A reference that the base cannot follow.
@@ -173,7 +173,7 @@ class Loop:
         plan, state = self.plan(), self.state_from(state)
         dims, first_setpoint = self.robot.layout, plan.setpoints[first]
         position, nu = self.start.state(self.robot, first_setpoint) if plant_state is None else plant_state
-        position, nu = given_array("state", position, (dims.full,)), given_array("state", nu, (dims.dof,))
+        position, nu = given_array("plant_state", position, (dims.full,)), given_array("plant_state", nu, (dims.dof,))
         arguments = (plan, position, nu, state, new_hardware(self, nu, state, hardware_state))
         if self.engine == "compiled":
             require_compilable(self)
@@ -216,7 +216,7 @@ class Loop:
             require_stable_gains(self.plan())
 
     def rehearse(self) -> None:
-        """Ask a controller in plain Python at two samples, with a memory that is dropped: what fails, fails now.
+        """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.
 
         Raises:
             InputError: It fails, or returns something of another shape; what `engine_at` refuses.
@@ -226,11 +226,11 @@ class Loop:
         engine.rehearse(min(2, self.timing.samples))
 
     def final(self, engine: Engine) -> dict[str, Array]:
-        """Position, nu, the rig's and the controller's memory where an engine stands."""
+        """Position, nu, and the states of hardware and controller where an engine stands."""
         nv, p, hardware = self.layout.full, self.layout.dof, engine.hardware
         final = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p]}
-        final["rig_memory"] = np.zeros(0) if hardware is None else hardware.state
-        return final | ({"memory": engine.state.values} if isinstance(engine.state, ControllerState) else {})
+        final["hardware_state"] = np.zeros(0) if hardware is None else hardware.state
+        return final | ({"controller_state": engine.state.values} if isinstance(engine.state, ControllerState) else {})
 
     def context(self) -> Context:
         """What the controller is told before the run."""
@@ -291,7 +291,7 @@ class Loop:
         return own or self.nominal or self.robot
 
     def state_from(self, given: Any = None) -> Any:
-        """A copy of a controller's memory that fits this loop; a new one for None.
+        """A copy of a controller's state that fits this loop; a new one for None.
 
         Raises:
             ConfigError: It is of another controller or of other settings, or not finite.

@@ -193,8 +193,8 @@ class Stepper:
         outcome = replace(outcome, message="; ".join(text for text in (outcome.message, *found, message) if text))
         if self.weighed < self.k + 1:
             self._weigh(self.k + 1)
-        final = {"rig_memory": self.hardware.state, **(extra or {})}
-        final |= {"memory": self.state.values} if isinstance(self.state, ControllerState) else {}
+        final = {"hardware_state": self.hardware.state, **(extra or {})}
+        final |= {"controller_state": self.state.values} if isinstance(self.state, ControllerState) else {}
         return self.recorder.finish(with_findings(outcome, self.loop.controller, self.state), final)
 
     def __enter__(self) -> Stepper:

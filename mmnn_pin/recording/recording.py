@@ -25,6 +25,8 @@ from ..signals import INDEX, Array
 from .run_file import Arrays, Columns, decode, open_run, read_arrays
 
 OUTCOME = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
+# Names in the group `final` of recordings before version 0.2, and what they are called now.
+FINAL_OF_OLD = {"memory": "controller_state", "rig_memory": "hardware_state"}
 NOT_META = ("format", "format_version", "complete", *OUTCOME)
 
 Status = Literal["completed", "diverged", "tripped", "interrupted"]
@@ -152,8 +154,8 @@ class Recording:
 
     @cached_property
     def final(self) -> Arrays:
-        """The controller's memory and the plant's state at the end of the run."""
-        return self._read("final")
+        """The states of controller, hardware and plant at the end of the run."""
+        return {FINAL_OF_OLD.get(name, name): array for name, array in self._read("final").items()}
 
     @cached_property
     def step_times(self) -> Array:

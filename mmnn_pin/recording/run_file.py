@@ -4,7 +4,7 @@
     /config, /urdf      texts
     /signals/<name>     (N, size), or (N,) for scalars; attributes `unit` and `labels` (one per column)
     /weights/<name>     (k, ...) snapshots of the networks' weights, taken at /weights/time (k,) [s]
-    /final/<name>       the controller's memory and the plant's state at the end
+    /final/<name>       the states at the end: position, nu, controller_state, hardware_state
     /timing/step_time   (N,) wall-clock seconds per step: the one dataset that two equal runs do not share
 
 The file is in HDF5's default format and flushed with every write: that is what a kill leaves readable. Before the

@@ -84,7 +84,7 @@ def errors(run: Recording) -> Array:
 def memory_after(learned: Loop, run: Recording) -> ControllerState:
     """A controller's memory at the end of a run."""
     state: ControllerState = learned.controller.init(learned.context())
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     return state
 
 

@@ -208,8 +208,10 @@ def test_a_resumed_run_is_the_whole_one_bit_for_bit(name, engine, sixths):
     if k >= len(straight):
         return  # it has stopped before
     end = replace(whole, timing=replace_duration(whole.timing, sixths * T)).run().final
-    state = ControllerState(np.array(end["memory"]), whole.state_from().shapes)
-    rest = whole.run(state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["rig_memory"], first=k)
+    state = ControllerState(np.array(end["controller_state"]), whole.state_from().shapes)
+    rest = whole.run(
+        state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["hardware_state"], first=k
+    )
     assert rest.outcome.status == straight.outcome.status and rest.outcome.message == straight.outcome.message
     for signal in straight.names:
         if signal not in ("energy", "work", "energy_residual"):  # counted from where a run begins
@@ -224,9 +226,9 @@ def replace_duration(timing, duration):
 
 def test_a_memory_that_does_not_fit_is_refused():
     loop = loop_of(CASES["actuator: backlash"])
-    size = loop.run().final["rig_memory"].size
+    size = loop.run().final["hardware_state"].size
     for state, text in ((np.zeros(size + 1), "of shape"), (np.full(size, math.nan), "not finite")):
-        with pytest.raises(ConfigError, match=rf"rig_memory.*{text}"):
+        with pytest.raises(ConfigError, match=rf"hardware_state.*{text}"):
             loop.run(hardware_state=state)
 
 
@@ -251,7 +253,7 @@ def test_runs_with_one_seed_are_equal_and_the_rig_does_not_change_the_weights_dr
 
 def test_an_ideal_loop_has_no_rig_and_its_rows_no_room_for_one():
     run = loop_of({}).run()
-    assert not {"applied", "disturbance", "safety"} & set(run.names) and run.final["rig_memory"].size == 0
+    assert not {"applied", "disturbance", "safety"} & set(run.names) and run.final["hardware_state"].size == 0
     with_rig = loop_of({"safety": Safety()}).run()
     assert {"applied", "disturbance", "safety"} <= set(with_rig.names)
     np.testing.assert_array_equal(with_rig["applied"], with_rig["motor_torque"])

@@ -211,7 +211,7 @@ def test_weights_of_a_controller_in_python_are_bounded_where_it_keeps_a_memory()
             return {"W": np.zeros((2, 3))}
 
     loop = loop_of(Safety(weights=2.0), controller=Learner())
-    state = loop.run().final["memory"]
+    state = loop.run().final["controller_state"]
     assert np.linalg.norm(state) == pytest.approx(2.0)
     with pytest.raises(ConfigError, match=r"safety\.weights.*cannot be bounded"):
         run_of(Safety(weights=2.0), controller=Hidden())

@@ -306,8 +306,10 @@ def test_a_run_resumes_with_its_sensors(engine):
     half = replace(whole, timing=Timing(duration=DURATION / 2))
     first = half.run()
     k, end = half.timing.samples, first.final
-    state = ControllerState(np.array(end["memory"]), whole.state_from().shapes)
-    rest = whole.run(state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["rig_memory"], first=k)
+    state = ControllerState(np.array(end["controller_state"]), whole.state_from().shapes)
+    rest = whole.run(
+        state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["hardware_state"], first=k
+    )
     straight = whole.run()
     for name in ("q", "pose", "velocity", "torque"):
         np.testing.assert_allclose(rest[name], straight[name][k:], rtol=1e-9, atol=1e-9)

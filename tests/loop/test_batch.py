@@ -121,10 +121,8 @@ def assert_same_bits(run: Run, single: Run) -> None:
 
 @pytest.mark.parametrize("workers", [1, 2, 5, None])
 def test_runs_of_a_batch_are_the_single_runs_bit_for_bit(singles, workers):
-    loops, memories = different()
-    for run, single in zip(
-        simulate_many(loops, memories=memories, windows=WINDOWS, workers=workers), singles, strict=True
-    ):
+    loops, states = different()
+    for run, single in zip(simulate_many(loops, states=states, windows=WINDOWS, workers=workers), singles, strict=True):
         assert_same_bits(run, single)
         assert run.recording is None
 
@@ -139,24 +137,22 @@ def test_the_runs_differ(singles):
 @settings(max_examples=2 if config.DISABLE_JIT else 6, deadline=None)
 @given(order=st.permutations(range(13)), workers=st.integers(1, 4))
 def test_order_and_workers_do_not_matter(singles, order, workers):
-    loops, memories = different()
-    runs = simulate_many(
-        [loops[i] for i in order], memories=[memories[i] for i in order], windows=WINDOWS, workers=workers
-    )
+    loops, states = different()
+    runs = simulate_many([loops[i] for i in order], states=[states[i] for i in order], windows=WINDOWS, workers=workers)
     for i, run in zip(order, runs, strict=True):
         assert_same_bits(run, singles[i])
 
 
-def test_memories_given_are_not_touched():
+def test_states_given_are_not_touched():
     state = trained(2)
     before = state.values.copy()
-    simulate_many([BASIC, BASIC], memories=[state, state], workers=2)
+    simulate_many([BASIC, BASIC], states=[state, state], workers=2)
     np.testing.assert_array_equal(state.values, before)
 
 
 def test_recordings_are_kept_where_asked_for(singles):
-    loops, memories = different()
-    for run, single in zip(simulate_many(loops, memories=memories, windows=WINDOWS, keep=True), singles, strict=True):
+    loops, states = different()
+    for run, single in zip(simulate_many(loops, states=states, windows=WINDOWS, keep=True), singles, strict=True):
         kept, wanted = run.recording, single.recording
         assert_same_bits(run, single)
         assert kept.names == wanted.names and len(kept) == len(wanted)
@@ -195,9 +191,9 @@ def test_python_controllers_run_beside_compiled_ones():
 
 @pytest.mark.parametrize("keep", [("z", "e"), ["slip"], "z"])
 def test_signals_kept_by_name_are_those_of_the_whole_recording(keep):
-    loops, memories = different()
-    named = simulate_many(loops, memories=memories, keep=keep, workers=2)
-    for run, whole in zip(named, simulate_many(loops, memories=memories, keep=True), strict=True):
+    loops, states = different()
+    named = simulate_many(loops, states=states, keep=keep, workers=2)
+    for run, whole in zip(named, simulate_many(loops, states=states, keep=True), strict=True):
         names = ("time", *[name for name in ([keep] if isinstance(keep, str) else keep) if name in whole.recording])
         assert run.recording.names == names
         for name in names:
@@ -235,12 +231,12 @@ def not_finite() -> ControllerState:
         ({"loops": []}, "no runs"),
         ({"workers": 0}, "0 workers"),
         ({"workers": -2}, "-2 workers"),
-        ({"memories": [None]}, "1 memories for 2 runs"),
-        ({"memories": [None, wrong_size()]}, r"memories\[1\].*shape"),
-        ({"memories": [not_finite(), None]}, r"memories\[0\].*not finite"),
-        ({"memories": [None, Neural(TwoLayer(hidden=3)).init(BASIC.context())]}, r"memories\[1\].*two_layer.*22.*3"),
-        ({"memories": [None, np.zeros(5)]}, r"memories\[1\].*ndarray"),
-        ({"memories": [PD().init(BASIC.context()), None]}, r"memories\[0\].*two_layer"),
+        ({"states": [None]}, "1 states for 2 runs"),
+        ({"states": [None, wrong_size()]}, r"states\[1\].*shape"),
+        ({"states": [not_finite(), None]}, r"states\[0\].*not finite"),
+        ({"states": [None, Neural(TwoLayer(hidden=3)).init(BASIC.context())]}, r"states\[1\].*two_layer.*22.*3"),
+        ({"states": [None, np.zeros(5)]}, r"states\[1\].*ndarray"),
+        ({"states": [PD().init(BASIC.context()), None]}, r"states\[0\].*two_layer"),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_runs(arguments, text):

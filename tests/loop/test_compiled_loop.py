@@ -270,7 +270,7 @@ def test_one_engine_resumes_what_the_other_began(engines, name):
     half = replace(whole, timing=Timing(duration=whole.timing.duration / 2, **SLOW_SENSOR), engine=engines[0])
     begun, run = half.run(), replace(whole, engine="ordinary").run()
     state = whole.state_from()
-    state.values[:] = begun.final["memory"]
+    state.values[:] = begun.final["controller_state"]
     plant_state = begun.final["position"], begun.final["nu"]
     ended = replace(whole, engine=engines[1]).run(state=state, plant_state=plant_state, first=len(begun))
     assert ended.meta["loop"] == engines[1] and len(begun) + len(ended) == len(run)

@@ -115,7 +115,7 @@ def test_every_signal_is_that_of_the_ordinary_loop(name):
         np.testing.assert_array_equal(found.weights[array], run.weights[array], array)
     assert list(found.weights) == list(run.weights)
     if name != "python":
-        assert found.final["memory"].tolist() == run.final["memory"].tolist()
+        assert found.final["controller_state"].tolist() == run.final["controller_state"].tolist()
     assert found.outcome == run.outcome
     assert found.step_times.min() > 0
 
@@ -164,7 +164,7 @@ def test_a_learner_learns_there_what_it_learns_in_the_loop(name, monkeypatch):
     found = replayed(loop, run)
     for signal in ("psi_hat", "torque", "weight_norm"):
         np.testing.assert_array_equal(found[signal], run[signal], signal)
-    assert found.final["memory"].tolist() == run.final["memory"].tolist()
+    assert found.final["controller_state"].tolist() == run.final["controller_state"].tolist()
     assert list(found.weights) == list(run.weights)
     for array in run.weights:
         np.testing.assert_array_equal(found.weights[array], run.weights[array], array)

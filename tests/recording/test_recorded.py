@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 
@@ -24,8 +25,12 @@ from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recording import Recording, recorded_robot
 from mmnn_pin.reference import Hold, Line, Trajectory
+from mmnn_pin.safety import Safety
 from mmnn_pin.settings import Timing
+from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
+from mmnn_pin.torque.neural import Neural
+from mmnn_pin.torque.neural_settings import TwoLayer
 
 LENGTH = 0.004 if config.DISABLE_JIT else 0.05
 SHORT = ["--controller", "pd", "--set", f"time.duration={LENGTH}"]
@@ -179,3 +184,22 @@ def test_json_of_inspect_tells_what_beside_file_says_of_a_refused_robot(place, c
     assert main(["inspect", "r.urdf", "--json"]) == 2
     codes = [finding["code"] for finding in json.loads(capsys.readouterr().out)["findings"]]
     assert codes == ["overrides", "base-undecided"]
+
+
+def test_a_recording_of_the_first_version_opens_and_its_states_have_the_present_names(tmp_path):
+    old = tmp_path / "old.h5"
+    old.write_bytes(gzip.decompress((Path(__file__).parent / "data/before_0_2.h5.gz").read_bytes()))
+    run = Recording.open(old)
+    assert run.complete and run.outcome.status == "completed" and len(run) == 10
+    assert set(run.final) == {"position", "nu", "controller_state", "hardware_state"}
+    robot, gains = recorded_robot(run), Feedback(500.0, 8.0)
+    controller = Neural(TwoLayer(hidden=3), gains)
+    reference, timing = Trajectory(Line(0.3), (Hold(0.1), Hold(0.2))), Timing(duration=0.04)
+    loop = Loop(robot, reference, controller, timing=timing, safety=Safety(), engine="ordinary", seed=7)
+    state = loop.state_from()
+    state.values[:] = run.final["controller_state"]
+    plant_state = run.final["position"], run.final["nu"]
+    resumed = loop.run(state=state, plant_state=plant_state, hardware_state=run.final["hardware_state"], first=10)
+    whole = loop.run()
+    np.testing.assert_allclose(resumed["torque"], whole["torque"][10:], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(run["torque"], whole["torque"][:10], rtol=1e-9, atol=1e-9)

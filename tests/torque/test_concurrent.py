@@ -196,7 +196,7 @@ def test_knowledge_outlasts_the_excitation():
         for loop in (rich, poor):
             run = loop.run(state=state)
             state = loop.controller.init(loop.context())
-            state.values[:] = run.final["memory"]
+            state.values[:] = run.final["controller_state"]
             theta = state["theta"] if name == "adaptive" else loop.controller.theta(state)
             errors.append((theta - truth) @ gram @ (theta - truth) / (truth @ gram @ truth))
         found[name] = (*errors, run.outcome.message)

@@ -434,7 +434,7 @@ def closed_loop(
 def memory_of(loop: Loop, run: Recording) -> ControllerState:
     """The controller's memory as it was when a run ended."""
     state = loop.controller.init(loop.context())
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     return state
 
 
@@ -466,7 +466,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one(controller: CompiledControll
     same(straight, first, slice(0, N // 2))
     same(straight, second, slice(N // 2, None))
     assert second.outcome == straight.outcome
-    np.testing.assert_array_equal(second.final["memory"], straight.final["memory"])
+    np.testing.assert_array_equal(second.final["controller_state"], straight.final["controller_state"])
     np.testing.assert_array_equal(state.values, kept.values)  # the caller's memory stays as it was
 
 
@@ -555,7 +555,7 @@ def test_a_controller_in_plain_python_equals_the_compiled_one() -> None:
     python, compiled = closed_loop(Recital(), N).run(), closed_loop(PD(), N).run()
     np.testing.assert_allclose(python["torque"], compiled["torque"], rtol=1e-12)
     np.testing.assert_allclose(python["position"], compiled["position"], atol=1e-14)
-    assert python.final["memory"] == [N]
+    assert python.final["controller_state"] == [N]
     assert python.weights["count"][-1] == [N]
     with pytest.raises(ConfigError, match="plain Python cannot be compiled"):
         closed_loop(Recital(), N, "compiled").run()
@@ -566,7 +566,7 @@ def test_a_controller_in_plain_python_resumes() -> None:
     first = half.run()
     plant_state = (first.final["position"], first.final["nu"])
     second = closed_loop(Recital(), N).run(state=memory_of(half, first), plant_state=plant_state, first=N // 2)
-    assert second.final["memory"] == [N]
+    assert second.final["controller_state"] == [N]
     same(closed_loop(Recital(), N).run(), second, slice(N // 2, None))
 
 

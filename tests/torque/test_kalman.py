@@ -236,7 +236,7 @@ def test_learning_from_a_run_is_batch_least_squares(kind):
     run = loop.run()
     state = controller.init(loop.context())
     prior = state["prior"].copy()
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     h, (rows, k, m) = 0.002, controller.shape
     q, nu = np.array(run["q"]), np.hstack((run["velocity"], run["qdot"]))
     q, nu, nudot, tau = means(q, nu, np.array(run["torque"])[:-1], h, 40.0)
@@ -465,9 +465,9 @@ def test_a_warm_start_elsewhere_takes_no_period_over_the_gap():
     first = loop_of(controller, 0.1).run()
     loop = loop_of(controller, 0.004)
     state = controller.init(loop.context())
-    state.values[:] = first.final["memory"]
+    state.values[:] = first.final["controller_state"]
     again = loop.run(state=state)
-    state.values[:] = again.final["memory"]
+    state.values[:] = again.final["controller_state"]
     assert state["clock"][1] == round(loop.timing.duration / 0.002)
 
 
@@ -475,10 +475,10 @@ def test_frozen_weights_stay_and_features_come_from_the_memory():
     controller = small("bilinear")
     learned = loop_of(controller, 0.3, seed=1)
     state = controller.init(learned.context())
-    state.values[:] = learned.run().final["memory"]
+    state.values[:] = learned.run().final["controller_state"]
     frozen = loop_of(replace(controller, learning=False), 0.1, seed=2).run(state=state)
     after = controller.init(learned.context())
-    after.values[:] = frozen.final["memory"]
+    after.values[:] = frozen.final["controller_state"]
     for part in ("W", "U", "D", "a", "b", "counts"):
         np.testing.assert_array_equal(after[part], state[part])
     assert "excited" not in frozen.outcome.message
@@ -536,7 +536,7 @@ def test_each_learns_the_model_and_tracks_like_the_oracle(kind, fvu, held_out):
     run, oracle = loop.run(), loop_of(ComputedTorque(K), 24.0).run()
     assert run.outcome.status == "completed" and run.outcome.message == ""
     assert (late_rms(run, 12.0) <= 1.5 * late_rms(oracle, 12.0)).all()
-    assert unexplained(controller, loop, run.final["memory"], held_out) < fvu
+    assert unexplained(controller, loop, run.final["controller_state"], held_out) < fvu
     assert np.abs(run["motor_torque"]).max() <= ROBOT.effort_limits.max()
 
 
@@ -584,7 +584,9 @@ def test_a_cycle_learns_too():
             np.testing.assert_allclose(torque, twin["torque"][k], rtol=1e-9, atol=1e-9)
             cycle.record()
         recording = cycle.finish()
-    np.testing.assert_allclose(recording.final["memory"], twin.final["memory"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        recording.final["controller_state"], twin.final["controller_state"], rtol=1e-6, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -615,7 +617,7 @@ def test_it_is_built_again_from_what_it_told(kind):
     facts = json.loads(json.dumps(controller.facts()))
     again = kalman_from_facts(controller.name, facts, ROBOT)
     runs = [loop_of(which, 0.02).run() for which in (controller, again)]
-    np.testing.assert_array_equal(runs[0].final["memory"], runs[1].final["memory"])
+    np.testing.assert_array_equal(runs[0].final["controller_state"], runs[1].final["controller_state"])
     assert again.settings == controller.settings
 
 

@@ -244,7 +244,7 @@ def test_weights_are_recorded_frozen_and_resumed() -> None:
     assert both[1][-1] > 0
     half = replace(loop, timing=replace_duration(loop.timing, 0.02)).run()
     state = loop.controller.init(loop.context())
-    state.values[:] = half.final["memory"]
+    state.values[:] = half.final["controller_state"]
     plant_state = half.final["position"], half.final["nu"]
     rest = loop.run(state=state, plant_state=plant_state, first=20)
     same(rest, {n: whole[n][20:] for n in SIGNALS}, tolerance=1e-12)

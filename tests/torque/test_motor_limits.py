@@ -196,7 +196,7 @@ def test_controllers_in_plain_python(kind):
     np.testing.assert_allclose(run["torque"], 10.0 * s + run["psi_hat"], rtol=1e-9, atol=1e-9)
     assert (np.abs(run["motor_torque"]) <= np.maximum(SMALL, np.abs(10.0 * s @ E_INV.T)) * (1 + 1e-9)).all()
     if kind is Large:
-        np.testing.assert_allclose(run.final["memory"], run["torque"][:-1].sum(axis=0))
+        np.testing.assert_allclose(run.final["controller_state"], run["torque"][:-1].sum(axis=0))
     off = replace(loop, controller=controller, within_limits=None, check_gains=False)
     assert (off.context().limits is not None) == (kind is Large)  # what a step returns is sent, unless one says
 

@@ -151,7 +151,7 @@ def test_without_its_memory_it_follows_and_forgets():
         loop = made("two_layer_composite", *EIGHT, f"replay.replays={replays}", duration=24.0)
         run = loop.run()
         state = loop.controller.init(loop.context())
-        state.values[:] = run.final["memory"]
+        state.values[:] = run.final["controller_state"]
         left[replays] = explained(loop.controller, state, truth, loop)
         assert "not excited" not in run.outcome.message
     assert left[4] < 0.25 and left[4] < 0.4 * left[0]

@@ -48,7 +48,7 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
         np.testing.assert_allclose(run["psi_hat"][k], psi0 + network.psi_hat, rtol=1e-9, atol=1e-9)
         feedback = run["effective_gain"][k] * np.concatenate((run["z"][k], run["r"][k]))
         np.testing.assert_allclose(run["torque"][k], feedback + run["psi_hat"][k], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(state.values, run.final["memory"], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(state.values, run.final["controller_state"], rtol=1e-9, atol=1e-12)
 
 
 def test_a_nominal_model_that_is_right_makes_an_oracle():
@@ -85,7 +85,7 @@ def test_a_projection_bounds_the_weights_at_every_sample(name):
     np.testing.assert_allclose(runs[0]["torque"], runs[1]["torque"], rtol=1e-9, atol=1e-9)
     network = loop.controller.own if isinstance(loop.controller, Residual) else loop.controller
     state = network.init(loop.context())
-    state.values[:] = runs[0].final["memory"]
+    state.values[:] = runs[0].final["controller_state"]
     sizes = {name: np.linalg.norm(W) for name, W in network.weights(state).items()}
     gain = 0.1 * network.feedback_gain(loop.robot.layout) / network.network_scales(loop.robot.layout)[1]
     bounds = {"W1": 0.5 * gain[:2].max(), "V1": 0.5, "W2": 0.5 * gain[2:].max(), "V2": 0.5}

@@ -98,12 +98,12 @@ def require_going(status: str) -> None:
 
 def memory_of(task: Task, controller: Any, seed: int, run: Run) -> Any:
     """The memory at the end of a training run; None where it was lost or is not kept as numbers."""
-    if run.outcome.status != "completed" or "memory" not in run.final:
+    if run.outcome.status != "completed" or "controller_state" not in run.final:
         return None
     state = controller.init(task.training(controller, seed).context())
-    if not isinstance(state, ControllerState) or not np.isfinite(run.final["memory"]).all():
+    if not isinstance(state, ControllerState) or not np.isfinite(run.final["controller_state"]).all():
         return None
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     return state
 
 
@@ -124,7 +124,7 @@ def tried(
     if loops:
         starts = [memories[i] for i, *_ in places]
         show = lambda done, count: progress(done / count)  # noqa: E731
-        runs = simulate_many(loops, memories=starts, keep=ERRORS, workers=workers, progress=show)
+        runs = simulate_many(loops, states=starts, keep=ERRORS, workers=workers, progress=show)
         for (i, name, how), run in zip(places, runs, strict=True):
             require_going(run.outcome.status)
             found[i][name][how] = tracking(run.recording, run.outcome.status)

@@ -157,7 +157,7 @@ def last(recording: Recording, start: ControllerState) -> tuple[ControllerState,
     Raises:
         RecordingError: There are none.
     """
-    state, final = start.snapshot(), recording.final.get("memory")
+    state, final = start.snapshot(), recording.final.get("controller_state")
     if final is not None and final.shape == state.values.shape and np.isfinite(final).all():
         state.values[:] = final
         return state, recording.outcome.time

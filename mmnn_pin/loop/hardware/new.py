@@ -49,7 +49,7 @@ def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: 
     recorded = bool(layout.hardware)
     if is_exact and not recorded:
         if given is not None:
-            given_array("rig_memory", given, (0,))
+            given_array("hardware_state", given, (0,))
         return None
     sensing = loop.sensor.on(robot, timing.measurement_period)
     sensing.numbers[DEPTH] += max(late.max(initial=0.0), 0.0)
@@ -65,7 +65,7 @@ def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: 
     values, views = flat(parts)
     views[1][:, motor.ROTOR_SPEED] = robot.E.T @ nu
     if given is not None:  # messages of no numbers may be under way
-        values[:] = given_array("rig_memory", given, values.shape, finite=not np.isnan(added).any())
+        values[:] = given_array("hardware_state", given, values.shape, finite=not np.isnan(added).any())
     return Hardware(
         exact=is_exact,
         driven=not loop.actuator.perfect or len(dead) > 0,

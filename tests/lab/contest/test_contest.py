@@ -135,14 +135,14 @@ def test_held_out_runs_are_those_of_the_final_weights(standing):
     for how in ("frozen", "learning"):
         loop = task.trial(controller, row.seed, "circle", how == "learning")
         state = controller.init(loop.context())
-        state.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["memory"]
+        state.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["controller_state"]
         run = loop.run(state=state)
         late = run.time > 0.499
         found = np.sqrt(np.mean(run["true_e"][late] ** 2, axis=0))
         tracked = row.held_out["circle"][how]
         assert tracked.outcome == "completed"
         assert [tracked.rms["arm_1_joint"], tracked.rms["arm_2_joint"]] == pytest.approx(found.tolist())
-        moved = not np.array_equal(run.final["memory"], state.values)
+        moved = not np.array_equal(run.final["controller_state"], state.values)
         assert moved == (how == "learning") or how == "frozen"
 
 

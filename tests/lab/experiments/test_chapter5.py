@@ -290,6 +290,6 @@ def test_weights_that_start_equal_stay_equal_and_random_ones_do_not() -> None:
     for run, name in ((zero, "two_layer_zero"), (random, "two_layer_random")):
         controller = e.controller(name)
         state = controller.init(e.loop(e.load_robot(), controller).context())
-        state.values[:] = run.final["memory"]
+        state.values[:] = run.final["controller_state"]
         ranks.append(np.linalg.matrix_rank(state["V2"], tol=1e-9 * np.linalg.norm(state["V2"])))
     assert ranks[0] == 1 < ranks[1] and isinstance(e.controller("two_layer_zero").network, TwoLayer)

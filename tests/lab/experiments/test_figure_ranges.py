@@ -224,7 +224,7 @@ def test_a_reading_of_a_fixed_arm_is_compared_with_no_figure(capsys: pytest.Capt
 def test_the_networks_see_the_pose_error_in_the_frame_asked_for(frame: str) -> None:
     options = ["controllers=['two_layer']", "start.pose_offset=[-0.1, 0.2, 0.5]", f"inputs.pose_error={frame}"]
     run = run_experiment(short(*options), "x").recordings["two_layer"]
-    x = run.final["memory"][7:10]  # after q_vd (3), alpha (2) and its derivative (2)
+    x = run.final["controller_state"][7:10]  # after q_vd (3), alpha (2) and its derivative (2)
     world, phi = run["pose_ref"][-1] - run["pose"][-1], run["pose"][-1, 2]
     turned = np.array(
         [np.cos(phi) * world[0] + np.sin(phi) * world[1], np.cos(phi) * world[1] - np.sin(phi) * world[0]]
@@ -235,7 +235,7 @@ def test_the_networks_see_the_pose_error_in_the_frame_asked_for(frame: str) -> N
 
 def test_appendix_b_s_slip_replaces_the_yaw_rate_alone() -> None:
     run = run_experiment(short("controllers=['two_layer']", "inputs.constant_yaw_rate=5"), "x").recordings["two_layer"]
-    x, signals = run.final["memory"][:22], short().inputs.signals
+    x, signals = run.final["controller_state"][:22], short().inputs.signals
     wanted = np.concatenate([run[name][-1] for name in signals])
     assert x[4] == 5.0 != wanted[4]
     np.testing.assert_array_equal(np.delete(x, 4), np.delete(wanted, 4))
