@@ -112,6 +112,12 @@ class Layout(Dimensions):
     wheels: int = 0
     hardware: int = 0
 
+    @classmethod
+    def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0) -> Layout:
+        """Layout of the rows of a robot with these dimensions."""
+        d = dimensions
+        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware)
+
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
         """Start of every signal in the order of `SIGNALS`, and the width of the row, shape (len(SIGNALS) + 1,)."""

@@ -111,7 +111,7 @@ class Loop:
         """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances))
-        return replace(self.robot.layout, wheels=wheels, hardware=hardware)
+        return Layout.of(self.robot.layout, wheels, hardware)
 
     @one_thread
     def run(
