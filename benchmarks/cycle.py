@@ -3,7 +3,7 @@
     python benchmarks/cycle.py                        100,000 samples of four controllers, some minutes
     python benchmarks/cycle.py --samples 2000 --json
 
-The closed loop of `examples/realtime/task.toml` at 200 Hz: `Cycle.step` is timed, the ideal plant between two samples
+The closed loop of `examples/realtime/task.toml` at 200 Hz: `Stepper.step` is timed, the ideal plant between two samples
 is not. Wall clock and processor time of the thread, in us; a collection counts when it began inside a step.
 """
 
@@ -22,7 +22,7 @@ import numpy as np
 
 from mmnn_pin import load_experiment
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.loop.cycle import Cycle
+from mmnn_pin.loop.stepper import Stepper
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.signals import Measurement
 
@@ -49,10 +49,10 @@ def measure(experiment: Experiment, name: str) -> dict[str, Any]:
     """Times of all samples under one controller, and what they left behind."""
     robot = experiment.load_robot()
     loop = experiment.loop(robot, experiment.controller(name, robot=robot))
-    cycle, plant = Cycle(loop), IdealPlant(robot, PERIOD, experiment.time.integrator)
+    cycle, plant = Stepper(loop), IdealPlant(robot, PERIOD, experiment.time.integrator)
     plant.start(*loop.start.state(robot, cycle.table[0]))
-    nb, arm = robot.layout.base, robot.arm_index
-    measured = Measurement(plant.position[: robot.layout.pose], plant.nu[:nb], np.zeros(arm.size), plant.nu[nb:])
+    nb, arm = robot.dimensions.base, robot.arm_index
+    measured = Measurement(plant.position[: robot.dimensions.pose], plant.nu[:nb], np.zeros(arm.size), plant.nu[nb:])
     wall, cpu = np.zeros(cycle.samples), np.zeros(cycle.samples)
     inside, began = [False], [0]
     collecting = lambda phase, _: began.append(1) if phase == "start" and inside[0] else None  # noqa: E731

@@ -17,6 +17,7 @@ from mmnn_pin.loop.sample import after_torque, before_torque
 from mmnn_pin.model.reduction import friction, spread
 from mmnn_pin.model.tree.dynamics import psi_again, terms
 from mmnn_pin.plant.integrators import SEMI_IMPLICIT, Joints, Terms, euler
+from mmnn_pin.sensing import exact
 from mmnn_pin.torque import law
 
 REPEAT = 5000
@@ -47,10 +48,11 @@ def repeat_friction(n, T, v, nu, damping, dry, viscous, F):  # type: ignore[no-u
 
 
 @repeated
-def repeat_before(n, row, at, y, reference, arm, gains, K):  # type: ignore[no-untyped-def]
-    """Measurement and velocity command."""
+def repeat_before(n, row, at, position, nu, setpoint, arm, gains, K):  # type: ignore[no-untyped-def]
+    """Measurement, setpoint and velocity command."""
     for i in range(n):
-        before_torque(row, at, 0.001 * i, y, reference, True, arm, gains, K)
+        exact(row, at, position, nu, arm)
+        before_torque(row, at, 0.001 * i, setpoint, gains, K)
 
 
 @repeated
@@ -61,10 +63,10 @@ def repeat_law(n, row, at, numbers, state):  # type: ignore[no-untyped-def]
 
 
 @repeated
-def repeat_after(n, row, at, M, E_inv, bounds):  # type: ignore[no-untyped-def]
-    """Motor torques, energy balance, guard."""
+def repeat_after(n, row, at, y, arm, M, E_inv, bounds):  # type: ignore[no-untyped-def]
+    """True errors, motor torques, energy balance, guard."""
     for _ in range(n):
-        after_torque(row, at, M, E_inv, 0.0, 0.0, 0.0, bounds)
+        after_torque(row, at, y, arm, M, E_inv, 0.0, 0.0, bounds)
 
 
 @repeated
@@ -87,21 +89,21 @@ def compiled_parts() -> dict[str, Part]:
     engine = loop.engine_at()
     assert isinstance(engine, CompiledLoop)
     engine.advance(0, 100)
-    layout, b, w, e, y = loop.robot.layout, engine.body, engine.work, engine.blocks, engine.y
-    at, row, position, nu = e.at, engine.row, y[: layout.full], y[layout.full : -1]
+    layout, e, y, position, nu = loop.layout, engine.run, engine.y, engine.true.position, engine.true.nu
+    at, row, b, w = e.at, engine.row, engine.true.body, engine.true.work
     nu_ref, nudot_ref, psi, tau = (row[layout.where(name)] for name in ("nu_ref", "nudot_ref", "psi", "torque"))
     state = engine.state.values
     joints = Joints(b.T, b.damping, b.dry, b.viscous, b.base)
     terms_at = Terms(w.v, w.M, w.h, w.F, w.hold, w.ydot, w.L, w.rest, w.grip)
     return {
         "reference, measurement, velocity command": lambda n: repeat_before(
-            n, row, at, y, e.table[100], b.arm, e.gains, e.K
+            n, row, at, position, nu, e.setpoints[100], b.arm, e.gains, e.K
         ),
         "networks: torque and update of the weights": lambda n: repeat_law(n, row, at, e.law, state),
         "tree: M, C nu + gravity": lambda n: repeat_terms(n, b.tree, position, nu, w.scratch, w.M, w.h),
         "joint rates and friction": lambda n: repeat_friction(n, b.T, w.v, nu, b.damping, b.dry, b.viscous, w.F),
         "tree: Psi": lambda n: repeat_psi(n, b.tree, position, nu_ref, nudot_ref, w.scratch, psi),
-        "motor torques, energy balance, guard": lambda n: repeat_after(n, row, at, w.M, e.E_inv, e.bounds),
+        "motor torques, energy balance, guard": lambda n: repeat_after(n, row, at, y, b.arm, w.M, e.E_inv, e.bounds),
         "plant: solve and integrate": lambda n: repeat_plant(n, 0.0, joints, terms_at, tau, y),
         "copy of the row": lambda n: repeat_row(n, engine.rows, row),
     }
@@ -115,14 +117,15 @@ def ordinary_parts() -> dict[str, Part]:
     engine.advance(0, 100)
     e, plant, dynamics, arm = engine, engine.plant, engine.plant.dynamics, loop.robot.arm_index
     calls: dict[str, Callable[[], Any]] = {
-        "reference, measurement, velocity command": lambda: before_torque(
-            e.row, e.at, 0.1, plant.y, e.table[100], True, arm, e.control.gains, e.control.K
+        "reference, measurement, velocity command": lambda: (
+            exact(e.row, e.at, plant.position, plant.nu, arm),
+            before_torque(e.row, e.at, 0.1, e.plan.setpoints[100], e.plan.gains, e.plan.K),
         ),
         "networks: torque and update of the weights": lambda: e.control.torque.step(0.1),
         "Pinocchio: M, C nu + gravity, reduced": plant.refresh,
         "Pinocchio: Psi": lambda: dynamics.refresh_psi(e.nu_ref, e.nudot_ref, e.psi),
         "motor torques, energy balance, guard": lambda: after_torque(
-            e.row, e.at, dynamics.M, e.E_inv, 0.0, 0.0, 0.0, e.bounds
+            e.row, e.at, plant.y, arm, dynamics.M, e.E_inv, 0.0, 0.0, e.plan.bounds
         ),
         "plant: solve and integrate": lambda: plant.step(e.tau),
     }

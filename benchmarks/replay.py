@@ -28,9 +28,9 @@ PEERS = {
 }
 PEER = """
 import os, sys
-from mmnn_pin.recorded_robot import recorded_robot
-from mmnn_pin.model.overrides import folders_of
-from mmnn_pin.recording import Recording
+from mmnn_pin.recording.recording import recorded_robot
+from mmnn_pin.model.base.overrides import folders_of
+from mmnn_pin.recording.recording import Recording
 from mmnn_pin.lab.show.replay.motion import frames_of
 import pinocchio as pin, pinocchio.visualize
 R = Recording.open(sys.argv[1])

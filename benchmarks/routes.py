@@ -52,11 +52,11 @@ def steps(loop: Loop, sink: str = "memory") -> Prepare:
             if sink == "alone":
                 outcome = loop.stream(engine, Nothing())
             else:
-                with Recorder(loop.robot.layout, loop.facts(), file, force=True) as recorder:
+                with Recorder(loop.layout, loop.facts(), file, force=True) as recorder:
                     outcome = loop.stream(engine, recorder)
                     recorder.finish(outcome, loop.final(engine))
             assert outcome.status == "completed", outcome.message
-            return {"steps": loop.timing.samples, "robot": loop.robot.name, "joints": loop.robot.layout.arm}
+            return {"steps": loop.timing.samples, "robot": loop.robot.name, "joints": loop.layout.arm}
 
         return run
 

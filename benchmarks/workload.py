@@ -42,7 +42,7 @@ def arm_loop(robot: Robot, duration: float) -> Loop:
     robot = replace(robot, damping=still, coulomb=still)
     position, limit = robot.neutral_position(), 2.0 / PERIOD
     gains = 0.05 * limit / np.diag(np.linalg.inv(Dynamics(robot).mass_matrix(position)))
-    nb, rest = robot.layout.base, position[robot.arm_index]
+    nb, rest = robot.dimensions.base, position[robot.arm_index]
     controller = Neural(
         network=TwoLayer(F=(0.1, 0.01), G=(0.1, 0.01)),
         feedback=Feedback(base=tuple(gains[:nb]), arm=tuple(gains[nb:])),
@@ -107,7 +107,7 @@ def peer_work(duration: float) -> dict[str, Array]:
     The peers' controller starts from our initial weights.
     """
     loop = thesis_loop(duration, engine="compiled")
-    controller, layout = loop.controller, loop.robot.layout
+    controller, layout = loop.controller, loop.layout
     assert isinstance(controller, Neural) and isinstance(controller.network, TwoLayer) and controller.robust
     state, network, nb = controller.init(loop.context()), controller.network, layout.base
     run = loop.run()

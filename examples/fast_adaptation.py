@@ -30,9 +30,9 @@ class PI(TorqueController):
 experiment = load_experiment("track")
 robot = experiment.load_robot()
 learner = experiment.controller("two_layer", robot=robot)
-seen, given = learner.network_scales(robot.layout)
-F = np.repeat(learner.network.F, (robot.layout.base, robot.layout.arm))
-k, ki = learner.feedback_gain(robot.layout), F * seen * given * learner.network.hidden / 4
+seen, given = learner.network_scales(robot.dimensions)
+F = np.repeat(learner.network.F, (robot.dimensions.base, robot.dimensions.arm))
+k, ki = learner.feedback_gain(robot.dimensions), F * seen * given * learner.network.hidden / 4
 
 network, integrator = (experiment.loop(robot, controller).run() for controller in (learner, PI(k, ki)))
 integral = integrator["torque"] - k * np.hstack((integrator["z"], integrator["r"]))

@@ -116,7 +116,7 @@ class Actuator(Settings, frozen=True):
             ConfigError: Not one number per motor; a rotor heavier than what its gear drives, a brake too strong for the
             step, a battery that breaks down.
         """
-        count, dt = robot.layout.motors, float(dt)
+        count, dt = robot.dimensions.motors, float(dt)
         if states is None:
             states = np.zeros((count, STATES))
 

@@ -1,4 +1,4 @@
-"""The decorators that compile the arithmetic of the blocks with numba.
+"""How the arithmetic of the blocks is made fast: compiled by numba, with the linear algebra libraries on one thread.
 
 `@compiled` (`@inlined`, `@spliced` for small functions) is `numba.njit` without the interpreter lock and with a file
 cache. numba's cache looks only at the file of the function itself, so an edited callee would run stale; here the cache
@@ -15,6 +15,9 @@ Compiled code sees it as a named tuple of views that `views` generates from the 
     layout = layout_of(State, {"samples": (1,), "W": (3, 4)})       # where the parts stand, whatever their order
 
 Code that depends on the type of an argument is chosen with `by_type`.
+
+Our matrices are small: threads of a linear algebra library that wait for each other cost more than they compute. The
+command line limits them in the environment before numpy starts; in Python `@one_thread` does while a function runs.
 """
 
 from __future__ import annotations
@@ -23,15 +26,16 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, wraps
 from pathlib import Path
-from typing import Annotated, Any, TypeVar, cast, get_type_hints
+from typing import Annotated, Any, ParamSpec, TypeVar, cast, get_type_hints
 
 import numba
 import numpy as np
 from numba.core.options import DefaultOptions
 from numba.extending import overload
 from numpy.typing import NDArray
+from threadpoolctl import ThreadpoolController
 
 # Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
 # less time. One that does allocate fails to compile, loudly.
@@ -45,6 +49,9 @@ T = TypeVar("T")
 Vector = Annotated[NDArray[np.float64], 1]
 Matrix = Annotated[NDArray[np.float64], 2]
 Cube = Annotated[NDArray[np.float64], 3]
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 def cache_root() -> Path:
@@ -107,6 +114,12 @@ def copy_to(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
     """Copy a vector; an assignment of slices would drag numba's texts for shape errors into every caller."""
     for i in range(target.size):
         target[i] = source[i]
+
+
+@spliced
+def view(row: NDArray[np.float64], at: NDArray[np.int64], signal: int) -> NDArray[np.float64]:
+    """The part of a row that holds a signal, by the offsets of all signals and its place in `signals.INDEX`."""
+    return row[at[signal] : at[signal + 1]]
 
 
 def views(kind: type[T]) -> Callable[[NDArray[np.float64], NDArray[np.int64]], T]:
@@ -190,3 +203,20 @@ def spelled(text: str, **known: Any) -> Any:
     name = text.removeprefix("def ").partition("(")[0]
     exec(compile(text, f"<{name}>", "exec"), known)
     return known[name]
+
+
+@cache
+def libraries() -> ThreadpoolController:
+    """The thread pools of the libraries that are loaded."""
+    return ThreadpoolController()
+
+
+def one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, with linear algebra on one thread while it runs."""
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        with libraries().limit(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited

@@ -14,7 +14,7 @@ import numpy as np
 from .compiled import compiled
 from .model.base import BY_SIZE, velocity_command
 from .settings import Settings, one_or_each, require_gains
-from .signals import INDEX, Array, IntArray, Layout
+from .signals import INDEX, Array, Dimensions, IntArray
 
 POSE_REF, VELOCITY_REF, ACCELERATION_REF = INDEX["pose_ref"], INDEX["velocity_ref"], INDEX["acceleration_ref"]
 Q_REF, QDOT_REF, QDDOT_REF = INDEX["q_ref"], INDEX["qdot_ref"], INDEX["qddot_ref"]
@@ -113,7 +113,7 @@ class Kinematic(Settings, frozen=True):
         names = BY_SIZE[base].gain_names
         return np.hstack([getattr(self, name) for name in names]).astype(float) if names else np.zeros(3)
 
-    def arm_gains(self, layout: Layout) -> Array:
+    def arm_gains(self, layout: Dimensions) -> Array:
         """K for every joint, shape (n,).
 
         Raises:

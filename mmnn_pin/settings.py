@@ -1,10 +1,14 @@
-"""Settings: frozen msgspec structs, the same in Python and in a TOML config, which knows no unknown keys."""
+"""Settings: frozen msgspec structs, the same in Python and in a TOML config, which knows no unknown keys.
+
+Here are their base, the checks that they share, and the settings that every block needs: the periods of a run.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -15,6 +19,7 @@ from .signals import Array
 
 LARGEST = 1e12  # of a number that is squared somewhere
 Numbers = float | tuple[float, ...]  # one for all, or one for each; see `one_or_each`
+MOST_PERIODS = 1e9  # in one another
 KINDS = {
     "int": "a whole number",
     "float": "a number",
@@ -160,3 +165,91 @@ def one_or_each(
     if least is not None and not (np.isfinite(values) & (values >= least)).all():
         raise ConfigError(f"{values.tolist()} cannot be used", fix=f"{fix}, finite and >= {least:g}", key=key)
     return np.full(count, values)
+
+
+def given_array(key: str, values: Any, shape: tuple[int, ...], *, finite: bool = True) -> Array:
+    """Copy of an array that must be of a shape, and finite unless it may be otherwise.
+
+    Raises:
+        ConfigError: It is not.
+    """
+    array = np.array(values, float)
+    if array.shape != shape or (finite and not np.isfinite(array).all()):
+        what = f"of shape {array.shape}" if array.shape != shape else "not finite"
+        raise ConfigError(f"an array that is {what}", fix=f"give finite numbers of shape {shape}", key=key)
+    return array
+
+
+class Timing(Settings, frozen=True):
+    """Periods of a run. Torque is held between control samples, a measurement between sensor samples.
+
+    Args:
+        duration: Length of the run [s].
+        control_period: Time between control samples [s].
+        plant_step: Integration step of the plant [s].
+        sensor_period: Time between measurements [s]; None measures at every control sample.
+        integrator: "rk4", "semi_implicit_euler", "implicit_friction" for friction too stiff for these, or "stick" for
+            dry friction that really holds a joint.
+
+    Raises:
+        ConfigError: A period is not positive and finite, or the plant step does not divide the others.
+    """
+
+    duration: float = 5.0
+    control_period: float = 0.002
+    plant_step: float = 0.001
+    sensor_period: float | None = None
+    integrator: Literal["rk4", "semi_implicit_euler", "implicit_friction", "stick"] = "rk4"
+
+    def __post_init__(self) -> None:
+        for name in ("duration", "control_period", "plant_step", "sensor_period"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ConfigError(f"{value} s", fix="use a finite number of seconds > 0", key=f"time.{name}")
+        for name, whole in (("control_period", self.duration), ("plant_step", self.control_period)):
+            divide(whole, getattr(self, name), name)
+        divide(self.sensor_period or self.control_period, self.plant_step, "plant_step")
+
+    @property
+    def samples(self) -> int:
+        """Number of control samples."""
+        return divide(self.duration, self.control_period, "control_period")
+
+    @property
+    def measurements(self) -> int:
+        """Number of measurements."""
+        return -(-self.samples * self.steps_per_control // self.steps_per_measurement)
+
+    @property
+    def measurement_period(self) -> float:
+        """Time between two measurements [s]."""
+        return self.sensor_period or self.control_period
+
+    @property
+    def steps_per_control(self) -> int:
+        """Plant steps per control sample."""
+        return divide(self.control_period, self.plant_step, "plant_step")
+
+    @property
+    def steps_per_measurement(self) -> int:
+        """Plant steps per measurement."""
+        return divide(self.sensor_period or self.control_period, self.plant_step, "plant_step")
+
+
+def divide(whole: float, period: float, name: str) -> int:
+    """How many periods make the whole.
+
+    Raises:
+        ConfigError: It is not a whole number of them, or more than can be handled.
+    """
+    if whole / period > MOST_PERIODS:
+        raise ConfigError(f"{whole} s hold more than {MOST_PERIODS:.0e} periods of {period} s", key=f"time.{name}")
+    count = round(whole / period)
+    if count < 1 or abs(count * period - whole) > 1e-9 * whole:
+        raise ConfigError(
+            f"{period} s does not divide {whole} s",
+            why=f"{whole} / {period} = {whole / period:.6g}",
+            fix=f"for example {whole / max(1, count):.12g}",
+            key=f"time.{name}",
+        )
+    return count

@@ -1,7 +1,7 @@
 """The wires between the blocks: one flat row of float64 per control sample, and named views into it.
 
 A row holds every signal of one control sample. The compiled blocks read and write slices of it; a recording is
-the rows one after the other. `Layout` says what stands where; `Reference`, `Measurement`, `VelocityCommand`
+the rows one after the other. `Layout` says what stands where; `Setpoint`, `Measurement`, `VelocityCommand`
 and `State` are views for people, refreshed in place at every sample (copy what you want to keep).
 
 Notation: `nb` base velocities (2 for a differential drive `(v, w)`, 3 for a holonomic base `(vx, vy, w)`, 0 for a
@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,24 +75,20 @@ EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 
 @dataclass(frozen=True)
-class Layout:
-    """Where each signal stands in a row.
+class Dimensions:
+    """How many of everything a robot has.
 
     Args:
         base: Number of base velocities nb (0, 2 or 3).
         arm: Number of arm joints n.
         full: Number of velocities nv of the full model (pose and all joints).
         motors: Number of actuators.
-        wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
-        hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
     """
 
     base: int
     arm: int
     full: int
     motors: int
-    wheels: int = 0
-    hardware: int = 0
 
     @property
     def pose(self) -> int:
@@ -103,6 +99,25 @@ class Layout:
     def dof(self) -> int:
         """Number of independent velocities p."""
         return self.base + self.arm
+
+
+@dataclass(frozen=True)
+class Layout(Dimensions):
+    """Where each signal stands in a row: a robot's dimensions, and what is recorded of a run beside its motion.
+
+    Args:
+        wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
+        hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
+    """
+
+    wheels: int = 0
+    hardware: int = 0
+
+    @classmethod
+    def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0) -> Layout:
+        """Layout of the rows of a robot with these dimensions."""
+        d = dimensions
+        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
@@ -139,33 +154,45 @@ class Layout:
 
 
 class View:
-    """A record whose fields are views into a row, named as the signals are."""
+    """A record whose fields are views into a row, named as the signals are, up to a suffix."""
+
+    __slots__ = ()
+    suffix: ClassVar[str] = ""
 
     @classmethod
     def of(cls, row: Array, layout: Layout) -> Self:
         """View of a row; nothing is copied."""
-        return cls(**{f.name: row[layout.where(f.name)] for f in fields(cls)})  # type: ignore[arg-type]
+        return cls(**{f.name: row[layout.where(f.name + cls.suffix)] for f in fields(cls)})  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, slots=True)
-class Reference(View):
-    """What the robot should do at one instant.
+class Setpoint(View):
+    """What the robot should do at one instant: the signals `pose_ref` ... `qddot_ref` of a row and of a recording.
 
     Attributes:
-        pose_ref: (3,) pose of the control frame in the world [m, m, rad]; (0,) for a fixed arm.
-        velocity_ref: (nb,) base velocity in the reference's own frame [m/s, rad/s].
-        acceleration_ref: (nb,) its time derivative [m/s^2, rad/s^2].
-        q_ref: (n,) arm joints [rad or m].
-        qdot_ref: (n,) their rates.
-        qddot_ref: (n,) their accelerations.
+        pose: (3,) pose of the control frame in the world [m, m, rad]; (0,) for a fixed arm.
+        velocity: (nb,) base velocity in the reference's own frame [m/s, rad/s].
+        acceleration: (nb,) its time derivative [m/s^2, rad/s^2].
+        q: (n,) arm joints [rad or m].
+        qdot: (n,) their rates [rad/s or m/s].
+        qddot: (n,) their accelerations [rad/s^2 or m/s^2].
     """
 
-    pose_ref: Array
-    velocity_ref: Array
-    acceleration_ref: Array
-    q_ref: Array
-    qdot_ref: Array
-    qddot_ref: Array
+    suffix: ClassVar[str] = "_ref"
+
+    pose: Array
+    velocity: Array
+    acceleration: Array
+    q: Array
+    qdot: Array
+    qddot: Array
+
+    @classmethod
+    def side_by_side(cls, values: Array, dimensions: Dimensions) -> Setpoint:
+        """Views into its six arrays side by side, (..., 3 + 2 nb + 3 n): a row, or the rows of a table."""
+        d = dimensions
+        sizes = (d.pose, d.base, d.base, d.arm, d.arm)
+        return cls(*np.split(values, np.cumsum(sizes), axis=-1))
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,7 +64,7 @@ def roll_out(loops: Sequence[Loop], names: Sequence[str]) -> list[Rollout]:
 
     def one(loop: Loop) -> Rollout:
         loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
-        engine, keep = loop.engine_at(), Keep(loop.robot.layout, names)
+        engine, keep = loop.engine_at(), Keep(loop.robot.dimensions, names)
         outcome = loop.stream(engine, keep)
         return Rollout(outcome.status == "completed", {n: np.vstack(parts) for n, parts in keep.blocks.items()})
 

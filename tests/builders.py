@@ -25,8 +25,8 @@ def thesis_robot(friction: tuple[float, ...] = (30.0, 5.0, 0.5, 0.5)) -> Robot:
 
 def trajectory(robot: Robot, ramp: float = 0.5) -> Trajectory:
     """A circle from rest, and a sine of its own for every joint."""
-    arm = [Sine(0.5 / (1 + 0.3 * i), 2.0 + 0.7 * i, phase=0.4 * i) for i in range(robot.layout.arm)]
-    return Trajectory(Circle(1.0, 0.4, ramp=ramp) if robot.layout.base else None, tuple(arm))
+    arm = [Sine(0.5 / (1 + 0.3 * i), 2.0 + 0.7 * i, phase=0.4 * i) for i in range(robot.dimensions.arm)]
+    return Trajectory(Circle(1.0, 0.4, ramp=ramp) if robot.dimensions.base else None, tuple(arm))
 
 
 def loop(controller: Any = None, *, robot: Robot | None = None, duration: float = 0.2, **more: Any) -> Loop:

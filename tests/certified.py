@@ -12,6 +12,7 @@ from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
 from mmnn_pin.lab.proof.learner import Networks
 from mmnn_pin.lab.proof.motion_bound import Along
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Context
 
 PERIOD = 2e-4
@@ -55,7 +56,7 @@ def learner_loop(
 ) -> CertifiedLoop:
     """The same as the certificate takes it."""
     robot, control = certified_robot(), controller(**network)
-    layout = robot.layout
+    layout = Layout.of(robot.dimensions)
     table = TRAJECTORY.table(np.arange(600) * 0.01, layout)
     pose, v, a, q, qdot, qddot = np.split(table, np.cumsum([3, 2, 2, 2, 2]), axis=1)
     context = Context(layout, period, 10, np.random.default_rng(np.random.SeedSequence(0).spawn(1)[0]))

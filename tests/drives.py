@@ -110,4 +110,4 @@ def moving(robot: Robot, position, nu):
 
 def random_state(robot: Robot, seed: int = 0):
     rng = np.random.default_rng(seed)
-    return rng.uniform(-2, 2, robot.model.nv), rng.uniform(-2, 2, robot.layout.dof)
+    return rng.uniform(-2, 2, robot.model.nv), rng.uniform(-2, 2, robot.dimensions.dof)

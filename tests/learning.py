@@ -31,7 +31,7 @@ def assert_engines_agree(loop):
     kept = simulate_many([replace(loop, engine="compiled")] * 2, keep=True, workers=2)
     for one in kept:
         np.testing.assert_array_equal(one.recording["torque"], runs[0]["torque"])
-        np.testing.assert_array_equal(one.final["memory"], runs[0].final["memory"])
+        np.testing.assert_array_equal(one.final["controller_state"], runs[0].final["controller_state"])
     return runs[0]
 
 
@@ -40,14 +40,14 @@ def assert_it_resumes(whole, half):
     first = replace(whole, timing=msgspec.structs.replace(whole.timing, duration=half))
     straight, begun = whole.run(), first.run()
     state = first.controller.init(first.context())
-    state.values[:] = begun.final["memory"]
+    state.values[:] = begun.final["controller_state"]
     resumed = whole.run(
         state=state,
         plant_state=(begun.final["position"], begun.final["nu"]),
-        hardware_state=begun.final["rig_memory"] if begun.final["rig_memory"].size else None,
+        hardware_state=begun.final["hardware_state"] if begun.final["hardware_state"].size else None,
         first=round(half / whole.timing.control_period),
     )
-    np.testing.assert_array_equal(resumed.final["memory"], straight.final["memory"])
+    np.testing.assert_array_equal(resumed.final["controller_state"], straight.final["controller_state"])
 
 
 def assert_frozen(loop):

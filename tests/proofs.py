@@ -26,7 +26,7 @@ SLOW = bool(config.DISABLE_JIT)  # uncompiled code, for coverage: runs as short 
 def robot_of_kind(kind: str) -> Robot:
     """Two joints in any directions, gravity, friction."""
     robot = MAKE[kind](2)
-    return robot.with_friction(0.02 * np.arange(1, robot.layout.dof + 1))
+    return robot.with_friction(0.02 * np.arange(1, robot.dimensions.dof + 1))
 
 
 def loop_of(
@@ -34,7 +34,7 @@ def loop_of(
 ) -> Loop:
     """A loop that starts off its reference."""
     robot = robot_of_kind(kind)
-    base = {0: None, 2: PATHS["eight"], 3: Holonomic(PATHS["eight"], Sine(0.5, 4.0))}[robot.layout.base]
+    base = {0: None, 2: PATHS["eight"], 3: Holonomic(PATHS["eight"], Sine(0.5, 4.0))}[robot.dimensions.base]
     start = Start(pose_offset=(0.05, -0.04, 0.2) if base else (0.0, 0.0, 0.0), joint_offset=0.1, moving=True)
     settings = {
         "robot": robot,

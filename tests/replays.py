@@ -14,6 +14,7 @@ import numpy as np
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
+from mmnn_pin.signals import Layout
 
 TYPES = {"f4": "<f4", "u2": "<u2", "u4": "<u4"}
 
@@ -25,7 +26,7 @@ def motion(robot: Robot, time: np.ndarray) -> np.ndarray:
     for i in robot.arm_index:
         middle, swing = (lower[i] + upper[i]) / 2, (upper[i] - lower[i]) / 2
         table[:, i] = middle + 0.9 * swing * np.sin(1.5 * time + i)
-    if robot.layout.pose:
+    if robot.dimensions.pose:
         table[:, :3] = np.column_stack((0.6 * time, 0.2 * time**2, np.arctan2(0.4 * time, 0.6)))
         for wheel in robot.base.wheels:
             table[:, robot.position_names.index(wheel.joint)] = 0.6 * time / wheel.radius
@@ -49,12 +50,15 @@ def recorded(
 
     `wheels` is the number of wheels whose slip is recorded, as on the contact plant.
     """
-    time, layout = np.arange(round(duration / period)) * period, replace(robot.layout, wheels=wheels)
+    time, layout = np.arange(round(duration / period)) * period, replace(Layout.of(robot.dimensions), wheels=wheels)
     table, where = np.zeros((len(time), layout.width)), layout.where
     wish, done = motion(robot, time), motion(robot, time - lag)
     table[:, where("time")] = time[:, None]
     table[:, where("position")] = done
-    table[:, where("pose")], table[:, where("pose_ref")] = done[:, : robot.layout.pose], wish[:, : robot.layout.pose]
+    table[:, where("pose")], table[:, where("pose_ref")] = (
+        done[:, : robot.dimensions.pose],
+        wish[:, : robot.dimensions.pose],
+    )
     table[:, where("q")], table[:, where("q_ref")] = done[:, robot.arm_index], wish[:, robot.arm_index]
     change(table, where)
     recorder = Recorder(layout, robot.facts() | {"controller": controller} | meta)

@@ -74,8 +74,8 @@ def fixed_arm(joints: int = 7, seed: int = 0) -> Robot:
 def feedback(robot: Robot, period: float, share: float = 0.1) -> Feedback:
     """Gains that are this share of where each velocity alone, sampled with this period, would be unstable."""
     model, rng = Dynamics(robot), np.random.default_rng(0)
-    positions = [robot.neutral_position(), *rng.uniform(-1.5, 1.5, (10, robot.layout.full))]
+    positions = [robot.neutral_position(), *rng.uniform(-1.5, 1.5, (10, robot.dimensions.full))]
     worst = np.max([np.diag(np.linalg.inv(model.mass_matrix(position))) for position in positions], axis=0)
     gains = (share * 2.0 / (period * worst)).tolist()
-    nb = robot.layout.base
+    nb = robot.dimensions.base
     return Feedback(base=tuple(gains[:nb]), arm=tuple(gains[nb:]))

@@ -47,7 +47,7 @@ def test_peers_robot_has_the_reduced_dynamics_of_the_thesis_robot():
     data, dynamics = peer.createData(), Dynamics(robot)
     rng = np.random.default_rng(3)
     for _ in range(5):
-        position, nu = rng.uniform(-2, 2, robot.layout.full), rng.uniform(-2, 2, robot.layout.dof)
+        position, nu = rng.uniform(-2, 2, robot.dimensions.full), rng.uniform(-2, 2, robot.dimensions.dof)
         q = np.concatenate((position[:3], position[robot.arm_index]))
         c, s, w = np.cos(q[2]), np.sin(q[2]), nu[1]
         T = np.array([[c, 0, 0, 0], [s, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], float)
@@ -94,7 +94,7 @@ def test_reading_makes_a_file_that_is_understood_and_times_it(monkeypatch, tmp_p
     file = tmp_path / "made.urdf"
     file.write_text(reading.made(20_000))
     robot = load(file)
-    assert robot.base.kind == "differential_drive" and robot.layout.arm == 7 and not robot.findings
+    assert robot.base.kind == "differential_drive" and robot.dimensions.arm == 7 and not robot.findings
     monkeypatch.setattr(sys, "argv", ["reading.py", str(file), "--repetitions", "2", "--json"])
     reading.main()
     result = json.loads(capsys.readouterr().out)

@@ -161,7 +161,7 @@ def test_a_wheel_brings_robots_experiments_and_types(tmp_path: Path) -> None:
     assert all(Path(robot).is_relative_to(site) for robot in robots)
     assert (site / "mmnn_pin/py.typed").exists() and (site / "mmnn_pin/lab/experiments/chapter4.toml").exists()
     assert not (site / "tests").exists()
-    load = "from mmnn_pin import load, load_experiment; print(load(load_experiment('chapter4').robot).layout.dof)"
+    load = "from mmnn_pin import load, load_experiment; print(load(load_experiment('chapter4').robot).dimensions.dof)"
     assert python("-c", load, cwd=tmp_path, PYTHONPATH=str(site)).strip() == "4"
     names = python("-c", "from mmnn_pin.cli import main; main(['list'])", cwd=tmp_path, PYTHONPATH=str(site))
     assert "platform_arm" in names and "chapter4" in names

@@ -11,7 +11,7 @@ import task
 from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 
 from mmnn_pin.errors import InputError
-from mmnn_pin.loop.cycle import MEASURED, Cycle
+from mmnn_pin.loop.stepper import MEASURED, Stepper
 from mmnn_pin.signals import Measurement
 
 STOPS = (signal.SIGINT, signal.SIGTERM)  # they end the run between two cycles
@@ -71,7 +71,7 @@ def drive(cycle, channel, pace):
             if kind == MEASUREMENT:
                 measured = 1e-9 * channel.stamp - start
                 oldest = max(oldest, clock.monotonic() - channel.stamp * 1e-9)
-                cycle.step(k * cycle.period, came, measured)
+                cycle.step(k * cycle.period, came, measured=measured)
             else:
                 cycle.step(k * cycle.period)
             channel.send(COMMAND, cycle.motor_torque)
@@ -87,9 +87,9 @@ def drive(cycle, channel, pace):
 def control(options, experiment, robot, port, patience):
     """Run the controller of an experiment and tell how it went; the exit code."""
     loop = experiment.loop(robot, experiment.controller(options.controller, robot=robot))
-    layout, path = robot.layout, Path(options.out) / "controller.h5"
+    layout, path = robot.dimensions, Path(options.out) / "controller.h5"
     channel = Channel(layout.motors, layout.pose + layout.base + 2 * layout.arm, peer=("127.0.0.1", port))
-    with Cycle(loop, path, force=options.force, meta={"config": experiment.to_json()}) as cycle:
+    with Stepper(loop, path, force=options.force, meta={"config": experiment.to_json()}) as cycle:
         gc.collect()
         gc.freeze()  # what is there is no garbage: a collection looks only at what comes
         greet(channel, patience)

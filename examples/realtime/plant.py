@@ -17,6 +17,7 @@ from link import BYE, COMMAND, HELLO, MEASUREMENT, Channel
 from mmnn_pin import PD, TorqueController
 from mmnn_pin.errors import InputError
 from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.signals import Layout
 
 TIMEOUT, RAMP, LINGER = 0.5, 0.25, 1.0  # [s]
 LONGER = 5.0  # it outlives the controller's run by at most this [s]
@@ -29,7 +30,7 @@ class Motors(TorqueController):
 
     def __init__(self, robot, channel, fault):
         self.E, self.channel, self.fault = robot.E, channel, fault
-        self.command, self.refused, self.start, self.ramped = np.zeros(robot.layout.motors), 0, 0.0, None
+        self.command, self.refused, self.start, self.ramped = np.zeros(robot.dimensions.motors), 0, 0.0, None
         self.dismissed = False  # by a controller that said so
         self.heard, self.silent = 0.0, 0.0  # when the last command came, since when none has [s]
 
@@ -79,7 +80,7 @@ def main():
     options.add_argument("--wait", type=float, default=300.0, help="how long to wait for the controller [s]")
     options = options.parse_args()
     experiment, robot = task.task(options)
-    layout = robot.layout
+    layout = Layout.of(robot.dimensions)
     size = layout.pose + layout.base + 2 * layout.arm
     channel = Channel(size, layout.motors, options.port)
     motors = Motors(robot, channel, Faults(options.fault, options.seconds / 2))
@@ -92,7 +93,7 @@ def main():
     engine = loop.engine_at()
     path = Path(options.out) / "plant.h5"
     facts = loop.facts() | {"loop": "plant", "config": experiment.to_json()}
-    with Recorder(loop.robot.layout, facts, path, options.force) as recorder:
+    with Recorder(loop.layout, facts, path, options.force) as recorder:
         print(f"port {channel.port}", flush=True)
         position, nu = loop.start.state(robot, loop.table()[0])
         n = layout.base

@@ -25,7 +25,7 @@ from .run import run
 from .study import study, tune
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
-    os.environ.setdefault(_library, "1")  # see one_thread.py; read when numpy is imported
+    os.environ.setdefault(_library, "1")  # see compiled.py; read when numpy is imported
 
 
 class Commands(click.Group):

@@ -14,9 +14,8 @@ import numpy as np
 
 from ..errors import ConfigError, UnknownName
 from ..model.robot import Robot
-from ..settings import Settings
+from ..settings import Settings, Timing
 from ..signals import EARLY, Array
-from ..timing import Timing
 from .effects import PUSH, SHAPES, Pushes
 
 MOST = 1e9  # of a push [N, N m, N s, N m s]

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from ..compiled import one_thread
 from ..errors import ConfigError, InputError
-from ..one_thread import one_thread
 from ..recording.metrics import Reducer, Windows
 from ..recording.recorder import Recorder, known
 from ..recording.recording import Outcome, Recording
 from ..signals import Array
-from .controller_state import told_with
+from .controller import with_findings
 from .loop import Loop
 
 
@@ -29,7 +29,7 @@ class Run:
     Attributes:
         outcome: How it ended; `interrupted` at 0 s for a run that was not started before Ctrl-C.
         metrics: Numbers of the run, see `Reducer.result`; empty if it was not started.
-        final: Position, nu and the controller's memory at the end.
+        final: Position, nu and the states of controller and hardware at the end.
         recording: The signals, where they were asked for.
     """
 
@@ -43,7 +43,7 @@ class Run:
 def simulate_many(
     loops: Sequence[Loop],
     *,
-    memories: Sequence[Any] | None = None,
+    states: Sequence[Any] | None = None,
     windows: Windows = ((0.0, 1.0), (1.0, 5.0)),
     keep: bool | Collection[str] = False,
     workers: int | None = None,
@@ -57,7 +57,7 @@ def simulate_many(
 
     Args:
         loops: What to run.
-        memories: Controllers' memories to start from, one per loop; None for new ones.
+        states: Controllers' states to start from, one per loop; None for new ones.
         windows: Intervals for the RMS errors [s].
         keep: Keep the signals of all runs in memory: True for all of them, or the names of some, as
             `keep=("z", "e")`; `time` comes with them, and the weights at the start and the end.
@@ -65,14 +65,14 @@ def simulate_many(
         progress: Called with the number of runs done and of all runs.
 
     Raises:
-        ConfigError: No runs, not one memory per run or one of another controller, less than one worker, or more memory
+        ConfigError: No runs, not one state per run or one of another controller, less than one worker, or more memory
             needed than there is; before anything runs.
         UnknownName: A signal to keep that does not exist.
     """
     if not loops:
         raise ConfigError("no runs", fix="give at least one loop")
-    if memories is not None and len(memories) != len(loops):
-        raise ConfigError(f"{len(memories)} memories for {len(loops)} runs", fix="give one per run")
+    if states is not None and len(states) != len(loops):
+        raise ConfigError(f"{len(states)} states for {len(loops)} runs", fix="give one per run")
     workers = (os.cpu_count() or 1) if workers is None else workers
     if workers < 1:
         raise ConfigError(f"{workers} workers", fix="use at least one")
@@ -80,7 +80,7 @@ def simulate_many(
     if not isinstance(keep, bool):
         known(keep)
     require_memory(needed_bytes(loops, keep, workers))
-    starts = memories if memories is not None else [None] * len(loops)
+    starts = states if states is not None else [None] * len(loops)
     require_fit(loops, starts)
     stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
 
@@ -120,15 +120,15 @@ def simulate(
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
     if keep is not True:
         loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
-    engine, layout = loop.engine_at(state), loop.robot.layout
+    engine, layout = loop.engine_at(state), loop.layout
     facts = loop.facts() | {"loop": engine.name}
     reducer = Reducer.of(layout, facts, windows)
     if keep is False:
-        outcome = told_with(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.state)
+        outcome = with_findings(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.state)
         return Run(outcome, reducer.result(), loop.final(engine))
     with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
         outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
-        outcome = told_with(outcome, loop.controller, engine.state)
+        outcome = with_findings(outcome, loop.controller, engine.state)
         recording = recorder.finish(outcome, loop.final(engine))
     return Run(outcome, reducer.result(), loop.final(engine), recording)
 
@@ -150,30 +150,30 @@ class Both:
         self.recorder.weights(time, arrays)
 
 
-def require_fit(loops: Sequence[Loop], memories: Sequence[Any]) -> None:
-    """Refuse memories that do not belong to their loop's controller.
+def require_fit(loops: Sequence[Loop], states: Sequence[Any]) -> None:
+    """Refuse states that do not belong to their loop's controller.
 
     Raises:
-        ConfigError: With the place of the memory.
+        ConfigError: With the place of the state.
     """
-    for i, (loop, state) in enumerate(zip(loops, memories, strict=True)):
+    for i, (loop, state) in enumerate(zip(loops, states, strict=True)):
         if state is not None:
             try:
                 loop.state_from(state)
             except ConfigError as error:
-                error.key = f"memories[{i}]"
+                error.key = f"states[{i}]"
                 raise
 
 
 def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:
     """Memory that signals, weights and references take [bytes]; reading a recording's signals copies them once more."""
-    in_flight = sum(sorted(8 * loop.timing.samples * loop.robot.layout.width for loop in loops)[-workers:])
+    in_flight = sum(sorted(8 * loop.timing.samples * loop.layout.width for loop in loops)[-workers:])
     return in_flight + 8 * sum(kept_numbers(loop, keep) for loop in loops)
 
 
 def kept_numbers(loop: Loop, keep: bool | Collection[str]) -> int:
     """How many numbers are kept of a run."""
-    layout = loop.robot.layout
+    layout = loop.layout
     if isinstance(keep, bool):
         return (loop.timing.samples * layout.width + recorded_weights(loop)) if keep else 0
     where = [layout.where(name) for name in {"time", *keep}]

@@ -2,25 +2,86 @@
 
 The dynamics come from the flattened tree (`model/tree`); everything else is the same functions that the ordinary
 loop calls. The two agree to rounding.
+
+`advance` is the loop; its stages are spliced into it, since compiled code is optimised anew at every level of calls,
+seconds of a first run. What stands behind `hardware is not None` or `learner is not None` is compiled only for runs
+that have one.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..model.reduction import quadratic
-from ..model.tree.body import body_of, evaluate, new_work
-from ..model.tree.dynamics import potential_energy
-from ..plant.integrators import METHODS
-from ..signals import Array
-from ..torque.controller import CompiledController
-from .compiled_steps import Blocks, Plan, advance
-from .new_hardware import new_hardware
+from ..compiled import compiled, copy_to, spliced, view
+from ..disturbance import block
+from ..model.reduction import as_measured, quadratic
+from ..model.robot import Robot
+from ..model.tree.body import Body, Work, body_of, energy_of, evaluate, new_work
+from ..model.tree.dynamics import potential_energy, psi_again
+from ..plant.integrators import METHODS, RK4, Joints, Terms, derivative, euler, rk4_stage
+from ..safety import TRIPPED, has_ended
+from ..sensing import exact
+from ..signals import EARLY, INDEX, Array, IntArray
+from ..torque import law
+from ..torque.controller import CompiledController, ControllerState
+from ..torque.law import MotorLimits, Packed, estimate, settle
+from .hardware import Hardware, act, is_stopped, note, rotate, send, sense
+from .sample import Plan, after_torque, before_torque
 
-if TYPE_CHECKING:
-    from .loop import Loop
+NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi", "psi_hat", "torque"))
+POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
+
+
+class Numbers(NamedTuple):
+    """The numbers of a run: control period, plant step, steps per control and measurement, integrator."""
+
+    h: float
+    dt: float
+    steps: int
+    per_measurement: int
+    method: int
+    uses_model: bool
+    start_energy: float
+
+
+class Run(NamedTuple):
+    """The blocks' settings as arrays, the controller's state, and where the samples go."""
+
+    numbers: Numbers
+    at: IntArray
+    setpoints: Array
+    gains: Array
+    K: Array
+    law: Packed
+    E_inv: Array
+    bounds: Array
+    state: Array
+    counter: IntArray
+    rows: Array
+    row: Array
+
+
+class Machine(NamedTuple):
+    """A robot in motion: its body, the body with its payload, memory to work in, position, nu and work done."""
+
+    body: Body
+    loaded: Body
+    work: Work
+    y: Array
+    position: Array
+    nu: Array
+
+
+def new_machine(robot: Robot, loaded: Robot | None, position: Array, nu: Array) -> Machine:
+    """A robot at a position (nv,) with velocity nu (p,).
+
+    Raises:
+        RobotError: It has a joint that cannot be flattened.
+    """
+    body, y, nv = body_of(robot), np.concatenate((position, nu, [0.0])), position.size
+    return Machine(body, body if loaded is None else body_of(loaded), new_work(body), y, y[:nv], y[nv : nv + nu.size])
 
 
 class CompiledLoop:
@@ -33,59 +94,208 @@ class CompiledLoop:
     name = "compiled"
 
     def __init__(
-        self, loop: Loop, table: Array, position: Array, nu: Array, state: Any, hardware_state: Array | None, block: int
+        self, plan: Plan, position: Array, nu: Array, state: ControllerState, hardware: Hardware | None
     ) -> None:
-        assert isinstance(loop.controller, CompiledController)
-        robot, layout, timing = loop.robot, loop.robot.layout, loop.timing
-        self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
-        self.counter, self.state = np.zeros(1, np.int64), state
-        self.y = np.concatenate((position, nu, [0.0]))
-        self.body = body_of(robot)
-        self.work = new_work(self.body)
-        uses_model = loop.controller.uses_model
-        nominal = loop.believed
-        self.nominal = body_of(nominal) if uses_model else self.body
-        self.nominal_work = new_work(self.nominal)
-        self.nominal_y = np.concatenate((nominal.neutral_position(), np.zeros(layout.dof + 1)))
-        context = loop.context()
-        law = loop.controller.law(context)
-        self.learner, self.limits = law.learner, context.limits
-        self.hardware, loaded = new_hardware(loop, nu, state, hardware_state), loop.loaded()
-        self.loaded = self.body if loaded is None else body_of(loaded)
-        self.blocks = Blocks(
+        assert isinstance(plan.controller, CompiledController)
+        layout, timing, torque = plan.layout, plan.timing, plan.controller.law(plan.context)
+        self.row, self.rows, self.step_times = (
+            layout.new_row(),
+            np.zeros((plan.block, layout.width)),
+            np.zeros(plan.block),
+        )
+        self.counter, self.state, self.hardware = np.zeros(1, np.int64), state, hardware
+        self.learner, self.limits = torque.learner, plan.context.limits
+        self.true = new_machine(plan.robot, plan.loaded, position, nu)
+        uses_model = plan.controller.uses_model
+        nominal = plan.believed if uses_model else plan.robot
+        self.nominal = new_machine(nominal, None, nominal.neutral_position(), np.zeros(layout.dof))
+        self.y = self.true.y
+        self.run = Run(
+            numbers=Numbers(
+                h=timing.control_period,
+                dt=timing.plant_step,
+                steps=timing.steps_per_control,
+                per_measurement=timing.steps_per_measurement,
+                method=METHODS[timing.integrator],
+                uses_model=uses_model,
+                start_energy=start_energy(self.true),
+            ),
             at=layout.offsets,
-            table=table,
-            gains=loop.kinematic.base_gains(layout.base),
-            K=loop.kinematic.arm_gains(layout),
-            law=law.numbers,
-            E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
-            bounds=loop.bounds.vector(layout),
+            setpoints=plan.setpoints,
+            gains=plan.gains,
+            K=plan.K,
+            law=torque.numbers,
+            E_inv=plan.E_inv,
+            bounds=plan.bounds,
+            state=state.values,
+            counter=self.counter,
+            rows=self.rows,
+            row=self.row,
         )
-        self.plan = Plan(
-            h=timing.control_period,
-            dt=timing.plant_step,
-            steps=timing.steps_per_control,
-            per_measurement=timing.steps_per_measurement,
-            method=METHODS[timing.integrator],
-            uses_model=uses_model,
-            start_energy=self._energy(position, nu),
-        )
-
-    @property
-    def hardware_state(self) -> Array:
-        """What sensors, motors and supervisor remember."""
-        return np.zeros(0) if self.hardware is None else self.hardware.state
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`."""
-        return advance(
-            first, last, self.counter, self.rows, self.row, self.blocks, self.plan, self.state.values, self.body,
-            self.loaded, self.work, self.nominal, self.nominal_work, self.nominal_y, self.y, self.hardware,
-            self.learner, self.limits,
-        )  # fmt: skip
+        return advance(first, last, self.run, self.true, self.nominal, self.hardware, self.learner, self.limits)
 
-    def _energy(self, position: Array, nu: Array) -> float:
-        """Kinetic and potential energy at the start [J]; `energy_of` would be compiled for this one call."""
-        evaluate(self.body, self.work, position, nu)
-        potential = potential_energy(self.body.tree, position, self.work.scratch) if self.body.feels_gravity else 0.0
-        return 0.5 * quadratic(self.work.M, nu) + potential
+
+def start_energy(true: Machine) -> float:
+    """Kinetic and potential energy at the start [J]; `energy_of` would be compiled for this one call."""
+    body, work = true.body, true.work
+    evaluate(body, work, true.position, true.nu)
+    potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
+    return 0.5 * quadratic(work.M, true.nu) + potential
+
+
+@compiled
+def advance(
+    first: int,
+    last: int,
+    run: Run,
+    true: Machine,
+    nominal: Machine,
+    hardware: Hardware | None,
+    learner: Any,
+    limits: MotorLimits | None,
+) -> int:
+    """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
+
+    Args:
+        first: Control sample.
+        last: Control sample.
+        run: Settings and buffers.
+        true: The true robot, which moves.
+        nominal: The one that the controller believes in, where it uses a model.
+        hardware: Sensors, motors, supervisor and disturbances; None for an ideal robot.
+        learner: What the controller learns with beside networks; None for nothing.
+        limits: What Psi_hat is kept within; None for nothing.
+    """
+    n = run.numbers
+    for k in range(first, last):
+        time, body, energy = k * n.h, true.body, n.start_energy
+        if hardware is not None and time + EARLY >= hardware.world.pick:
+            pick_up(true, hardware)
+            body, energy = true.loaded, n.start_energy + hardware.world.shift[0]
+        if k * n.steps % n.per_measurement == 0:
+            measure(k * n.steps // n.per_measurement, time, run, true, hardware)
+        control(k, time, run, nominal, hardware, learner, limits)
+        bad = observe(run, body, true, energy)
+        if bad >= 0:
+            return bad
+        copy_to(run.row, run.rows[k - first])
+        run.counter[0] = k - first + 1
+        tau = view(run.row, run.at, TORQUE)
+        for i in range(n.steps):
+            step = k * n.steps + i
+            if i > 0 and step % n.per_measurement == 0:
+                measure(step // n.per_measurement, step * n.dt, run, true, hardware)
+            if hardware is not None:
+                drive(k, step * n.dt, run, true, hardware)
+                tau = hardware.tau
+            move(n, i, body, true, tau)
+        if hardware is not None:
+            note(n.steps, run.rows[k - first], run.at, hardware.totals)
+            supervisor = hardware.supervisor
+            if supervisor.on and has_ended(time, supervisor.numbers, supervisor.state):
+                return TRIPPED
+    return -1
+
+
+@spliced
+def measure(number: int, time: float, run: Run, true: Machine, hardware: Hardware | None) -> None:
+    """The measurement of this number at a time [s], into the row."""
+    if hardware is not None:
+        sense(number, time, run.row, run.at, true.position, true.nu, true.body.arm, hardware)
+    else:
+        exact(run.row, run.at, true.position, true.nu, true.body.arm)
+
+
+@spliced
+def control(
+    k: int,
+    time: float,
+    run: Run,
+    nominal: Machine,
+    hardware: Hardware | None,
+    learner: Any,
+    limits: MotorLimits | None,
+) -> None:
+    """Setpoint -> kinematic -> torque -> safety of sample k, as `sample.Control.step`."""
+    n, row, at, asked = run.numbers, run.row, run.at, True
+    before_torque(row, at, time, run.setpoints[k], run.gains, run.K)
+    if hardware is not None:
+        asked = not is_stopped(hardware.supervisor.on, hardware.supervisor.state)
+    if asked:
+        if n.uses_model:
+            model_psi(row, at, nominal)
+        if learner is not None:
+            estimate(row, at, learner, run.state)
+        law.step(row, at, run.law, run.state, limits)
+    if hardware is not None:
+        send(k, time, row, at, run.state, hardware)
+    if learner is not None and asked:
+        settle(row, at, learner, run.state)
+
+
+@spliced
+def drive(k: int, time: float, run: Run, true: Machine, hardware: Hardware) -> None:
+    """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
+    rotate(true.nu, hardware.E, hardware.motors.wire.joint)
+    act(k, time, run.row, run.at, hardware)
+    block(time, hardware.world.blocked, true.work.hold)
+
+
+@spliced
+def pick_up(true: Machine, hardware: Hardware) -> None:
+    """Note the energy that comes with the payload, once: it is no error of the balance."""
+    shift = hardware.world.shift
+    if shift[1] == 0.0:
+        before = energy_of(true.body, true.work, true.position, true.nu)
+        shift[0], shift[1] = energy_of(true.loaded, true.work, true.position, true.nu) - before, 1.0
+
+
+@spliced
+def model_psi(row: Array, at: IntArray, nominal: Machine) -> None:
+    """Psi of the nominal robot at the measured state, into psi_hat."""
+    body, work, psi_hat = nominal.body, nominal.work, view(row, at, PSI_HAT)
+    as_measured(
+        body.offset, body.columns, view(row, at, POSE), view(row, at, VELOCITY), view(row, at, Q),
+        view(row, at, QDOT), nominal.position, nominal.nu,
+    )  # fmt: skip
+    evaluate(body, work, nominal.position, nominal.nu)
+    psi_again(body.tree, nominal.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), work.scratch, psi_hat)
+    for i in range(psi_hat.size):
+        psi_hat[i] += work.F[i]
+
+
+@spliced
+def observe(run: Run, body: Body, true: Machine, energy: float) -> int:
+    """What only a simulation knows of a sample, into the row; -1, or the column that went bad."""
+    row, at, work = run.row, run.at, true.work
+    psi = view(row, at, PSI)
+    evaluate(body, work, true.position, true.nu)
+    psi_again(body.tree, true.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), work.scratch, psi)
+    for i in range(psi.size):
+        psi[i] += work.F[i]
+    potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
+    return after_torque(row, at, true.y, body.arm, work.M, run.E_inv, potential, energy, run.bounds)
+
+
+@spliced
+def move(n: Numbers, i: int, body: Body, true: Machine, tau: Array) -> None:
+    """Step i of the plant in a control period under a torque (p,); at step 0 the dynamics are evaluated already."""
+    work, y = true.work, true.y
+    terms = Terms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
+    if n.method != RK4:
+        if i > 0:
+            evaluate(body, work, true.position, true.nu)
+        joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base)
+        euler(n.method, n.dt, joints, terms, tau, y)
+    else:
+        nv, p = body.T.shape
+        copy_to(y, work.trial)
+        for stage in range(4):
+            if i > 0 or stage > 0:
+                evaluate(body, work, work.trial[:nv], work.trial[nv : nv + p])
+            derivative(work.trial, tau, body.base, terms)
+            rk4_stage(stage, n.dt, y, work.ydot, work.total, work.trial)
+        copy_to(work.trial, y)

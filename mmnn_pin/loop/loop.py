@@ -1,45 +1,57 @@
-"""The closed loop: reference, kinematic layer, torque controller, plant, sensor; every control sample is a row.
+"""The closed loop: setpoints, kinematic layer, torque controller, plant, sensor; every control sample is a row.
 
-`Loop.run` streams the rows into a recording. One of two engines does the steps (`engines`).
+`Loop` describes one, checks it and makes a `Plan` of it, by which one of two engines steps: the compiled loop has no
+Python in it, the ordinary loop takes any controller and any robot. They call the same blocks. `Loop.run` streams the
+rows into a recording.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
 from ..actuator import Actuator
+from ..compiled import one_thread
 from ..disturbance import Disturbance, payload
-from ..errors import InputError, UnknownName
-from ..given_arrays import given_array
+from ..errors import ConfigError, InputError, RobotError, UnknownName
 from ..kinematic import Kinematic
 from ..model.robot import Robot, carrying
-from ..one_thread import one_thread
 from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording
 from ..reference import Trajectory
-from ..safety import Safety
+from ..safety import HAS_TRIPPED, TRIPPED, Safety, remarks, trip_of
 from ..sensing import Sensor
-from ..settings import plain
-from ..signals import Array, Layout
-from ..timing import Timing
+from ..settings import Timing, given_array, plain
+from ..signals import SIGNALS, Array, Dimensions, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.learning_law import origin_of
-from .before_run import require_first, require_nominal, require_stable_gains
-from .control import context_of
-from .controller_state import state_from, told_with
-from .engines import Engine, new_engine
+from .before_run import Bounds, Start, require_first, require_nominal, require_stable_gains
+from .compiled import CompiledLoop
+from .controller import context_of, state_from, with_findings
+from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
-from .start import Bounds, Start
-from .streaming import Sink, run_to_end, with_remarks
+from .sample import Plan
 
+Engine = CompiledLoop | OrdinaryLoop
+BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
+
+
+class Sink(Protocol):
+    """What takes the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
+
+    def append_block(self, rows: Array, step_times: Array) -> None:
+        """Take rows (k, width) and the wall-clock time of each (k,) [s]."""
+
+    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
+        """Take a snapshot of the weights at a time [s]."""
 
 
 @dataclass(frozen=True)
@@ -90,17 +102,15 @@ class Loop:
     within_limits: bool | None = None
 
     def __post_init__(self) -> None:
-        """The rows of both robots have the signals that plant, motors, supervisor and disturbances add."""
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances))
-        for name in ("robot", "nominal"):
-            robot = getattr(self, name)
-            if robot is not None and (robot.layout.wheels, robot.layout.hardware) != (wheels, hardware):
-                object.__setattr__(
-                    self, name, replace(robot, layout=replace(robot.layout, wheels=wheels, hardware=hardware))
-                )
+        return Layout.of(self.robot.dimensions, wheels, hardware)
 
     @one_thread
     def run(
@@ -121,25 +131,25 @@ class Loop:
             path: File for the recording; None keeps it in memory.
             force: Replace an existing file.
             meta: More facts for the recording.
-            state: A controller's memory to start from (it is copied); None for a new one.
+            state: A controller's state to start from (it is copied); None for a new one.
             plant_state: Position (nv,) and nu (p,) to start from instead of `start`.
             hardware_state: What sensors, motors and supervisor remember (it is copied); None for a new one.
-            first: Control sample to start at, one with a measurement; with the memories and state of an earlier run at
+            first: Control sample to start at, one with a measurement; with the states of an earlier run at
                 that sample, the run resumes.
             progress: Called now and then with the simulated time [s].
 
         Raises:
             ConfigError: Gains of wrong shape, or a PD loop that is unstable when sampled; an engine that cannot run
-                this; a memory of another controller; a first sample outside the run or between two measurements.
+                this; a state of another controller; a first sample outside the run or between two measurements.
             TrajectoryError: A reference that the base cannot follow.
             RecordingError: The recording cannot be written.
         """
-        require_stable_gains(self)
+        self.require_stable_gains()
         engine = self.engine_at(state, plant_state, first, hardware_state)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
-        with Recorder(self.robot.layout, facts, path, force) as recorder:
+        with Recorder(self.layout, facts, path, force) as recorder:
             outcome = self.stream(engine, recorder, first=first, progress=progress)
-            return recorder.finish(told_with(outcome, self.controller, engine.state), self.final(engine))
+            return recorder.finish(with_findings(outcome, self.controller, engine.state), self.final(engine))
 
     def engine_at(
         self,
@@ -151,42 +161,81 @@ class Loop:
         """The engine that steps this loop, at its start; arguments as in `run`.
 
         Raises:
-            ConfigError: The engine cannot run this controller; a nominal robot of another shape; a memory of another
-                controller, a state of wrong shape or not finite, a first sample outside the run or between two
+            ConfigError: The engine cannot run this controller; a nominal robot of another shape; a state of another
+                controller, a plant's state of wrong shape or not finite, a first sample outside the run or between two
                 measurements.
             RobotError: The compiled engine is asked for and the robot cannot be flattened.
             TrajectoryError: A reference that the base cannot follow.
         """
         require_first(self.timing, first)
-        require_nominal(self)
-        table, layout, state = self.table(), self.robot.layout, self.state_from(state)
-        position, nu = self.start.state(self.robot, table[first]) if plant_state is None else plant_state
-        position, nu = given_array("state", position, (layout.full,)), given_array("state", nu, (layout.dof,))
-        return new_engine(self, table, position, nu, state, hardware_state)
+        require_nominal(self.believed, self.robot)
+        plan, state = self.plan(), self.state_from(state)
+        dims, first_setpoint = self.robot.dimensions, plan.setpoints[first]
+        position, nu = self.start.state(self.robot, first_setpoint) if plant_state is None else plant_state
+        position, nu = given_array("plant_state", position, (dims.full,)), given_array("plant_state", nu, (dims.dof,))
+        arguments = (plan, position, nu, state, new_hardware(self, nu, state, hardware_state))
+        if self.engine == "compiled":
+            require_compilable(self)
+            return CompiledLoop(*arguments)
+        if self.engine == "auto" and not isinstance(self.controller, TorqueController) and self.plant == "ideal":
+            with suppress(RobotError):  # a joint that cannot be flattened
+                return CompiledLoop(*arguments)
+        return OrdinaryLoop(*arguments)
+
+    def plan(self) -> Plan:
+        """What an engine needs of this loop.
+
+        Raises:
+            TrajectoryError: A reference that the base cannot follow.
+            UnknownName: A payload on a joint that does not exist.
+        """
+        return Plan(
+            robot=self.robot,
+            layout=self.layout,
+            timing=self.timing,
+            controller=self.controller,
+            context=self.context(),
+            believed=self.believed,
+            gains=self.kinematic.base_gains(self.layout.base),
+            K=self.kinematic.arm_gains(self.layout),
+            bounds=self.bounds.vector(self.layout),
+            setpoints=self.table(),
+            loaded=self.loaded(),
+            contact=self.contact if self.plant == "contact" else None,
+            block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
+        )
+
+    def require_stable_gains(self) -> None:
+        """Judge the sampled PD loop along the reference, unless `check_gains` is off.
+
+        Raises:
+            ConfigError: It is unstable, with the numbers.
+        """
+        if self.check_gains:
+            require_stable_gains(self.plan())
 
     def rehearse(self) -> None:
-        """Ask a controller in plain Python at two samples, with a memory that is dropped: what fails, fails now.
+        """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.
 
         Raises:
             InputError: It fails, or returns something of another shape; what `engine_at` refuses.
         """
         engine = self.engine_at()
         assert isinstance(engine, OrdinaryLoop)
-        engine.control.hardware = None
-        for k in range(min(2, self.timing.samples)):
-            engine.control.step(k, k * self.timing.control_period, engine.plant.y, engine.table[k], True)
+        engine.rehearse(min(2, self.timing.samples))
 
     def final(self, engine: Engine) -> dict[str, Array]:
-        """Position, nu, the hardware's and the controller's state where an engine stands."""
-        nv, p = self.robot.layout.full, self.robot.layout.dof
-        final = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p], "rig_memory": engine.hardware_state}
-        return final | ({"memory": engine.state.values} if isinstance(engine.state, ControllerState) else {})
+        """Position, nu, and the states of hardware and controller where an engine stands."""
+        nv, p, hardware = self.layout.full, self.layout.dof, engine.hardware
+        final = {"position": engine.y[:nv], "nu": engine.y[nv : nv + p]}
+        final["hardware_state"] = np.zeros(0) if hardware is None else hardware.state
+        return final | ({"controller_state": engine.state.values} if isinstance(engine.state, ControllerState) else {})
 
     def context(self) -> Context:
         """What the controller is told before the run."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
         period, samples = self.timing.control_period, self.timing.samples
-        return context_of(self.controller, self.robot, period, samples, rng, self.within_limits)
+        return context_of(self.controller, self.robot, period, samples, rng, self.within_limits, self.layout)
 
     def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
         """Random generators of the sensors and of the disturbances, split from the run's seed."""
@@ -214,7 +263,7 @@ class Loop:
         Raises:
             TrajectoryError: The base cannot follow it.
         """
-        arguments = (self.trajectory, self.timing.samples, self.timing.control_period, self.robot.layout)
+        arguments = (self.trajectory, self.timing.samples, self.timing.control_period, self.layout)
         try:
             return sampled_reference(*arguments).copy()
         except TypeError:  # a path of arrays has no hash
@@ -241,7 +290,7 @@ class Loop:
         return own or self.nominal or self.robot
 
     def state_from(self, given: Any = None) -> Any:
-        """A copy of a controller's memory that fits this loop; a new one for None.
+        """A copy of a controller's state that fits this loop; a new one for None.
 
         Raises:
             ConfigError: It is of another controller or of other settings, or not finite.
@@ -270,7 +319,80 @@ class Loop:
         return with_remarks(outcome, engine, self.robot)
 
 
+def require_compilable(loop: Loop) -> None:
+    """Refuse the compiled engine to a loop with Python or MuJoCo in it.
+
+    Raises:
+        ConfigError: It has.
+    """
+    if isinstance(loop.controller, TorqueController):
+        what, why, fix = "a controller in plain Python cannot be compiled", "", "use engine = 'auto'"
+    elif loop.plant == "contact":
+        what, why = "the contact plant cannot be compiled", "MuJoCo steps it, the ordinary loop only"
+        fix = "use engine = 'auto', or the ideal plant"
+    else:
+        return
+    raise ConfigError(what, why=why, fix=fix, key="engine")
+
+
+def run_to_end(
+    loop: Loop,
+    engine: Engine,
+    sink: Sink,
+    first: int,
+    progress: Callable[[float], None] | None,
+    cancelled: Callable[[], bool],
+) -> Outcome:
+    """Run to the end, to divergence, to a trip or to an interruption; arguments as in `Loop.stream`."""
+    state, k, h, samples = engine.state, first, loop.timing.control_period, loop.timing.samples
+    every = max(1, round(loop.weights_interval / h))
+    try:
+        while k < samples:
+            if k % every == 0 and (weights := loop.controller.weights(state)):
+                sink.weights(k * h, weights)
+            engine.counter[0] = 0
+            try:
+                bad = engine.advance(k, min(k + len(engine.rows), (k // every + 1) * every, samples))
+            finally:
+                done = int(engine.counter[0])
+                sink.append_block(engine.rows[:done], engine.step_times[:done])
+                k += done
+            if bad == TRIPPED:
+                break
+            if bad >= 0:
+                return diverged(engine.row, loop.layout, bad, k * h, sink)
+            if progress is not None:
+                progress(k * h)
+            if cancelled():
+                return Outcome("interrupted", k * h, message=f"stopped at t = {k * h:g} s")
+    except KeyboardInterrupt:
+        return Outcome("interrupted", k * h, message="stopped by Ctrl-C")
+    if weights := loop.controller.weights(state):
+        sink.weights(k * h, weights)
+    if engine.hardware is not None and engine.hardware.supervisor.on and engine.hardware.supervisor.state[HAS_TRIPPED]:
+        return Outcome("tripped", *trip_of(engine.hardware.supervisor.state, loop.robot))
+    return Outcome("completed", samples * h)
+
+
+def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
+    """An outcome whose message also tells what supervisor and plant saw."""
+    found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
+    if engine.hardware is not None and engine.hardware.supervisor.on:
+        found = remarks(engine.hardware.supervisor.state, robot, outcome.status) + found
+    return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
+
+
+def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:
+    """Outcome of a run whose row went bad at a column; a row that is still finite is kept."""
+    i = int(np.searchsorted(layout.offsets, column, side="right") - 1)
+    signal, value = f"{SIGNALS[i][0]}[{column - layout.offsets[i]}]", row[column]
+    if np.isfinite(row).all():
+        sink.append_block(row[None], np.zeros(1))
+    why = "left its bounds" if np.isfinite(value) else "is not finite"
+    return Outcome("diverged", time, signal, f"{signal} {why} ({value:.3g}) at t = {time:g} s")
+
+
 @lru_cache(maxsize=4)  # runs of a batch mostly share their reference
-def sampled_reference(trajectory: Trajectory, samples: int, period: float, layout: Layout) -> Array:
+def sampled_reference(trajectory: Trajectory, samples: int, period: float, layout: Dimensions) -> Array:
     """Rows of a trajectory at all control samples; errors as in `Loop.table`."""
     return trajectory.table(np.arange(samples) * period, layout)

@@ -11,10 +11,10 @@ from .. import actuator as motor
 from .. import disturbance, safety
 from ..disturbance import Forces
 from ..errors import ConfigError
-from ..given_arrays import given_array
 from ..model.dynamics import Dynamics
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders
+from ..settings import given_array
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
@@ -39,7 +39,7 @@ def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: 
         ConfigError: Settings that do not fit the robot; a state of wrong shape or not finite.
         UnknownName: A joint that does not exist.
     """
-    robot, layout, timing, events = loop.robot, loop.robot.layout, loop.timing, loop.disturbances
+    robot, layout, timing, events = loop.robot, loop.layout, loop.timing, loop.disturbances
     disturbance.require_long_enough(events, timing.plant_step)
     faults = np.column_stack((disturbance.lateness(events, timing), disturbance.corruption(events, timing)))
     frozen, geared = frozen_encoders(loop), geared_motors(loop)
@@ -54,14 +54,14 @@ def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: 
     require_read_encoders(loop)
     if is_exact and not layout.hardware:
         if given is not None:
-            given_array("rig_memory", given, (0,))
+            given_array("hardware_state", given, (0,))
         return None
     sensor_rng, gust_rng = loop.streams()
     count = 0 if is_exact else timing.measurements
     sensors = loop.sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
     before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
     if given is not None:  # messages of no numbers may be under way
-        values[:] = given_array("rig_memory", given, values.shape, finite=not np.isnan(faults[:, 1]).any())
+        values[:] = given_array("hardware_state", given, values.shape, finite=not np.isnan(faults[:, 1]).any())
     return Hardware(
         exact=is_exact,
         sensors=sensors._replace(effects=(*before, *sensors.effects)),
@@ -88,7 +88,7 @@ def flat(parts: tuple[Array, ...]) -> tuple[Array, list[Array]]:
 
 def geared_motors(loop: Loop) -> IntArray:
     """Motors whose encoder backlash separates from the joint, (k, 3), see `MotorSide`."""
-    layout, found = loop.robot.layout, []
+    layout, found = loop.robot.dimensions, []
     places = motor.motor_places(loop.robot)
     if loop.sensor.side == "motor":
         gaps = np.broadcast_to(loop.actuator.gap, layout.motors)
@@ -104,7 +104,7 @@ def frozen_encoders(loop: Loop) -> Array:
         UnknownName: A joint that does not exist.
     """
     robot = loop.robot
-    wheels = [wheel.joint for wheel in robot.base.wheels] if robot.layout.base else []
+    wheels = [wheel.joint for wheel in robot.base.wheels] if robot.dimensions.base else []
     names = [*wheels, *robot.joint_names]
     windows = disturbance.windows(disturbance.Frozen, loop.disturbances, names)
     found = [
@@ -112,7 +112,7 @@ def frozen_encoders(loop: Loop) -> Array:
             robot.position_names.index(names[int(i)]),
             start,
             end,
-            robot.layout.base + i - len(wheels) if i >= len(wheels) else -1,
+            robot.dimensions.base + i - len(wheels) if i >= len(wheels) else -1,
         )
         for i, start, end in windows
     ]
@@ -126,7 +126,7 @@ def world_of(loop: Loop, rng: np.random.Generator) -> World:
         ConfigError: Blocked joints, and the integrator has no friction that holds them; two payloads.
         UnknownName: A joint or velocity that does not exist.
     """
-    robot, timing, first = loop.robot, loop.timing, loop.robot.layout.pose
+    robot, timing, first = loop.robot, loop.timing, loop.robot.dimensions.pose
     pushes = disturbance.pushes(loop.disturbances, robot, timing.plant_step, timing.samples, rng)
     blocked = disturbance.windows(disturbance.Block, loop.disturbances, robot.position_names[first:])
     blocked[:, 0] += first
@@ -135,12 +135,12 @@ def world_of(loop: Loop, rng: np.random.Generator) -> World:
         raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
     _, load = disturbance.payload(loop.disturbances)
     pick = math.inf if load is None else float(load.start)
-    return World(len(pushes.table) > 0, Forces(np.zeros(robot.layout.dof)), (pushes,), blocked, pick, np.zeros(2))
+    return World(len(pushes.table) > 0, Forces(np.zeros(robot.dimensions.dof)), (pushes,), blocked, pick, np.zeros(2))
 
 
 def supervisor_of(loop: Loop, state: ControllerState | object, values: Array) -> Supervisor:
     """The supervisor of a loop with a state (see `safety.new_state`)."""
-    layout, timing, actuator = loop.robot.layout, loop.timing, loop.actuator
+    layout, timing, actuator = loop.robot.dimensions, loop.timing, loop.actuator
     weights = places_of_weights(loop, state)
     if loop.safety is None:
         return safety.no_supervisor(layout, values)
@@ -179,7 +179,7 @@ def stopping_gains(loop: Loop) -> Array:
     In the latter case `G M^-1` has no eigenvalue beyond half of what would be deadbeat in one control period.
     """
     if isinstance(loop.controller, CompiledController | LearningLaw):
-        return loop.controller.feedback_gain(loop.robot.layout)
+        return loop.controller.feedback_gain(loop.robot.dimensions)
     M = Dynamics(loop.nominal or loop.robot).mass_matrix(loop.robot.neutral_position())
     fastest = float(np.linalg.eigvals(np.linalg.solve(M, np.diag(np.diag(M)))).real.max())
     return min(STOP_BANDWIDTH, 0.5 / (loop.timing.control_period * fastest)) * np.diag(M)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time as clock
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -14,13 +14,8 @@ from ..plant.ideal import IdealPlant
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
 from ..signals import EARLY, Array
-from .control import Control
 from .hardware import Hardware, act, note, sense
-from .new_hardware import new_hardware
-from .sample import after_torque
-
-if TYPE_CHECKING:
-    from .loop import Loop
+from .sample import Control, Plan, after_torque
 
 PATIENCE = 0.2  # [s] of wall clock after which a block of samples is handed over
 
@@ -29,13 +24,11 @@ class OrdinaryLoop:
     """A loop that steps through Python.
 
     Args:
-        loop: The closed loop.
-        table: Reference at every control sample.
+        plan: Of the loop.
         position: Where to start, (nv,).
         nu: With which velocity, (p,).
-        state: The controller's memory.
-        hardware_state: The memory of sensors, motors and supervisor; None for a new one.
-        block: Samples handed over at a time.
+        state: The controller's state.
+        hardware: Sensors, motors, supervisor and disturbances; None for an ideal robot.
 
     Attributes:
         rows: Buffer for a block of samples.
@@ -43,88 +36,92 @@ class OrdinaryLoop:
         counter: (1,) how many of them are done.
         y: The plant's position, nu and work.
         row: The row that is being computed.
+
+    Raises:
+        ConfigError: The contact plant, and MuJoCo is not installed.
+        RobotError: The contact plant, and a robot that it cannot carry.
     """
 
     name = "ordinary"
 
-    def __init__(
-        self, loop: Loop, table: Array, position: Array, nu: Array, state: Any, hardware_state: Array | None, block: int
-    ) -> None:
-        layout = loop.robot.layout
-        self.loop, self.table, self.at = loop, table, layout.offsets
-        self.row, self.rows, self.step_times = layout.new_row(), np.zeros((block, layout.width)), np.zeros(block)
+    def __init__(self, plan: Plan, position: Array, nu: Array, state: Any, hardware: Hardware | None) -> None:
+        layout = plan.layout
+        self.plan, self.state, self.hardware, self.at = plan, state, hardware, layout.offsets
+        self.row, self.rows, self.step_times = (
+            layout.new_row(),
+            np.zeros((plan.block, layout.width)),
+            np.zeros(plan.block),
+        )
         self.counter = np.zeros(1, np.int64)
-        self.state = state
-        self.plant = plant_of(loop)
+        self.plant = plant_of(plan)
         self.plant.start(position, nu)
-        self.y, self.loaded = self.plant.y, loop.loaded()
-        self.hardware = new_hardware(loop, nu, state, hardware_state)
-        self.control = Control(loop, self.row, state, self.hardware)
-        self.bounds, self.E_inv = loop.bounds.vector(layout), np.ascontiguousarray(np.linalg.pinv(loop.robot.E))
-        self.start_energy = self.energy()
+        self.y, self.loaded = self.plant.y, plan.loaded
+        self.control = Control(plan, self.row, state, hardware)
+        self.arm, self.E_inv, self.start_energy = plan.robot.arm_index, plan.E_inv, self.energy()
         names = ("torque", "nu_ref", "nudot_ref", "psi")
         self.tau, self.nu_ref, self.nudot_ref, self.psi = (self.row[layout.where(name)] for name in names)
-
-    @property
-    def hardware_state(self) -> Array:
-        """What sensors, motors and supervisor remember."""
-        return np.zeros(0) if self.hardware is None else self.hardware.state
-
-    def measure(self, number: int, hardware: Hardware) -> None:
-        """Take the measurement of this number."""
-        position, nu, arm = self.plant.position, self.plant.nu, self.loop.robot.arm_index
-        sense(number, number * self.loop.timing.measurement_period, self.row, self.at, position, nu, arm, hardware)
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1, or fewer when that takes long.
 
         Returns:
-            -1, or the column of `row` that went bad; the samples before are in `rows`.
+            -1, the column of `row` that went bad, or `TRIPPED`; the samples before are in `rows`.
         """
-        loop, row, plant, hardware = self.loop, self.row, self.plant, self.hardware
-        timing, arm, h = loop.timing, loop.robot.arm_index, loop.timing.control_period
-        steps, per_measurement = timing.steps_per_control, timing.steps_per_measurement
-        at, table, E_inv = self.at, self.table, self.E_inv
+        timing, hardware = self.plan.timing, self.hardware
         started = clock.perf_counter()
         for k in range(first, last):
-            began = clock.perf_counter()
-            now = k * steps % per_measurement == 0
-            if hardware is not None:
-                self.pick_up(k * h, hardware)
-                if now:
-                    self.measure(k * steps // per_measurement, hardware)
-            self.control.step(k, k * h, plant.y, table[k], now and hardware is None)
+            began, time = clock.perf_counter(), k * timing.control_period
+            self.pick_up(time)
+            self.measure(k * timing.steps_per_control)
+            self.control.step(time, self.plan.setpoints[k], k)
             step_time = clock.perf_counter() - began
-            plant.observe(row)
-            dynamics = plant.dynamics
-            dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
-            potential, work = dynamics.potential(), plant.y[-1]
-            start_energy = self.start_energy if hardware is None else self.start_energy + hardware.world.shift[0]
-            bad = after_torque(row, at, dynamics.M, E_inv, potential, work, start_energy, self.bounds)
+            bad = self.observe()
             if bad >= 0:
                 return bad
             done = k - first
-            self.rows[done], self.step_times[done], self.counter[0] = row, step_time, done + 1
-            for i in range(steps):
-                n = k * steps + i
-                if i > 0 and n % per_measurement == 0:
-                    if hardware is None:
-                        exact(row, at, plant.position, plant.nu, arm)
-                    else:
-                        self.measure(n // per_measurement, hardware)
-                if hardware is None:
-                    plant.step(self.tau)
-                else:
-                    self.act(k, n * timing.plant_step, hardware)
-                plant.refresh()
+            self.rows[done], self.step_times[done], self.counter[0] = self.row, step_time, done + 1
+            self.move(k)
             if hardware is not None:
-                note(steps, self.rows[done], at, hardware.totals)
+                note(timing.steps_per_control, self.rows[done], self.at, hardware.totals)
                 supervisor = hardware.supervisor
-                if supervisor.on and has_ended(k * h, supervisor.numbers, supervisor.state):
+                if supervisor.on and has_ended(time, supervisor.numbers, supervisor.state):
                     return TRIPPED
             if began - started > PATIENCE:
                 break
         return -1
+
+    def measure(self, step: int) -> None:
+        """Write the measurement into the row, if one is due at this step of the plant."""
+        number, rest = divmod(step, self.plan.timing.steps_per_measurement)
+        if rest:
+            return
+        if self.hardware is None:
+            exact(self.row, self.at, self.plant.position, self.plant.nu, self.arm)
+        else:
+            time = number * self.plan.timing.measurement_period
+            sense(number, time, self.row, self.at, self.plant.position, self.plant.nu, self.arm, self.hardware)
+
+    def observe(self) -> int:
+        """What only a simulation knows of a sample, into the row; -1, or the column that went bad."""
+        plant, dynamics = self.plant, self.plant.dynamics
+        plant.observe(self.row, self.plan.layout)
+        dynamics.refresh_psi(self.nu_ref, self.nudot_ref, self.psi)
+        start = self.start_energy if self.hardware is None else self.start_energy + self.hardware.world.shift[0]
+        potential, bounds = dynamics.potential(), self.plan.bounds
+        return after_torque(self.row, self.at, plant.y, self.arm, dynamics.M, self.E_inv, potential, start, bounds)
+
+    def move(self, k: int) -> None:
+        """Motors and plant over the control period of sample k; the sensors go on measuring."""
+        plant, timing, steps = self.plant, self.plan.timing, self.plan.timing.steps_per_control
+        for i in range(steps):
+            n = k * steps + i
+            if i > 0:
+                self.measure(n)
+            if self.hardware is None:
+                plant.step(self.tau)
+            else:
+                self.act(k, n * timing.plant_step, self.hardware)
+            plant.refresh()
 
     def act(self, k: int, time: float, hardware: Hardware) -> None:
         """One step of the plant with imperfect motors, pushes and blocked joints."""
@@ -134,12 +131,13 @@ class OrdinaryLoop:
         block(time, world.blocked, plant.hold)
         plant.step(hardware.tau, world.wire.force)
 
-    def pick_up(self, time: float, hardware: Hardware) -> None:
+    def pick_up(self, time: float) -> None:
         """Carry the payload once its time has come; what energy comes with it is no error of the balance."""
-        if self.loaded is None or time + EARLY < hardware.world.pick:
+        hardware = self.hardware
+        if self.loaded is None or hardware is None or time + EARLY < hardware.world.pick:
             return
-        plant, before = self.plant, self.energy()
-        plant.carry(self.loaded)
+        before = self.energy()
+        self.plant.carry(self.loaded)
         self.loaded = None
         shift = hardware.world.shift
         if shift[1] == 0.0:
@@ -150,15 +148,17 @@ class OrdinaryLoop:
         dynamics, nu = self.plant.dynamics, self.plant.nu
         return float(0.5 * nu @ dynamics.M @ nu) + dynamics.potential()
 
+    def rehearse(self, samples: int) -> None:
+        """Ask the controller at some samples without moving, and without a supervisor: what fails, fails now."""
+        self.control.hardware = None
+        for k in range(samples):
+            exact(self.row, self.at, self.plant.position, self.plant.nu, self.arm)
+            self.control.step(k * self.plan.timing.control_period, self.plan.setpoints[k])
 
-def plant_of(loop: Loop) -> Plant:
-    """The plant that a loop asks for.
 
-    Raises:
-        ConfigError: The contact plant, and MuJoCo is not installed.
-        RobotError: The contact plant, and a robot that it cannot carry.
-    """
-    timing = loop.timing
-    if loop.plant == "contact":
-        return ContactPlant(loop.robot, timing.plant_step, timing.integrator, loop.contact)
-    return IdealPlant(loop.robot, timing.plant_step, timing.integrator)
+def plant_of(plan: Plan) -> Plant:
+    """The plant that a loop asks for; errors as in `OrdinaryLoop`."""
+    timing = plan.timing
+    if plan.contact is not None:
+        return ContactPlant(plan.robot, timing.plant_step, timing.integrator, plan.contact)
+    return IdealPlant(plan.robot, timing.plant_step, timing.integrator)

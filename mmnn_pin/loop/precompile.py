@@ -20,6 +20,7 @@ from ..model.tree.body import body_of, evaluate, new_work
 from ..model.tree.dynamics import potential_energy, psi_again
 from ..plant.integrators import Joints, Terms, derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
+from ..sensing import exact
 from ..signals import INDEX, Layout
 from ..torque import law
 from ..torque.controller import Context
@@ -44,14 +45,15 @@ def precompile() -> None:
 
 
 def call_control_blocks() -> None:
-    """Call reference, exact measurement, velocity command, torque and the integrators."""
+    """Call exact measurement, velocity command, torque and the integrators."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
     controller, context = Neural(), Context(layout, 0.001, 1)
     numbers, state = controller.law(context).numbers, controller.init(context)
-    reference = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
+    setpoint = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
-    before_torque(row, at, 0.0, y, reference, True, arm, np.ones(3), np.ones(1))
+    exact(row, at, y[:nv], nu, arm)
+    before_torque(row, at, 0.0, setpoint, np.ones(3), np.ones(1))
     law.step(row, at, numbers, state.values, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
@@ -65,7 +67,7 @@ def call_control_blocks() -> None:
 def call_plant_blocks() -> None:
     """Call the dynamics, the guard and what sums up the rows."""
     robot = load("platform_arm")
-    layout, body = robot.layout, body_of(robot)
+    layout, body = Layout.of(robot.dimensions), body_of(robot)
     work, nv, p = new_work(body), layout.full, layout.dof
     row, y, nu = layout.new_row(), np.concatenate((robot.neutral_position(), np.zeros(p + 1))), np.zeros(p)
     pose, velocity, q, qdot = (row[layout.where(name)] for name in ("pose", "velocity", "q", "qdot"))
@@ -74,7 +76,7 @@ def call_plant_blocks() -> None:
     psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
     potential_energy(body.tree, y[:nv], work.scratch)
     quadratic(work.M, nu)
-    after_torque(row, layout.offsets, np.eye(p), np.eye(p), 0.0, 0.0, 0.0, np.ones(p))
+    after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
     sums, windows = np.zeros(1), np.zeros((1, 2))
     accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 

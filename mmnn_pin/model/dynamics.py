@@ -25,9 +25,9 @@ class Dynamics:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
-        model, p = robot.model, robot.layout.dof
+        model, p = robot.model, robot.dimensions.dof
         self.model, self.data = model, model.createData()
-        self.frame = np.array(robot.frame, float) if robot.layout.base else np.zeros(0)
+        self.frame = np.array(robot.frame, float) if robot.dimensions.base else np.zeros(0)
         self.q, self.v = pin.neutral(model), np.zeros(model.nv)
         # Writable copies: compiled code exists once for these, not again for read-only arrays.
         self.T, self.q_index, self.is_continuous = robot.T.copy(), robot.q_index.copy(), robot.is_continuous.copy()
@@ -102,7 +102,7 @@ class Dynamics:
     def _declared_friction(self, force: Array) -> Array:
         """Friction declared on nu as forces of the full model, (nv,): at the control frame and on the joints."""
         robot, out = self.robot, np.zeros(self.model.nv)
-        nb = robot.layout.base
+        nb = robot.dimensions.base
         if nb:
             wrench = np.zeros(3)
             wrench[robot.base.columns] = force[:nb]

@@ -155,17 +155,20 @@ class NamedState(Settings, frozen=True):
             UnknownName: A joint that the robot does not have.
             ConfigError: A pose or base velocity that its base does not have, or a number that is not finite.
         """
-        base, position, nu = robot.layout.base, robot.neutral_position(), np.zeros(robot.layout.dof)
-        for key, given, size in (("pose", self.pose, robot.layout.pose), ("base_velocity", self.base_velocity, base)):
+        base, position, nu = robot.dimensions.base, robot.neutral_position(), np.zeros(robot.dimensions.dof)
+        for key, given, size in (
+            ("pose", self.pose, robot.dimensions.pose),
+            ("base_velocity", self.base_velocity, base),
+        ):
             if given is not None and len(given) != size:
                 fix = f"give {', '.join(robot.base.velocity_names)}" if base else "leave it out: the arm is fixed"
                 raise ConfigError(f"{len(given)} numbers where the base has {size}", fix=fix, key=key)
         if self.pose is not None:
-            position[: robot.layout.pose] = self.pose
+            position[: robot.dimensions.pose] = self.pose
         if self.base_velocity is not None:
             nu[:base] = self.base_velocity
-        joints = robot.position_names[robot.layout.pose :]
-        fill(position[robot.layout.pose :], self.joints, joints, "joints")
+        joints = robot.position_names[robot.dimensions.pose :]
+        fill(position[robot.dimensions.pose :], self.joints, joints, "joints")
         fill(nu[base:], self.joint_velocities, robot.joint_names, "joint_velocities")
         if not (np.isfinite(position).all() and np.isfinite(nu).all()):
             raise ConfigError("a number is not finite", fix="give finite numbers in SI units")

@@ -24,7 +24,7 @@ from lxml import etree
 from numpy.typing import NDArray
 
 from ..errors import RobotError
-from ..signals import Array, Layout
+from ..signals import Array, Dimensions
 from .arm import Arm, choose_arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
@@ -212,7 +212,9 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         model=model,
         base=base,
         arm=arm,
-        layout=Layout(base=len(base.velocity_names), arm=len(arm.joints), full=model.nv, motors=E_full.shape[1]),
+        dimensions=Dimensions(
+            base=len(base.velocity_names), arm=len(arm.joints), full=model.nv, motors=E_full.shape[1]
+        ),
         joint_names=arm.joints,
         velocity_names=base.velocity_names + arm.joints,
         full_velocity_names=ROOT_NAMES[:root] + tuple(names),
@@ -354,7 +356,7 @@ def require_finite(document: Document, robot: Robot) -> None:
     Raises:
         RobotError: One is not finite, or the mass matrix is not positive definite.
     """
-    model, T, p = robot.model, robot.T, robot.layout.dof
+    model, T, p = robot.model, robot.T, robot.dimensions.dof
     data, q = model.createData(), robot.configuration(robot.neutral_position())
     with np.errstate(all="ignore"):
         M = np.triu(pin.crba(model, data, q))

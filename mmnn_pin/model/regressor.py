@@ -106,7 +106,7 @@ class Regressor:
         Raises:
             RobotError: A joint that cannot be flattened, or a regressor that differs from Pinocchio's dynamics.
         """
-        layout, T = robot.layout, np.array(robot.T)
+        layout, T = robot.dimensions, np.array(robot.T)
         frame = tuple(robot.frame) if layout.base else (0.0, 0.0, 0.0)
         model = with_any_inertias(robot.model)
         full = flatten(model, T, robot.neutral_position(), frame, absorb=False)

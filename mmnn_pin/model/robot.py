@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
-from ..signals import Array, Layout
+from ..signals import Array, Dimensions
 from .arm import Arm
 from .base.base import Base
 from .base.overrides import Overrides
@@ -43,7 +43,7 @@ class Robot:
         sha256: Hash of the file.
         model: Full Pinocchio model, nothing locked away; planar root joint for a mobile base.
         base: The mobile base.
-        layout: Sizes of all signals.
+        dimensions: How many velocities, joints and motors it has.
         arm: The manipulator: its joints, what is locked and where, and what follows.
         joint_names: The n arm joints in the model's order.
         velocity_names: Names of nu, p of them.
@@ -77,7 +77,7 @@ class Robot:
     model: pin.Model
     base: Base
     arm: Arm
-    layout: Layout
+    dimensions: Dimensions
     joint_names: tuple[str, ...]
     velocity_names: tuple[str, ...]
     full_velocity_names: tuple[str, ...]
@@ -105,7 +105,7 @@ class Robot:
     @property
     def position_names(self) -> tuple[str, ...]:
         """Names of the columns of a position, nv of them: the pose, then every joint in the model's order."""
-        root = self.layout.pose
+        root = self.dimensions.pose
         return ("x", "y", "phi")[:root] + self.full_velocity_names[root:]
 
     @cached_property
@@ -125,7 +125,7 @@ class Robot:
         """
         given = np.asarray(position, dtype=float)
         q = np.zeros(self.model.nq)
-        root = self.layout.pose
+        root = self.dimensions.pose
         if root:
             x, y, psi = self.frame
             heading = given[2] - psi
@@ -156,7 +156,7 @@ class Robot:
         offset = self.neutral_position()
         offset[self.arm_index] = 0.0
         self.follow(offset)
-        columns = np.zeros((offset.size, self.layout.arm))
+        columns = np.zeros((offset.size, self.dimensions.arm))
         for i, place in enumerate(self.arm_index):
             one = offset.copy()
             one[place] = 1.0
@@ -196,7 +196,7 @@ class Robot:
         Raises:
             ConfigError: A number that is negative or not finite, or not one number per joint.
         """
-        rotors = one_or_each(inertia, self.layout.arm, "joint", "armature", least=0)
+        rotors = one_or_each(inertia, self.dimensions.arm, "joint", "armature", least=0)
         model = self.model.copy()
         armature = np.array(model.armature)
         armature[self.arm_index] = rotors
@@ -212,7 +212,7 @@ class Robot:
         Raises:
             ConfigError: Wrong number of coefficients, or a negative or non-finite one.
         """
-        given = one_or_each(viscous, self.layout.dof, "velocity", "friction", least=0, names=self.velocity_names)
+        given = one_or_each(viscous, self.dimensions.dof, "velocity", "friction", least=0, names=self.velocity_names)
         return replace(self, viscous=read_only(given))
 
     def with_joint_friction(
@@ -233,8 +233,8 @@ class Robot:
         Raises:
             ConfigError: A number that is negative or not finite, a ratio below 1, or not one number per joint.
         """
-        n, at = self.layout.arm, self.arm_index
-        damping, level, ratio = self.damping.copy(), self.coulomb.copy(), np.ones(self.layout.full)
+        n, at = self.dimensions.arm, self.arm_index
+        damping, level, ratio = self.damping.copy(), self.coulomb.copy(), np.ones(self.dimensions.full)
         damping[at] += one_or_each(viscous, n, "joint", "friction.viscous", least=0)
         level[at] += one_or_each(coulomb, n, "joint", "friction.coulomb", least=0)
         ratio[at] = one_or_each(breakaway, n, "joint", "friction.breakaway", least=1)
@@ -245,8 +245,8 @@ class Robot:
 
     def without_friction(self) -> Robot:
         """The same robot with no friction at all: of its joints, of its gears, of its base."""
-        none, smooth = read_only(np.zeros(self.layout.full)), read_only(np.ones(self.layout.full))
-        viscous = read_only(np.zeros(self.layout.dof))
+        none, smooth = read_only(np.zeros(self.dimensions.full)), read_only(np.ones(self.dimensions.full))
+        viscous = read_only(np.zeros(self.dimensions.dof))
         return replace(self, damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
 
     @property

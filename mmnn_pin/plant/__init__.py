@@ -11,7 +11,7 @@ import numpy as np
 
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
-from ..signals import Array
+from ..signals import Array, Layout
 
 NO_PUSH: Array = np.zeros(0)
 
@@ -48,7 +48,7 @@ class Plant(Protocol):
     def motor_speeds(self, speeds: Array) -> None:
         """Write the speed of every motor's joint, (motors,) [rad/s or m/s]."""
 
-    def observe(self, row: Array) -> None:
+    def observe(self, row: Array, layout: Layout) -> None:
         """Write what only this plant knows into a row of signals."""
 
     def findings(self) -> list[str]:

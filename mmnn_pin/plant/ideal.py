@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import UnknownName
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot
-from ..signals import Array
+from ..signals import Array, Layout
 from . import NO_PUSH, integrators
 
 Feedback = Callable[[float, Array, Array], Array]
@@ -39,7 +39,7 @@ class IdealPlant:
             raise UnknownName("integrator", method, integrators.METHODS, key="time.integrator")
         self.robot, self.dt, self.method = robot, dt, integrators.METHODS[method]
         self.to_motors = np.ascontiguousarray(robot.E.T)
-        nv, p = robot.layout.full, robot.layout.dof
+        nv, p = robot.dimensions.full, robot.dimensions.dof
         self.y, self.trial, self.ydot, self.total = (np.zeros(nv + p + 1) for _ in range(4))
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
         self.hold = np.zeros(nv)
@@ -78,7 +78,7 @@ class IdealPlant:
         """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
         np.dot(self.to_motors, self.nu, out=speeds)
 
-    def observe(self, row: Array) -> None:
+    def observe(self, row: Array, layout: Layout) -> None:
         """Nothing: the row has all that this plant knows."""
 
     def findings(self) -> list[str]:
@@ -106,7 +106,7 @@ class IdealPlant:
     def _take(self, robot: Robot) -> None:
         """Dynamics of a robot, and its arrays for the integrators."""
         self.robot, self.dynamics = robot, Dynamics(robot)
-        d, p = self.dynamics, robot.layout.dof
-        self.joints = integrators.Joints(d.T, d.damping, d.dry, d.viscous, robot.layout.base)
-        scratch = d.L, np.zeros(p), np.zeros((robot.layout.full, p + 2))
+        d, p = self.dynamics, robot.dimensions.dof
+        self.joints = integrators.Joints(d.T, d.damping, d.dry, d.viscous, robot.dimensions.base)
+        scratch = d.L, np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
         self.terms = integrators.Terms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)

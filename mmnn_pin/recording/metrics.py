@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..compiled import compiled
 from ..signals import Array, IntArray, Layout
-from .recording import Recording
+from .recording import Recording, as_columns
 
 ERRORS = ("pose_error", "z", "e")
 CONTACT = ("slip", "traction", "constraint_residual")  # of the contact plant
@@ -168,8 +168,3 @@ def halves(recording: Recording) -> dict[str, slice]:
     base, total = len(recording.labels("z")) if "z" in recording else 0, len(recording.labels("torque"))
     parts = {"base": slice(0, base), "arm": slice(base, total)}
     return {name: part for name, part in parts.items() if part.stop > part.start}
-
-
-def as_columns(signal: Array) -> Array:
-    """Signal as (N, size), also where a recording holds (N,)."""
-    return signal if signal.ndim == 2 else signal[:, None]

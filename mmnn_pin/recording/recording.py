@@ -7,17 +7,26 @@ is readable up to its last flush.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from ..errors import UnknownName
+import msgspec
+import numpy as np
+
+from ..errors import RecordingError, UnknownName
+from ..model.base.overrides import Overrides
+from ..model.loading import build
+from ..model.robot import Robot
+from ..model.urdf.reading import parse
 from ..signals import INDEX, Array
 from .run_file import Arrays, Columns, decode, open_run, read_arrays
 
 OUTCOME = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
+# Names in the group `final` of recordings before version 0.2, and what they are called now.
+FINAL_OF_OLD = {"memory": "controller_state", "rig_memory": "hardware_state"}
 NOT_META = ("format", "format_version", "complete", *OUTCOME)
 
 Status = Literal["completed", "diverged", "tripped", "interrupted"]
@@ -145,8 +154,8 @@ class Recording:
 
     @cached_property
     def final(self) -> Arrays:
-        """The controller's memory and the plant's state at the end of the run."""
-        return self._read("final")
+        """The states of controller, hardware and plant at the end of the run."""
+        return {FINAL_OF_OLD.get(name, name): array for name, array in self._read("final").items()}
 
     @cached_property
     def step_times(self) -> Array:
@@ -169,3 +178,50 @@ class Recording:
             return Outcome("interrupted", 0.0, message="run incomplete: no rows")
         end = float(self.time[-1])
         return Outcome("interrupted", end, message=f"run incomplete: {self._rows:,} rows, ends at t = {end:g} s")
+
+
+def as_columns(signal: Array) -> Array:
+    """Signal as (N, size), also where a recording holds (N,)."""
+    return signal if signal.ndim == 2 else signal[:, None]
+
+
+def recorded_robot(recording: Recording) -> Robot:
+    """The true robot of a recording.
+
+    Meshes are looked for where the file was; wheels whose radius came from one need it.
+
+    Args:
+        recording: The recording.
+
+    Raises:
+        RecordingError: It does not hold these facts, or another robot comes out of them.
+        InputError: As `load`.
+    """
+    meta = recording.meta
+    try:
+        said = msgspec.convert(meta["overrides"], Overrides)
+        document = parse(recording.urdf.encode(), meta["urdf_file"], said.strict, said.package_dirs)
+        masses, viscous, gears = meta["mass_factors"], meta["viscous"], meta["joint_friction"]
+    except KeyError as error:
+        what = f"the recording does not tell {error} of its robot"
+        raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path) from None
+    robot = build(document, said)
+    if robot.position_names != meta["position_names"] or robot.velocity_names != meta["velocity_names"]:
+        why = f"it moves by {', '.join(robot.velocity_names)}, not by {', '.join(meta['velocity_names'])}"
+        raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
+    gears = {name: np.array(value) if isinstance(value, list) else value for name, value in gears.items()}
+    robot = robot.with_masses(masses).with_armature(meta.get("armature", 0.0)).with_friction(viscous)
+    return replace(robot, **gears)
+
+
+def recorded_position(recording: Recording, robot: Robot) -> Array:
+    """Where a robot was, (N, nv): the true position, or without one what was measured, the other joints at rest."""
+    if "position" in recording:
+        return as_columns(recording["position"])
+    table = np.tile(robot.neutral_position(), (len(recording), 1))
+    if "pose" in recording:
+        table[:, :3] = recording["pose"]
+    if "q" in recording:
+        table[:, robot.arm_index] = as_columns(recording["q"])
+    robot.follow(table.T)
+    return table

@@ -4,7 +4,7 @@
     /config, /urdf      texts
     /signals/<name>     (N, size), or (N,) for scalars; attributes `unit` and `labels` (one per column)
     /weights/<name>     (k, ...) snapshots of the networks' weights, taken at /weights/time (k,) [s]
-    /final/<name>       the controller's memory and the plant's state at the end
+    /final/<name>       the states at the end: position, nu, controller_state, hardware_state
     /timing/step_time   (N,) wall-clock seconds per step: the one dataset that two equal runs do not share
 
 The file is in HDF5's default format and flushed with every write: that is what a kill leaves readable. Before the
@@ -71,7 +71,7 @@ class RunFile:
         texts: Mapping[str, str],
     ) -> None:
         self.path, self.rows, self.is_open = path, 0, True
-        self._file = _create(path, force, lambda file: _write_header(file, layout, columns, meta, texts))
+        self._file = _create(path, force, lambda file: _write_header(file, columns, meta, texts))
         self._tables = [(self._file[f"signals/{name}"], layout.where(name)) for name in columns]
         self._weights: dict[str, h5py.Dataset] = {}
         self._row_bytes = 8 * (layout.width + 1)
@@ -261,7 +261,7 @@ def _require_free(path: Path, force: bool) -> None:
 
 
 def _write_header(
-    file: h5py.File, layout: Layout, columns: Mapping[str, Columns], meta: Mapping[str, Any], texts: Mapping[str, str]
+    file: h5py.File, columns: Mapping[str, Columns], meta: Mapping[str, Any], texts: Mapping[str, str]
 ) -> None:
     file.attrs["format"], file.attrs["format_version"], file.attrs["complete"] = FORMAT, FORMAT_VERSION, False
     for name, value in meta.items():

@@ -1,16 +1,13 @@
-"""Where the robot should be: paths of the base and profiles of the arm, sampled ahead of a run.
+"""Where the robot should be: sources of setpoints, made of paths of the base and profiles of the arm.
 
 A base path gives the pose of the control frame and, in the reference's own frame, the base velocity and its time
-derivative, all of them analytic. `Trajectory.table` writes base and arm into rows as the loop reads them.
+derivative, all of them analytic. `Trajectory` puts base and arm together.
 """
 
-from .arm import Hold, JointProfile, JointSamples, MinimumJerk, Sine, Sines
-from .curves import Circle, Eight, Line
 from .holonomic import Holonomic
-from .path import BasePath, BaseSamples
+from .path import BasePath, BaseSamples, Circle, Eight, Line, Waypoints
 from .samples import Table, check_followable, warnings
-from .trajectory import Trajectory
-from .waypoints import Waypoints
+from .trajectory import Hold, JointProfile, JointSamples, MinimumJerk, SetpointSource, Sine, Sines, Trajectory
 
 __all__ = [
     "BasePath",
@@ -23,6 +20,7 @@ __all__ = [
     "JointSamples",
     "Line",
     "MinimumJerk",
+    "SetpointSource",
     "Sine",
     "Sines",
     "Table",

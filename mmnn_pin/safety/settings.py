@@ -11,7 +11,7 @@ from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
 from ..model.robot import Robot, limits, speed_limits
 from ..settings import Numbers, Settings, one_or_each, require_numbers
-from ..signals import Array, IntArray, Layout
+from ..signals import Array, Dimensions, IntArray
 from .supervisor import (
     BAD,
     BAD_WEIGHTS,
@@ -122,7 +122,7 @@ class Safety(Settings, frozen=True):
         Raises:
             ConfigError: Not one number per motor or per joint.
         """
-        layout = robot.layout
+        layout = robot.dimensions
         position, heading, bound = some(self.position_error), some(self.heading_error), some(self.weights)
         numbers = [self.timeout, self.ramp, self.stop_time, self.torque_time, position, heading, bound]
         numbers += [self._calm_rate(robot, gains), period, self.settle if brakes else math.inf, self.rest]
@@ -140,7 +140,7 @@ class Safety(Settings, frozen=True):
 
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
         """`M qddot = g (K (e + I) - qdot)`, `Idot = rate e` is stable for `rate < g / M` (Routh); half at most."""
-        nb = robot.layout.base
+        nb = robot.dimensions.base
         inertias = np.diag(Dynamics(robot).mass_matrix(robot.neutral_position()))[nb:]
         return min(self.hold_rate, float(np.min(0.5 * gains[nb:] / inertias, initial=math.inf)))
 
@@ -150,14 +150,14 @@ def some(value: float | None) -> float:
     return math.inf if value is None else value
 
 
-def no_supervisor(layout: Layout, values: Array) -> Supervisor:
+def no_supervisor(layout: Dimensions, values: Array) -> Supervisor:
     """What stands in a run that nobody supervises; it has a state (`new_state`) all the same."""
     nothing, none = np.zeros(0), np.zeros((0, 0))
     numbers: list[Any] = [False, *[nothing] * 6, none, none, np.zeros((0, 2), np.int64)]
     return Supervisor._make([*numbers, *views(values, layout)])
 
 
-def new_state(layout: Layout, start: float = 0.0) -> Array:
+def new_state(layout: Dimensions, start: float = 0.0) -> Array:
     """State of a supervisor before its first measurement at a time [s]."""
     message = layout.pose + layout.base + 2 * layout.arm
     values = np.zeros(MARKS + message + 2 * layout.dof + layout.motors + 2 * layout.arm)
@@ -166,7 +166,7 @@ def new_state(layout: Layout, start: float = 0.0) -> Array:
     return values
 
 
-def views(values: Array, layout: Layout) -> list[Array]:
+def views(values: Array, layout: Dimensions) -> list[Array]:
     """A supervisor's state and views of its parts, in the order of `Supervisor`."""
     message, p, n = layout.pose + layout.base + 2 * layout.arm, layout.dof, layout.arm
     return [values, *np.split(values, np.cumsum([MARKS, message, p, layout.motors, n, n]))]
@@ -185,7 +185,7 @@ def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]
-    value, limit, nb = state[VALUE], state[LIMIT], robot.layout.base
+    value, limit, nb = state[VALUE], state[LIMIT], robot.dimensions.base
     of, over = f" of {name}" if name else "", f"{value - limit:.3g}{unit} over its limit of {limit:.4g}{unit}"
     signal = f"{SIGNAL[code]}[{i}]" if code in SIGNAL else f"velocity[{i}]" if i < nb else f"qdot[{i - nb}]"
     return time, signal, f"tripped at t = {time:g} s: {WHAT[code]}{of} {value:.4g}{unit}, {over}"

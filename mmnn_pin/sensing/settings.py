@@ -97,7 +97,7 @@ class Sensor(Settings, frozen=True):
         Raises:
             ConfigError: Not one number per joint, or wheels to be measured on a robot that has none.
         """
-        layout, period = robot.layout, float(period)
+        layout, period = robot.dimensions, float(period)
         faults = np.zeros((count, 2)) if faults is None else faults
         state = self.init(robot, faults) if state is None else state
         wheels, nw, n, p = self._wheels(robot), len(self._wheels(robot)), layout.arm, layout.dof
@@ -132,7 +132,7 @@ class Sensor(Settings, frozen=True):
 
     def init(self, robot: Robot, faults: Array | None = None) -> Array:
         """State before the first measurement: clock, encoders, odometry, what was received, the line."""
-        layout = robot.layout
+        layout = robot.dimensions
         size = layout.pose + layout.base + 2 * layout.arm
         latest = 0 if faults is None else int(max(faults[:, 0].max(initial=0.0), 0.0))
         depth = self.delay + self.jitter + 1 + latest
@@ -144,7 +144,7 @@ class Sensor(Settings, frozen=True):
         Raises:
             ConfigError: They are to be read, and there are none.
         """
-        if not robot.layout.base:
+        if not robot.dimensions.base:
             return []
         wheels = [robot.position_names.index(wheel.joint) for wheel in robot.base.wheels]
         if not wheels and (self.velocity != "true" or self.pose != "true"):

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from ..compiled import fields_of
 from ..errors import ConfigError
 from ..settings import Settings, one_or_each, plain, require_gains
-from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
+from ..signals import Array, Dimensions, Layout, Measurement, Setpoint, VelocityCommand
 from .law import MotorLimits, Packed
 
 T = TypeVar("T")
@@ -170,7 +170,7 @@ class Feedback(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_gains(self, "feedback", "base", "arm")
 
-    def scaled(self, layout: Layout, inertia: Array) -> Feedback:
+    def scaled(self, layout: Dimensions, inertia: Array) -> Feedback:
         """The feedback with its bandwidths turned into gains; itself when it is not to be scaled.
 
         Every velocity alone then has the bandwidth asked for, a joint of grams like a base of a hundred kilograms, and
@@ -185,7 +185,7 @@ class Feedback(Settings, frozen=True):
         gains = per_velocity(self.base, self.arm, layout, "feedback") * inertia
         return Feedback(*split(gains, layout))
 
-    def vector(self, layout: Layout) -> Array:
+    def vector(self, layout: Dimensions) -> Array:
         """Gains of all p velocities.
 
         Raises:
@@ -278,7 +278,7 @@ class TorqueController(Controller):
 
     @abstractmethod
     def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
+        self, time: float, reference: Setpoint, measurement: Measurement, command: VelocityCommand, state: Any
     ) -> Array | tuple[Array, Array]:
         """Generalized torque of this sample, (p,) [N, N m for the base; N m or N for the arm].
 
@@ -350,11 +350,11 @@ class CompiledController(Controller):
         """State for a new run: zeros, unless the law starts from something else."""
         return ControllerState.of(**self.shapes(context))
 
-    def feedback_gain(self, layout: Layout) -> Array:
+    def feedback_gain(self, layout: Dimensions) -> Array:
         """Constant gain on `[z; r]`, (p,), used to judge the sampled loop before the run."""
         return self.feedback.vector(layout)
 
-    def positive_gains(self, layout: Layout, why: str = "") -> Array:
+    def positive_gains(self, layout: Dimensions, why: str = "") -> Array:
         """K (p,) of a law that measures by its gains.
 
         Raises:
@@ -402,8 +402,10 @@ def read_facts(kind: type[Any], facts: Mapping[str, Any], *names: str) -> dict[s
     return {name: msgspec.convert(facts[name], hints[name]) for name in names}
 
 
-def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...], layout: Layout, key: str) -> Array:
-    """Packed of the base and of the arm as one vector (p,).
+def per_velocity(
+    base: float | tuple[float, ...], arm: float | tuple[float, ...], layout: Dimensions, key: str
+) -> Array:
+    """Numbers of the base and of the arm as one vector (p,).
 
     Raises:
         ConfigError: Neither one number nor as many as velocities.
@@ -414,7 +416,7 @@ def per_velocity(base: float | tuple[float, ...], arm: float | tuple[float, ...]
     )
 
 
-def split(values: Array, layout: Layout) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Packed of all p velocities as those of the base and those of the arm."""
+def split(values: Array, layout: Dimensions) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Numbers of all p velocities as those of the base and those of the arm."""
     numbers = tuple(float(value) for value in values)
     return numbers[: layout.base], numbers[layout.base :]

@@ -28,7 +28,7 @@ import numpy as np
 
 from ..compiled import Matrix, Vector, compiled
 from ..errors import ConfigError
-from ..signals import INDEX, Array, IntArray, Layout
+from ..signals import INDEX, Array, Dimensions, IntArray
 
 TIME, Q, QDOT, TORQUE = INDEX["time"], INDEX["q"], INDEX["qdot"], INDEX["torque"]
 VELOCITY, POSE = INDEX["velocity"], INDEX["pose"]
@@ -86,7 +86,7 @@ class Filtered(NamedTuple):
     Y_f: Vector
 
 
-def new_filter(layout: Layout, h: float, pole: float, state_pole: float = 0.0) -> Filter:
+def new_filter(layout: Dimensions, h: float, pole: float, state_pole: float = 0.0) -> Filter:
     """The numbers of a filter.
 
     Args:
@@ -117,7 +117,7 @@ def new_filter(layout: Layout, h: float, pole: float, state_pole: float = 0.0) -
     )
 
 
-def parts(layout: Layout, rows: int, k: int) -> dict[str, tuple[int, ...]]:
+def parts(layout: Dimensions, rows: int, k: int) -> dict[str, tuple[int, ...]]:
     """Names and shapes of what a filter remembers, to be parts of a `ControllerState`.
 
     Args:

@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import ConfigError, InputError, UnknownName
 from ..model.regressor import Massless, measured, regress
-from ..signals import Array, Layout, Measurement, Reference, VelocityCommand
+from ..signals import Array, Dimensions, Measurement, Setpoint, VelocityCommand
 from .controller import Context, ControllerState, Feedback, TorqueController, all_facts
 
 DIGEST = "__mmnn_sha256__"  # of a module: what its file was when it was read
@@ -117,7 +117,7 @@ class LearningLaw(TorqueController):
                 raise UnknownName(f"part of the state of {self.name}", part, state.shapes, key="learned")
         return {part: state[part] for part in self.learned or state.shapes}
 
-    def feedback_gain(self, layout: Layout) -> Array:
+    def feedback_gain(self, layout: Dimensions) -> Array:
         """K, (p,)."""
         return self.feedback.vector(layout)
 
@@ -126,7 +126,7 @@ class LearningLaw(TorqueController):
         return all_facts(self)
 
     def step(
-        self, time: float, reference: Reference, measurement: Measurement, command: VelocityCommand, state: Any
+        self, time: float, reference: Setpoint, measurement: Measurement, command: VelocityCommand, state: Any
     ) -> Array:
         """Not for this kind of controller: the loop calls `estimate` and `learn`.
 
@@ -161,7 +161,7 @@ class Sample:
     s: Array
     nu: Array
     sent: Array
-    reference: Reference
+    reference: Setpoint
     measurement: Measurement
     command: VelocityCommand
     _torque: Array
@@ -174,7 +174,7 @@ class Sample:
         """The samples of a row (width,)."""
         layout, h = context.layout, context.control_period
         seen = read_only(row)
-        views = (Reference.of(seen, layout), Measurement.of(seen, layout), VelocityCommand.of(seen, layout))
+        views = (Setpoint.of(seen, layout), Measurement.of(seen, layout), VelocityCommand.of(seen, layout))
         known = None if context.regressor is None else context.regressor.workspace()
         written = np.zeros((3, layout.dof))
         s, nu, sent = read_only(written)
@@ -235,7 +235,7 @@ def read_only(array: Array) -> Array:
     return view
 
 
-def norms(weights: dict[str, Array], layout: Layout) -> tuple[float, float]:
+def norms(weights: dict[str, Array], layout: Dimensions) -> tuple[float, float]:
     """Norm of the weights that serve the base, and of those that serve the arm.
 
     Matrices with a column per velocity are split; whatever else there is counts with the first.

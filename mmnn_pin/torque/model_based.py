@@ -12,7 +12,7 @@ import numpy as np
 
 from ..compiled import layout_of
 from ..errors import ConfigError
-from ..signals import Array, Layout
+from ..signals import Array, Dimensions
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law
 from .law import SCHEDULED_GAIN, Schedule, constant_gain, packed
 
@@ -130,6 +130,6 @@ class ScheduledPD(CompiledController):
         state["gains"][:] = self.gains
         return state
 
-    def feedback_gain(self, layout: Layout) -> Array:
+    def feedback_gain(self, layout: Dimensions) -> Array:
         """Largest gain of the schedule, (p,)."""
         return np.asarray(self.gains.max(axis=0))

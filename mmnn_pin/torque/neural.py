@@ -18,7 +18,7 @@ import numpy as np
 from ..compiled import layout_of
 from ..errors import ConfigError, UnknownName
 from ..settings import Settings, require_gains
-from ..signals import Array, Layout
+from ..signals import Array, Dimensions, Layout
 from . import law
 from .controller import (
     CompiledController,
@@ -125,7 +125,7 @@ class Robust(Settings, frozen=True):
     def __post_init__(self) -> None:
         require_gains(self, "robust")
 
-    def scaled(self, layout: Layout, inertia: Array) -> Robust:
+    def scaled(self, layout: Dimensions, inertia: Array) -> Robust:
         """The term with every Kz multiplied with an effective inertia (p,), as `Feedback.scaled` does with k."""
         Kz = per_velocity(self.base, self.arm, layout, "robust") * inertia
         return Robust(*split(Kz, layout), self.ZB)
@@ -222,7 +222,7 @@ class Neural(CompiledController):
             self.network.initialise(state[f"W{i}"], state[f"V{i}"], context.rng)
         return state
 
-    def network_scales(self, layout: Layout) -> tuple[Array, Array]:
+    def network_scales(self, layout: Dimensions) -> tuple[Array, Array]:
         """Factors on the s that a network sees and on the torque that it gives, (p,) each; ones without `inertia`.
 
         With the effective inertias m and their mean c over the network's velocities, `s_i sqrt(m_i / c)` goes in and
@@ -244,7 +244,7 @@ class Neural(CompiledController):
         c = np.concatenate([np.full(part.size, part.mean()) for part in parts if part.size])
         return unit * np.sqrt(m / c), np.sqrt(m * c) / unit
 
-    def radii(self, layout: Layout) -> dict[int, tuple[float, float]]:
+    def radii(self, layout: Dimensions) -> dict[int, tuple[float, float]]:
         """Bounds on |W|_F and |V|_F of the base's (1) and the arm's (2) network; inf where nothing is projected.
 
         W is a torque over the network's scale, so its bound goes with the largest gain that is there from the first
@@ -267,7 +267,7 @@ class Neural(CompiledController):
                 raise ConfigError(f"all gains of the {part} are 0", why=why, fix="raise one", key=f"feedback.{part}")
         return {i: (bound * UNIT * float(most), bound) for i, most in largest.items()}
 
-    def feedback_gain(self, layout: Layout) -> Array:
+    def feedback_gain(self, layout: Dimensions) -> Array:
         """Gain on `[z; r]` that is there from the first sample on: k + Kz ZB, (p,)."""
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
         ZB = per_velocity(robust.ZB[0], robust.ZB[1], layout, "robust.ZB")
@@ -324,7 +324,7 @@ class Neural(CompiledController):
         return [name for name, W in layers.items() if np.linalg.norm(W) >= most[name]]
 
 
-def channels(layout: Layout) -> list[tuple[int, int]]:
+def channels(layout: Dimensions) -> list[tuple[int, int]]:
     """Networks of a robot: (1, nb) for the base and (2, n) for the arm, where there is one."""
     return [(i, size) for i, size in ((1, layout.base), (2, layout.arm)) if size]
 

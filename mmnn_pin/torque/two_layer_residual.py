@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
-from ..signals import Array, Layout
+from ..signals import Array, Dimensions
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told
 from .neural import Neural
 
@@ -78,7 +78,7 @@ class TwoLayerResidual(CompiledController):
         """Initial weights of the network."""
         return self.networks.init(context)
 
-    def feedback_gain(self, layout: Layout) -> Array:
+    def feedback_gain(self, layout: Dimensions) -> Array:
         """The network's, (p,)."""
         return self.networks.feedback_gain(layout)
 

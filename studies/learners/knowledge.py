@@ -71,7 +71,7 @@ def rows_of(run: Recording, layout: Layout) -> Array:
 
 def frozen_fvu(learned: Loop, state: ControllerState, rows: Array) -> float:
     """FVU of a learner that no longer learns, mean of the components."""
-    layout = learned.robot.layout
+    layout = Layout.of(learned.robot.dimensions)
     told = psi_hat_along(replace(learned, controller=frozen(learned.controller)), layout, state.snapshot(), rows)
     return float(fvu(rows[250:, layout.where("psi")], told[250:]).mean())
 
@@ -85,7 +85,7 @@ def errors(run: Recording) -> Array:
 def memory_after(learned: Loop, run: Recording) -> ControllerState:
     """A controller's memory at the end of a run."""
     state: ControllerState = learned.controller.init(learned.context())
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     return state
 
 
@@ -130,7 +130,7 @@ def main(arguments: list[str]) -> None:
             settings.remove(word)
             motions = meant
     told = {motion: loop("computed_torque", motion, []) for motion in HELD_OUT}
-    truth = {motion: rows_of(one.run(), one.robot.layout) for motion, one in told.items()}
+    truth = {motion: rows_of(one.run(), one.robot.dimensions) for motion, one in told.items()}
     for name in names:
         tell(name, settings, truth, motions)
 

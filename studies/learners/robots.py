@@ -18,7 +18,7 @@ from mmnn_pin.errors import InputError
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, EFFECTIVE
 from mmnn_pin.loop.batch import Run, simulate_many
 from mmnn_pin.model.robots import bundled, extra
-from mmnn_pin.recording.metrics import as_columns
+from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Array
 
 LATE = (2.0, 10.0)  # [s]

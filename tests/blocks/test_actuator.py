@@ -33,7 +33,7 @@ patient = settings(max_examples=10 if config.DISABLE_JIT else 60, deadline=None)
 
 def driven(actuator, commands, speeds=0.0, robot=ARM, dt=DT, dead=0.0, shorted=0):
     """What motors give under commands (N,) or (N, m) at speeds (N,) or (N, m): torques (N, m), last states."""
-    count = robot.layout.motors
+    count = robot.dimensions.motors
     windows = np.array([(i, 0.0, math.inf) for i in range(count)]) if dead else NEVER
     motors = actuator.motors(robot, dt, windows)
     commands, speeds = (per_motor(values, len(commands), count) for values in (commands, speeds))

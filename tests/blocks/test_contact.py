@@ -19,14 +19,14 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, RobotError, UnknownName
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.base.holonomic import Holonomic
 from mmnn_pin.plant.contact.feet import Contact, Patch, feet_of
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
-from mmnn_pin.timing import Timing
+from mmnn_pin.settings import Timing
 from mmnn_pin.torque.model_based import PD
 
 mujoco = pytest.importorskip("mujoco")
@@ -145,8 +145,8 @@ def response(plant: IdealPlant | ContactPlant, start: np.ndarray, hold: np.ndarr
 @pytest.mark.parametrize("name", ROBOTS)
 def test_effective_mass_matrix(name: str) -> None:
     this = replace(robot(name), damping=np.zeros(0), coulomb=np.zeros(0))
-    still = np.zeros(this.layout.full)
-    this = replace(this, damping=still, coulomb=still, viscous=np.zeros(this.layout.dof))
+    still = np.zeros(this.dimensions.full)
+    this = replace(this, damping=still, coulomb=still, viscous=np.zeros(this.dimensions.dof))
     ideal = IdealPlant(this, DT)
     M, hold = ideal.dynamics.mass_matrix(bent(this)), ideal.dynamics.gravity(bent(this))
     contact = ContactPlant(this, DT, "rk4")
@@ -179,7 +179,7 @@ class OpenLoop:
 
 def torques(this: Robot, ideal: IdealPlant, duration: float) -> Iterator[np.ndarray]:
     """Drives and turns the base, swings the arm against its gravity on the ideal plant."""
-    p, heavy = this.layout.dof, this.name == "platform_arm"
+    p, heavy = this.dimensions.dof, this.name == "platform_arm"
     for k in range(round(duration / DT)):
         t, tau = k * DT, np.zeros(p)
         tau[:2] = (
@@ -195,7 +195,7 @@ def open_loop(this: Robot, duration: float, step: float, method: str) -> OpenLoo
     states: list[tuple[np.ndarray, ...]] = []
     slip = 0.0
     for plant in (ideal, contact):
-        plant.start(bent(this), np.zeros(this.layout.dof))
+        plant.start(bent(this), np.zeros(this.dimensions.dof))
     for tau in torques(this, ideal, duration):
         for plant in (ideal, contact):
             plant.step(tau)
@@ -409,9 +409,9 @@ def test_a_base_that_falls_over_ends_the_run() -> None:
     crane = link("crane", 60.0) + joint("hook", "fixed", "base", "crane", p=(0.8, 0, 1.0))
     this = robot_of(Drive().urdf(ARM + REAR + crane))
     plant = ContactPlant(this, DT)
-    plant.start(this.neutral_position(), np.zeros(this.layout.dof))
+    plant.start(this.neutral_position(), np.zeros(this.dimensions.dof))
     for _ in range(2000):
-        plant.step(np.zeros(this.layout.dof))
+        plant.step(np.zeros(this.dimensions.dof))
     assert not np.isfinite(plant.y).any() and "the base fell over at t = " in plant.findings()[-1]
 
 
@@ -434,7 +434,7 @@ def test_mimic_joints_follow() -> None:
     plants = IdealPlant(this, DT), ContactPlant(this, DT, "rk4")
     start = this.follow(bent(this))
     for plant in plants:
-        plant.start(start, np.zeros(this.layout.dof))
+        plant.start(start, np.zeros(this.dimensions.dof))
         for _ in range(20 if PLAIN else 100):
             tau = plant.dynamics.gravity(plant.position)
             tau[-1] += 0.01

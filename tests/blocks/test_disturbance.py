@@ -71,7 +71,7 @@ def run_of(*events, **more):
 def forces(event, duration=0.3, dt=DT, robot=ROBOT):
     """What a push gives in every step of the plant, (steps, p)."""
     effect = pushes((event,), robot, dt, 1, np.random.default_rng(0))
-    rows = np.zeros((round(duration / dt), robot.layout.dof))
+    rows = np.zeros((round(duration / dt), robot.dimensions.dof))
     for n, force in enumerate(rows):
         effect.act(Forces(force), 0, n * dt)
     return rows
@@ -166,7 +166,7 @@ def test_a_payload_is_the_robot_whose_urdf_has_it(make, which):
     link = re.search(rf'<joint name="{name}".*?<child link="(\w+)"', robot.urdf, re.S)[1]
     built, carried = robot_of(loaded(robot.urdf, link, 2.5, at)), carrying(robot, 2.5, name, at)
     for _ in range(5):
-        position, nu = rng.uniform(-1, 1, robot.layout.full), rng.normal(size=robot.layout.dof)
+        position, nu = rng.uniform(-1, 1, robot.dimensions.full), rng.normal(size=robot.dimensions.dof)
         one, other = (Dynamics(r) for r in (built, carried))
         np.testing.assert_allclose(one.mass_matrix(position), other.mass_matrix(position), atol=1e-9)
         np.testing.assert_allclose(one.gravity(position), other.gravity(position), atol=1e-9)

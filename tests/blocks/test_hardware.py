@@ -44,6 +44,7 @@ from mmnn_pin.lab.show.replay.motion import events_of
 from mmnn_pin.loop.hardware import sense
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.signals import Layout
 
 ROBOT = load("platform_arm")
 LEFT, ARM = ROBOT.base.wheels[0].joint, ROBOT.joint_names[0]
@@ -172,7 +173,7 @@ def test_both_engines_do_the_same_with_every_controller(controller, integrator):
 @pytest.mark.parametrize("make", [lambda: mobile_arm(3, 2), lambda: fixed_arm(3, 1)], ids=["mobile", "fixed"])
 def test_both_engines_do_the_same_on_robots_that_feel_gravity(make):
     robot = make()
-    path = Line(0.2) if robot.layout.base else None
+    path = Line(0.2) if robot.dimensions.base else None
     case = {
         "actuator": Actuator(gap=0.004, rotor_inertia=1e-3, lag=0.002, torque_limit="urdf"),
         "safety": Safety(joint_speed=2.0, stop_time=3 * T, torque="urdf"),
@@ -208,8 +209,10 @@ def test_a_resumed_run_is_the_whole_one_bit_for_bit(name, engine, sixths):
     if k >= len(straight):
         return  # it has stopped before
     end = replace(whole, timing=replace_duration(whole.timing, sixths * T)).run().final
-    state = ControllerState(np.array(end["memory"]), whole.state_from().shapes)
-    rest = whole.run(state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["rig_memory"], first=k)
+    state = ControllerState(np.array(end["controller_state"]), whole.state_from().shapes)
+    rest = whole.run(
+        state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["hardware_state"], first=k
+    )
     assert rest.outcome.status == straight.outcome.status and rest.outcome.message == straight.outcome.message
     for signal in straight.names:
         if signal not in ("energy", "work", "energy_residual"):  # counted from where a run begins
@@ -224,9 +227,9 @@ def replace_duration(timing, duration):
 
 def test_a_memory_that_does_not_fit_is_refused():
     loop = loop_of(CASES["actuator: backlash"])
-    size = loop.run().final["rig_memory"].size
+    size = loop.run().final["hardware_state"].size
     for state, text in ((np.zeros(size + 1), "of shape"), (np.full(size, math.nan), "not finite")):
-        with pytest.raises(ConfigError, match=rf"rig_memory.*{text}"):
+        with pytest.raises(ConfigError, match=rf"hardware_state.*{text}"):
             loop.run(hardware_state=state)
 
 
@@ -251,7 +254,7 @@ def test_runs_with_one_seed_are_equal_and_the_rig_does_not_change_the_weights_dr
 
 def test_an_ideal_loop_has_no_rig_and_its_rows_no_room_for_one():
     run = loop_of({}).run()
-    assert not {"applied", "disturbance", "safety"} & set(run.names) and run.final["rig_memory"].size == 0
+    assert not {"applied", "disturbance", "safety"} & set(run.names) and run.final["hardware_state"].size == 0
     with_rig = loop_of({"safety": Safety()}).run()
     assert {"applied", "disturbance", "safety"} <= set(with_rig.names)
     np.testing.assert_array_equal(with_rig["applied"], with_rig["motor_torque"])
@@ -293,9 +296,9 @@ def test_a_measurement_that_contradicts_the_state_trips_a_robot_that_is_where_it
 def test_the_exact_sensor_is_the_state():
     loop = loop_of({"safety": Safety()})
     engine = loop.engine_at()
-    row, at, y = engine.row, loop.robot.layout.offsets, engine.y
+    row, at, y = engine.row, Layout.of(loop.robot.dimensions).offsets, engine.y
     sense(0, 0.0, row, at, y[:7], y[7:11], loop.robot.arm_index, engine.hardware)
-    np.testing.assert_array_equal(row[loop.robot.layout.where("pose")], y[:3])
+    np.testing.assert_array_equal(row[Layout.of(loop.robot.dimensions).where("pose")], y[:3])
 
 
 def test_the_tables_and_commands_of_the_page_load():

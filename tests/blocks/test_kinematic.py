@@ -18,10 +18,10 @@ from hypothesis.strategies import SearchStrategy
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic, body_error, command, wrap
 from mmnn_pin.model.base.differential import kanayama
-from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
+from mmnn_pin.signals import Array, Dimensions, Layout, Measurement, Setpoint, VelocityCommand
 
 THESIS = np.array([10.0, 64.0, 16.0])
-VIEWS = (Reference, Measurement, VelocityCommand)
+VIEWS = (Setpoint, Measurement, VelocityCommand)
 patient = settings(deadline=None)  # the first call may compile
 
 
@@ -221,7 +221,7 @@ def test_pose_error_is_the_reference_seen_from_the_base(pose_ref: Array, pose: A
 def filled(layout: Layout, seed: int) -> tuple[Array, dict[str, Array]]:
     """A row of random signals, and views into it by name."""
     row = np.random.default_rng(seed).uniform(-1, 1, layout.width)
-    names = [*(field.name for view in VIEWS for field in fields(view)), "nu"]
+    names = [*(field.name + view.suffix for view in VIEWS for field in fields(view)), "nu"]
     return row, {name: row[layout.where(name)] for name in names}
 
 
@@ -233,7 +233,7 @@ def sample(row: Array, layout: Layout, K: Array) -> None:
 @pytest.mark.parametrize("layout", [Layout(2, 2, 7, 4), Layout(2, 3, 8, 5), Layout(2, 0, 5, 2), Layout(0, 2, 2, 2)])
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**31))
-def test_sample_has_the_errors_of_the_thesis(layout: Layout, seed: int) -> None:
+def test_sample_has_the_errors_of_the_thesis(layout: Dimensions, seed: int) -> None:
     row, signal = filled(layout, seed)
     K = np.random.default_rng(seed + 1).uniform(1, 9, layout.arm)
     truth = signal["nu"].copy()

@@ -28,7 +28,7 @@ from mmnn_pin.reference import (
     check_followable,
     warnings,
 )
-from mmnn_pin.signals import Layout, Reference
+from mmnn_pin.signals import Layout, Setpoint
 
 POINTS = ((0.0, 0.0), (3.0, 0.0), (3.0, 3.0), (6.0, 2.0), (8.0, 5.0))
 TIMES = np.array([0.013, 0.4, 1.1, 2.7, 3.9, 5.3, 8.8])
@@ -344,15 +344,15 @@ def test_table_rows_are_the_consecutive_reference_signals(base: BasePath | None,
     assert table.dtype == np.float64
     row = layout.new_row()
     row[layout.where("pose_ref").start : layout.where("qddot_ref").stop] = table[7]
-    view = Reference.of(row, layout)
+    view = Setpoint.of(row, layout)
     if base:
         samples = base.sample(t)
-        np.testing.assert_array_equal(view.pose_ref, samples.pose[7])
-        np.testing.assert_array_equal(view.velocity_ref, samples.velocity[7])
-        np.testing.assert_array_equal(view.acceleration_ref, samples.acceleration[7])
+        np.testing.assert_array_equal(view.pose, samples.pose[7])
+        np.testing.assert_array_equal(view.velocity, samples.velocity[7])
+        np.testing.assert_array_equal(view.acceleration, samples.acceleration[7])
     for i, profile in enumerate(arm):
         joint = profile.sample(t)
-        assert (view.q_ref[i], view.qdot_ref[i], view.qddot_ref[i]) == (joint.q[7], joint.qdot[7], joint.qddot[7])
+        assert (view.q[i], view.qdot[i], view.qddot[i]) == (joint.q[7], joint.qdot[7], joint.qddot[7])
 
 
 def test_trajectory_must_fit_the_robot() -> None:

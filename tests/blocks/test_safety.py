@@ -37,6 +37,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import speed_limits
 from mmnn_pin.safety import RAMPING, RUNNING, STEPPED_IN, STOPPING, Safety
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.signals import Layout
 
 ROBOT = load("platform_arm")
 H = 0.002
@@ -215,7 +216,7 @@ def test_weights_of_a_controller_in_python_are_bounded_where_it_keeps_a_memory()
             return {"W": np.zeros((2, 3))}
 
     loop = loop_of(Safety(weights=2.0), controller=Learner())
-    state = loop.run().final["memory"]
+    state = loop.run().final["controller_state"]
     assert np.linalg.norm(state) == pytest.approx(2.0)
     with pytest.raises(ConfigError, match=r"safety\.weights.*cannot be bounded"):
         run_of(Safety(weights=2.0), controller=Hidden())
@@ -229,7 +230,7 @@ def test_weights_that_are_not_finite_trip():
     engine.state["V1"][0, 0] = math.nan
     from mmnn_pin.recording.recorder import Recorder
 
-    with Recorder(loop.robot.layout, loop.facts(), None, False) as recorder:
+    with Recorder(Layout.of(loop.robot.dimensions), loop.facts(), None, False) as recorder:
         outcome = loop.stream(engine, recorder)
     assert outcome.status == "tripped" and outcome.signal.startswith("weights[")
     assert "weights are not finite" in outcome.message

@@ -34,7 +34,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.loop.hardware import pass_through
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.signals import Measurement
+from mmnn_pin.signals import Layout, Measurement
 
 ROBOT = load("platform_arm")
 ARM = fixed_arm(2, 1)
@@ -45,7 +45,7 @@ seeds = st.integers(0, 2**31)
 
 def measured(sensor, position, nu, robot=ROBOT, period=PERIOD, seed=0):
     """Measurements along a motion: positions (N, nv) and velocities (N, p)."""
-    layout, sensors = robot.layout, sensor.on(robot, period, len(position), np.random.default_rng(seed))
+    layout, sensors = Layout.of(robot.dimensions), sensor.on(robot, period, len(position), np.random.default_rng(seed))
     row, wire = layout.new_row(), sensors.wire
     view, out = Measurement.of(row, layout), {name: [] for name in ("pose", "velocity", "q", "qdot")}
     for k, (y, v) in enumerate(zip(position, nu, strict=True)):
@@ -59,10 +59,10 @@ def measured(sensor, position, nu, robot=ROBOT, period=PERIOD, seed=0):
 
 def motion(robot=ROBOT, samples=200, seed=0, period=PERIOD):
     """A smooth rolling motion by fine integration: positions and velocities at the sampling instants."""
-    rng, p, fine = np.random.default_rng(seed), robot.layout.dof, 20
+    rng, p, fine = np.random.default_rng(seed), robot.dimensions.dof, 20
     amplitude, rate, phase = rng.uniform(0.1, 0.8, p), rng.uniform(0.5, 3, p), rng.uniform(0, 6, p)
     position, positions, velocities = robot.neutral_position(), [], []
-    nb = robot.layout.base
+    nb = robot.dimensions.base
     for k in range(samples * fine):
         t = k * period / fine
         nu = amplitude * np.sin(rate * t + phase)
@@ -72,7 +72,7 @@ def motion(robot=ROBOT, samples=200, seed=0, period=PERIOD):
         middle = amplitude * np.sin(rate * (t + 0.5 * period / fine) + phase)
         step = robot.T @ middle * period / fine
         if nb:
-            heading = position[2] + 0.5 * step[robot.layout.pose - 1]
+            heading = position[2] + 0.5 * step[robot.dimensions.pose - 1]
             vx, vy = middle[0], middle[1] if nb == 3 else 0.0
             c, s = np.cos(heading), np.sin(heading)
             step = step.copy()
@@ -82,7 +82,7 @@ def motion(robot=ROBOT, samples=200, seed=0, period=PERIOD):
 
 
 def true(robot, position, nu):
-    nb, pose = robot.layout.base, robot.layout.pose
+    nb, pose = robot.dimensions.base, robot.dimensions.pose
     return {"pose": position[:, :pose], "velocity": nu[:, :nb], "q": position[:, robot.arm_index], "qdot": nu[:, nb:]}
 
 
@@ -114,7 +114,7 @@ def test_differences_are_numpys_and_those_of_wheels_give_the_base(robot):
     np.testing.assert_allclose(got["qdot"][1:], np.diff(q, axis=0) / PERIOD, rtol=1e-9, atol=1e-12)
     assert not got["qdot"][0].any()
     middle = 0.5 * (nu[1:] + nu[:-1])
-    np.testing.assert_allclose(got["velocity"][1:], middle[:, : robot.layout.base], atol=2e-4)
+    np.testing.assert_allclose(got["velocity"][1:], middle[:, : robot.dimensions.base], atol=2e-4)
 
 
 def test_differencing_a_coarse_encoder_gives_multiples_of_step_over_period():
@@ -308,8 +308,10 @@ def test_a_run_resumes_with_its_sensors(engine):
     half = replace(whole, timing=Timing(duration=DURATION / 2))
     first = half.run()
     k, end = half.timing.samples, first.final
-    state = ControllerState(np.array(end["memory"]), whole.state_from().shapes)
-    rest = whole.run(state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["rig_memory"], first=k)
+    state = ControllerState(np.array(end["controller_state"]), whole.state_from().shapes)
+    rest = whole.run(
+        state=state, plant_state=(end["position"], end["nu"]), hardware_state=end["hardware_state"], first=k
+    )
     straight = whole.run()
     for name in ("q", "pose", "velocity", "torque"):
         np.testing.assert_allclose(rest[name], straight[name][k:], rtol=1e-9, atol=1e-9)

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 from mmnn_pin import PD, Dynamics, Feedback, Hold, Line, Loop, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.plant.ideal import IdealPlant
-from mmnn_pin.recording.robot import recorded_robot
+from mmnn_pin.recording.recording import recorded_robot
 
 AXES = load("two_axis_arm")
 LEVEL = np.array([0.4, 0.3])
@@ -26,7 +26,7 @@ def moved(robot, tau, steps=200, dt=0.001, position=None, nu=None, method="stick
     """Plant after some steps under a held torque."""
     plant = IdealPlant(robot, dt, method)
     plant.start(
-        robot.neutral_position() if position is None else position, np.zeros(robot.layout.dof) if nu is None else nu
+        robot.neutral_position() if position is None else position, np.zeros(robot.dimensions.dof) if nu is None else nu
     )
     for _ in range(steps):
         plant.step(np.asarray(tau, float))
@@ -92,8 +92,8 @@ def test_impulses_are_those_of_a_second_solver(seed, mobile, strength):
     robot = (mobile_arm if mobile else fixed_arm)(3, seed)
     level = strength * rng.uniform(0.1, 3.0, 3)
     robot = robot.with_joint_friction(viscous=0.1, coulomb=level, breakaway=1.4, stribeck=0.2)
-    position, nu = robot.neutral_position(), rng.normal(0, 0.1, robot.layout.dof) * rng.integers(0, 2)
-    tau = hanging(robot) + rng.normal(0, 3.0, robot.layout.dof)
+    position, nu = robot.neutral_position(), rng.normal(0, 0.1, robot.dimensions.dof) * rng.integers(0, 2)
+    tau = hanging(robot) + rng.normal(0, 3.0, robot.dimensions.dof)
     plant = moved(robot, tau, 1, 0.001, position, nu)
     expected = by_least_squares(robot, position, nu, tau, 0.001)
     np.testing.assert_allclose(plant.nu, expected, rtol=1e-6, atol=1e-8)
@@ -101,8 +101,8 @@ def test_impulses_are_those_of_a_second_solver(seed, mobile, strength):
 
 def test_static_friction_holds_more_than_coulomb_friction():
     robot = AXES.with_joint_friction(coulomb=LEVEL, breakaway=1.5, stribeck=0.05)
-    np.testing.assert_allclose(robot.dry_friction(np.zeros(robot.layout.full))[robot.arm_index], 1.5 * LEVEL)
-    np.testing.assert_allclose(robot.dry_friction(np.full(robot.layout.full, 9.0))[robot.arm_index], LEVEL)
+    np.testing.assert_allclose(robot.dry_friction(np.zeros(robot.dimensions.full))[robot.arm_index], 1.5 * LEVEL)
+    np.testing.assert_allclose(robot.dry_friction(np.full(robot.dimensions.full, 9.0))[robot.arm_index], LEVEL)
     tau = hanging(robot) + 1.4 * LEVEL
     assert np.abs(moved(robot, tau).nu).max() < 1e-12
     assert np.abs(moved(AXES.with_joint_friction(coulomb=LEVEL), tau).nu).max() > 1e-2
@@ -111,12 +111,12 @@ def test_static_friction_holds_more_than_coulomb_friction():
 def test_friction_only_takes_energy():
     robot = mobile_arm(3, 4).with_joint_friction(coulomb=1.0)
     robot.model.gravity.linear[:] = 0.0
-    dynamics, nu = Dynamics(robot), np.random.default_rng(0).normal(0, 0.5, robot.layout.dof)
+    dynamics, nu = Dynamics(robot), np.random.default_rng(0).normal(0, 0.5, robot.dimensions.dof)
     plant, energy = IdealPlant(robot, 0.0005, "stick"), []
     plant.start(robot.neutral_position(), nu)
     for _ in range(100 if config.DISABLE_JIT else 1000):
         energy.append(dynamics.energy(plant.position, plant.nu))
-        plant.step(np.zeros(robot.layout.dof))
+        plant.step(np.zeros(robot.dimensions.dof))
         plant.refresh()
     assert np.diff(energy).max() < 1e-6 * energy[0]
 
@@ -125,7 +125,7 @@ def test_friction_only_takes_energy():
 def test_both_engines_stick_alike(make):
     robot = make().with_joint_friction(viscous=0.05, coulomb=0.3, breakaway=1.3)
     duration = 0.05 if config.DISABLE_JIT else 1.0
-    nb, n = robot.layout.base, robot.layout.arm
+    nb, n = robot.dimensions.base, robot.dimensions.arm
     loop = Loop(
         robot,
         Trajectory(Line(0.2) if nb else None, tuple(Hold(0.1) for _ in range(n))),

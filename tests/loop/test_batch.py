@@ -40,6 +40,7 @@ from mmnn_pin import (
 from mmnn_pin.errors import ConfigError, TrajectoryError, UnknownName
 from mmnn_pin.loop import batch
 from mmnn_pin.recording.metrics import metrics
+from mmnn_pin.signals import Layout
 
 ROBOT = load("platform_arm")
 GAINS = Feedback(base=500.0, arm=10.0)
@@ -61,7 +62,7 @@ class Mine(TorqueController):
 
     def step(self, time, reference, measurement, command, state):
         state["count"] += 1
-        return GAINS.vector(ROBOT.layout) * np.concatenate((command.z, command.r))
+        return GAINS.vector(ROBOT.dimensions) * np.concatenate((command.z, command.r))
 
     def weights(self, state):
         return state
@@ -121,10 +122,8 @@ def assert_same_bits(run: Run, single: Run) -> None:
 
 @pytest.mark.parametrize("workers", [1, 2, 5, None])
 def test_runs_of_a_batch_are_the_single_runs_bit_for_bit(singles, workers):
-    loops, memories = different()
-    for run, single in zip(
-        simulate_many(loops, memories=memories, windows=WINDOWS, workers=workers), singles, strict=True
-    ):
+    loops, states = different()
+    for run, single in zip(simulate_many(loops, states=states, windows=WINDOWS, workers=workers), singles, strict=True):
         assert_same_bits(run, single)
         assert run.recording is None
 
@@ -139,24 +138,22 @@ def test_the_runs_differ(singles):
 @settings(max_examples=2 if config.DISABLE_JIT else 6, deadline=None)
 @given(order=st.permutations(range(13)), workers=st.integers(1, 4))
 def test_order_and_workers_do_not_matter(singles, order, workers):
-    loops, memories = different()
-    runs = simulate_many(
-        [loops[i] for i in order], memories=[memories[i] for i in order], windows=WINDOWS, workers=workers
-    )
+    loops, states = different()
+    runs = simulate_many([loops[i] for i in order], states=[states[i] for i in order], windows=WINDOWS, workers=workers)
     for i, run in zip(order, runs, strict=True):
         assert_same_bits(run, singles[i])
 
 
-def test_memories_given_are_not_touched():
+def test_states_given_are_not_touched():
     state = trained(2)
     before = state.values.copy()
-    simulate_many([BASIC, BASIC], memories=[state, state], workers=2)
+    simulate_many([BASIC, BASIC], states=[state, state], workers=2)
     np.testing.assert_array_equal(state.values, before)
 
 
 def test_recordings_are_kept_where_asked_for(singles):
-    loops, memories = different()
-    for run, single in zip(simulate_many(loops, memories=memories, windows=WINDOWS, keep=True), singles, strict=True):
+    loops, states = different()
+    for run, single in zip(simulate_many(loops, states=states, windows=WINDOWS, keep=True), singles, strict=True):
         kept, wanted = run.recording, single.recording
         assert_same_bits(run, single)
         assert kept.names == wanted.names and len(kept) == len(wanted)
@@ -195,9 +192,9 @@ def test_python_controllers_run_beside_compiled_ones():
 
 @pytest.mark.parametrize("keep", [("z", "e"), ["slip"], "z"])
 def test_signals_kept_by_name_are_those_of_the_whole_recording(keep):
-    loops, memories = different()
-    named = simulate_many(loops, memories=memories, keep=keep, workers=2)
-    for run, whole in zip(named, simulate_many(loops, memories=memories, keep=True), strict=True):
+    loops, states = different()
+    named = simulate_many(loops, states=states, keep=keep, workers=2)
+    for run, whole in zip(named, simulate_many(loops, states=states, keep=True), strict=True):
         names = ("time", *[name for name in ([keep] if isinstance(keep, str) else keep) if name in whole.recording])
         assert run.recording.names == names
         for name in names:
@@ -235,12 +232,12 @@ def not_finite() -> ControllerState:
         ({"loops": []}, "no runs"),
         ({"workers": 0}, "0 workers"),
         ({"workers": -2}, "-2 workers"),
-        ({"memories": [None]}, "1 memories for 2 runs"),
-        ({"memories": [None, wrong_size()]}, r"memories\[1\].*shape"),
-        ({"memories": [not_finite(), None]}, r"memories\[0\].*not finite"),
-        ({"memories": [None, Neural(TwoLayer(hidden=3)).init(BASIC.context())]}, r"memories\[1\].*two_layer.*22.*3"),
-        ({"memories": [None, np.zeros(5)]}, r"memories\[1\].*ndarray"),
-        ({"memories": [PD().init(BASIC.context()), None]}, r"memories\[0\].*two_layer"),
+        ({"states": [None]}, "1 states for 2 runs"),
+        ({"states": [None, wrong_size()]}, r"states\[1\].*shape"),
+        ({"states": [not_finite(), None]}, r"states\[0\].*not finite"),
+        ({"states": [None, Neural(TwoLayer(hidden=3)).init(BASIC.context())]}, r"states\[1\].*two_layer.*22.*3"),
+        ({"states": [None, np.zeros(5)]}, r"states\[1\].*ndarray"),
+        ({"states": [PD().init(BASIC.context()), None]}, r"states\[0\].*two_layer"),
     ],
 )
 def test_bad_arguments_are_refused_before_anything_runs(arguments, text):
@@ -263,10 +260,10 @@ def test_more_memory_than_the_machine_has_is_refused_with_both_numbers():
 
 @pytest.mark.usefixtures("nothing_runs")
 def test_memory_is_counted_per_run_kept_and_per_worker_otherwise(monkeypatch):
-    size = 8 * TIMING.samples * ROBOT.layout.width
+    size = 8 * TIMING.samples * Layout.of(ROBOT.dimensions).width
     monkeypatch.setattr(batch, "free_bytes", lambda: 6 * size)
     light = replace(BASIC, controller=PD(GAINS))  # no weights
-    named = 5 * ROBOT.layout.width // (1 + 2 * ROBOT.layout.dof)
+    named = 5 * Layout.of(ROBOT.dimensions).width // (1 + 2 * ROBOT.dimensions.dof)
     for keep, runs, workers, fits in (
         (True, 5, 1, True),
         (True, 6, 1, False),
@@ -392,14 +389,14 @@ robots = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 
 
 def mass_matrix(robot: Robot) -> np.ndarray:
-    return Dynamics(robot).mass_matrix(np.random.default_rng(0).uniform(-1, 1, robot.layout.full))
+    return Dynamics(robot).mass_matrix(np.random.default_rng(0).uniform(-1, 1, robot.dimensions.full))
 
 
 @robots
 def test_one_factor_scales_the_mass_matrix_and_gravity(robot):
     before, scaled = mass_matrix(robot), robot.with_masses(2.5)
     np.testing.assert_allclose(mass_matrix(scaled), 2.5 * before, rtol=1e-12)
-    position = np.random.default_rng(0).uniform(-1, 1, robot.layout.full)
+    position = np.random.default_rng(0).uniform(-1, 1, robot.dimensions.full)
     gravity = [Dynamics(r).gravity(position) for r in (robot, scaled)]
     np.testing.assert_allclose(gravity[1], 2.5 * gravity[0], rtol=1e-12, atol=1e-9)
     np.testing.assert_array_equal(scaled.damping, robot.damping)

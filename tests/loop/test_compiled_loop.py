@@ -53,8 +53,8 @@ FAST_SENSOR = {"control_period": 0.005, "plant_step": 0.001, "sensor_period": 0.
 
 def trajectory(robot: Robot) -> Trajectory:
     """A circle from rest, and a sine of its own for every joint."""
-    arm = [Sine(0.5 / (1 + 0.3 * i), 2.0 + 0.7 * i, phase=0.4 * i) for i in range(robot.layout.arm)]
-    return Trajectory(Circle(1.0, 0.4, ramp=0.5) if robot.layout.base else None, tuple(arm))
+    arm = [Sine(0.5 / (1 + 0.3 * i), 2.0 + 0.7 * i, phase=0.4 * i) for i in range(robot.dimensions.arm)]
+    return Trajectory(Circle(1.0, 0.4, ramp=0.5) if robot.dimensions.base else None, tuple(arm))
 
 
 def loop(controller=None, robot: Robot = ROBOT, duration: float = LONG, periods=None, **more) -> Loop:
@@ -96,7 +96,7 @@ def assert_same_and_done(closed: Loop) -> None:
 def schedule(robot: Robot, samples: int) -> ScheduledPD:
     """Gains that swing, in a table that is shorter than the run."""
     swing = 1.0 + 0.3 * np.sin(np.arange(max(1, samples // 2)) / 7.0)
-    return ScheduledPD(swing[:, None] * GAINS.vector(robot.layout))
+    return ScheduledPD(swing[:, None] * GAINS.vector(robot.dimensions))
 
 
 CONTROLLERS = {
@@ -181,7 +181,7 @@ def test_arms_that_feel_gravity(make, name):
 def test_the_seven_joint_arms_are_what_they_are_for():
     """Seven joints, one of them sliding, gravity and an axle away from the root link."""
     for robot, base in ((mobile_arm(), 2), (fixed_arm(), 0)):
-        assert (robot.layout.arm, robot.layout.base) == (7, base)
+        assert (robot.dimensions.arm, robot.dimensions.base) == (7, base)
         assert body.body_of(robot).feels_gravity and np.all(robot.damping[robot.arm_index] > 0)
         assert robot.model.joints[robot.model.getJointId("joint_2")].shortname() == "JointModelPrismaticUnaligned"
     assert mobile_arm().frame[0] > 0.1
@@ -233,7 +233,7 @@ def test_a_run_that_leaves_its_bounds_ends_alike(bounds, signal):
 
 @pytest.mark.parametrize("integrator", ["rk4", "semi_implicit_euler"])
 def test_a_number_that_is_not_finite_ends_both_at_that_sample(integrator):
-    gains = np.tile(GAINS.vector(ROBOT.layout), (50, 1))
+    gains = np.tile(GAINS.vector(ROBOT.dimensions), (50, 1))
     gains[7, 1] = np.inf
     ordinary, compiled = both(loop(ScheduledPD(gains), check_gains=False, integrator=integrator))
     assert (ordinary.outcome.status, ordinary.outcome.signal) == ("diverged", "effective_gain[1]")
@@ -270,7 +270,7 @@ def test_one_engine_resumes_what_the_other_began(engines, name):
     half = replace(whole, timing=Timing(duration=whole.timing.duration / 2, **SLOW_SENSOR), engine=engines[0])
     begun, run = half.run(), replace(whole, engine="ordinary").run()
     state = whole.state_from()
-    state.values[:] = begun.final["memory"]
+    state.values[:] = begun.final["controller_state"]
     plant_state = begun.final["position"], begun.final["nu"]
     ended = replace(whole, engine=engines[1]).run(state=state, plant_state=plant_state, first=len(begun))
     assert ended.meta["loop"] == engines[1] and len(begun) + len(ended) == len(run)
@@ -289,7 +289,7 @@ class Mine(TorqueController):
     name = "mine"
 
     def step(self, time, reference, measurement, command, state):
-        return GAINS.vector(ROBOT.layout) * np.concatenate((command.z, command.r))
+        return GAINS.vector(ROBOT.dimensions) * np.concatenate((command.z, command.r))
 
 
 def test_a_python_controller_runs_in_the_ordinary_loop_and_says_so(tmp_path):

@@ -36,7 +36,7 @@ from mmnn_pin.errors import ConfigError, InputError, RecordingError
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.plant.ideal import IdealPlant
-from mmnn_pin.signals import Measurement, Reference, VelocityCommand
+from mmnn_pin.signals import Measurement, Setpoint, VelocityCommand
 
 ROBOT = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])
 ARM = load("two_axis_arm")
@@ -68,7 +68,7 @@ class Mine(TorqueController):
         return self.gains * np.concatenate((command.z, command.r))
 
     def step(self, time, reference, measurement, command, state):
-        assert (type(reference), type(measurement), type(command)) == (Reference, Measurement, VelocityCommand)
+        assert (type(reference), type(measurement), type(command)) == (Setpoint, Measurement, VelocityCommand)
         self.seen.append({f.name: getattr(measurement, f.name).copy() for f in fields(measurement)})
         return self.torque(time, command)
 
@@ -202,7 +202,7 @@ def test_controller_sees_the_measurement_and_not_the_state():
         np.testing.assert_array_equal(mine.saw(name), run[name])
     assert np.abs(mine.saw("velocity") - run["nu"][:, :2]).max() > 1e-3  # stale: it contradicts the state
     assert np.abs(mine.saw("q") - run["position"][:, ROBOT.arm_index]).max() > 1e-4
-    shown = {f.name for record in (Reference, Measurement, VelocityCommand) for f in fields(record)}
+    shown = {f.name + record.suffix for record in (Setpoint, Measurement, VelocityCommand) for f in fields(record)}
     assert not shown & {"position", "nu", "psi", "energy"}
 
 
@@ -339,7 +339,7 @@ def test_run_in_two_halves_is_the_run(engine):
     whole = loop(Neural(), engine=engine)
     first = loop(Neural(), SHORT / 2, engine=engine).run()
     state = whole.controller.init(whole.context())
-    state.values[:] = first.final["memory"]
+    state.values[:] = first.final["controller_state"]
     before = state.values.copy()
     plant_state = first.final["position"], first.final["nu"]
     second, run = whole.run(state=state, plant_state=plant_state, first=len(first)), whole.run()
@@ -353,9 +353,9 @@ def test_run_in_two_halves_is_the_run(engine):
 
 @pytest.mark.parametrize(("key", "nominal", "arguments"), [
     ("nominal", ARM, {}),
-    ("state", None, {"state": (np.full(7, np.nan), np.zeros(4))}),
-    ("state", None, {"state": (np.zeros(7), np.zeros(5))}),
-    ("memory", None, {"memory": PD().init(loop().context())}),
+    ("plant_state", None, {"plant_state": (np.full(7, np.nan), np.zeros(4))}),
+    ("plant_state", None, {"plant_state": (np.zeros(7), np.zeros(5))}),
+    ("state", None, {"state": PD().init(loop().context())}),
     ("first", None, {"first": 10_000}),
     ("first", None, {"first": 1}),
 ])  # fmt: skip
@@ -376,7 +376,7 @@ def test_weights_are_recorded_at_intervals_and_at_the_end(tmp_path, engine):
     steps = np.abs(np.diff(run.weights["W2"], axis=0)).max(axis=(1, 2))
     assert np.all(steps > 0)
     state = Neural().init(loop(Neural()).context())
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     np.testing.assert_array_equal(run.weights["V2"][-1], state["V2"])
     norms = np.sqrt((run.weights["W2"][:-1] ** 2).sum((1, 2)) + (run.weights["V2"][:-1] ** 2).sum((1, 2)))
     at = np.round(run.weights["time"][:-1] / 0.002).astype(int)

@@ -12,14 +12,13 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.before_run import SampledLoop, Start, require_stable, sampled_loop
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.sampled import SampledLoop, require_stable, sampled_loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.reference import Hold, Line, Trajectory
+from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array
-from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD
 
@@ -157,7 +156,7 @@ def standing(robot: Robot, feedback: Feedback, check_gains: bool, seconds: float
     seconds = 2 * H if PLAIN else seconds
     return Loop(
         robot,
-        Trajectory(Line(0.3) if robot.layout.base else None, (Hold(0.4),) * robot.layout.arm),
+        Trajectory(Line(0.3) if robot.dimensions.base else None, (Hold(0.4),) * robot.dimensions.arm),
         PD(feedback),
         timing=Timing(duration=seconds, control_period=H, plant_step=H / 10),
         start=Start(pose_offset=(-1e-6, 0.0, 0.0), joint_offset=1e-6, moving=True),
@@ -169,8 +168,8 @@ def standing(robot: Robot, feedback: Feedback, check_gains: bool, seconds: float
 def verdict(loop: Loop, gains: Array) -> SampledLoop:
     robot = loop.robot
     M = Dynamics(robot).mass_matrix(loop.start.state(robot, loop.table()[0])[0])
-    v_ref = np.array([0.3, 0.0]) if robot.layout.base else NONE
-    return sampled_loop(M, gains, v_ref, loop.kinematic.base_gains(), loop.kinematic.arm_gains(robot.layout), H)
+    v_ref = np.array([0.3, 0.0]) if robot.dimensions.base else NONE
+    return sampled_loop(M, gains, v_ref, loop.kinematic.base_gains(), loop.kinematic.arm_gains(robot.dimensions), H)
 
 
 def limit(robot: Robot, feedback: Callable[[float], Feedback]) -> float:
@@ -178,7 +177,7 @@ def limit(robot: Robot, feedback: Callable[[float], Feedback]) -> float:
     loop, low, high = standing(robot, feedback(1.0), False, H), 1e-3, 1e3
     for _ in range(60):
         middle = np.sqrt(low * high)
-        stable = verdict(loop, feedback(middle).vector(robot.layout)).stable
+        stable = verdict(loop, feedback(middle).vector(robot.dimensions)).stable
         low, high = (middle, high) if stable else (low, middle)
     return low
 
@@ -211,7 +210,7 @@ def test_deviations_grow_above_the_limit_at_the_judged_rate_and_shrink_below(
     deviations = [np.linalg.norm(run["nu"] - run["nu_ref"], axis=1) for run in (calm, wild)]
     assert deviations[0][-1] < 0.3 * deviations[0].max()
     per_sample = (deviations[1][90] / deviations[1][50]) ** (1 / 40)
-    judged = verdict(standing(robot, above, False, H), above.vector(robot.layout)).radius
+    judged = verdict(standing(robot, above, False, H), above.vector(robot.dimensions)).radius
     assert judged > 1.05
     assert per_sample == pytest.approx(judged, rel=0.01)
 

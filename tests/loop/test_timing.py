@@ -9,7 +9,7 @@ import pytest
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.timing import Timing, divide
+from mmnn_pin.settings import Timing, divide
 
 
 @pytest.mark.parametrize(

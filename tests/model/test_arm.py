@@ -74,8 +74,8 @@ def test_the_map_knows_only_what_moves_and_the_model_feels_where_locks_are():
     for at in (0.0, 0.3):
         robot = robot_of(two_armed(), lock=(f"lift={at}",))
         assert np.abs(robot.A @ robot.T).max() < 1e-12
-        assert np.linalg.matrix_rank(robot.A) == len(robot.A) == robot.model.nv - robot.layout.dof
-        data = moving(robot, robot.neutral_position(), np.zeros(robot.layout.dof))
+        assert np.linalg.matrix_rank(robot.A) == len(robot.A) == robot.model.nv - robot.dimensions.dof
+        data = moving(robot, robot.neutral_position(), np.zeros(robot.dimensions.dof))
         heights.append(pin.centerOfMass(robot.model, data, robot.configuration(robot.neutral_position()))[2])
     assert heights[1] > heights[0] + 0.1
 
@@ -115,17 +115,17 @@ def test_slaves_follow_their_masters_at_rest_in_motion_and_in_states_by_name(mul
     at = dict(zip(robot.position_names, position, strict=True))
     assert at["follow"] == pytest.approx(multiplier * q + offset)
     assert at["chained"] == pytest.approx(0.5 * (multiplier * q + offset) + 0.1)
-    nu = np.zeros(robot.layout.dof)
+    nu = np.zeros(robot.dimensions.dof)
     nu[robot.velocity_names.index("arm_joint_1")] = 1.0
     rates = dict(zip(robot.full_velocity_names, robot.T @ nu, strict=True))
     assert rates["follow"] == pytest.approx(multiplier) and rates["chained"] == pytest.approx(0.5 * multiplier)
     assert np.abs(robot.A @ robot.T).max() < 1e-12
-    assert np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.layout.dof
+    assert np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.dimensions.dof
 
 
 def test_slaves_weigh_on_their_master_as_in_the_energy_of_the_motion():
     robot = robot_of(slaves(-1.5, 0.3))
-    position, nu = robot.neutral_position(), np.random.default_rng(0).normal(size=robot.layout.dof)
+    position, nu = robot.neutral_position(), np.random.default_rng(0).normal(size=robot.dimensions.dof)
     energy = pin.computeKineticEnergy(
         robot.model, robot.model.createData(), robot.configuration(position), robot.T @ nu
     )
@@ -153,7 +153,7 @@ def test_with_masses_and_friction_keep_what_is_locked():
 @pytest.mark.parametrize("text", [slaves(-1.5, 0.3), two_armed()], ids=["slaves", "two_armed"])
 def test_compiled_and_ordinary_loops_agree_on_slaves_and_locks(text):
     robot = robot_of(text, lock=("arm_joint_0=0.4",))
-    arm = tuple(Sine(0.1, 2.0, phase=0.4 * i) for i in range(robot.layout.arm))
+    arm = tuple(Sine(0.1, 2.0, phase=0.4 * i) for i in range(robot.dimensions.arm))
     loop = Loop(
         robot,
         Trajectory(Circle(1.0, 0.4, ramp=0.5), arm),

@@ -161,7 +161,7 @@ def test_massless_links_are_legal_where_what_they_carry_gives_them_inertia():
     robot = robot_of(virtual(PLANE, 3.0))
     M = pin.crba(robot.model, robot.model.createData(), np.zeros(robot.model.nq))
     np.testing.assert_allclose(np.diag(M), [3.0, 3.0, 0.02], atol=1e-12)
-    assert robot_of(virtual(GIMBAL, 3.0)).layout.arm == 3
+    assert robot_of(virtual(GIMBAL, 3.0)).dimensions.arm == 3
 
 
 @pytest.mark.parametrize("axes", [[PLANE[2]] * 2, [PLANE[0]] * 2, [*PLANE, PLANE[1]]])

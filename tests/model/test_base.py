@@ -88,7 +88,7 @@ def test_rims_slip_only_across_the_rollers(lx, ly, roller, seed):
         slip = rim_velocity(robot, name, 0.1, data)
         assert slip @ [np.cos(angle), np.sin(angle), 0] == pytest.approx(0, abs=1e-9)
     assert np.abs(robot.A @ robot.T).max() < 1e-12
-    assert np.linalg.matrix_rank(robot.A) == len(robot.A) == robot.model.nv - robot.layout.dof
+    assert np.linalg.matrix_rank(robot.A) == len(robot.A) == robot.model.nv - robot.dimensions.dof
 
 
 @settings(max_examples=20, deadline=None)

@@ -99,13 +99,13 @@ every = pytest.mark.parametrize("robot", (ROBOTS | ARMS).values(), ids=ROBOTS | 
 
 def state(robot: Robot, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
-    return rng.uniform(-3, 3, robot.layout.full), rng.uniform(-2, 2, robot.layout.dof)
+    return rng.uniform(-3, 3, robot.dimensions.full), rng.uniform(-2, 2, robot.dimensions.dof)
 
 
 def rate(robot: Robot, position: np.ndarray, nu: np.ndarray) -> np.ndarray:
     """Time derivative of a position, as the thesis has it: qdot = S(phi) v."""
     out = robot.T @ nu
-    if robot.layout.base:
+    if robot.dimensions.base:
         out[:3] = nu[0] * np.cos(position[2]), nu[0] * np.sin(position[2]), nu[1]
     return out
 
@@ -177,7 +177,7 @@ def test_random_planar_robots_agree_with_the_world_frame(planar, seed):
 @mobile
 def test_leaving_Sdot_out_is_a_gross_error(robot):
     world = WorldFrame(robot)
-    position, nu = np.zeros(robot.layout.full), np.ones(robot.layout.dof)
+    position, nu = np.zeros(robot.dimensions.full), np.ones(robot.dimensions.dof)
     q = world.coordinates(position)
     S = world.null_space(q[2])
     without = S.T @ world.coriolis_matrix(q, S @ nu) @ S
@@ -219,7 +219,7 @@ def constraints(robot: Robot, phi: float) -> tuple[np.ndarray, np.ndarray]:
     forward = along(phi + psi)
     left = QUARTER @ forward
     turning = QUARTER @ np.column_stack((along(phi), QUARTER @ along(phi))) @ (a, c)  # of the control frame, per phidot
-    A, dA = np.zeros((2, len(robot.A), robot.layout.full))
+    A, dA = np.zeros((2, len(robot.A), robot.dimensions.full))
     A[0, :2], A[0, 2], dA[0, :2] = left, left @ turning, -forward
     for i, wheel in enumerate(robot.base.wheels, start=1):
         A[i, :2], A[i, 2], dA[i, :2] = forward, forward @ turning - wheel.y, left
@@ -251,7 +251,7 @@ def kkt(robot: Robot, position: np.ndarray, nu: np.ndarray, motors: np.ndarray) 
 
 @mobile
 def test_constraints_of_the_unreduced_model_hold_and_turn_with_the_robot(robot):
-    world, nu = WorldFrame(robot), np.ones(robot.layout.dof)
+    world, nu = WorldFrame(robot), np.ones(robot.dimensions.dof)
     phi = 0.3
     qdot = world.null_space(phi) @ nu
     A, dA = constraints(robot, phi)
@@ -260,9 +260,9 @@ def test_constraints_of_the_unreduced_model_hold_and_turn_with_the_robot(robot):
 
 
 def kkt_agrees(robot: Robot, seed: int) -> None:
-    robot = robot.with_friction([0.0, 0.0, *np.linspace(0.3, 0.7, robot.layout.arm)])
+    robot = robot.with_friction([0.0, 0.0, *np.linspace(0.3, 0.7, robot.dimensions.arm)])
     dynamics, (position, nu) = Dynamics(robot), state(robot, seed)
-    motors = np.random.default_rng(seed + 2).uniform(-5, 5, robot.layout.motors)
+    motors = np.random.default_rng(seed + 2).uniform(-5, 5, robot.dimensions.motors)
     nudot, multipliers = kkt(robot, position, nu, motors)
     close(dynamics.acceleration(position, nu, robot.E @ motors), nudot, 1e-8)
     close(dynamics.constraint_forces(position, nu, motors), multipliers, 1e-8)
@@ -292,9 +292,9 @@ def test_lateral_force_of_a_body_on_a_circle_is_its_centripetal_force():
 
 @mobile
 def test_constraint_forces_balance_whatever_friction_the_base_has(robot):
-    robot = robot.with_friction(np.linspace(1, 9, robot.layout.dof))
+    robot = robot.with_friction(np.linspace(1, 9, robot.dimensions.dof))
     dynamics, (position, nu) = Dynamics(robot), state(robot)
-    motors = np.linspace(-2, 3, robot.layout.motors)
+    motors = np.linspace(-2, 3, robot.dimensions.motors)
     tau = robot.E @ motors
     a = robot.T @ dynamics.acceleration(position, nu, tau)
     model, q, v = robot.model, robot.configuration(position), robot.T @ nu
@@ -323,13 +323,13 @@ def test_mass_matrix_changes_with_C_and_its_transpose(robot, seed):
 @every
 @pytest.mark.parametrize("seed", range(3))
 def test_workspace_agrees_with_the_matrices(robot, seed):
-    robot = robot.with_friction(np.linspace(1, 2, robot.layout.dof))
+    robot = robot.with_friction(np.linspace(1, 2, robot.dimensions.dof))
     dynamics, (position, nu) = Dynamics(robot), state(robot, seed)
     rng = np.random.default_rng(seed)
-    nudot, nu_ref, nudot_ref = rng.uniform(-3, 3, (3, robot.layout.dof))
+    nudot, nu_ref, nudot_ref = rng.uniform(-3, 3, (3, robot.dimensions.dof))
     rest = dynamics.coriolis_matrix(position, nu) @ nu + dynamics.gravity(position) + dynamics.friction(nu)
     M = dynamics.mass_matrix(position)
-    psi, written = dynamics.psi(position, nu, nu_ref, nudot_ref), np.zeros(robot.layout.dof)
+    psi, written = dynamics.psi(position, nu, nu_ref, nudot_ref), np.zeros(robot.dimensions.dof)
     dynamics.refresh(position, nu)
     close(dynamics.M, M)
     close(dynamics.h, rest)
@@ -342,7 +342,7 @@ def test_workspace_agrees_with_the_matrices(robot, seed):
 def test_psi_of_the_motion_itself_is_inverse_dynamics(robot):
     robot = robot.with_friction(0.7)
     dynamics, (position, nu) = Dynamics(robot), state(robot)
-    nudot = np.linspace(-1, 2, robot.layout.dof)
+    nudot = np.linspace(-1, 2, robot.dimensions.dof)
     full = pin.rnea(robot.model, robot.model.createData(), robot.configuration(position), robot.T @ nu, robot.T @ nudot)
     psi = dynamics.psi(position, nu, nu, nudot)
     close(psi, robot.T.T @ full + dynamics.friction(nu))
@@ -352,7 +352,7 @@ def test_psi_of_the_motion_itself_is_inverse_dynamics(robot):
 @every
 def test_psi_is_not_linear_in_the_motion_itself_but_in_its_references(robot):
     dynamics, (position, nu) = Dynamics(robot), state(robot)
-    a, b = np.random.default_rng(3).uniform(-2, 2, (2, 2, robot.layout.dof))
+    a, b = np.random.default_rng(3).uniform(-2, 2, (2, 2, robot.dimensions.dof))
     zero = dynamics.psi(position, nu, 0 * nu, 0 * nu)
     close(zero, dynamics.gravity(position) + dynamics.friction(nu))
     close(
@@ -367,7 +367,7 @@ def test_passivity_of_the_error_dynamics_along_a_motion(robot):
     """`d/dt (s' M s / 2) = s' (Psi - tau)` for any reference and any torque, integrated over a simulated motion."""
     robot = robot.with_friction(0.05)
     plant, dynamics = IdealPlant(robot, 1e-3), Dynamics(robot)
-    phases = np.arange(robot.layout.dof)
+    phases = np.arange(robot.dimensions.dof)
     position, nu = state(robot)
     plant.start(position, 0.3 * nu)
     inertia = np.diag(dynamics.mass_matrix(position))
@@ -390,9 +390,9 @@ def test_passivity_of_the_error_dynamics_along_a_motion(robot):
 
 @every
 def test_energy_changes_with_the_power_of_torques_and_friction(robot):
-    robot = robot.with_friction(np.linspace(0.5, 1.0, robot.layout.dof))
+    robot = robot.with_friction(np.linspace(0.5, 1.0, robot.dimensions.dof))
     dynamics, (position, nu) = Dynamics(robot), state(robot)
-    tau = np.linspace(-4, 5, robot.layout.dof)
+    tau = np.linspace(-4, 5, robot.dimensions.dof)
     dt, nudot = 1e-5, dynamics.acceleration(position, nu, tau)
     before, after = (dynamics.energy(position + t * rate(robot, position, nu), nu + t * nudot) for t in (-dt, dt))
     assert (after - before) / (2 * dt) == pytest.approx(nu @ (tau - dynamics.friction(nu)), rel=1e-6, abs=1e-6)
@@ -431,7 +431,7 @@ def test_friction_takes_energy_out_and_slows_down(robot, seed):
     dynamics, (position, nu) = Dynamics(robot), state(robot, seed)
     assert nu @ dynamics.friction(nu) > 0
     close(dynamics.friction(-nu), -dynamics.friction(nu))
-    bare = Dynamics(load("two_axis_arm") if not robot.layout.base else robot.with_friction(0.0))
+    bare = Dynamics(load("two_axis_arm") if not robot.dimensions.base else robot.with_friction(0.0))
     slowed = dynamics.acceleration(position, nu, nu) - bare.acceleration(position, nu, nu)
     assert nu @ bare.mass_matrix(position) @ slowed < 0
 
@@ -454,7 +454,7 @@ def test_gravity_of_a_lift_and_a_boom_by_hand():
     close(dynamics.gravity(position), np.array(list(wanted.values())), 1e-12)
     lower = position.copy()
     lower[robot.full_velocity_names.index("lift_joint")] = 0.0
-    still = np.zeros(robot.layout.dof)
+    still = np.zeros(robot.dimensions.dof)
     raised = dynamics.energy(position, still) - dynamics.energy(lower, still)
     assert raised == pytest.approx((LIFT_MASS + BOOM_MASS) * G * height)
 

@@ -15,17 +15,16 @@ from robots import mobile_arm
 from mmnn_pin.errors import ConfigError, TrajectoryError
 from mmnn_pin.kinematic import Kinematic, body_error
 from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.loop.before_run import Start, sampled_loop
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.sampled import sampled_loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model.base.holonomic import holonomic_command
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Table, Trajectory, Waypoints
+from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array, Layout
-from mmnn_pin.timing import Timing
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural
@@ -47,7 +46,7 @@ def mecanum(arm: int = 2) -> Robot:
     Its two wheels stand still and three motors act on the base directly; only the dimensions matter here.
     """
     robot = mobile_arm(arm)
-    nv, p = robot.layout.full, arm + 3
+    nv, p = robot.dimensions.full, arm + 3
     T = np.zeros((nv, p))
     T[:3, :3] = np.linalg.inv(robot.base.to_control)
     T[robot.arm_index, 3 + np.arange(arm)] = 1.0
@@ -166,11 +165,11 @@ def test_paths_and_bases_that_do_not_fit_are_refused():
         Holonomic("eight")  # type: ignore[arg-type]
     robot = mecanum()
     with pytest.raises(TrajectoryError, match="2 velocities for a base of 3"):
-        Trajectory(PATHS["line"], (Hold(0.0),) * 2).table([0.0, 1.0], robot.layout)
+        Trajectory(PATHS["line"], (Hold(0.0),) * 2).table([0.0, 1.0], robot.dimensions)
     experiment = load_experiment("track", ["reference.heading={type='hold', value=1.0}"])
     with pytest.raises(ConfigError, match="heading for a differential drive"):
-        experiment.trajectory(mobile_arm(2).layout)
-    path = experiment.trajectory(robot.layout).base
+        experiment.trajectory(mobile_arm(2).dimensions)
+    path = experiment.trajectory(robot.dimensions).base
     assert path is not None and path.nb == 3
     np.testing.assert_allclose(path.sample([0.0, 1.0, 3.0]).pose[:, 2], 1.0)
 
@@ -201,7 +200,7 @@ def mass(robot: Robot) -> Array:
 
 
 def no_friction(robot: Robot) -> Robot:
-    return replace(robot, damping=np.zeros(robot.layout.full), coulomb=np.zeros(robot.layout.full))
+    return replace(robot, damping=np.zeros(robot.dimensions.full), coulomb=np.zeros(robot.dimensions.full))
 
 
 @pytest.mark.parametrize("engine", ["ordinary", "compiled"])

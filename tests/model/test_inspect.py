@@ -162,11 +162,11 @@ def test_names_of_the_extra_are_found_where_it_is_installed(monkeypatch, tmp_pat
 ])  # fmt: skip
 def test_four_mobile_robots_are_understood_without_a_hint(name, kind, wheels, arm):
     robot = load(name)
-    assert (robot.base.kind, len(robot.base.wheels), robot.layout.arm) == (kind, wheels, arm)
+    assert (robot.base.kind, len(robot.base.wheels), robot.dimensions.arm) == (kind, wheels, arm)
     radius, track = (0.0762, 0.44635) if name == "tiago_pro" else (0.0985, 0.4044)
     assert {w.radius for w in robot.base.wheels} == {radius} and robot.base.track == pytest.approx(track)
     assert np.abs(robot.A @ robot.T).max() < 1e-12
-    assert len(robot.A) == np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.layout.dof
+    assert len(robot.A) == np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.dimensions.dof
     if name == "tiago_dual":
         assert len(robot.base.casters) == 8 and len(robot.base.suspensions) == 2
 
@@ -182,7 +182,7 @@ def test_pr2_is_undecided_and_the_message_says_how_to_go_on():
     with pytest.raises(Undecided, match="--base fixed") as error:
         load("pr2")
     assert "caster" in str(error.value)
-    assert load("pr2", base="fixed").layout.base == 0
+    assert load("pr2", base="fixed").dimensions.base == 0
     assert load("pr2", base="holonomic").velocity_names[:3] == ("vx", "vy", "w")
 
 
@@ -193,7 +193,7 @@ MOBILE = {"tiago", "tiago_no_hand", "tiago_dual", "tiago_pro", "pr2"}
 @pytest.mark.parametrize("name", sorted(FILES.keys() - MOBILE))
 def test_every_fixed_arm_is_fixed(name):
     robot = load(name)
-    assert robot.base.kind == "fixed" and robot.layout.arm > 0
+    assert robot.base.kind == "fixed" and robot.dimensions.arm > 0
 
 
 @needs_data

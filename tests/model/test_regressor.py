@@ -37,7 +37,7 @@ def robot_named(name):
     made = {"mobile": mobile_arm, "fixed": fixed_arm}
     robot = made[name](5) if name in made else load(name)
     rough = robot.with_joint_friction(viscous=0.3, coulomb=0.5)
-    return rough.with_friction(1.0 + np.arange(robot.layout.dof))
+    return rough.with_friction(1.0 + np.arange(robot.dimensions.dof))
 
 
 def worst(robot, samples=10, seed=0):
@@ -45,7 +45,7 @@ def worst(robot, samples=10, seed=0):
     regressor, theta, dynamics, found = Regressor.of(robot), parameters(robot), Dynamics(robot), []
     rng = np.random.default_rng(seed)
     for _ in range(samples):
-        position, motion = regressor.random_position(rng), rng.standard_normal((3, robot.layout.dof))
+        position, motion = regressor.random_position(rng), rng.standard_normal((3, robot.dimensions.dof))
         psi = dynamics.psi(position, *motion)
         found.append(np.abs(regressor.matrix(position, *motion) @ theta - psi).max() / np.abs(psi).max())
     return max(found)
@@ -121,12 +121,12 @@ def test_it_is_pinocchios_regressor_where_the_reference_is_the_motion(name, seed
     robot = robot_named(name)
     regressor, T = Regressor.of(robot), np.array(robot.T)
     model = with_any_inertias(robot.model, seed)
-    frame = tuple(robot.frame) if robot.layout.base else (0.0, 0.0, 0.0)
+    frame = tuple(robot.frame) if robot.dimensions.base else (0.0, 0.0, 0.0)
     tree = flatten(model, T, robot.neutral_position(), frame, absorb=False)
-    theta = inertial_parameters(tree, robot.layout.base)
+    theta = inertial_parameters(tree, robot.dimensions.base)
     pi = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
     rng = np.random.default_rng(seed)
-    position, (nu, nudot) = regressor.random_position(rng), rng.standard_normal((2, robot.layout.dof))
+    position, (nu, nudot) = regressor.random_position(rng), rng.standard_normal((2, robot.dimensions.dof))
     q = configuration(model, position, tree.frame)
     theirs = T.T @ pin.computeJointTorqueRegressor(model, model.createData(), q, T @ nu, T @ nudot) @ pi
     ours = regressor.matrix(position, nu, nu, nudot)[:, : theta.size] @ theta

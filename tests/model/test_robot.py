@@ -129,7 +129,7 @@ def test_wheels_weigh_in_the_reduced_mass_with_their_spin():
 @given(drive=drives)
 def test_motor_power_is_generalized_power(drive):
     robot = robot_of(drive.urdf())
-    u, nu = np.random.default_rng(1).normal(size=(2, robot.layout.motors))
+    u, nu = np.random.default_rng(1).normal(size=(2, robot.dimensions.motors))
     rates = dict(zip(robot.full_velocity_names, robot.T @ nu, strict=True))
     assert nu @ robot.E @ u == pytest.approx(sum(rates[n] * ui for n, ui in zip(robot.actuator_names, u, strict=True)))
     assert robot.actuator_names == (*drive.names, "shoulder", "elbow")
@@ -144,7 +144,7 @@ def test_layout_names_and_limits():
     robot = robot_of(text)
     names = robot.full_velocity_names
     assert robot.velocity_names == ("v", "w", "shoulder", "elbow") and robot.joint_names == ("shoulder", "elbow")
-    assert (robot.layout.base, robot.layout.arm, robot.layout.full, robot.layout.motors) == (2, 2, 7, 4)
+    assert (robot.dimensions.base, robot.dimensions.arm, robot.dimensions.full, robot.dimensions.motors) == (2, 2, 7, 4)
     assert [robot.full_velocity_names[i] for i in np.flatnonzero(robot.damping)] == ["shoulder"]
     assert robot.damping.max() == 0.3 and robot.coulomb.max() == 0.1
     assert robot.effort_limits.tolist() == [np.inf, np.inf, np.inf, 9.0]
@@ -216,7 +216,7 @@ def test_swivel_casters_are_locked():
     still = [robot.full_velocity_names.index(name) for name in robot.base.casters]
     assert not robot.T[still].any()
     assert np.abs(robot.A @ robot.T).max() < 1e-12
-    assert np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.layout.dof
+    assert np.linalg.matrix_rank(robot.A) == robot.model.nv - robot.dimensions.dof
 
 
 def test_swivel_with_its_wheel_welded_on_is_a_caster_and_a_turntable_is_not():
@@ -293,7 +293,7 @@ def test_fixed_arm_has_no_base_and_no_constraints():
     robot = robot_of(f'<robot name="a">{link("base")}{ARM}</robot>')
     np.testing.assert_array_equal(robot.T, np.eye(2))
     np.testing.assert_array_equal(robot.E, np.eye(2))
-    assert robot.A.shape == (0, 2) and robot.base.kind == "fixed" and robot.layout.pose == 0
+    assert robot.A.shape == (0, 2) and robot.base.kind == "fixed" and robot.dimensions.pose == 0
     assert robot.full_velocity_names == robot.velocity_names == robot.actuator_names == ("shoulder", "elbow")
     np.testing.assert_allclose(robot.configuration([0.3, 0.7]), [np.cos(0.3), np.sin(0.3), 0.7])
     np.testing.assert_allclose(robot.model.gravity.linear, [0, 0, -9.81])
@@ -306,10 +306,10 @@ def test_bundled_robots_load_by_name_from_any_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert set(bundled()) >= {"platform_arm", "two_axis_arm"}
     platform, arm = load("platform_arm"), load("two_axis_arm")
-    assert platform.base.kind == "differential_drive" and platform.layout.arm == 2 and platform.base.casters == ()
+    assert platform.base.kind == "differential_drive" and platform.dimensions.arm == 2 and platform.base.casters == ()
     assert [w.radius for w in platform.base.wheels] == [0.075, 0.075]
     assert platform.base.track == pytest.approx(2 * 0.171)
-    assert arm.base.kind == "fixed" and arm.layout.arm == 2
+    assert arm.base.kind == "fixed" and arm.dimensions.arm == 2
 
 
 def test_robots_load_by_path(tmp_path):

@@ -22,7 +22,7 @@ MOBILE = [name for name in ("tiago", "tiago_no_hand", "tiago_dual", "tiago_pro")
 def assert_same_placements(robot: Robot, seed: int = 0) -> None:
     kinematics, rng = SecondKinematics(robot), np.random.default_rng(seed)
     for _ in range(3):
-        position = robot.follow(rng.uniform(-np.pi, np.pi, robot.layout.full))
+        position = robot.follow(rng.uniform(-np.pi, np.pi, robot.dimensions.full))
         ours, theirs = kinematics.by_pinocchio(position), kinematics.placements(position)
         assert len(ours) > 1 and ours.keys() == theirs.keys()
         for name, placement in ours.items():

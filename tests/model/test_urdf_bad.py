@@ -417,6 +417,6 @@ def test_awkward_but_legal_files_load(tmp_path, name):
     file = tmp_path / "awkward.urdf"
     file.write_bytes(AWKWARD[name])
     robot = load(file)
-    assert robot.layout.arm == robot.model.nv == 1
+    assert robot.dimensions.arm == robot.model.nv == 1
     assert robot.joint_names[0] in ("hinge", "hängel", "<b> 机 &")
     assert robot.damping.tolist() == [0.1] and robot.effort_limits.tolist() == [5.0]

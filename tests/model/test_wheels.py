@@ -236,7 +236,7 @@ SIDES = {"rl": "fl", "rr": "fr"}
 def test_wheels_that_turn_with_the_one_in_front_are_a_skid_steers(more):
     with pytest.raises(Unsupported, match=r"skid-steer base: .*'rl' follows 'fl' \(<mimic>\)"):
         robot_of(following(four(more=more), SIDES))
-    assert robot_of(following(four(more=more), SIDES), base="fixed").layout.base == 0
+    assert robot_of(following(four(more=more), SIDES), base="fixed").dimensions.base == 0
     robot = robot_of(following(four(more=more), SIDES), wheels=("fl", "fr"))
     assert robot.base.casters == ("rl", "rr")
     with pytest.raises(ConfigError, match="'rl' cannot be a drive wheel: it follows 'fl'"):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from mmnn_pin.recording.metrics import Reducer, halves, metrics
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
-from mmnn_pin.signals import Array, Layout
+from mmnn_pin.signals import Array, Dimensions, Layout
 
 PERIOD = 0.01
 LAYOUTS = {
@@ -22,7 +22,7 @@ WINDOWS = ((0.0, 0.1), (0.1, 0.35), (0.05, 0.15), (5.0, 9.0))
 layouts = pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS)
 
 
-def facts(layout: Layout) -> dict:
+def facts(layout: Dimensions) -> dict:
     return {
         "control_period": PERIOD,
         "velocity_names": [f"u{i}" for i in range(layout.dof)],

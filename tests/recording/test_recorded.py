@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 
@@ -22,11 +23,14 @@ from mmnn_pin.model.checks.second_answers import WorldFrame
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
-from mmnn_pin.recording.recording import Recording
-from mmnn_pin.recording.robot import recorded_robot
+from mmnn_pin.recording.recording import Recording, recorded_robot
 from mmnn_pin.reference import Hold, Line, Trajectory
-from mmnn_pin.timing import Timing
+from mmnn_pin.safety import Safety
+from mmnn_pin.settings import Timing
+from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
+from mmnn_pin.torque.neural import Neural
+from mmnn_pin.torque.two_layer import TwoLayer
 
 LENGTH = 0.004 if config.DISABLE_JIT else 0.05
 SHORT = ["--controller", "pd", "--set", f"time.duration={LENGTH}"]
@@ -138,7 +142,7 @@ def test_a_recording_builds_its_robot_again(place, kept):
     assert dict(again.masses) == {"root": 3.0, "shoulder": 0.7}
     np.testing.assert_array_equal(again.viscous, robot.viscous)
     np.testing.assert_array_equal(again.T, robot.T)
-    position = np.random.default_rng(0).uniform(-1, 1, robot.layout.full)
+    position = np.random.default_rng(0).uniform(-1, 1, robot.dimensions.full)
     M, plain = (Dynamics(r).mass_matrix(position) for r in (again, load(place / "r.urdf", wheels=("fl", "fr"),
                                                                        lock=("elbow=0.4",))))  # fmt: skip
     np.testing.assert_array_equal(M, Dynamics(robot).mass_matrix(position))
@@ -168,7 +172,7 @@ def test_the_world_frame_has_the_factors_too(factors):
     names = {"elbow": "arm_2_joint", "fl": "wheel_left_joint"}
     table = {names.get(k, k): v for k, v in factors.items()} if isinstance(factors, dict) else factors
     changed = robot.with_masses(table)
-    position = np.random.default_rng(1).uniform(-1, 1, robot.layout.full)
+    position = np.random.default_rng(1).uniform(-1, 1, robot.dimensions.full)
     world = WorldFrame(changed)
     M = world.reduced_mass_matrix(world.coordinates(position))
     np.testing.assert_allclose(M, Dynamics(changed).mass_matrix(position), rtol=1e-10, atol=1e-12)
@@ -180,3 +184,22 @@ def test_json_of_inspect_tells_what_beside_file_says_of_a_refused_robot(place, c
     assert main(["inspect", "r.urdf", "--json"]) == 2
     codes = [finding["code"] for finding in json.loads(capsys.readouterr().out)["findings"]]
     assert codes == ["overrides", "base-undecided"]
+
+
+def test_a_recording_of_the_first_version_opens_and_its_states_have_the_present_names(tmp_path):
+    old = tmp_path / "old.h5"
+    old.write_bytes(gzip.decompress((Path(__file__).parent / "data/before_0_2.h5.gz").read_bytes()))
+    run = Recording.open(old)
+    assert run.complete and run.outcome.status == "completed" and len(run) == 10
+    assert set(run.final) == {"position", "nu", "controller_state", "hardware_state"}
+    robot, gains = recorded_robot(run), Feedback(500.0, 8.0)
+    controller = Neural(TwoLayer(hidden=3), gains)
+    reference, timing = Trajectory(Line(0.3), (Hold(0.1), Hold(0.2))), Timing(duration=0.04)
+    loop = Loop(robot, reference, controller, timing=timing, safety=Safety(), engine="ordinary", seed=7)
+    state = loop.state_from()
+    state.values[:] = run.final["controller_state"]
+    plant_state = run.final["position"], run.final["nu"]
+    resumed = loop.run(state=state, plant_state=plant_state, hardware_state=run.final["hardware_state"], first=10)
+    whole = loop.run()
+    np.testing.assert_allclose(resumed["torque"], whole["torque"][10:], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(run["torque"], whole["torque"][:10], rtol=1e-9, atol=1e-9)

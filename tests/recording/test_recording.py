@@ -175,7 +175,7 @@ def test_equal_rows_make_equal_datasets(tmp_path):
 KILLED = """
 import sys, time
 import numpy as np
-from mmnn_pin.recorder import Recorder
+from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.signals import Layout
 layout = Layout(2, 2, 7, 4)
 recorder, row, k = Recorder(layout, {}, sys.argv[1]), layout.new_row(), 0
@@ -241,7 +241,7 @@ FULL = """
 import resource, sys
 import numpy as np
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.recorder import Recorder
+from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.signals import Layout
 layout = Layout(2, 2, 7, 4)
 resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))

@@ -20,6 +20,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt
 from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, lifted, pseudo_inertias, vector_of, within
@@ -53,7 +54,7 @@ class Bench:
     def __init__(self, h=1e-3, regressor=REGRESSOR, **adapting):
         self.adapting = AdaptiveSettings(**{"share": 1e9, "rotor": 0.5} | adapting)
         self.controller = Adaptive(regressor, K, self.adapting)
-        self.layout, self.h = ROBOT.layout, h
+        self.layout, self.h = Layout.of(ROBOT.dimensions), h
         context = Context(self.layout, h, 10)
         self.a, self.state = self.controller.law(context).learner, self.controller.init(context)
         self.row, self.theta = self.layout.new_row(), self.state["theta"]
@@ -221,7 +222,7 @@ def test_a_sample_answers_at_most_its_share_of_the_feedback():
         before = bench.theta.copy()
         before[REGRESSOR.inertial :] = bench.theta[REGRESSOR.inertial :] = 50.0
         bench.step(Y, s)
-        feedback = s @ (K.vector(ROBOT.layout) * s)
+        feedback = s @ (K.vector(ROBOT.dimensions) * s)
         assert s @ Y @ (bench.theta - before) == pytest.approx(share * feedback, rel=0.02)
 
 
@@ -263,7 +264,7 @@ def test_v_falls_by_the_feedback_alone_up_to_what_sampling_costs():
         for energy, theta in zip(kinetic, run.weights["theta"], strict=False):
             bench.theta[:] = theta
             V.append(energy + bench.distance())
-        power = (s**2 @ K.vector(ROBOT.layout))[: len(V)]
+        power = (s**2 @ K.vector(ROBOT.dimensions))[: len(V)]
         lost = np.concatenate([[0.0], np.cumsum(0.5 * h * (power[1:] + power[:-1]))])
         left.append(np.abs(np.array(V) - V[0] + lost).max() / V[0])
         assert np.diff(V).max() < 0.01 * V[0] * h / 1e-3
@@ -357,7 +358,7 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(ConfigError, match="give 64 finite ones"):
         Adaptive(REGRESSOR, K, nominal=np.ones(3))
     with pytest.raises(ConfigError, match="adaptation needs all > 0"):
-        Adaptive(REGRESSOR, Feedback(0.0, 1.0)).law(Context(ROBOT.layout, 0.001, 1))
+        Adaptive(REGRESSOR, Feedback(0.0, 1.0)).law(Context(Layout.of(ROBOT.dimensions), 0.001, 1))
 
 
 def test_an_experiment_makes_it():

@@ -78,7 +78,7 @@ def told(rng, bench, rows=8, truth=TRUE):
 
 def test_q_and_b_are_kreisselmeiers_integrals():
     bench, rng = Follower(forgetting_time=0.05), np.random.default_rng(0)
-    k, p = REGRESSOR.size, ROBOT.layout.dof
+    k, p = REGRESSOR.size, ROBOT.dimensions.dof
     Q, b, keep = np.zeros((k, k)), np.zeros(k), np.exp(-1e-3 / 0.05)
     for _ in range(5):
         Y, y = rng.standard_normal((p, k)), rng.standard_normal(p)

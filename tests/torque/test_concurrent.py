@@ -127,7 +127,7 @@ def test_the_ball(numbers, radius):
 def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
     loop, rng = made("concurrent"), np.random.default_rng(seed)
     learner, context = loop.controller, loop.context()
-    limits = motor_limits(loop.robot.E, np.full(loop.robot.layout.motors, 20.0))
+    limits = motor_limits(loop.robot.E, np.full(loop.robot.dimensions.motors, 20.0))
     a, state, row = learner.law(context).learner, learner.init(context), context.layout.new_row()
     for k in range(30):
         row[:] = 10.0**size * rng.standard_normal(row.size)
@@ -195,7 +195,7 @@ def test_knowledge_outlasts_the_excitation():
         for loop in (rich, poor):
             run = loop.run(state=state)
             state = loop.controller.init(loop.context())
-            state.values[:] = run.final["memory"]
+            state.values[:] = run.final["controller_state"]
             theta = state["theta"] if name == "adaptive" else loop.controller.theta(state)
             errors.append((theta - truth) @ gram @ (theta - truth) / (truth @ gram @ truth))
         found[name] = (*errors, run.outcome.message)

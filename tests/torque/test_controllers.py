@@ -19,13 +19,13 @@ from scipy.special import expit
 
 import mmnn_pin
 from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
-from mmnn_pin.loop.start import Start
 from mmnn_pin.model import load
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
-from mmnn_pin.signals import Array, Layout, Measurement, Reference, VelocityCommand
-from mmnn_pin.timing import Timing
+from mmnn_pin.settings import Timing
+from mmnn_pin.signals import Array, Dimensions, Layout, Measurement, Setpoint, VelocityCommand
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import (
     CompiledController,
@@ -119,7 +119,7 @@ def network_answer(kind: str, W: Array, V: Array, x: Array, width: float) -> tup
 
 @pytest.mark.parametrize("network", [SMALL, OneLayer(hidden=5, width=4.0, centre_range=2.0)], ids=lambda n: n.name)
 @pytest.mark.parametrize("layout", [LAYOUT, Layout(2, 1, 6, 3), Layout(0, 2, 2, 2), Layout(2, 0, 5, 2)])
-def test_network_law(network: TwoLayer | OneLayer, layout: Layout) -> None:
+def test_network_law(network: TwoLayer | OneLayer, layout: Dimensions) -> None:
     """Torque = k s + Psi_hat + Kz (|Z| + ZB) s, each network with its own error, weights and numbers."""
     feedback, robust = Feedback(500.0, 30.0), Robust(10.0, 0.3, (5.0, 3.0))
     bench = Bench(Neural(network, feedback, robust), layout)
@@ -433,7 +433,7 @@ def closed_loop(
 def memory_of(loop: Loop, run: Recording) -> ControllerState:
     """The controller's memory as it was when a run ended."""
     state = loop.controller.init(loop.context())
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     return state
 
 
@@ -465,7 +465,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one(controller: CompiledControll
     same(straight, first, slice(0, N // 2))
     same(straight, second, slice(N // 2, None))
     assert second.outcome == straight.outcome
-    np.testing.assert_array_equal(second.final["memory"], straight.final["memory"])
+    np.testing.assert_array_equal(second.final["controller_state"], straight.final["controller_state"])
     np.testing.assert_array_equal(state.values, kept.values)  # the caller's memory stays as it was
 
 
@@ -536,13 +536,13 @@ class Recital(TorqueController):
     def step(
         self,
         time: float,
-        reference: Reference,
+        reference: Setpoint,
         measurement: Measurement,
         command: VelocityCommand,
         state: ControllerState,
     ) -> Array:
         state["count"] += 1
-        assert np.array_equal(command.e, reference.q_ref - measurement.q)
+        assert np.array_equal(command.e, reference.q - measurement.q)
         assert np.array_equal(command.z, command.alpha - measurement.velocity)
         return Feedback().vector(LAYOUT) * np.concatenate((command.z, command.r))
 
@@ -554,7 +554,7 @@ def test_a_controller_in_plain_python_equals_the_compiled_one() -> None:
     python, compiled = closed_loop(Recital(), N).run(), closed_loop(PD(), N).run()
     np.testing.assert_allclose(python["torque"], compiled["torque"], rtol=1e-12)
     np.testing.assert_allclose(python["position"], compiled["position"], atol=1e-14)
-    assert python.final["memory"] == [N]
+    assert python.final["controller_state"] == [N]
     assert python.weights["count"][-1] == [N]
     with pytest.raises(ConfigError, match="plain Python cannot be compiled"):
         closed_loop(Recital(), N, "compiled").run()
@@ -565,7 +565,7 @@ def test_a_controller_in_plain_python_resumes() -> None:
     first = half.run()
     plant_state = (first.final["position"], first.final["nu"])
     second = closed_loop(Recital(), N).run(state=memory_of(half, first), plant_state=plant_state, first=N // 2)
-    assert second.final["memory"] == [N]
+    assert second.final["controller_state"] == [N]
     same(closed_loop(Recital(), N).run(), second, slice(N // 2, None))
 
 

@@ -58,7 +58,7 @@ def test_its_part_of_v_is_that_of_its_gain():
     own = ("disturbance_observer.gamma=4.0", "disturbance_observer.leakage=0.0")
     loop = made("disturbance_observer", *own)
     proof = Proof(loop.run())
-    found, k = proof.lyapunov, loop.controller.feedback.vector(loop.robot.layout)
+    found, k = proof.lyapunov, loop.controller.feedback.vector(loop.robot.dimensions)
     d = proof.ideal.W[:, 0]
     assert d.shape == k.shape and found.weights[0] == pytest.approx((d**2 / (4.0 * k)).sum() / 2)
     assert found.missed < 1e-12

@@ -41,7 +41,7 @@ def servo_arm(scale: float = 1.0):
 
 def heaviest(robot, bodies, theta, samples=50):
     """Largest diagonal of the reduced mass matrix of a robot of such balls at random angles, by Pinocchio, (p,)."""
-    model, rng, most = robot.model.copy(), np.random.default_rng(1), np.zeros(robot.layout.dof)
+    model, rng, most = robot.model.copy(), np.random.default_rng(1), np.zeros(robot.dimensions.dof)
     model.armature = np.zeros(model.nv)
     for name, (m, *_, moment, _, _, _, _, _) in zip(bodies, theta.reshape(-1, 10), strict=True):
         ball = pin.Inertia(m, np.zeros(3), 2 * moment * np.eye(3))  # xx of the pseudo-inertia is half of its own
@@ -49,7 +49,7 @@ def heaviest(robot, bodies, theta, samples=50):
     data, neutral = model.createData(), pin.neutral(model)
     for _ in range(samples):
         turned = np.zeros(model.nv)
-        turned[list(robot.arm_index)] = rng.uniform(-np.pi, np.pi, robot.layout.arm)
+        turned[list(robot.arm_index)] = rng.uniform(-np.pi, np.pi, robot.dimensions.arm)
         M = np.triu(pin.crba(model, data, pin.integrate(model, neutral, turned)))
         most = np.maximum(most, np.diag(robot.T.T @ (M + np.triu(M, 1).T) @ robot.T))
     return most
@@ -60,7 +60,7 @@ def heaviest(robot, bodies, theta, samples=50):
 def test_no_velocity_feels_more_of_the_prior_than_its_gain_can_handle(name, seed, slowest):
     """Against Pinocchio with the prior's inertias; random positions, so a little beyond those that were looked at."""
     robot, known = ROBOTS[name], KNOWN[name]
-    K = 10.0 ** np.random.default_rng(seed).uniform(-3, 3, robot.layout.dof)
+    K = 10.0 ** np.random.default_rng(seed).uniform(-3, 3, robot.dimensions.dof)
     theta = prior_of(known, K, *BALLS, slowest)[: known.inertial]
     assert (theta[::10] > 0).all()
     assert (heaviest(robot, known.bodies, theta) < 1.1 * slowest * K).all()

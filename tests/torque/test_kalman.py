@@ -20,7 +20,6 @@ from scipy.signal import lfilter
 from mmnn_pin import (
     Circle,
     ComputedTorque,
-    Cycle,
     Eight,
     Feedback,
     Hold,
@@ -30,6 +29,7 @@ from mmnn_pin import (
     Sensor,
     Sine,
     Start,
+    Stepper,
     Timing,
     Trajectory,
     load,
@@ -37,7 +37,7 @@ from mmnn_pin import (
 )
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.controllers import Granted, Nominal, machine_of
-from mmnn_pin.loop.control import Torque
+from mmnn_pin.loop.controller import Torque
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
@@ -62,7 +62,7 @@ LONG = pytest.mark.skipif(PLAIN, reason="needs a long run")
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
 NOMINAL = load("platform_arm").with_masses(0.7)
 REGRESSOR, TRUE, THETA0 = Regressor.of(ROBOT), parameters(ROBOT), parameters(NOMINAL)
-LAYOUT, K = ROBOT.layout, Feedback(500.0, 30.0)
+LAYOUT, K = ROBOT.dimensions, Feedback(500.0, 30.0)
 GAINS = K.vector(LAYOUT)
 KINDS = {
     "regressor": KalmanRegressorSettings,
@@ -238,7 +238,7 @@ def test_learning_from_a_run_is_batch_least_squares(kind):
     run = loop.run()
     state = controller.init(loop.context())
     prior = state["prior"].copy()
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     h, (rows, k, m) = 0.002, controller.shape
     q, nu = np.array(run["q"]), np.hstack((run["velocity"], run["qdot"]))
     q, nu, nudot, tau = means(q, nu, np.array(run["torque"])[:-1], h, 40.0)
@@ -467,9 +467,9 @@ def test_a_warm_start_elsewhere_takes_no_period_over_the_gap():
     first = loop_of(controller, 0.1).run()
     loop = loop_of(controller, 0.004)
     state = controller.init(loop.context())
-    state.values[:] = first.final["memory"]
+    state.values[:] = first.final["controller_state"]
     again = loop.run(state=state)
-    state.values[:] = again.final["memory"]
+    state.values[:] = again.final["controller_state"]
     assert state["clock"][1] == round(loop.timing.duration / 0.002)
 
 
@@ -477,10 +477,10 @@ def test_frozen_weights_stay_and_features_come_from_the_memory():
     controller = small("bilinear")
     learned = loop_of(controller, 0.3, seed=1)
     state = controller.init(learned.context())
-    state.values[:] = learned.run().final["memory"]
+    state.values[:] = learned.run().final["controller_state"]
     frozen = loop_of(replace(controller, learning=False), 0.1, seed=2).run(state=state)
     after = controller.init(learned.context())
-    after.values[:] = frozen.final["memory"]
+    after.values[:] = frozen.final["controller_state"]
     for part in ("W", "U", "D", "a", "b", "counts"):
         np.testing.assert_array_equal(after[part], state[part])
     assert "excited" not in frozen.outcome.message
@@ -538,7 +538,7 @@ def test_each_learns_the_model_and_tracks_like_the_oracle(kind, fvu, held_out):
     run, oracle = loop.run(), loop_of(ComputedTorque(K), 24.0).run()
     assert run.outcome.status == "completed" and run.outcome.message == ""
     assert (late_rms(run, 12.0) <= 1.5 * late_rms(oracle, 12.0)).all()
-    assert unexplained(controller, loop, run.final["memory"], held_out) < fvu
+    assert unexplained(controller, loop, run.final["controller_state"], held_out) < fvu
     assert np.abs(run["motor_torque"]).max() <= ROBOT.effort_limits.max()
 
 
@@ -579,14 +579,16 @@ def test_a_cycle_learns_too():
     controller = small("regressor")
     loop = loop_of(controller, 0.02, safety=Safety(), sensor=Sensor())
     twin = loop_of(controller, 0.02, safety=Safety(), sensor=Sensor()).run()
-    with Cycle(loop) as cycle:
+    with Stepper(loop) as cycle:
         for k in range(cycle.samples):
             parts = {name: np.array(twin[name][k]) for name in ("pose", "velocity", "q", "qdot")}
             torque = cycle.step(k * 0.002, Measurement(**parts))
             np.testing.assert_allclose(torque, twin["torque"][k], rtol=1e-9, atol=1e-9)
             cycle.record()
         recording = cycle.finish()
-    np.testing.assert_allclose(recording.final["memory"], twin.final["memory"], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        recording.final["controller_state"], twin.final["controller_state"], rtol=1e-6, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -619,7 +621,7 @@ def test_it_is_built_again_from_what_it_told(kind):
         controller.name, facts, Granted(CONTROLLERS[controller.name], ROBOT, Nominal(), Overrides())
     )
     runs = [loop_of(which, 0.02).run() for which in (controller, again)]
-    np.testing.assert_array_equal(runs[0].final["memory"], runs[1].final["memory"])
+    np.testing.assert_array_equal(runs[0].final["controller_state"], runs[1].final["controller_state"])
     assert again.settings == controller.settings
 
 

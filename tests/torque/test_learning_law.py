@@ -218,7 +218,7 @@ def test_a_law_sees_what_the_sensors_say_and_what_the_supervisor_sends() -> None
     measured = np.hstack((run["velocity"], run["qdot"]))
     np.testing.assert_array_equal(nu, measured)
     assert np.abs(nu - run["nu"]).max() > 1e-3
-    asked = law.feedback.vector(robot.layout) * s + 0.0
+    asked = law.feedback.vector(robot.dimensions) * s + 0.0
     assert np.abs(asked[:-1] - sent[1:]).max() > 1e-3  # clipped
     np.testing.assert_array_equal(sent[1:], run["torque"][:-1])
 
@@ -246,7 +246,7 @@ def test_weights_are_recorded_frozen_and_resumed() -> None:
     assert both[1][-1] > 0
     half = replace(loop, timing=replace_duration(loop.timing, 0.02)).run()
     state = loop.controller.init(loop.context())
-    state.values[:] = half.final["memory"]
+    state.values[:] = half.final["controller_state"]
     plant_state = half.final["position"], half.final["nu"]
     rest = loop.run(state=state, plant_state=plant_state, first=20)
     same(rest, {n: whole[n][20:] for n in SIGNALS}, tolerance=1e-12)
@@ -265,7 +265,7 @@ def replace_duration(timing: Any, duration: float) -> Any:
 @given(st.integers(1, 3), st.integers(1, 4), st.integers(0, 2**32 - 1))
 def test_norms_add_up_to_all_weights(base: int, arm: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    layout = robot_of_kind("differential").layout
+    layout = robot_of_kind("differential").dimensions
     p = layout.dof
     weights = {"W": rng.normal(size=(arm, p)), "theta": rng.normal(size=base), "P": rng.normal(size=(p + 1, p + 1))}
     first, second = norms(weights, layout)

@@ -14,11 +14,11 @@ from test_lyapunov import DURATION
 
 from mmnn_pin import (
     ControllerState,
-    Cycle,
     Feedback,
     LearningLaw,
     Recording,
     Robust,
+    Stepper,
     TorqueController,
     load,
     load_experiment,
@@ -125,14 +125,14 @@ def assert_within(run, gain, top=SMALL):
 def test_every_learner_in_both_engines_and_in_batches(name):
     loop = weak(name)
     run = assert_engines_agree(loop)
-    assert_within(run, loop.controller.feedback.vector(loop.robot.layout))
+    assert_within(run, loop.controller.feedback.vector(loop.robot.dimensions))
     assert run.meta["within_limits"] is True
 
 
 @pytest.mark.parametrize("name", ["two_layer", "adaptive", "kalman_features"])
 def test_it_takes_hold_and_goes_on_where_it_was(name):
     loop = weak(name)
-    reached = assert_within(loop.run(), loop.controller.feedback.vector(loop.robot.layout))
+    reached = assert_within(loop.run(), loop.controller.feedback.vector(loop.robot.dimensions))
     free = replace(loop, within_limits=False).run()
     asked = np.abs(free["psi_hat"] @ E_INV.T)
     assert reached and free.meta["within_limits"] is False
@@ -152,9 +152,9 @@ def test_the_robust_term_goes_first_of_what_the_weights_bring():
     """`k s` is never touched; the share of the robust term is one number for all velocities."""
     strong = Robust(5e3, 5e2, (2.0, 3.0))
     loop = loop_of("differential", learner("differential", robust=strong), within_limits=True)
-    limited = replace(loop, robot=replace(loop.robot, effort_limits=np.full(loop.robot.layout.motors, 0.5)))
+    limited = replace(loop, robot=replace(loop.robot, effort_limits=np.full(loop.robot.dimensions.motors, 0.5)))
     runs = [one.run() for one in (limited, replace(limited, within_limits=False))]
-    k = limited.controller.feedback.vector(limited.robot.layout)
+    k = limited.controller.feedback.vector(limited.robot.dimensions)
     more = [(run["effective_gain"] - k)[0] for run in runs]  # at the first sample both have the same weights
     share = more[0] / more[1]
     assert 0 <= share[0] < 1 and np.ptp(share) < 1e-9
@@ -195,7 +195,7 @@ def test_controllers_in_plain_python(kind):
     np.testing.assert_allclose(run["torque"], 10.0 * s + run["psi_hat"], rtol=1e-9, atol=1e-9)
     assert (np.abs(run["motor_torque"]) <= np.maximum(SMALL, np.abs(10.0 * s @ E_INV.T)) * (1 + 1e-9)).all()
     if kind is Large:
-        np.testing.assert_allclose(run.final["memory"], run["torque"][:-1].sum(axis=0))
+        np.testing.assert_allclose(run.final["controller_state"], run["torque"][:-1].sum(axis=0))
     off = replace(loop, controller=controller, within_limits=None, check_gains=False)
     assert (off.context().limits is not None) == (kind is Large)  # what a step returns is sent, unless one says
 
@@ -203,7 +203,7 @@ def test_controllers_in_plain_python(kind):
 def test_a_cycle_does_the_same():
     loop = replace(weak("two_layer", duration=0.02), safety=Safety(torque=None), sensor=Sensor())
     twin = loop.run()
-    with Cycle(loop) as cycle:
+    with Stepper(loop) as cycle:
         for k in range(cycle.samples):
             parts = {name: np.array(twin[name][k]) for name in ("pose", "velocity", "q", "qdot")}
             np.testing.assert_allclose(cycle.step(k * cycle.period, Measurement(**parts)), twin["torque"][k], rtol=1e-9)
@@ -224,7 +224,7 @@ def test_on_by_default_beyond_the_thesis_and_for_all_in_the_contest():
 def test_what_the_limits_take_is_a_term_of_v(tmp_path, which):
     """Stepped again from a file the learner says the recorded Psi_hat, and V changes as its terms say, to rounding."""
     loop = loop_of("differential", learner("differential", which), duration=DURATION, within_limits=True)
-    run = replace(loop, robot=replace(loop.robot, effort_limits=np.full(loop.robot.layout.motors, 0.3)))
+    run = replace(loop, robot=replace(loop.robot, effort_limits=np.full(loop.robot.dimensions.motors, 0.3)))
     run.run(tmp_path / "run.h5")
     subject = replace(Subject.of(Recording.open(tmp_path / "run.h5")), robot=run.robot)
     one = subject.networks

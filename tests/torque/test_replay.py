@@ -14,7 +14,8 @@ from test_composite import EIGHT
 from test_concurrent import CIRCLE
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.loop.control import Torque
+from mmnn_pin.loop.controller import Torque
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import MEASURED, Inputs
 from mmnn_pin.torque.two_layer_composite import TwoLayerCompositeSettings, descend, estimate, keep_sample, recollect
 
@@ -131,7 +132,7 @@ def test_engines_batch_resumption_and_freezing():
 
 def explained(controller, state, rows, loop):
     """Mean square of what frozen weights leave of Psi, over its variance."""
-    layout, still = loop.robot.layout, replace(controller, learning=False)
+    layout, still = Layout.of(loop.robot.dimensions), replace(controller, learning=False)
     row, left = layout.new_row(), []
     torque = Torque(still, loop.context(), row, loop.robot, state.snapshot())
     psi = rows["psi"]
@@ -153,7 +154,7 @@ def test_without_its_memory_it_follows_and_forgets():
         loop = made("two_layer_composite", *EIGHT, f"two_layer_composite.replays={replays}", duration=24.0)
         run = loop.run()
         state = loop.controller.init(loop.context())
-        state.values[:] = run.final["memory"]
+        state.values[:] = run.final["controller_state"]
         left[replays] = explained(loop.controller, state, truth, loop)
         assert "not excited" not in run.outcome.message
     assert left[4] < 0.25 and left[4] < 0.4 * left[0]

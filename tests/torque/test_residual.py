@@ -10,9 +10,10 @@ from numba import config
 
 from mmnn_pin import load_experiment, simulate_many
 from mmnn_pin.errors import ConfigError, UnknownName
-from mmnn_pin.loop.control import Torque
+from mmnn_pin.loop.controller import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.two_layer_residual import TwoLayerResidual
 
@@ -34,7 +35,11 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
     assert isinstance(controller, TwoLayerResidual) and controller.model is not None
     expected = loop.robot.with_masses(0.6).without_friction()
     np.testing.assert_allclose(parameters(controller.model), parameters(expected), rtol=1e-12)
-    dynamics, layout, row = Dynamics(expected), loop.robot.layout, loop.robot.layout.new_row()
+    dynamics, layout, row = (
+        Dynamics(expected),
+        Layout.of(loop.robot.dimensions),
+        Layout.of(loop.robot.dimensions).new_row(),
+    )
     state = controller.learner.init(loop.context())
     network = Torque(controller.learner, loop.context(), row, loop.robot, state)
     for k in range(0, len(run)):
@@ -48,7 +53,7 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
         np.testing.assert_allclose(run["psi_hat"][k], psi0 + network.psi_hat, rtol=1e-9, atol=1e-9)
         feedback = run["effective_gain"][k] * np.concatenate((run["z"][k], run["r"][k]))
         np.testing.assert_allclose(run["torque"][k], feedback + run["psi_hat"][k], rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(state.values, run.final["memory"], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(state.values, run.final["controller_state"], rtol=1e-9, atol=1e-12)
 
 
 def test_a_nominal_model_that_is_right_makes_an_oracle():
@@ -85,9 +90,9 @@ def test_a_projection_bounds_the_weights_at_every_sample(name):
     np.testing.assert_allclose(runs[0]["torque"], runs[1]["torque"], rtol=1e-9, atol=1e-9)
     network = loop.controller.networks
     state = network.init(loop.context())
-    state.values[:] = runs[0].final["memory"]
+    state.values[:] = runs[0].final["controller_state"]
     sizes = {name: np.linalg.norm(W) for name, W in network.weights(state).items()}
-    gain = 0.1 * network.feedback_gain(loop.robot.layout) / network.network_scales(loop.robot.layout)[1]
+    gain = 0.1 * network.feedback_gain(loop.robot.dimensions) / network.network_scales(loop.robot.dimensions)[1]
     bounds = {"W1": 0.5 * gain[:2].max(), "V1": 0.5, "W2": 0.5 * gain[2:].max(), "V2": 0.5}
     shares = [size / bounds[name] for name, size in sizes.items()]
     assert max(shares) == pytest.approx(1.0)
@@ -113,10 +118,11 @@ def test_a_bound_needs_one_gain_of_a_network_that_learns():
     zero = ["feedback.arm=0.0", "learning.robust_term=false"]
     some = made("two_layer_residual", "feedback.arm=[60.0,0.0]", "learning.robust_term=false")
     gain = (
-        some.controller.feedback_gain(some.robot.layout) / some.controller.networks.network_scales(some.robot.layout)[1]
+        some.controller.feedback_gain(some.robot.dimensions)
+        / some.controller.networks.network_scales(some.robot.dimensions)[1]
     )
     assert gain[3] == 0 and some.run().outcome.status == "completed"
-    assert some.controller.networks.radii(some.robot.layout)[2] == pytest.approx((100 * 0.1 * gain[2], 100))
+    assert some.controller.networks.radii(some.robot.dimensions)[2] == pytest.approx((100 * 0.1 * gain[2], 100))
     with pytest.raises(ConfigError, match="all gains of the arm are 0") as error:
         made("two_layer_residual", *zero).run()
     assert error.value.key == "feedback.arm"
@@ -127,7 +133,7 @@ def test_a_bound_needs_one_gain_of_a_network_that_learns():
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.nan, np.inf])
 def test_a_bound_from_python_is_checked_too(bad):
     with pytest.raises(ConfigError) as error:
-        replace(made("two_layer").controller, projection=bad).radii(made("two_layer").robot.layout)
+        replace(made("two_layer").controller, projection=bad).radii(made("two_layer").robot.dimensions)
     assert error.value.key == "projection"
 
 

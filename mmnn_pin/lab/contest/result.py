@@ -12,8 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from ...signals import Array
 from ..proof.held_out import START
 from ..proof.psi import fvu

@@ -12,11 +12,11 @@ import numpy as np
 
 from ...disturbance import Payload, payload
 from ...errors import ConfigError, InputError, RecordingError
+from ...loop.before_run import Start
 from ...loop.loop import Loop
-from ...loop.start import Start
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot, carrying, speed_limits
-from ...signals import Array
+from ...signals import Array, Layout
 from ...torque.controller import CompiledController, Feedback
 from ..experiments.cases import with_case
 from ..experiments.contest import ONLY, Contest
@@ -219,7 +219,7 @@ class Demand:
 
 def demand(task: Task) -> Demand:
     """What a task's reference asks: rates `E' nu_ref` (wheels roll) and torques `E^-1 Psi` at `nudot_ref`."""
-    robot, layout = task.robot, task.robot.layout
+    robot, layout = task.robot, Layout.of(task.robot.dimensions)
     rows = whole_reference(task.experiment, robot)
     nu = np.hstack([rows[:, layout.where(name)] for name in ("velocity_ref", "qdot_ref")])
     nudot = np.hstack([rows[:, layout.where(name)] for name in ("acceleration_ref", "qddot_ref")])
@@ -242,7 +242,7 @@ def held_out_torque(task: Task) -> dict[str, float]:
     Raises:
         RecordingError: The robot is lost on one of them.
     """
-    layout, inverse = task.robot.layout, np.linalg.pinv(task.robot.E)
+    layout, inverse = Layout.of(task.robot.dimensions), np.linalg.pinv(task.robot.E)
     return {
         name: float((np.abs(rows[:, layout.where("psi")] @ inverse.T) / task.robot.effort_limits).max())
         for name, rows in task.rows.items()

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from ...loop.batch import Run, simulate_many
-from ...loop.controller_state import findings_of
+from ...loop.controller import findings_of
 from ...loop.loop import Loop
 from ...recording.recording import Recording
 from ...signals import Array, Layout
@@ -99,12 +99,12 @@ def require_going(status: str) -> None:
 
 def state_after(task: Task, controller: Any, seed: int, run: Run) -> Any:
     """The state at the end of a training run; None where it was lost or is not kept as numbers."""
-    if run.outcome.status != "completed" or "memory" not in run.final:
+    if run.outcome.status != "completed" or "controller_state" not in run.final:
         return None
     state = controller.init(task.training(controller, seed).context())
-    if not isinstance(state, ControllerState) or not np.isfinite(run.final["memory"]).all():
+    if not isinstance(state, ControllerState) or not np.isfinite(run.final["controller_state"]).all():
         return None
-    state.values[:] = run.final["memory"]
+    state.values[:] = run.final["controller_state"]
     return state
 
 
@@ -125,7 +125,7 @@ def follow_held_out(
     if loops:
         starts = [states[i] for i, *_ in places]
         show = lambda done, count: progress(done / count)  # noqa: E731
-        runs = simulate_many(loops, memories=starts, keep=ERRORS, workers=workers, progress=show)
+        runs = simulate_many(loops, states=starts, keep=ERRORS, workers=workers, progress=show)
         for (i, name, how), run in zip(places, runs, strict=True):
             require_going(run.outcome.status)
             found[i][name][how] = tracking(run.recording, run.outcome.status)
@@ -174,7 +174,7 @@ def findings_after(task: Task, name: str, controller: Any, seed: int, run: Run, 
     loop = task.training(controller, seed)
     learner = Learner(controller, loop.context(), state, state, run.outcome.time, loop.believed)
     assert run.recording is not None
-    rows = finite_rows(run.recording, loop.robot.layout)
+    rows = finite_rows(run.recording, loop.layout)
     return [*findings_of(controller, state), *not_excited(name, unknown(learner, rows))]
 
 
@@ -188,7 +188,7 @@ def frozen_fvu(task: Task, controller: Any, seed: int, state: Any, held: str) ->
     loop = None if state is None else task.held_out_loop(controller, seed, held, False)
     if loop is None:
         return math.nan, math.nan
-    layout, rows = task.robot.layout, task.rows[held]
+    layout, rows = Layout.of(task.robot.dimensions), task.rows[held]
     counts = rows[:, layout.where("time")][:, 0] >= START - 1e-9
     psi_hat = psi_hat_along(loop, layout, state.snapshot(), rows)
     return summary(fvu(rows[counts][:, layout.where("psi")], psi_hat[counts]))
@@ -216,13 +216,13 @@ def psi_hat_along(loop: Loop, layout: Layout, state: Any, rows: Array) -> Array:
 
 def step_time(loop: Loop, recording: Recording) -> float:
     """Processor time of a control step of the controller alone, called from Python, least of several tries [s]."""
-    rows: Array = finite_rows(recording, loop.robot.layout)[:STEPS]
+    rows: Array = finite_rows(recording, loop.layout)[:STEPS]
     if not len(rows):
         return math.nan
     took = []
     for _ in range(REPEATS):
         state = loop.controller.init(loop.context())
         begin = clock.thread_time()
-        psi_hat_along(loop, loop.robot.layout, state, rows)
+        psi_hat_along(loop, loop.layout, state, rows)
         took.append(clock.thread_time() - begin)
     return min(took) / len(rows)

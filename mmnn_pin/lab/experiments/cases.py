@@ -14,8 +14,7 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, InputError, UnknownName
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from .config import config_error, merged, require_disturbances
 from .experiment import Experiment, Tolerance
 from .runner import Result, finite, require_free, require_runnable, run_experiment

@@ -216,8 +216,8 @@ class Granted:
 
 def machine_of(robot: Robot) -> Machine:
     """What a learner may know of a robot without knowing how it moves: names, and of its joints the ends and motors."""
-    n, limits = robot.layout.arm, robot.effort_limits
-    joints = (np.abs(robot.E) @ limits)[robot.layout.dof - n :] if np.isfinite(limits).all() else np.full(n, np.inf)
+    n, limits = robot.dimensions.arm, robot.effort_limits
+    joints = (np.abs(robot.E) @ limits)[robot.dimensions.dof - n :] if np.isfinite(limits).all() else np.full(n, np.inf)
     return Machine(
         velocities=tuple(robot.velocity_names),
         lower=robot.lower[robot.arm_index],
@@ -244,7 +244,7 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
     except UnknownName as error:
         error.key = "nominal.robot"
         raise
-    alike = (believed.layout.dof, believed.layout.base) == (robot.layout.dof, robot.layout.base)
+    alike = (believed.dimensions.dof, believed.dimensions.base) == (robot.dimensions.dof, robot.dimensions.base)
     if not alike or not np.array_equal(believed.T, robot.T):
         fix = "name one with the same base and the same joints"
         raise ConfigError(f"{believed.name} does not move as {robot.name}", fix=fix, key="nominal.robot")
@@ -293,5 +293,5 @@ def scaled(experiment: Any, name: str, robot: Robot | None) -> tuple[Feedback, R
     feedback, robust = experiment.feedback, experiment.robust_term(name)
     inertia = None if robot is None else experiment.inertia(robot)
     if robot is not None and inertia is not None:
-        feedback, robust = feedback.scaled(robot.layout, inertia), robust.scaled(robot.layout, inertia)
+        feedback, robust = feedback.scaled(robot.dimensions, inertia), robust.scaled(robot.dimensions, inertia)
     return feedback, robust, inertia

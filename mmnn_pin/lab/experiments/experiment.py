@@ -15,9 +15,8 @@ from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
+from ...loop.before_run import Bounds, Start, viscous_friction
 from ...loop.loop import PLANTS, Loop
-from ...loop.sampled import viscous_friction
-from ...loop.start import Bounds, Start
 from ...model.base.overrides import Overrides
 from ...model.dynamics import Dynamics
 from ...model.loading import load_with
@@ -26,9 +25,8 @@ from ...plant.contact.feet import Contact
 from ...reference import Trajectory
 from ...safety import Safety
 from ...sensing import Sensor
-from ...settings import Settings, require_gains
-from ...signals import Array, Layout
-from ...timing import Timing
+from ...settings import Settings, Timing, require_gains
+from ...signals import Array, Dimensions
 from ...torque.controller import CompiledController, Feedback, TorqueController, per_velocity
 from ...torque.neural import Inputs, Robust
 from .contest import Contest
@@ -250,9 +248,9 @@ class Experiment(LearnerTables, frozen=True):
                 error.key = "masses"
                 raise
         robot = robot.with_joint_friction(coulomb=f.coulomb, breakaway=f.breakaway, stribeck=f.stribeck)
-        return robot.with_friction(per_velocity(f.base, f.arm, robot.layout, "friction"))
+        return robot.with_friction(per_velocity(f.base, f.arm, robot.dimensions, "friction"))
 
-    def trajectory(self, layout: Layout, limits: tuple[Array, Array] | None = None) -> Trajectory:
+    def trajectory(self, layout: Dimensions, limits: tuple[Array, Array] | None = None) -> Trajectory:
         """The reference for a robot.
 
         Args:
@@ -267,7 +265,7 @@ class Experiment(LearnerTables, frozen=True):
 
     def trajectory_of(self, robot: Robot) -> Trajectory:
         """The reference for a robot, within the limits of its joints; errors as in `trajectory`."""
-        return self.trajectory(robot.layout, (robot.lower[robot.arm_index], robot.upper[robot.arm_index]))
+        return self.trajectory(robot.dimensions, (robot.lower[robot.arm_index], robot.upper[robot.arm_index]))
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:
         """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
@@ -348,8 +346,8 @@ def effective_inertia(robot: Robot, trajectory: Trajectory, duration: float, per
         period: Control period [s].
         places: Instants, evenly spaced.
     """
-    dynamics, D, p = Dynamics(robot), viscous_friction(robot), robot.layout.dof
-    table = trajectory.table(np.linspace(0.0, duration, places), robot.layout)
+    dynamics, D, p = Dynamics(robot), viscous_friction(robot), robot.dimensions.dof
+    table = trajectory.table(np.linspace(0.0, duration, places), robot.dimensions)
     found = []
     for row in table:
         M_inv = np.linalg.inv(dynamics.mass_matrix(Start().state(robot, row)[0]))

@@ -23,9 +23,9 @@ from ...reference import (
     Trajectory,
     Waypoints,
 )
-from ...reference.arm import JointProfile
+from ...reference.trajectory import JointProfile
 from ...settings import Settings, wrong_type
-from ...signals import Array, Layout
+from ...signals import Array, Dimensions
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
 ARM_PROFILES = {"sine": Sine, "sines": Sines, "hold": Hold, "minimum_jerk": MinimumJerk}
@@ -44,7 +44,7 @@ class ReferenceTables(Settings, frozen=True):
     heading: dict[str, Any] | None = None
     arm: tuple[dict[str, Any], ...] | dict[str, Any] = ()
 
-    def trajectory(self, layout: Layout, limits: tuple[Array, Array] | None = None) -> Trajectory:
+    def trajectory(self, layout: Dimensions, limits: tuple[Array, Array] | None = None) -> Trajectory:
         """The reference for a robot; arguments and errors as in `Experiment.trajectory`."""
         if layout.base and self.base is None:
             raise ConfigError("no path for the base", fix="add [reference.base] with a type", key="reference.base")
@@ -66,7 +66,7 @@ class ReferenceTables(Settings, frozen=True):
             )
         return path
 
-    def _arm(self, layout: Layout, limits: tuple[Array, Array] | None) -> tuple[JointProfile, ...]:
+    def _arm(self, layout: Dimensions, limits: tuple[Array, Array] | None) -> tuple[JointProfile, ...]:
         tables, n = self.arm, layout.arm
         if isinstance(tables, dict):
             common = make({"swing": Swing, **ARM_PROFILES}, tables, "reference.arm")

@@ -20,10 +20,9 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-from ...loop.before_run import require_stable_gains
 from ...model.robot import Robot
-from ...recording.metrics import as_columns, metrics
-from ...recording.recording import Recording
+from ...recording.metrics import metrics
+from ...recording.recording import Recording, as_columns
 from ...reference import warnings
 from ...torque.controller import TorqueController
 from .controllers import EFFECTIVE, LEARNERS, effective
@@ -196,11 +195,11 @@ def require_runnable(experiment: Experiment, robot: Robot) -> None:
     for controller in in_order(experiment.controllers):
         if controller not in EFFECTIVE:
             loop = experiment.loop(robot, experiment.controller(controller, robot=robot))
-            require_stable_gains(loop)
+            loop.require_stable_gains()
             loop.start.state(robot, loop.table()[0])
             if isinstance(loop.controller, TorqueController):
                 loop.rehearse()
-            if experiment.plant == "contact" or loop.robot.layout.hardware or not loop.sensor.exact:
+            if experiment.plant == "contact" or loop.layout.hardware or not loop.sensor.exact:
                 loop.engine_at()
 
 

@@ -17,8 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from ...signals import Array
 
 FILE = Path(__file__).with_name("figure_ranges.csv")

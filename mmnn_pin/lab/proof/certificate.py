@@ -263,7 +263,7 @@ class Boxes:
     @cached_property
     def gains(self) -> Gains:
         """What the controller does inside of the outermost box."""
-        loop, network = self.loop, np.zeros(self.loop.robot.layout.dof)
+        loop, network = self.loop, np.zeros(self.loop.robot.dimensions.dof)
         (Kz, ZB), norm = loop.robust, np.zeros_like(network)
         for i, part in loop.learner.networks if loop.learner else ():
             network[part], norm[part] = self.networks[i].output, self.networks[i].norm

@@ -22,7 +22,7 @@ from ...model.base.differential import DifferentialDrive
 from ...model.robot import Robot
 from ...safety import Safety
 from ...safety.supervisor import HEADING, POSITION
-from ...signals import Array
+from ...signals import Array, Layout
 from ...torque.controller import per_velocity
 from .bounds import PoseBound
 from .learner import Networks
@@ -74,12 +74,12 @@ class CertifiedLoop:
     @cached_property
     def K(self) -> Array:
         """(n,) gain of the filtered arm error [1/s]."""
-        return self.kinematic.arm_gains(self.robot.layout)
+        return self.kinematic.arm_gains(self.robot.dimensions)
 
     @cached_property
     def samples(self) -> MotionSamples:
         """The robot along the reference; the arm's metric is the one whose errors a given energy drives less far."""
-        n = self.robot.layout.arm
+        n = self.robot.dimensions.arm
         result = sample(self.robot, self.along, np.full(n, SPREAD) if self.spread is None else self.spread)
         if n == 0 or not np.ptp(self.K):
             return result
@@ -93,7 +93,7 @@ class CertifiedLoop:
     @cached_property
     def robust(self) -> tuple[Array, Array]:
         """Kz and ZB of the robust term, (p,) each; zeros without one."""
-        layout, term = self.robot.layout, self.learner.own.robust if self.learner else None
+        layout, term = self.robot.dimensions, self.learner.own.robust if self.learner else None
         if term is None:
             return np.zeros(layout.dof), np.zeros(layout.dof)
         return per_velocity(term.base, term.arm, layout, "robust"), per_velocity(*term.ZB, layout, "robust.ZB")
@@ -101,7 +101,7 @@ class CertifiedLoop:
     def input_norm(self, added: Drive, pose: float, arm: Array, s: Array) -> float:
         """Largest |x|, for a size of the pose error [m], arm errors (n,), velocity errors (p,) and what they drive."""
         assert self.learner is not None
-        inputs, layout = self.learner.own.inputs, self.robot.layout
+        inputs, layout = self.learner.own.inputs, Layout.of(self.robot.dimensions)
         row = layout.new_row()
         for name, value in self.signal_bounds(added, pose, arm, s).items():
             row[layout.where(name)] = value
@@ -281,7 +281,7 @@ class Supervisor:
     @classmethod
     def of(cls, safety: Safety, robot: Robot, period: float) -> Supervisor:
         """From settings."""
-        its = safety.supervisor(robot, period, np.zeros(robot.layout.dof), np.zeros(robot.layout.arm))
+        its = safety.supervisor(robot, period, np.zeros(robot.dimensions.dof), np.zeros(robot.dimensions.arm))
         position, heading = its.numbers[[POSITION, HEADING]]
         return cls(its.torque, its.speed, position, heading, its.error, np.asarray(np.linalg.inv(robot.E)))
 

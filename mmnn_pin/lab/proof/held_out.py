@@ -16,13 +16,13 @@ import pinocchio as pin
 
 from ...errors import ConfigError, RecordingError
 from ...kinematic import Kinematic
+from ...loop.before_run import Start
 from ...loop.loop import Loop
-from ...loop.start import Start
 from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot, carrying
 from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
-from ...signals import Array
-from ...timing import Timing
+from ...settings import Timing
+from ...signals import Array, Layout
 from ...torque.controller import Feedback
 from ...torque.model_based import ComputedTorque
 from ..experiments.config import recorded_experiment
@@ -90,7 +90,7 @@ def all_held_out(experiment: Experiment, robot: Robot) -> dict[str, HeldOut]:
 
 def whole_reference(experiment: Experiment, robot: Robot) -> Array:
     """The reference of a whole run as rows (N, width), also of one that ended early."""
-    layout, timing = robot.layout, experiment.time
+    layout, timing = Layout.of(robot.dimensions), experiment.time
     rows = np.zeros((timing.samples, layout.width))
     where = slice(layout.where("pose_ref").start, layout.where("qddot_ref").stop)
     times = np.arange(timing.samples) * timing.control_period
@@ -106,7 +106,7 @@ def usual(robot: Robot, h: float, rows: Array) -> HeldOut:
         h: Control period [s].
         rows: (N, width).
     """
-    layout = robot.layout
+    layout = Layout.of(robot.dimensions)
     velocity, q, qdot = (rows[:, layout.where(name)] for name in ("velocity_ref", "q_ref", "qdot_ref"))
     base, lap = base_path(velocity)
     profiles, period = arm_profiles(robot, q, qdot)
@@ -185,7 +185,7 @@ def recorded_under_computed_torque(
         raise RecordingError(
             "no held-out trajectory", why=f"computed torque does not get through: {run.outcome.message}"
         )
-    return finite_rows(run, robot.layout)
+    return finite_rows(run, Layout.of(robot.dimensions))
 
 
 def usual_payload(robot: Robot) -> float:

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-from ...loop.control import Torque, context_of
+from ...loop.controller import Torque, context_of
 from ...model.base.overrides import Overrides
 from ...model.robot import Robot
 from ...recording.recording import Recording
@@ -259,7 +259,7 @@ def last(recording: Recording, start: ControllerState) -> tuple[ControllerState,
     Raises:
         RecordingError: There are none.
     """
-    state, final = start.snapshot(), recording.final.get("memory")
+    state, final = start.snapshot(), recording.final.get("controller_state")
     if final is not None and final.shape == state.values.shape and np.isfinite(final).all():
         state.values[:] = final
         return state, recording.outcome.time

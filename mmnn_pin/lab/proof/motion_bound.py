@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...loop.sampled import viscous_friction
+from ...loop.before_run import viscous_friction
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...signals import Array, IntArray
@@ -371,14 +371,14 @@ class MotionSamples:
 
 def sample(robot: Robot, along: Along, spread: Array, seed: int = 0, samples: int = SAMPLES) -> MotionSamples:
     """Terms along a whole reference (T instants), `samples` of them, the arm spread around it."""
-    rng, n, dynamics = np.random.default_rng(seed), robot.layout.arm, Dynamics(robot)
+    rng, n, dynamics = np.random.default_rng(seed), robot.dimensions.arm, Dynamics(robot)
     places = np.unique(np.linspace(0, len(along.v_ref) - 1, samples).astype(int))
     places = np.resize(places, samples)  # a short reference is sampled again with other offsets
     offsets = rng.uniform(-1, 1, (samples, n))
     offsets[: samples * 3 // 4] = np.where(offsets[: samples * 3 // 4] < 0, -1.0, 1.0)
     offsets[::4] = 0.0
     rng.shuffle(offsets)
-    here, p = along.at(places), robot.layout.dof
+    here, p = along.at(places), robot.dimensions.dof
     M, C, g = np.zeros((samples, p, p)), np.zeros((samples, p, p, p)), np.zeros((samples, p))
     position = robot.neutral_position()
     for k in range(samples):

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import expit
 
 from ...errors import RecordingError
-from ...loop.sampled import HeldLoop, held_loop, viscous_friction
+from ...loop.before_run import HeldLoop, held_loop, viscous_friction
 from ...signals import Array
 from ...torque.controller import ControllerState
 from .excitation import hidden_learns

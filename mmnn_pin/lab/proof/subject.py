@@ -18,11 +18,10 @@ from ...errors import RecordingError
 from ...kinematic import Kinematic, command
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot, carrying
-from ...recording.recording import Recording
-from ...recording.robot import recorded_robot
+from ...recording.recording import Recording, recorded_robot
 from ...sensing import exact
+from ...settings import Timing
 from ...signals import Array, Layout
-from ...timing import Timing
 from ...torque.neural import Neural
 from .learner import Learner, Networks, recorded_learner
 
@@ -64,7 +63,7 @@ class Subject:
                 why = "an older mmnn_pin wrote it"
                 raise RecordingError(f"the recording does not hold the {what}", why=why, file=recording.path)
         require_signals(recording)
-        rows = finite_rows(recording, robot.layout)
+        rows = finite_rows(recording, Layout.of(robot.dimensions))
         if len(rows) < 2:
             why = f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}"
             raise RecordingError("too short to judge", why=why, fix="run longer", file=recording.path)
@@ -79,7 +78,7 @@ class Subject:
     @property
     def layout(self) -> Layout:
         """Where the signals stand in the rows; those of wheels' contacts are left out."""
-        return self.robot.layout
+        return Layout.of(self.robot.dimensions)
 
     @property
     def controller(self) -> str:
@@ -192,7 +191,7 @@ class Hardware:
         """From a recording."""
         events = msgspec.convert(recording.meta.get("disturbances", ()), tuple[Disturbance, ...])
         driven = "actuator" in recording.meta or has(events, DeadMotor)
-        rows, p = len(recording), robot.layout.dof
+        rows, p = len(recording), robot.dimensions.dof
         torque, push = recording["torque"].reshape(rows, p), np.zeros((rows, p))
         if driven:
             applied = recording["applied"].reshape(rows, -1) @ robot.E.T

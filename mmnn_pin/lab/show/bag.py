@@ -28,9 +28,7 @@ from scipy.spatial.transform import Rotation
 from ...model.robot import Robot
 from ...model.urdf.document import Document, Joint
 from ...model.urdf.reading import parse
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
-from ...recording.robot import recorded_position, recorded_robot
+from ...recording.recording import Recording, as_columns, recorded_position, recorded_robot
 from ...signals import Array
 from .curves import column_units
 
@@ -61,7 +59,7 @@ def frames_of(recording: Recording, robot: Robot) -> list[Frame]:
     """All frames of a robot in a run, parents first; where the robot truly was, if the recording knows."""
     document = parse(robot.urdf.encode(), robot.path)
     position = dict(zip(robot.position_names, recorded_position(recording, robot).T, strict=True))
-    base = base_frames(document, robot, position) if robot.layout.pose else []
+    base = base_frames(document, robot, position) if robot.dimensions.pose else []
     joints = (joint_frame(joint, position.get(joint.name)) for joint in document.joints.values())
     return [*base, *joints]
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from ...plant.contact.plant import SLIPPING
-from ...recording.metrics import ERRORS, as_columns, halves
-from ...recording.recording import Recording
+from ...recording.metrics import ERRORS, halves
+from ...recording.recording import Recording, as_columns
 from ..experiments.cases import Matrix, Verdict
 from ..experiments.controllers import ORACLES
 from ..experiments.runner import Improvement, Result, unfair

@@ -16,8 +16,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...errors import RecordingError, UnknownName
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from ...signals import Array
 from ..study.results import Results
 from ..study.store import Stored

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...errors import RecordingError
-from ...recording.metrics import as_columns
-from ...recording.recording import Recording
+from ...recording.recording import Recording, as_columns
 from ...safety import STOPPING
 from ...signals import Array
 from ..experiments.controllers import effective

@@ -12,8 +12,7 @@ import numpy as np
 from ...model.checks.nonholonomy import RANK_TOLERANCE, Closure
 from ...model.checks.properties import Report, check_properties
 from ...model.inspection import inspection_of
-from ...recording.recording import Recording
-from ...recording.robot import recorded_robot
+from ...recording.recording import Recording, recorded_robot
 
 SHOWN = 12  # locked joints listed one by one
 SAMPLING = "positions uniform within limits (else +-pi, +-1 m), velocities standard normal; an estimate from inside"

@@ -19,8 +19,8 @@ from functools import cache, lru_cache
 from types import ModuleType
 from typing import Any
 
+from ...compiled import libraries
 from ...errors import MmnnError, StudyError
-from ...one_thread import libraries
 from .execution import Pool, root_of
 from .worker import Bundle, Job, JobResult, code_digest, run
 

@@ -18,8 +18,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
+from ...compiled import libraries
 from ...errors import ConfigError, MmnnError, StudyError
-from ...one_thread import libraries
 from . import worker
 from .plan import Plan, Row
 from .store import Store

@@ -16,7 +16,6 @@ import numpy as np
 
 from ...actuator import Actuator
 from ...errors import ConfigError, MmnnError
-from ...loop.before_run import require_stable_gains
 from ...loop.loop import Loop
 from ...sensing import Sensor
 from ...signals import Array
@@ -141,8 +140,8 @@ def settings_of(drawn: Mapping[str, Any], gains: Mapping[str, Factor], table: Ma
 
 
 def stable_when_sampled(loop: Loop) -> None:
-    """The PD loop alone is stable at the control period, on the true robot; see `loop/sampled.py`."""
-    require_stable_gains(replace(loop, check_gains=True))
+    """The PD loop alone is stable at the control period, on the true robot; see `loop/before_run.py`."""
+    replace(loop, check_gains=True).require_stable_gains()
 
 
 def learns_slowly_enough(loop: Loop) -> None:

@@ -61,7 +61,7 @@ def probe(plan: Plan) -> Probe:
             raise plan.blamed(error) from None
     loop, engine, row = loops[0]
     facts = loop.facts() | {"loop": engine.name}
-    names = list(Reducer.of(loop.robot.layout, facts, row.experiment.windows).result())
+    names = list(Reducer.of(loop.layout, facts, row.experiment.windows).result())
     require_asked(plan.study.settings, names, plan)
     units = units_of(names, robots_of(row.job, None)[0])
     size = max(needed_bytes([loop], False, 1) for loop, _, _ in loops)

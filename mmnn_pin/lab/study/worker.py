@@ -35,7 +35,7 @@ from ...model.robot import Robot
 from ...model.robots import find
 from ...model.urdf.reading import read
 from ...model.urdf.shapes import locate
-from ...recording.metrics import as_columns
+from ...recording.recording import as_columns
 from ...signals import Array
 from ..experiments.controllers import EFFECTIVE
 from ..experiments.experiment import Experiment

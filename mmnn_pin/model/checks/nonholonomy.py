@@ -73,7 +73,7 @@ def nonholonomy(robot: Robot, rng: np.random.Generator | None = None, samples: i
         rng: Draws the points at which ranks are taken; the largest rank counts.
         samples: Number of points.
     """
-    if not robot.layout.base:
+    if not robot.dimensions.base:
         return Nonholonomy(None, None, "fixed: there is no base, and nothing to integrate")
     rng = np.random.default_rng(0) if rng is None else rng
     pose = involutive_closure(base_fields(robot, ()), rng.uniform(-2, 2, (samples, 3)))
@@ -102,7 +102,7 @@ def base_fields(robot: Robot, wheels: Sequence[str]) -> list[Field]:
 
     They are the columns of T: the control frame's velocity turned into the world, S of (2.7), and the wheels' rates.
     """
-    nb = robot.layout.base
+    nb = robot.dimensions.base
     body = robot.base.to_control @ robot.T[:3, :nb]
     rates = robot.T[[robot.full_velocity_names.index(name) for name in wheels], :nb]
 

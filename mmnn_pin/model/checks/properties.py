@@ -195,12 +195,12 @@ def random_state(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, 
     lower, upper = np.where(free, rest - reach, robot.lower), np.where(free, rest + reach, robot.upper)
     lower, upper = np.maximum(lower, robot.lower), np.minimum(upper, robot.upper)
     position = robot.follow(rng.uniform(lower, upper))
-    return position, rng.standard_normal(robot.layout.full), rng.standard_normal(robot.layout.dof)
+    return position, rng.standard_normal(robot.dimensions.full), rng.standard_normal(robot.dimensions.dof)
 
 
 def revolute(robot: Robot) -> Array:
     """Which positions are angles, (nv,) bool."""
-    root = robot.layout.pose
+    root = robot.dimensions.pose
     kinds = [joint.shortname().removeprefix("JointModel") for joint in robot.model.joints][2 if root else 1 :]
     return np.array([False, False, True][:root] + ["R" in kind for kind in kinds])
 
@@ -227,7 +227,7 @@ def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str
     Mbar, Cbar = terms.reduced_mass(q), terms.reduced_coriolis(q, nu)
     rate = rate_along(terms.reduced_mass, model, q, moving, speed)
     numbers["reduced_rate"] = skewness(Mbar, rate, Cbar, speed)
-    nb = robot.layout.base
+    nb = robot.dimensions.base
     if nb:
         numbers["property_5"] = block_residual(Mbar, rate, Cbar, speed, np.arange(nb))
     return numbers

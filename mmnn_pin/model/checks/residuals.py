@@ -185,7 +185,7 @@ def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: 
     """
     x, w = np.polynomial.legendre.leggauss(nodes)
     duration = 0.5
-    motion = Motion.random(terms.robot.layout.dof, rng)
+    motion = Motion.random(terms.robot.dimensions.dof, rng)
     net, total, fed = 0.0, 0.0, 0.0
     for t, weight in zip((1 + x) * duration / 2, w * duration / 2, strict=True):
         nu, nudot = motion.nu(t), motion.nudot(t)
@@ -205,7 +205,7 @@ def energy_leak(terms: Terms, position: Array, rng: np.random.Generator, nodes: 
 
 def configuration_along(terms: Terms, position: Array, motion: Motion, t: float) -> Array:
     """Pinocchio's q after a time of a motion; the base stays at its place, on which no energy depends, and turns."""
-    root = terms.robot.layout.pose
+    root = terms.robot.dimensions.pose
     travel = terms.T @ motion.travel(t)
     travel[: max(0, root - 1)] = 0.0
     return terms.robot.configuration(position + travel)

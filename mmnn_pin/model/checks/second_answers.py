@@ -123,10 +123,10 @@ class WorldFrame:
     def _joint_rows(self) -> Array:
         """The constant rows of S: wheels that roll without slipping, arm joints, locked joints."""
         robot, names = self.robot, self.robot.full_velocity_names
-        S = np.zeros((len(names), robot.layout.dof))
+        S = np.zeros((len(names), robot.dimensions.dof))
         for wheel in robot.base.wheels:
             S[names.index(wheel.joint), :2] = wheel.sign / wheel.radius, -wheel.sign * wheel.y / wheel.radius
-        for i, name in enumerate(robot.joint_names, start=robot.layout.base):
+        for i, name in enumerate(robot.joint_names, start=robot.dimensions.base):
             S[names.index(name), i] = 1.0
         return S
 
@@ -178,7 +178,7 @@ class SecondKinematics:
 
     def placements(self, position: Array) -> dict[str, Array]:
         """(4, 4) placement of every link in the root link, by yourdfpy, at a position (nv,)."""
-        root = self.robot.layout.pose
+        root = self.robot.dimensions.pose
         self.urdf.update_cfg(dict(zip(self.robot.position_names[root:], position[root:].tolist(), strict=True)))
         return {name: np.asarray(self.urdf.get_transform(name)) for name in self.urdf.link_map}
 

@@ -73,7 +73,7 @@ def new_body(robot: Robot) -> Body:
     Raises:
         RobotError: It has a joint that cannot be flattened.
     """
-    frame = robot.frame if robot.layout.base else np.zeros(3)
+    frame = robot.frame if robot.dimensions.base else np.zeros(3)
     tree = flatten(robot.model, robot.T, robot.neutral_position(), tuple(frame))
     offset, columns = robot.arm_map()
     return Body(
@@ -83,7 +83,7 @@ def new_body(robot: Robot) -> Body:
         dry=robot.dry,
         viscous=np.array(robot.viscous),
         arm=np.array(robot.arm_index),
-        base=robot.layout.base,
+        base=robot.dimensions.base,
         feels_gravity=Dynamics(robot).feels_gravity,
         offset=offset,
         columns=columns,
@@ -106,7 +106,7 @@ def parameters(robot: Robot) -> Array:
     Raises:
         RobotError: A joint that cannot be flattened.
     """
-    layout, T = robot.layout, np.array(robot.T)
+    layout, T = robot.dimensions, np.array(robot.T)
     frame = tuple(robot.frame) if layout.base else (0.0, 0.0, 0.0)
     tree = flatten(robot.model, T, robot.neutral_position(), frame, absorb=False)
     moving, viscous = moving_joints(T, layout.base), robot.damping.copy()

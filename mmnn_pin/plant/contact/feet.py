@@ -128,7 +128,7 @@ def feet_of(robot: Robot) -> Feet:
     Raises:
         RobotError: A base whose wheels have rollers, or one that stands on its two wheels alone.
     """
-    if not robot.layout.base:
+    if not robot.dimensions.base:
         return Feet((), ())
     if robot.base.kind != "differential_drive":
         raise RobotError(

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
-from ...signals import Array
+from ...signals import Array, Layout
 from .. import NO_PUSH
 from .feet import Contact, feet_of
 from .tree import NO_FRICTION, BaseMotion, FreeBase, Friction, compile_tree, engine, on_base, tilt
@@ -119,11 +119,11 @@ class ContactPlant:
         self.feet, self.h = feet_of(robot), dt / self.steps
         self.model = compile_tree(robot, self.feet, self.contact, self.h, method)
         self.data, self.dynamics = self.mj.MjData(self.model), Dynamics(robot)
-        nv, p, wheels = robot.layout.full, robot.layout.dof, len(self.feet.wheels)
+        nv, p, wheels = robot.dimensions.full, robot.dimensions.dof, len(self.feet.wheels)
         self.y = np.zeros(nv + p + 1)
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
         self.velocity, self.to_motors = np.zeros(nv), np.linalg.pinv(robot.E)
-        self.base = FreeBase(robot) if robot.layout.base else None
+        self.base = FreeBase(robot) if robot.dimensions.base else None
         self.motion: BaseMotion | None = None
         self._index()
         self.hold = np.zeros(nv)
@@ -135,7 +135,7 @@ class ContactPlant:
     def _index(self) -> None:
         """Where moving joints, motors and wheels of our model stand in MuJoCo's."""
         robot, model, names = self.robot, self.model, self.robot.full_velocity_names
-        first = robot.layout.pose
+        first = robot.dimensions.pose
         self.moving = np.array([i for i in range(first, len(names)) if names[i] not in robot.arm.locked], int)
         joints = [model.joint(names[i]) for i in self.moving]
         self.at_q = np.array([joint.qposadr[0] for joint in joints], int)
@@ -207,14 +207,14 @@ class ContactPlant:
 
     def _push(self, force: Array) -> None:
         """Apply a generalized force on nu: at the control frame and on the joints of the arm."""
-        data, nb = self.data, self.robot.layout.base
+        data, nb = self.data, self.robot.dimensions.base
         data.qfrc_applied[self.arm_v] += force[nb:]
         if self.motion is not None:
             on_base(data, self.motion, float(force[0]), float(force[1]))
 
-    def observe(self, row: Array) -> None:
+    def observe(self, row: Array, layout: Layout) -> None:
         """Write constraint residual, slip and traction into a row, and start anew with the largest traction."""
-        where = self.robot.layout.where
+        where = layout.where
         row[where("constraint_residual")] = self.residual
         row[where("slip")], row[where("traction")] = self.speed, self.traction
         self.traction[:] = 0.0
@@ -225,7 +225,7 @@ class ContactPlant:
 
     def _read(self) -> None:
         """State of our model, and how its wheels move over the floor, from MuJoCo's state."""
-        data, robot, nb = self.data, self.robot, self.robot.layout.base
+        data, robot, nb = self.data, self.robot, self.robot.dimensions.base
         self.position[self.moving], self.velocity[self.moving] = data.qpos[self.at_q], data.qvel[self.at_v]
         self.nu[nb:] = self.velocity[robot.arm_index]
         if self.base is None:

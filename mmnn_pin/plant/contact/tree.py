@@ -86,7 +86,7 @@ def set_options(mj: Any, spec: Any, robot: Robot, dt: float, integrator: str) ->
 def add_bodies(mj: Any, spec: Any, robot: Robot) -> list[Any]:
     """One body per joint of the Pinocchio model, the world first."""
     model, data = robot.model, robot.model.createData()
-    mobile = robot.layout.base > 0
+    mobile = robot.dimensions.base > 0
     pin.forwardKinematics(model, data, robot.configuration(at_origin(robot) if mobile else robot.rest))
     bodies = [spec.worldbody]
     for j in range(1, model.njoints):
@@ -247,11 +247,11 @@ class Friction:
     """
 
     def __init__(self, robot: Robot, moving: Array, at: Array, model: Any) -> None:
-        viscous = np.zeros(robot.layout.full)
-        viscous[robot.arm_index] = robot.viscous[robot.layout.base :]
+        viscous = np.zeros(robot.dimensions.full)
+        viscous[robot.arm_index] = robot.viscous[robot.dimensions.base :]
         self.model, self.at = model, at
         self.damping, self.dry = (robot.damping + viscous)[moving], robot.dry[moving]
-        self.base = robot.viscous[: robot.layout.base]
+        self.base = robot.viscous[: robot.dimensions.base]
         self.held = False
         self.has_coulomb, self.on_base = bool(self.dry[:, 0].any()), bool(self.base.any())
         model.dof_damping[at] = self.damping

@@ -30,6 +30,7 @@ from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.reference import Eight
+from mmnn_pin.signals import Layout
 
 QUICK = [
     *("time.duration=1.6", "time.control_period=0.0025", "time.plant_step=0.00125", "windows=[[0, 0.5], [0.8, 1.6]]"),
@@ -98,7 +99,7 @@ def test_frozen_weights_say_what_the_regressor_times_the_estimate_says(standing)
     controller, row = task.controller("adaptive"), standing.of("eight", "adaptive")[1]
     run = task.training(controller, row.seed).run()
     state = state_after(task, controller, row.seed, Run(run.outcome, {}, run.final))
-    regressor, layout, found = Regressor.of(task.robot), task.robot.layout, []
+    regressor, layout, found = Regressor.of(task.robot), Layout.of(task.robot.dimensions), []
     for name, rows in task.rows.items():
         loop = task.held_out_loop(controller, row.seed, name, False)
         theta = state["theta"]
@@ -121,7 +122,7 @@ def test_what_learns_nothing_is_frozen_as_it_is(standing):
     assert frozen(task.controller("two_layer")).learning is False
     for row in standing.of("eight", "computed_torque"):
         assert row.frozen_fvu < 1e-20  # Psi itself
-    psi = task.rows["tight"][200:, task.robot.layout.where("psi")]  # from 0.5 s on
+    psi = task.rows["tight"][200:, Layout.of(task.robot.dimensions).where("psi")]  # from 0.5 s on
     nothing = ((psi**2).mean(axis=0) / psi.var(axis=0)).mean()
     assert standing.of("eight", "pd")[0].frozen_on["tight"] == pytest.approx(nothing)
 
@@ -133,14 +134,14 @@ def test_held_out_runs_are_those_of_the_final_weights(standing):
     for how in ("frozen", "learning"):
         loop = task.held_out_loop(controller, row.seed, "circle", how == "learning")
         state = controller.init(loop.context())
-        state.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["memory"]
+        state.values[:] = Recording.open(standing.folder / "eight" / "two_layer.h5").final["controller_state"]
         run = loop.run(state=state)
         late = run.time > 0.499
         found = np.sqrt(np.mean(run["true_e"][late] ** 2, axis=0))
         tracked = row.held_out["circle"][how]
         assert tracked.outcome == "completed"
         assert [tracked.rms["arm_1_joint"], tracked.rms["arm_2_joint"]] == pytest.approx(found.tolist())
-        moved = not np.array_equal(run.final["memory"], state.values)
+        moved = not np.array_equal(run.final["controller_state"], state.values)
         assert moved == (how == "learning") or how == "frozen"
 
 

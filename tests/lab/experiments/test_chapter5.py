@@ -23,7 +23,7 @@ from mmnn_pin.lab.experiments.runner import Result, unfair
 from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.lab.proof.learner import recorded_learner
 from mmnn_pin.lab.show import comparison
-from mmnn_pin.recording.robot import recorded_robot
+from mmnn_pin.recording.recording import recorded_robot
 from mmnn_pin.torque.neural import Inputs, Neural
 from mmnn_pin.torque.two_layer import TwoLayer
 
@@ -60,14 +60,14 @@ def test_what_the_thesis_prints_stands_in_the_file() -> None:
     e = load_experiment("chapter5")
     t = np.arange(e.time.samples) * e.time.control_period
     robot = e.load_robot()
-    reference = e.trajectory_of(robot).table(t, robot.layout)[:, :2]
+    reference = e.trajectory_of(robot).table(t, robot.dimensions)[:, :2]
     np.testing.assert_allclose(DEGREES * reference, np.outer(30 * np.sin(0.5 * np.pi * t), [1, 1]), atol=1e-12)
-    assert (e.time.duration, e.time.control_period, robot.layout.base) == (8.0, 1 / 200, 0)
+    assert (e.time.duration, e.time.control_period, robot.dimensions.base) == (8.0, 1 / 200, 0)
     assert (e.feedback.arm, e.kinematic.K, e.sensor.velocity) == (40.0, 10.0, "difference")
     two, net = e.two_layer, e.one_layer
     assert (two.hidden, two.F[1], two.G[1], two.kappa) == (10, 1.8, 1.0, 0.007)
     assert (net.beta[1], net.centre_range, net.width, net.hidden) == (1.0, 70.0, 70.0, 10)
-    assert e.inputs.rows(robot.layout).size == 10 and e.inputs.signals == (
+    assert e.inputs.rows(robot.dimensions).size == 10 and e.inputs.signals == (
         "e",
         "edot",
         "q_ref",
@@ -290,6 +290,6 @@ def test_weights_that_start_equal_stay_equal_and_random_ones_do_not() -> None:
     for run, name in ((zero, "two_layer_zero"), (random, "two_layer_random")):
         controller = e.controller(name)
         state = controller.init(e.loop(e.load_robot(), controller).context())
-        state.values[:] = run.final["memory"]
+        state.values[:] = run.final["controller_state"]
         ranks.append(np.linalg.matrix_rank(state["V2"], tol=1e-9 * np.linalg.norm(state["V2"])))
     assert ranks[0] == 1 < ranks[1] and isinstance(e.controller("two_layer_zero").network, TwoLayer)

@@ -121,7 +121,7 @@ def test_only_the_second_definition_of_f2_gives_psi_2() -> None:
     """Psi_2 (3.21) equals the arm's rows of M nudot_ref + C nu_ref + F with f2 of (3.22), not with that of (3.13)."""
     robot, rng = load("platform_arm"), np.random.default_rng(3)
     model, world, K = Dynamics(robot), WorldFrame(robot), 7.0
-    nv, p, n = robot.T.shape[0], robot.layout.dof, robot.layout.arm
+    nv, p, n = robot.T.shape[0], robot.dimensions.dof, robot.dimensions.arm
     arm = [list(robot.full_velocity_names).index(name) for name in robot.joint_names]
     base = [i for i in range(nv) if i not in arm]
     position, nu = rng.uniform(-1, 1, nv), rng.uniform(-1, 1, p)
@@ -250,7 +250,7 @@ def test_the_networks_input_grows_along_a_straight_line() -> None:
     """Gap (c), assumption 3.3.1: q_vd of a line has no bound qB; without it the input stays where it is."""
     times = np.array([10.0, 100.0, 1000.0])
     e = load_experiment("chapter4")
-    layout = e.load_robot().layout
+    layout = e.load_robot().dimensions
     positions = np.linalg.norm(e.trajectory(layout).table(times, layout)[:, :3], axis=1)
     np.testing.assert_allclose(positions, 0.3 * times)
     assert "pose_ref" in e.inputs.signals

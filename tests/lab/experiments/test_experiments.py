@@ -15,7 +15,8 @@ from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override,
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.runner import Result, in_order
-from mmnn_pin.recording.metrics import as_columns, metrics
+from mmnn_pin.recording.metrics import metrics
+from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Layout
 
 SHORT = ("time.duration=0.02",)
@@ -41,7 +42,7 @@ def test_chapter4_has_the_printed_numbers() -> None:
     assert (e.two_layer.F, e.two_layer.G, e.two_layer.kappa) == ((1, 0.2), (1, 0.2), 1)
     assert (e.one_layer.beta, e.one_layer.mu, e.one_layer.centre_range) == ((0.5, 0.5), 0.35, 10)
     assert (e.two_layer.hidden, e.one_layer.hidden, e.time.duration) == (22, 22, 5)
-    layout = e.load_robot().layout
+    layout = e.load_robot().dimensions
     path = e.trajectory(layout).table([0.0, 1.0, 2.0], layout)
     line, arm = path[:, :3], path[:, 7:9]
     np.testing.assert_allclose(line, [[0, 0, 0], [0.3, 0, 0], [0.6, 0, 0]], atol=1e-12)
@@ -50,7 +51,7 @@ def test_chapter4_has_the_printed_numbers() -> None:
 
 def test_inputs_are_the_22_of_the_thesis() -> None:
     e = load_experiment("chapter4")
-    assert e.inputs.rows(e.load_robot().layout).size == 22
+    assert e.inputs.rows(Layout.of(e.load_robot().dimensions)).size == 22
 
 
 # -- configs and their errors -----------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from mmnn_pin.lab.experiments.runner import Improvement, Result, improvements
 from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
 from mmnn_pin.lab.show import comparison as effects
 from mmnn_pin.lab.show import comparison as verdicts
-from mmnn_pin.signals import Array
+from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.neural import MEASURED
 
 pytestmark = pytest.mark.lab
@@ -183,7 +183,7 @@ def test_every_switch_is_turned_alone_and_turned_back() -> None:
 
 
 def test_inputs_without_position_hold_nothing_that_grows_on_a_line() -> None:
-    layout = short().load_robot().layout
+    layout = Layout.of(short().load_robot().dimensions)
     sizes = {switch.turned(short())[0]: switch.turned(short())[1].inputs for switch in SWITCHES}
     assert sizes["no absolute position"].rows(layout).size == 19
     assert sizes["Appendix B's short input"].rows(layout).size == 14
@@ -226,7 +226,7 @@ def test_a_reading_of_a_fixed_arm_is_compared_with_no_figure(capsys: pytest.Capt
 def test_the_networks_see_the_pose_error_in_the_frame_asked_for(frame: str) -> None:
     options = ["controllers=['two_layer']", "start.pose_offset=[-0.1, 0.2, 0.5]", f"inputs.pose_error={frame}"]
     run = run_experiment(short(*options), "x").recordings["two_layer"]
-    x = run.final["memory"][7:10]  # after q_vd (3), alpha (2) and its derivative (2)
+    x = run.final["controller_state"][7:10]  # after q_vd (3), alpha (2) and its derivative (2)
     world, phi = run["pose_ref"][-1] - run["pose"][-1], run["pose"][-1, 2]
     turned = np.array(
         [np.cos(phi) * world[0] + np.sin(phi) * world[1], np.cos(phi) * world[1] - np.sin(phi) * world[0]]
@@ -237,7 +237,7 @@ def test_the_networks_see_the_pose_error_in_the_frame_asked_for(frame: str) -> N
 
 def test_appendix_b_s_slip_replaces_the_yaw_rate_alone() -> None:
     run = run_experiment(short("controllers=['two_layer']", "inputs.constant_yaw_rate=5"), "x").recordings["two_layer"]
-    x, signals = run.final["memory"][:22], short().inputs.signals
+    x, signals = run.final["controller_state"][:22], short().inputs.signals
     wanted = np.concatenate([run[name][-1] for name in signals])
     assert x[4] == 5.0 != wanted[4]
     np.testing.assert_array_equal(np.delete(x, 4), np.delete(wanted, 4))

@@ -29,12 +29,12 @@ from mmnn_pin.lab.show.thesis_figures import (
     velocity_figure,
 )
 from mmnn_pin.recording.recording import Recording
-from mmnn_pin.signals import Layout
+from mmnn_pin.signals import Dimensions
 
 pytestmark = pytest.mark.lab
 
 
-def recording(controller: str, layout: Layout = MOBILE, variant: str = "fair", rows: int = 40) -> Recording:
+def recording(controller: str, layout: Dimensions = MOBILE, variant: str = "fair", rows: int = 40) -> Recording:
     config = f'{{"variant": "{variant}"}}'
     return builders.recording(controller, layout, rows=rows, noise=0.01, seed=len(controller), config=config)
 

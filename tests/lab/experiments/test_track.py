@@ -20,12 +20,12 @@ from mmnn_pin.lab.experiments.experiment import Experiment, effective_inertia
 from mmnn_pin.lab.experiments.references import Swing
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show import comparison as table
-from mmnn_pin.loop.before_run import require_stable_gains
-from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
+from mmnn_pin.loop.before_run import SampledLoop, sampled_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Trajectory
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.neural import Neural, Robust
@@ -90,10 +90,10 @@ def test_effective_inertia_is_what_a_held_torque_accelerates():
     found = effective_inertia(robot, trajectory, 0.0, h)
     position = robot.neutral_position()
     position[robot.arm_index] = 0.2
-    for i in range(robot.layout.dof) if not config.DISABLE_JIT else (8,):
+    for i in range(robot.dimensions.dof) if not config.DISABLE_JIT else (8,):
         plant = IdealPlant(robot, h / 400)
-        plant.start(position, np.zeros(robot.layout.dof))
-        tau = np.zeros(robot.layout.dof)
+        plant.start(position, np.zeros(robot.dimensions.dof))
+        tau = np.zeros(robot.dimensions.dof)
         tau[i] = 1e-3 * found[i] / h
         for _ in range(400):
             plant.step(tau)
@@ -116,10 +116,10 @@ def test_scaled_gains_are_stable_where_plain_ones_are_not():
     robot = tiny_arm()
     scaled = experiment().controller("pd", robot=robot)
     loop = experiment().loop(robot, scaled)
-    require_stable_gains(loop)
+    loop.require_stable_gains()
     plain = replace(loop, controller=replace(scaled, feedback=Feedback(500.0, 30.0)))  # type: ignore[type-var]
     with pytest.raises(ConfigError, match=r"joint_6: 30 \(limit alone"):
-        require_stable_gains(plain)
+        plain.require_stable_gains()
 
 
 @pytest.mark.parametrize("friction", [(0.0, 0.0), (0.5, 0.5)])
@@ -136,7 +136,7 @@ def test_tiny_last_joint_runs_at_1_khz(name, friction):
 def test_scaling_is_a_change_of_coordinates():
     """In coordinates where every velocity has inertia 1 the thesis's law, with plain gains, gives the same torque."""
     robot = mobile_arm(2)
-    layout = robot.layout
+    layout = Layout.of(robot.dimensions)
     m = np.array([2.0, 8.0, 0.5, 4.5])
     c = np.array([5.0, 5.0, 2.5, 2.5])
     context = Context(layout, 0.001, 10)
@@ -167,7 +167,7 @@ def test_scaling_is_a_change_of_coordinates():
 
 
 def test_bandwidths_are_not_taken_for_gains():
-    layout = mobile_arm(2).layout
+    layout = Layout.of(mobile_arm(2).dimensions)
     with pytest.raises(ConfigError, match=r"feedback.scaling: error: bandwidths"):
         Feedback(1.0, 1.0, "inertia").vector(layout)
     plain = Feedback(1.0, 1.0)
@@ -179,8 +179,8 @@ def test_bandwidths_are_not_taken_for_gains():
 @pytest.mark.parametrize("coulomb", [0.0, 1.0])
 def test_implicit_friction_is_stable_where_explicit_is_not(coulomb):
     robot, h = tiny_arm(damping=1.0, coulomb=coulomb), 0.001
-    tau = np.zeros(robot.layout.dof)
-    nu = np.full(robot.layout.dof, 0.5)
+    tau = np.zeros(robot.dimensions.dof)
+    nu = np.full(robot.dimensions.dof, 0.5)
     ends = {}
     for method in ("implicit_friction", "semi_implicit_euler"):
         plant = IdealPlant(robot, h, method)

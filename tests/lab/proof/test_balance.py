@@ -17,7 +17,7 @@ from mmnn_pin.lab.proof.balance import TOLERANCE, Balance, Between, balance, eve
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.signals import INDEX
+from mmnn_pin.signals import INDEX, Layout
 
 DURATION = 0.02 if SLOW else 0.1
 
@@ -148,7 +148,7 @@ def test_chapter_4_holds_between_its_recorded_states() -> None:
 def test_the_plants_steps_converge_to_it() -> None:
     """Half the plant's step, a 16th of the error between the recorded states: the plant is of fourth order."""
     smooth, errors = (
-        replace(robot_of_kind("differential"), coulomb=np.zeros(robot_of_kind("differential").layout.full)),
+        replace(robot_of_kind("differential"), coulomb=np.zeros(robot_of_kind("differential").dimensions.full)),
         [],
     )
     for steps in (1, 2):
@@ -179,7 +179,7 @@ def test_no_equality_on_the_contact_plant() -> None:
 def test_the_reference_between_samples_is_the_reference() -> None:
     """Half way between two samples it is within a millionth of the analytic one, and its derivatives are its own."""
     loop = loop_of("differential", period=0.01, duration=0.2)
-    trajectory, layout, h = loop.trajectory, loop.robot.layout, 0.01
+    trajectory, layout, h = loop.trajectory, Layout.of(loop.robot.dimensions), 0.01
     rows, row = np.zeros((20, layout.width)), layout.new_row()
     where = slice(layout.where("pose_ref").start, layout.where("qddot_ref").stop)
     rows[:, where] = trajectory.table(np.arange(20) * h, layout)

@@ -93,7 +93,7 @@ def test_of_a_learners_projection_and_a_supervisors_the_smaller_counts(own, supe
     safety = None if supervisor is None else Safety(weights=supervisor)
     run = loop_of(Start(moving=True), 0.01, controller=learning, safety=safety).run()
     found = Boxes(certified_loop(Subject.of(run)), Box(0.08, 0.1, 0.03)).networks[1]
-    radius = (own or np.inf) * 0.1 * learning.feedback_gain(certified_robot().layout)[:2].max()
+    radius = (own or np.inf) * 0.1 * learning.feedback_gain(certified_robot().dimensions)[:2].max()
     least = min(radius, supervisor or np.inf)
     assert least == found.W and found.why == ("projection" if np.isfinite(least) else "nothing: there is no leakage")
     assert np.linalg.norm(run.weights["W1"][-1]) <= least

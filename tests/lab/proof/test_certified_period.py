@@ -20,7 +20,7 @@ from mmnn_pin.kinematic import Kinematic, command
 from mmnn_pin.lab.proof.certificate import Box, Boxes, Faces
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.signals import Array
+from mmnn_pin.signals import Array, Layout
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
 STEPS = 4  # RK4 steps in a period
@@ -31,7 +31,7 @@ def random_loop(seed: int) -> CertifiedLoop:
     """A robot, gains and a reference from a seed; PD, whose bounds stand for those of any controller."""
     rng = np.random.default_rng(seed)
     robot = load("platform_arm") if seed % 3 == 0 else mobile_arm(1 + seed % 3)
-    n, h = robot.layout.arm, float(rng.choice([1e-4, 2e-4, 5e-4]))
+    n, h = robot.dimensions.arm, float(rng.choice([1e-4, 2e-4, 5e-4]))
     inertia = 1 / np.diag(np.linalg.inv(Dynamics(robot).mass_matrix(robot.neutral_position())))
     robot = robot.with_friction(rng.uniform(0, 1, n + 2) * inertia)
     robot = robot.with_joint_friction(0.0, rng.uniform(0, 0.5, n) * inertia[2:], rng.uniform(1, 1.5, n))
@@ -66,10 +66,10 @@ class Period:
 
     @cached_property
     def row(self) -> Array:
-        return self.loop.robot.layout.new_row()
+        return Layout.of(self.loop.robot.dimensions).new_row()
 
     def split(self, state: Array) -> list[Array]:
-        n = self.loop.robot.layout.arm
+        n = self.loop.robot.dimensions.arm
         return np.split(state, np.cumsum([3, n, n + 2]))
 
     def position(self, state: Array) -> Array:
@@ -80,7 +80,7 @@ class Period:
 
     def nu_ref(self, t: float, state: Array) -> Array:
         """The command; the row holds the errors then."""
-        along, layout, k = self.loop.along, self.loop.robot.layout, self.k
+        along, layout, k = self.loop.along, Layout.of(self.loop.robot.dimensions), self.k
         pose, q, nu, pose_ref = self.split(state)
         values = {"pose_ref": pose_ref, "velocity_ref": along.v_ref[k] + t * along.a_ref[k], "pose": pose, "q": q}
         values |= {"acceleration_ref": along.a_ref[k], "qddot_ref": along.qddot_ref[k]}
@@ -93,7 +93,7 @@ class Period:
 
     def sizes(self, t: float, state: Array) -> Array:
         """Size of the pose error, of the arm's, and the energy, (3,)."""
-        loop, where = self.loop, self.loop.robot.layout.where
+        loop, where = self.loop, Layout.of(self.loop.robot.dimensions).where
         s = self.nu_ref(t, state) - self.split(state)[2]
         e, N = self.row[where("e")], loop.samples.arm_metric
         energy = s @ self.dynamics.mass_matrix(self.position(state)) @ s / 2
@@ -131,7 +131,7 @@ def anywhere(period: Period, box: Box, rng: np.random.Generator) -> Array:
     phi = pose_ref[2] - error[2]
     c, s = np.cos(phi), np.sin(phi)
     pose = pose_ref - np.array([c * error[0] - s * error[1], s * error[0] + c * error[1], error[2]])
-    state = np.concatenate((pose, along.q_ref[k] - e, np.zeros(loop.robot.layout.dof), pose_ref))
+    state = np.concatenate((pose, along.q_ref[k] - e, np.zeros(loop.robot.dimensions.dof), pose_ref))
     return moved(period, state, 0.0)
 
 
@@ -147,7 +147,7 @@ def worst_s(period: Period, state: Array, box: Box, force: Array, loss: Array, r
     position, nu = period.position(state), period.split(state)[2]
     M, x = period.dynamics.mass_matrix(position), rng.standard_normal(nu.size)
     if rng.random() < 0.6:
-        nudot_ref = period.row[period.loop.robot.layout.where("nudot_ref")].copy()
+        nudot_ref = period.row[Layout.of(period.loop.robot.dimensions).where("nudot_ref")].copy()
         psi = period.dynamics.psi(position, nu, nu, nudot_ref)
         x = np.linalg.solve(loss, psi + np.where(psi < 0, -force, force)) / 2
     most = np.sqrt(2 * 0.98 * box.energy / (x @ M @ x))
@@ -172,7 +172,7 @@ def gained(before: float, after: float, faces: Faces, period: float) -> float:
 @pytest.mark.parametrize("seed", range(6))
 def test_no_held_torque_within_its_bounds_beats_the_inequalities(seed: int) -> None:
     loop, rng, seen, nearest = random_loop(seed), np.random.default_rng(seed), 0, -np.inf
-    scale = np.trace(loop.samples.M[0]) / loop.robot.layout.dof
+    scale = np.trace(loop.samples.M[0]) / loop.robot.dimensions.dof
     stretch = np.sqrt(np.linalg.eigvalsh(loop.samples.arm_metric).max())
     for pose, arm, energy in BOXES:
         box = Box(pose * loop.pose.largest, float(arm * stretch), float(energy * np.sqrt(scale)))

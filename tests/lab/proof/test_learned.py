@@ -23,6 +23,7 @@ from mmnn_pin.lab.proof.ideal import PENALTY, hidden_weights, ideal_weights, out
 from mmnn_pin.lab.proof.learner import seen
 from mmnn_pin.lab.proof.psi import error_in, fvu, fvu_in, psi_along, psi_of, shares, sizes, windows, worst
 from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.two_layer import TwoLayer
 
@@ -126,7 +127,7 @@ def test_excitation_is_the_spectrum_of_the_gram_matrix(seed: int) -> None:
 @pytest.mark.parametrize("which", ["two_layer", "one_layer"])
 def test_a_learner_is_built_again_and_says_what_its_networks_say(kind: str, which: str) -> None:
     """Psi_hat of fixed weights against the plain formula on the named signals of the recording."""
-    p = robot_of_kind(kind).layout.dof
+    p = robot_of_kind(kind).dimensions.dof
     controller = learner(kind, which, inertia=tuple(np.linspace(0.5, 2.0, p)))
     run = loop_of(kind, controller, duration=0.02).run()
     subject = subject_of(kind, run)
@@ -222,8 +223,8 @@ def test_a_payload_adds_the_kinetic_energy_of_a_point_at_the_tip(name: str) -> N
     robot = load(name) if robot is None else robot_of_kind(robot)
     heavy, mass = loaded(robot, 1.7), 1.7
     rng = np.random.default_rng(4)
-    position, nu = robot.neutral_position(), rng.normal(size=robot.layout.dof)
-    position[robot.arm_index] = rng.uniform(-1, 1, robot.layout.arm)
+    position, nu = robot.neutral_position(), rng.normal(size=robot.dimensions.dof)
+    position[robot.arm_index] = rng.uniform(-1, 1, robot.dimensions.arm)
     joint = robot.model.getJointId(robot.joint_names[-1])
     at = tip(robot.model, joint, True)
     data, q = robot.model.createData(), robot.configuration(position)
@@ -266,9 +267,11 @@ def test_it_is_faster_and_turns_no_more_than_allowed() -> None:
     experiment = load_experiment("track", ["time.duration=10", "time.control_period=0.01", "time.plant_step=0.01"])
     robot = experiment.load_robot()
     loop = experiment.loop(robot, experiment.controller("pd", robot=robot))
-    rows = np.zeros((1000, robot.layout.width))
-    rows[:, robot.layout.where("pose_ref").start : robot.layout.where("qddot_ref").stop] = loop.table()
-    velocity = rows[:, robot.layout.where("velocity_ref")]
+    rows = np.zeros((1000, Layout.of(robot.dimensions).width))
+    rows[
+        :, Layout.of(robot.dimensions).where("pose_ref").start : Layout.of(robot.dimensions).where("qddot_ref").stop
+    ] = loop.table()
+    velocity = rows[:, Layout.of(robot.dimensions).where("velocity_ref")]
     path, lap = held.base_path(velocity)
     assert path is not None
     driven = path.sample(np.arange(0.0, lap, 0.01)).velocity
@@ -291,9 +294,12 @@ def test_it_is_the_same_for_all_learners_and_followed() -> None:
     feedback = subject.networks.controller.feedback
     rows = recorded_under_computed_torque(robot, wanted[0], feedback, subject.kinematic, subject.timing)
     assert len(rows) == round(wanted[0].duration / 0.002)
-    assert np.abs(rows[:, robot.layout.where("pose_error")]).max() < 2e-3
+    assert np.abs(rows[:, Layout.of(robot.dimensions).where("pose_error")]).max() < 2e-3
     np.testing.assert_allclose(
-        rows[:, robot.layout.where("psi")], psi_along(robot, rows, robot.layout), rtol=1e-8, atol=1e-8
+        rows[:, Layout.of(robot.dimensions).where("psi")],
+        psi_along(robot, rows, robot.dimensions),
+        rtol=1e-8,
+        atol=1e-8,
     )
 
 

@@ -24,9 +24,9 @@ from mmnn_pin.lab.proof.certificate import Box, Boxes
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
 from mmnn_pin.lab.proof.motion_bound import Forces, dissipation, drive, push
 from mmnn_pin.lab.proof.rate import radius
-from mmnn_pin.loop.sampled import held_loop
+from mmnn_pin.loop.before_run import held_loop
 from mmnn_pin.model.dynamics import Dynamics
-from mmnn_pin.signals import Array
+from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.one_layer import one_layer_update
 from mmnn_pin.torque.two_layer import two_layer_update
 
@@ -272,7 +272,7 @@ def test_the_energy_of_the_errors_obeys_its_bound(seed: int) -> None:
     """At random states of a box: s' Psi and M^-1 of it, from Pinocchio and `command`, within what the code says."""
     loop = learner_loop()
     box = Box(0.4 * loop.pose.largest, 0.15, 0.08)
-    boxes, samples, layout = Boxes(loop, box), loop.samples, loop.robot.layout
+    boxes, samples, layout = Boxes(loop, box), loop.samples, Layout.of(loop.robot.dimensions)
     added, dynamics, rng = boxes.drive(box), Dynamics(loop.robot), np.random.default_rng(seed)
     bare = type(boxes.gains)(*(0 * boxes.gains.lower for _ in range(3)), loop.K, 0 * boxes.gains.lower, loop.period)
     forces = Forces.of(samples, added, bare)
@@ -322,7 +322,7 @@ def test_the_energy_of_the_errors_obeys_its_bound(seed: int) -> None:
 
 def at_state(loop: CertifiedLoop, k: int, error: Array, e: Array, s: Array) -> dict[str, Array]:
     """Signals of `command` at the k-th sample's configuration, with these errors."""
-    layout, along = loop.robot.layout, loop.samples.along
+    layout, along = Layout.of(loop.robot.dimensions), loop.samples.along
     row, gains, q = layout.new_row(), loop.kinematic.base_gains(2), loop.samples.q[k]
     values = {"pose_ref": error, "velocity_ref": along.v_ref[k], "acceleration_ref": along.a_ref[k], "q_ref": q + e}
     values |= {"qdot_ref": along.qdot_ref[k], "qddot_ref": along.qddot_ref[k], "q": q}

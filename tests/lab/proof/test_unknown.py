@@ -190,7 +190,7 @@ def test_the_networks_say_it_after_the_poor_motion_and_not_after_the_rich_one():
             loop = task.training(controller, 1)
             (run,) = simulate_many([loop], keep={*KEPT, *signals_for(controller)})
             state = controller.init(loop.context())
-            state.values[:] = run.final["memory"]
+            state.values[:] = run.final["controller_state"]
             said[task.name, name] = " ".join(findings_after(task, name, controller, 1, run, state))
     for name in ("two_layer", "two_layer_residual"):
         assert "not excited: the run leaves" in said["poor", name] and said["rich", name] == ""

@@ -19,8 +19,7 @@ from mmnn_pin.errors import RecordingError, UnknownName
 from mmnn_pin.lab.show.bag import field_names
 from mmnn_pin.lab.show.curves import column_units
 from mmnn_pin.lab.show.export import FORMATS, export
-from mmnn_pin.recording.metrics import as_columns
-from mmnn_pin.recording.recording import Outcome, Recording
+from mmnn_pin.recording.recording import Outcome, Recording, as_columns
 
 ROWS = 60
 
@@ -132,7 +131,7 @@ def test_mcap_frames_are_where_pinocchio_has_the_links(tmp_path: Path, name: str
     tree = {
         t.child_frame_id: t for topic, k in (("/tf_static", 0), ("/tf", row)) for t in found[topic][k][1].transforms
     }
-    lift = robot.base.floor if robot.layout.pose else 0.0  # the world of the frames is the floor
+    lift = robot.base.floor if robot.dimensions.pose else 0.0  # the world of the frames is the floor
 
     def placed(frame: str) -> pin.SE3:
         if frame not in tree:

@@ -18,9 +18,7 @@ from ....errors import RecordingError
 from ....model.robot import Robot
 from ....model.urdf.document import Document, Joint
 from ....plant.contact.plant import SLIPPING
-from ....recording.metrics import as_columns
-from ....recording.recording import Recording
-from ....recording.robot import recorded_position
+from ....recording.recording import Recording, as_columns, recorded_position
 from ....safety import RAMPING, STEPPED_IN, STOPPING
 from ....signals import Array, IntArray
 from ..curves import prismatic_joints

@@ -18,8 +18,7 @@ import numpy as np
 from ....errors import RecordingError
 from ....model.robot import Robot
 from ....model.urdf.reading import parse
-from ....recording.recording import Recording
-from ....recording.robot import recorded_robot
+from ....recording.recording import Recording, recorded_robot
 from ..figure import run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, compressed, fill_template, web_file
 from .motion import Tree, drawable, events_of, frames_of, packed
@@ -105,7 +104,7 @@ class Scene:
             self._for_page.append(
                 {
                     "name": robot.name,
-                    "mobile": robot.layout.pose > 0,
+                    "mobile": robot.dimensions.pose > 0,
                     "frame": [*robot.frame.tolist(), robot.base.floor],
                     "bodies": [body.for_page(robot) for body in tree.bodies],
                     "visuals": self._shapes.visuals(robot, tree),

@@ -17,7 +17,7 @@ import msgspec
 from ....errors import InputError, RecordingError
 from ....recording.metrics import metrics
 from ....recording.recording import Recording
-from ....timing import Timing
+from ....settings import Timing
 from ...experiments.config import bundled, load_experiment, recorded_experiment
 from ...experiments.controllers import CONTROLLERS
 from ...experiments.experiment import Experiment

@@ -6,7 +6,7 @@ import gc
 import subprocess
 import sys
 import tracemalloc
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -16,7 +16,6 @@ from mmnn_pin import (
     PD,
     ComputedTorque,
     ControllerState,
-    Cycle,
     Eight,
     Feedback,
     LearningLaw,
@@ -27,6 +26,7 @@ from mmnn_pin import (
     Recording,
     Robust,
     Sine,
+    Stepper,
     Timing,
     TorqueController,
     Trajectory,
@@ -39,11 +39,11 @@ from mmnn_pin.cli import main
 from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
 from mmnn_pin.lab.proof.proof import Proof
-from mmnn_pin.loop.cycle import UNKNOWN
-from mmnn_pin.recording.robot import recorded_position
+from mmnn_pin.loop.stepper import UNKNOWN
+from mmnn_pin.recording.recording import recorded_position
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.signals import Measurement
+from mmnn_pin.signals import Measurement, Setpoint
 
 H = 0.005
 GAINS = Feedback(300.0, 5.0)
@@ -66,14 +66,14 @@ class Integral(TorqueController):
 
 
 def closed(controller=None, robot=ROBOT, duration=0.5, **changes):
-    base = Eight(3.0, 1.5, 20.0) if robot.layout.base else None
-    arm = tuple(Sine(amplitude=0.3, period=2.0) for _ in range(robot.layout.arm))
+    base = Eight(3.0, 1.5, 20.0) if robot.dimensions.base else None
+    arm = tuple(Sine(amplitude=0.3, period=2.0) for _ in range(robot.dimensions.arm))
     timing = Timing(duration=duration, control_period=H, plant_step=0.001)
     given = {"safety": Safety(), "timing": timing, "engine": "ordinary", "weights_interval": 0.05} | changes
     return Loop(robot, Trajectory(base, arm), controller or PD(GAINS), **given)
 
 
-def measurement(run, k, layout=ROBOT.layout):
+def measurement(run, k, layout=ROBOT.dimensions):
     """What was measured at a sample of a run; arrays of size 0 where the robot has none."""
     sizes = {"pose": layout.pose, "velocity": layout.base, "q": layout.arm, "qdot": layout.arm}
     return Measurement(**{name: run[name][k].reshape(size) if size else np.zeros(0) for name, size in sizes.items()})
@@ -81,9 +81,9 @@ def measurement(run, k, layout=ROBOT.layout):
 
 def replayed(loop, run, **arguments):
     """The recording of a cycle that is given all measurements of a run."""
-    with Cycle(loop, **arguments) as cycle:
+    with Stepper(loop, **arguments) as cycle:
         for k in range(cycle.samples):
-            torque = cycle.step(k * H, measurement(run, k, loop.robot.layout))
+            torque = cycle.step(k * H, measurement(run, k, loop.robot.dimensions))
             assert torque.tolist() == run["torque"][k].tolist()
             cycle.record()
         return cycle.finish()
@@ -115,7 +115,7 @@ def test_every_signal_is_that_of_the_ordinary_loop(name):
         np.testing.assert_array_equal(found.weights[array], run.weights[array], array)
     assert list(found.weights) == list(run.weights)
     if name != "python":
-        assert found.final["memory"].tolist() == run.final["memory"].tolist()
+        assert found.final["controller_state"].tolist() == run.final["controller_state"].tolist()
     assert found.outcome == run.outcome
     assert found.step_times.min() > 0
 
@@ -169,7 +169,7 @@ def test_a_learner_learns_there_what_it_learns_in_the_loop(name, monkeypatch):
     found = replayed(loop, run)
     for signal in ("psi_hat", "torque", "weight_norm"):
         np.testing.assert_array_equal(found[signal], run[signal], signal)
-    assert found.final["memory"].tolist() == run.final["memory"].tolist()
+    assert found.final["controller_state"].tolist() == run.final["controller_state"].tolist()
     assert list(found.weights) == list(run.weights)
     for array in run.weights:
         np.testing.assert_array_equal(found.weights[array], run.weights[array], array)
@@ -197,7 +197,7 @@ def test_a_measurement_that_is_refused_is_one_that_did_not_come():
     loop = closed(CONTROLLERS["two_layer"])
     run = loop.run()
     bad = measurement(run, 0)
-    with Cycle(loop) as one, Cycle(loop) as other:
+    with Stepper(loop) as one, Stepper(loop) as other:
         for k in range(loop.timing.samples):
             good = measurement(run, k)
             bad = replace(good, q=good.q * (np.nan, np.inf, 1e300)[k % 3]) if k % 4 else good
@@ -216,13 +216,13 @@ def test_a_measurement_that_is_refused_is_one_that_did_not_come():
 def test_a_measurement_older_than_the_last_or_of_no_time_changes_nothing(age):
     loop = closed()
     run = loop.run()
-    with Cycle(loop) as one, Cycle(loop) as other:
+    with Stepper(loop) as one, Stepper(loop) as other:
         for cycle in (one, other):
             cycle.step(0.0, measurement(run, 0))
-            cycle.step(0.2, measurement(run, 40), 0.19)
+            cycle.step(0.2, measurement(run, 40), measured=0.19)
         torque = one.step(0.205).tolist()
-        assert other.step(0.205, measurement(run, 20), age).tolist() == torque
-        told = cycle.loop.robot.layout.where("safety")
+        assert other.step(0.205, measurement(run, 20), measured=age).tolist() == torque
+        told = cycle.loop.layout.where("safety")
         assert (one.row[told] == other.row[told]) == (age == 0.1)  # what is refused is told
         one.row[told] = other.row[told]
         assert one.row.tolist() == other.row.tolist()
@@ -231,10 +231,10 @@ def test_a_measurement_older_than_the_last_or_of_no_time_changes_nothing(age):
 def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
     loop = closed(duration=2.0, safety=Safety(timeout=0.498))
     run = loop.run()
-    with Cycle(loop) as late, Cycle(loop) as ahead:
+    with Stepper(loop) as late, Stepper(loop) as ahead:
         for k in range(200):
-            late.step(k * H, measurement(run, k), k * H - 0.3)
-            ahead.step(k * H, measurement(run, k), 1e6)
+            late.step(k * H, measurement(run, k), measured=k * H - 0.3)
+            ahead.step(k * H, measurement(run, k), measured=1e6)
         assert not late.tripped and not ahead.tripped
         stopped = {}
         for name, cycle in (("late", late), ("ahead", ahead)):
@@ -245,7 +245,7 @@ def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
 def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
     loop = closed(CONTROLLERS["two_layer"], duration=4.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=0.6))
     run, torques, memories = loop.run(), [], []
-    with Cycle(loop, tmp_path / "run.h5") as cycle:
+    with Stepper(loop, tmp_path / "run.h5") as cycle:
         for k in range(loop.timing.samples):
             torques.append(cycle.step(k * H, measurement(run, k) if k < 100 else None).copy())
             cycle.record()
@@ -267,11 +267,11 @@ def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
 def test_old_measurements_are_no_basis_for_a_stop():
     loop = closed(duration=3.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=2.0))
     run = loop.run()
-    with Cycle(loop) as cycle:
+    with Stepper(loop) as cycle:
         for k in range(loop.timing.samples):
             late = k - 120  # samples, 0.6 s, from the 100th on
             given = (k, k * H) if k < 100 else (late, late * H) if late >= 100 else None
-            cycle.step(k * H, given and measurement(run, given[0]), given and given[1])
+            cycle.step(k * H, given and measurement(run, given[0]), measured=given and given[1])
             if cycle.tripped and k * H > 0.5 + 0.3 + 0.1 + 2 * H:
                 assert not cycle.torque.any()
         assert cycle.tripped
@@ -280,7 +280,7 @@ def test_old_measurements_are_no_basis_for_a_stop():
 def test_nothing_moves_and_nothing_trips_before_the_first_measurement():
     loop = closed(safety=Safety(joint_error=0.01, position_error=0.01, speed=0.001))
     far = replace(loop, trajectory=Trajectory(Line(speed=0.3, start=(5.0, 5.0, 1.0)), loop.trajectory.arm))
-    with Cycle(far) as cycle:
+    with Stepper(far) as cycle:
         for k in range(50):
             assert not cycle.step(k * H).any()
         assert not cycle.tripped
@@ -290,19 +290,19 @@ def test_nothing_moves_and_nothing_trips_before_the_first_measurement():
 
 
 def test_without_a_supervisor_there_is_none():
-    with pytest.raises(ConfigError, match=r"safety: error: a cycle without a supervisor.*Safety\(\)"):
-        Cycle(closed(safety=None))
+    with pytest.raises(ConfigError, match=r"safety: error: a stepper without a supervisor.*Safety\(\)"):
+        Stepper(closed(safety=None))
 
 
 def test_unstable_gains_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(ConfigError, match="unstable"):
-        Cycle(closed(PD(Feedback(1e5, 1e3))), tmp_path / "run.h5")
+        Stepper(closed(PD(Feedback(1e5, 1e3))), tmp_path / "run.h5")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("time", [-H, H, 0.5, np.nan, np.inf])
 def test_times_that_are_no_sample_of_the_run_are_refused(time):
-    with Cycle(closed()) as cycle:
+    with Stepper(closed()) as cycle:
         cycle.step(0.0)
         cycle.step(H)
         with pytest.raises(ConfigError, match="a control sample at"):
@@ -312,10 +312,44 @@ def test_times_that_are_no_sample_of_the_run_are_refused(time):
 
 @pytest.mark.parametrize("name", ["pose", "velocity", "q", "qdot"])
 def test_measurements_of_another_size_are_refused(name):
-    with Cycle(closed()) as cycle:
+    with Stepper(closed()) as cycle:
         good = measurement(closed(duration=H).run(), 0)
-        with pytest.raises(ConfigError, match=f"measured {name} of shape"):
+        with pytest.raises(ConfigError, match=f"a measurement with {name} of shape"):
             cycle.step(0.0, replace(good, **{name: np.zeros(1)}))
+
+
+# -- setpoints one by one ----------------------------------------------------------------------------------------------
+
+
+def test_setpoints_given_one_by_one_are_those_of_the_trajectory_for_as_long_as_they_come():
+    loop, short = closed(CONTROLLERS["two_layer"]), closed(CONTROLLERS["two_layer"], duration=0.05)
+    run, setpoints = loop.run(), Setpoint.side_by_side(loop.table(), loop.layout)
+    with Stepper(short) as one:
+        for k in range(loop.timing.samples):  # ten times the length of its own trajectory
+            now = Setpoint(*(getattr(setpoints, f.name)[k] for f in fields(Setpoint)))
+            assert one.step(k * H, measurement(run, k), now).tolist() == run["torque"][k].tolist()
+
+
+def test_a_trajectory_writes_the_setpoints_of_its_table():
+    loop = closed()
+    values, table = np.zeros(loop.table().shape[1]), loop.table()
+    setpoint, measured = Setpoint.side_by_side(values, loop.layout), measurement(loop.run(), 0)
+    for k in range(loop.timing.samples):
+        loop.trajectory.write(k * H, measured, setpoint)
+        np.testing.assert_allclose(values, table[k], rtol=1e-12, atol=1e-12)
+
+
+def test_setpoints_of_another_robot_or_not_finite_are_refused():
+    loop = closed()
+    table = Setpoint.side_by_side(loop.table()[0].copy(), loop.layout)
+    with Stepper(loop) as one:
+        with pytest.raises(ConfigError, match="a setpoint with q of shape"):
+            one.step(0.0, None, replace(table, q=np.zeros(7)))
+        with pytest.raises(ConfigError, match="a setpoint that is not finite"):
+            one.step(0.0, None, replace(table, q=table.q + np.nan))
+        with pytest.raises(ConfigError, match="a control sample at"):
+            one.step(np.inf, None, table)
+        one.step(0.0, None, table)
 
 
 # -- time and memory ---------------------------------------------------------------------------------------------------
@@ -329,7 +363,7 @@ loop = Loop(load("platform_arm"), Trajectory(Line(speed=0.3), (Sine(0.3, 2.0), H
 def count():
     return sum(len(f.overloads) for name, m in list(sys.modules.items()) if name.startswith("mmnn_pin")
                for f in vars(m).values() if hasattr(f, "overloads"))
-with Cycle(loop) as cycle:
+with Stepper(loop) as cycle:
     zero = type(cycle.measured)(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2))
     before = count()
     for k in range(cycle.samples):
@@ -349,7 +383,7 @@ def test_nothing_is_compiled_in_a_step(controller):
 
 
 def test_the_rehearsal_leaves_no_trace():
-    with Cycle(closed(CONTROLLERS["two_layer"])) as cycle:
+    with Stepper(closed(CONTROLLERS["two_layer"])) as cycle:
         fresh = cycle.loop.state_from()
         assert cycle.state.values.tolist() == fresh.values.tolist()
         assert not cycle.row.any() and not cycle.tripped
@@ -362,7 +396,7 @@ def test_steps_collect_no_garbage_and_keep_no_memory(name):
     run, began = closed(CONTROLLERS[name], duration=0.5).run(), []
     given = [measurement(run, k) for k in range(100)]
     note = lambda phase, info: began.append(phase)  # noqa: E731
-    with Cycle(loop) as cycle:
+    with Stepper(loop) as cycle:
         gc.collect()
         gc.callbacks.append(note)
         tracemalloc.start()
@@ -418,7 +452,7 @@ def test_what_needs_the_truth_says_so(recorded):
 
 
 def test_an_exception_leaves_what_was_recorded(tmp_path):
-    with pytest.raises(RuntimeError), Cycle(closed(), tmp_path / "run.h5") as cycle:
+    with pytest.raises(RuntimeError), Stepper(closed(), tmp_path / "run.h5") as cycle:
         for k in range(10):
             cycle.step(k * H)
             cycle.record()

@@ -1,8 +1,10 @@
-"""One control sample, from reference and measurement to the torque that is sent, in the ordinary loop and outside."""
+"""A controller around and in a run: what it is told, its state before and after, and its step wired to a row."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+import copy
+from dataclasses import replace
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -13,16 +15,79 @@ from ..model.dynamics import Dynamics
 from ..model.reduction import as_measured
 from ..model.regressor import Regressor
 from ..model.robot import Robot
-from ..signals import Array, Measurement, Reference, VelocityCommand
+from ..recording.recording import Outcome
+from ..settings import given_array
+from ..signals import Array, Layout, Measurement, Setpoint, VelocityCommand
 from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.law import estimate, limit, motor_limits, settle
 from ..torque.learning_law import LearningLaw, Sample, blamed, norms
-from .hardware import Hardware, is_stopped, send
-from .sample import before_torque
 
-if TYPE_CHECKING:
-    from .loop import Loop
+
+def state_from(controller: CompiledController | TorqueController, context: Context, given: Any = None) -> Any:
+    """A copy of a state that fits a controller; a new one for None.
+
+    Raises:
+        ConfigError: It is of another controller or of other settings, or not finite.
+    """
+    new = new_state(controller, context)
+    if given is None:
+        return new
+    if not isinstance(new, ControllerState):
+        return copy.deepcopy(given)
+    if not isinstance(given, ControllerState) or given.shapes != new.shapes:
+        is_of = given.shapes if isinstance(given, ControllerState) else type(given).__name__
+        raise ConfigError(
+            f"not a state of {controller.name} with these settings",
+            why=f"it is {is_of}, not {new.shapes}",
+            fix="use one made by its init",
+            key="state",
+        )
+    new.values[:] = given_array("state", given.values, new.values.shape)
+    return new
+
+
+def new_state(controller: CompiledController | TorqueController, context: Context) -> Any:
+    """What a controller's `init` gives.
+
+    Raises:
+        InputError: It fails, or a learning law gives something else than a `ControllerState`.
+    """
+    if isinstance(controller, CompiledController):
+        return controller.init(context)
+    try:
+        new = controller.init(context)
+    except InputError:
+        raise
+    except Exception as error:
+        raise blamed(error, controller) from error
+    if isinstance(controller, LearningLaw):
+        if not isinstance(new, ControllerState):
+            what = f"{controller.name}.init returned {type(new).__name__}"
+            raise ConfigError(
+                what, why="a law learns in a `ControllerState`", fix="return ControllerState.of(name=shape, ...)"
+            )
+        controller.weights(new)
+    return new
+
+
+def findings_of(controller: CompiledController | TorqueController, state: Any) -> list[str]:
+    """What a controller's state shows after a run; of one in plain Python that fails, where: the run is kept."""
+    if isinstance(controller, CompiledController):
+        return controller.findings(state)
+    try:
+        return [str(text) for text in controller.findings(state)]
+    except Exception as error:
+        return [f"its findings are lost: {blamed(error, controller)}"]
+
+
+def with_findings(outcome: Outcome, controller: CompiledController | TorqueController, state: Any) -> Outcome:
+    """An outcome whose message also tells what the controller's state shows after the run."""
+    if outcome.status == "interrupted":
+        return outcome
+    findings = findings_of(controller, state)
+    return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))
+
 
 REGRESSORS: WeakKeyDictionary[Robot, Regressor] = WeakKeyDictionary()
 
@@ -34,6 +99,7 @@ def context_of(
     samples: int,
     rng: Generator,
     within_limits: bool | None = None,
+    layout: Layout | None = None,
 ) -> Context:
     """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
 
@@ -44,11 +110,14 @@ def context_of(
         samples: Of the run.
         rng: The controller's own random generator.
         within_limits: Whether Psi_hat is kept within the motors' limits; None for what the controller says.
+        layout: Where the signals stand in a row; None where nothing but the robot is recorded.
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
-    return Context(robot.layout, period, samples, rng, regressor_of(robot) if told else None, limits)
+    return Context(
+        layout or Layout.of(robot.dimensions), period, samples, rng, regressor_of(robot) if told else None, limits
+    )
 
 
 def regressor_of(robot: Robot) -> Regressor:
@@ -62,43 +131,6 @@ def regressor_of(robot: Robot) -> Regressor:
     return REGRESSORS[robot]
 
 
-class Control:
-    """Kinematic layer, controller and supervisor wired to one row.
-
-    Args:
-        loop: The closed loop.
-        row: The row that they read and write.
-        state: The controller's memory.
-        hardware: With the supervisor, or None.
-    """
-
-    def __init__(self, loop: Loop, row: Array, state: Any, hardware: Hardware | None) -> None:
-        layout = loop.robot.layout
-        self.row, self.at, self.hardware, self.arm = row, layout.offsets, hardware, loop.robot.arm_index
-        self.torque = Torque(loop.controller, loop.context(), row, loop.believed, state)
-        self.gains, self.K = loop.kinematic.base_gains(layout.base), loop.kinematic.arm_gains(layout)
-        self.weights = state.values if isinstance(state, ControllerState) else np.zeros(0)
-
-    def step(self, k: int, time: float, y: Array, reference: Array, measure_exactly: bool) -> None:
-        """Write everything of control sample k up to the torque into the row.
-
-        Args:
-            k: Number of the sample.
-            time: [s].
-            y: The plant's position and nu, (nv + p + 1,).
-            reference: The sample's row of the reference table.
-            measure_exactly: Measure that state, else the row already has the measurement.
-        """
-        before_torque(self.row, self.at, time, y, reference, measure_exactly, self.arm, self.gains, self.K)
-        asked = self.hardware is None or not is_stopped(self.hardware.supervisor.on, self.hardware.supervisor.state)
-        if asked:
-            self.torque.step(time)
-        if self.hardware is not None:
-            send(k, time, self.row, self.at, self.weights, self.hardware)
-            if asked:
-                self.torque.keep()
-
-
 class Torque:
     """One controller wired to one row; the same face for compiled and for Python controllers.
 
@@ -107,7 +139,7 @@ class Torque:
         context: What it is told before the run.
         row: The row it reads and writes.
         nominal: The robot that a controller believes in which uses a model and brings none.
-        state: Its memory.
+        state: Its state.
     """
 
     def __init__(
@@ -121,7 +153,7 @@ class Torque:
         layout = context.layout
         self.controller, self.state, self.row, self.at = controller, state, row, layout.offsets
         self.limits = context.limits
-        self.reference, self.measurement = Reference.of(row, layout), Measurement.of(row, layout)
+        self.setpoint, self.measurement = Setpoint.of(row, layout), Measurement.of(row, layout)
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
         self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
@@ -173,7 +205,7 @@ class Torque:
 
     def _python(self, time: float, controller: TorqueController) -> None:
         """Torque of a controller in plain Python, and its Psi_hat if it tells one."""
-        answer = controller.step(time, self.reference, self.measurement, self.command, self.state)
+        answer = controller.step(time, self.setpoint, self.measurement, self.command, self.state)
         torque, psi_hat = answer if isinstance(answer, tuple) and len(answer) == 2 else (answer, None)
         self.torque[:] = self._of_shape("torque", torque)
         if psi_hat is not None:
