@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 
@@ -11,22 +11,74 @@ from .. import actuator as motor
 from .. import disturbance, safety
 from ..disturbance import Forces
 from ..errors import ConfigError
+from ..kinematic import Kinematic
 from ..model.dynamics import Dynamics
+from ..model.robot import Robot
 from ..safety import Supervisor
-from ..sensing import FrozenEncoders
-from ..settings import given_array
-from ..signals import Array, IntArray
-from ..torque.controller import CompiledController, ControllerState
+from ..sensing import FrozenEncoders, Sensor
+from ..settings import Timing, given_array
+from ..signals import Array, IntArray, Layout
+from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
 from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, World
-
-if TYPE_CHECKING:
-    from .loop import Loop
 
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
 
 
-def new_hardware(loop: Loop, nu: Array, state: ControllerState | object, given: Array | None = None) -> Hardware | None:
+class Setup(Protocol):
+    """What the hardware model is made from; a `Loop` has all of it."""
+
+    @property
+    def robot(self) -> Robot:
+        """The true robot."""
+
+    @property
+    def layout(self) -> Layout:
+        """Where the signals stand in a row."""
+
+    @property
+    def nominal(self) -> Robot | None:
+        """The robot that the controller believes in."""
+
+    @property
+    def timing(self) -> Timing:
+        """Periods."""
+
+    @property
+    def plant(self) -> str:
+        """Name of the plant."""
+
+    @property
+    def kinematic(self) -> Kinematic:
+        """Gains of the kinematic layer."""
+
+    @property
+    def controller(self) -> CompiledController | TorqueController:
+        """The torque controller."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the sensors do to the truth."""
+
+    @property
+    def actuator(self) -> motor.Actuator:
+        """What the motors make of their commands."""
+
+    @property
+    def safety(self) -> safety.Safety | None:
+        """The supervisor."""
+
+    @property
+    def disturbances(self) -> tuple[disturbance.Disturbance, ...]:
+        """What happens to the robot."""
+
+    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
+        """Random generators of the sensors and of the disturbances."""
+
+
+def new_hardware(
+    loop: Setup, nu: Array, state: ControllerState | object, given: Array | None = None
+) -> Hardware | None:
     """The hardware model of a loop; None where there is nothing but an ideal robot.
 
     Args:
@@ -86,7 +138,7 @@ def flat(parts: tuple[Array, ...]) -> tuple[Array, list[Array]]:
     return values, [piece.reshape(part.shape) for piece, part in zip(pieces, parts, strict=True)]
 
 
-def geared_motors(loop: Loop) -> IntArray:
+def geared_motors(loop: Setup) -> IntArray:
     """Motors whose encoder backlash separates from the joint, (k, 3), see `MotorSide`."""
     layout, found = loop.robot.dimensions, []
     places = motor.motor_places(loop.robot)
@@ -97,7 +149,7 @@ def geared_motors(loop: Loop) -> IntArray:
     return np.array(found, np.int64).reshape(-1, 3)
 
 
-def frozen_encoders(loop: Loop) -> Array:
+def frozen_encoders(loop: Setup) -> Array:
     """Windows of the frozen encoders, (k, 4), see `FrozenEncoders`.
 
     Raises:
@@ -119,7 +171,7 @@ def frozen_encoders(loop: Loop) -> Array:
     return np.array(found, float).reshape(-1, 4)
 
 
-def world_of(loop: Loop, rng: np.random.Generator) -> World:
+def world_of(loop: Setup, rng: np.random.Generator) -> World:
     """What the world does in a run.
 
     Raises:
@@ -138,7 +190,7 @@ def world_of(loop: Loop, rng: np.random.Generator) -> World:
     return World(len(pushes.table) > 0, Forces(np.zeros(robot.dimensions.dof)), (pushes,), blocked, pick, np.zeros(2))
 
 
-def supervisor_of(loop: Loop, state: ControllerState | object, values: Array) -> Supervisor:
+def supervisor_of(loop: Setup, state: ControllerState | object, values: Array) -> Supervisor:
     """The supervisor of a loop with a state (see `safety.new_state`)."""
     layout, timing, actuator = loop.robot.dimensions, loop.timing, loop.actuator
     weights = places_of_weights(loop, state)
@@ -158,7 +210,7 @@ def supervisor_of(loop: Loop, state: ControllerState | object, values: Array) ->
     )
 
 
-def require_read_encoders(loop: Loop) -> None:
+def require_read_encoders(loop: Setup) -> None:
     """A frozen encoder of a wheel is felt only where the sensors read the wheels.
 
     Raises:
@@ -173,7 +225,7 @@ def require_read_encoders(loop: Loop) -> None:
             raise ConfigError(f"nobody reads the encoder of '{one.joint}'", why=why, fix=fix, key=f"disturbances.{i}")
 
 
-def stopping_gains(loop: Loop) -> Array:
+def stopping_gains(loop: Setup) -> Array:
     """Gains on nu by which a supervisor brakes, (p,): the controller's feedback, or 20 1/s times the inertias.
 
     In the latter case `G M^-1` has no eigenvalue beyond half of what would be deadbeat in one control period.
@@ -185,7 +237,7 @@ def stopping_gains(loop: Loop) -> Array:
     return min(STOP_BANDWIDTH, 0.5 / (loop.timing.control_period * fastest)) * np.diag(M)
 
 
-def places_of_weights(loop: Loop, state: ControllerState | object) -> IntArray:
+def places_of_weights(loop: Setup, state: ControllerState | object) -> IntArray:
     """Start and stop of every array of weights in a controller's state, (k, 2)."""
     names, ends = list[str](), np.zeros(1, np.int64)
     if isinstance(state, ControllerState):
