@@ -67,7 +67,7 @@ def save(recording: Recording, file: Path) -> None:
     """The signals of a recording that lies in memory."""
     import numpy as np
 
-    np.savez(file.with_suffix(".npz"), **{name: recording[name] for name in recording.signals})
+    np.savez(file.with_suffix(".npz"), **{name: recording[name] for name in recording.names})
 
 
 ORDINARY = ("pd", "two_layer", "one_layer", "computed_torque", "adaptive_composite", "concurrent", "kalman_regressor")

@@ -147,7 +147,7 @@ def test_friction_and_a_wrong_nominal_robot_matter():
 
 def test_a_nominal_robot_of_another_shape_is_refused():
     for engine in ("ordinary", "compiled"):
-        with pytest.raises(ConfigError, match=r"nominal robot has Layout\(base=0, arm=2"):
+        with pytest.raises(ConfigError, match=r"nominal robot has Dimensions\(base=0, arm=2"):
             loop(ComputedTorque(GAINS), nominal=load("two_axis_arm"), engine=engine).run()
 
 
