@@ -14,6 +14,7 @@ import sys
 import numpy as np
 
 from ..compiled import cache_folder, is_warm
+from ..model.base.holonomic import moves_sideways
 from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
 from ..model.tree.body import body_of, evaluate, new_work
@@ -52,6 +53,7 @@ def call_control_blocks() -> None:
     numbers, state = controller.law(context).numbers, controller.init(context)
     setpoint = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
+    moves_sideways(layout.base)
     exact(row, at, y[:nv], nu, arm)
     before_torque(row, at, 0.0, setpoint, np.ones(3), np.ones(1))
     law.step(row, at, numbers, state.values, None)

@@ -299,7 +299,7 @@ def test_free_memory_is_some_of_the_machines():
     [
         (replace(BASIC, controller=PD(Feedback(arm=(1.0, 2.0, 3.0)))), ConfigError, "3 numbers for 2 velocities"),
         (replace(BASIC, trajectory=Trajectory(Line(0.3), (Hold(0.0),))), TrajectoryError, "1 arm profiles"),
-        (replace(BASIC, start=Start(joint_offset=(0.1, 0.1, 0.1))), ConfigError, "3 offsets"),
+        (replace(BASIC, start=Start(joint_offset=(0.1, 0.1, 0.1))), ConfigError, "3 numbers for 2 joints"),
         (replace(BASIC, controller=Mine(), engine="compiled"), ConfigError, "plain Python"),
         (replace(BASIC, controller=ComputedTorque(GAINS), nominal=load("two_axis_arm")), ConfigError, "nominal robot"),
     ],
