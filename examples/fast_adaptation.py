@@ -29,10 +29,9 @@ class PI(TorqueController):
 
 experiment = load_experiment("track")
 robot = experiment.load_robot()
-learner = experiment.controller("two_layer", robot=robot)
-seen, given = learner.network_scales(robot.dimensions)
-F = np.repeat(learner.network.F, (robot.dimensions.base, robot.dimensions.arm))
-k, ki = learner.feedback_gain(robot.dimensions), F * seen * given * learner.network.hidden / 4
+learner, sizes = experiment.controller("two_layer", robot=robot), robot.dimensions
+(seen, given), F = learner.network_scales(sizes), np.repeat(learner.network.F, (sizes.base, sizes.arm))
+k, ki = learner.feedback_gain(sizes), F * seen * given * learner.network.hidden / 4
 
 network, integrator = (experiment.loop(robot, controller).run() for controller in (learner, PI(k, ki)))
 integral = integrator["torque"] - k * np.hstack((integrator["z"], integrator["r"]))

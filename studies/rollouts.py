@@ -33,7 +33,7 @@ class Keep:
     """A sink for `Loop.stream` that copies a few columns.
 
     Args:
-        layout: Sizes of the robot.
+        layout: Where the signals stand in a row.
         names: Signals to keep.
     """
 
@@ -64,7 +64,7 @@ def roll_out(loops: Sequence[Loop], names: Sequence[str]) -> list[Rollout]:
 
     def one(loop: Loop) -> Rollout:
         loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
-        engine, keep = loop.engine_at(), Keep(loop.robot.dimensions, names)
+        engine, keep = loop.engine_at(), Keep(loop.layout, names)
         outcome = loop.stream(engine, keep)
         return Rollout(outcome.status == "completed", {n: np.vstack(parts) for n, parts in keep.blocks.items()})
 

@@ -230,7 +230,7 @@ def test_weights_that_are_not_finite_trip():
     engine.state["V1"][0, 0] = math.nan
     from mmnn_pin.recording.recorder import Recorder
 
-    with Recorder(Layout.of(loop.robot.dimensions), loop.facts(), None, False) as recorder:
+    with Recorder(loop.layout, loop.facts(), None, False) as recorder:
         outcome = loop.stream(engine, recorder)
     assert outcome.status == "tripped" and outcome.signal.startswith("weights[")
     assert "weights are not finite" in outcome.message
@@ -382,7 +382,7 @@ def test_a_stop_brakes_the_base():
 def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
     from mmnn_pin.safety import new_state, no_supervisor
     from mmnn_pin.safety.supervisor import NUMBERS, check_motion
-    from mmnn_pin.signals import INDEX, Layout
+    from mmnn_pin.signals import INDEX
 
     layout = Layout(base=3, arm=0, full=3, motors=3, hardware=1)
     row, at = layout.new_row(), layout.offsets

@@ -24,7 +24,7 @@ from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Circle, Eight, Hold, Holonomic, Line, MinimumJerk, Sine, Table, Trajectory, Waypoints
 from mmnn_pin.settings import Timing
-from mmnn_pin.signals import Array, Layout
+from mmnn_pin.signals import Array, Dimensions
 from mmnn_pin.torque.controller import Feedback
 from mmnn_pin.torque.model_based import PD, ComputedTorque
 from mmnn_pin.torque.neural import Neural
@@ -55,7 +55,7 @@ def mecanum(arm: int = 2) -> Robot:
     E_full = np.eye(nv)[:, [0, 1, 2, *robot.arm_index]]
     return replace(
         robot,
-        layout=Layout(base=3, arm=arm, full=nv, motors=p),
+        dimensions=Dimensions(base=3, arm=arm, full=nv, motors=p),
         velocity_names=("vx", "vy", "w", *robot.joint_names),
         actuator_names=("push", "slide", "turn", *robot.joint_names),
         T=T,

@@ -501,7 +501,7 @@ def test_a_memory_of_another_controller_is_refused() -> None:
     loop = closed_loop(NEURAL, 4)
     others = [Neural(TwoLayer(hidden=6)), Neural(OneLayer(hidden=7)), PD()]
     for state in [*(other.init(loop.context()) for other in others), np.zeros(3)]:
-        with pytest.raises(ConfigError, match="memory: error: not a memory of two_layer with these settings"):
+        with pytest.raises(ConfigError, match="state: error: not a state of two_layer with these settings"):
             loop.run(state=state)
 
 

@@ -13,11 +13,12 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.filtered import Filtered, low_pass, new_filter, parts, period, remember
 
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
-LAYOUT = ROBOT.dimensions
+LAYOUT = Layout.of(ROBOT.dimensions)
 REGRESSOR, TRUE = Regressor.of(ROBOT), parameters(ROBOT)
 MEASURED = ("velocity", "q", "qdot")
 seeds = st.integers(0, 2**32 - 1)

@@ -24,6 +24,7 @@ from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio,
 from mmnn_pin.lab.proof.learner import recorded_learner
 from mmnn_pin.lab.show import comparison
 from mmnn_pin.recording.recording import recorded_robot
+from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import Inputs, Neural
 from mmnn_pin.torque.two_layer import TwoLayer
 
@@ -67,7 +68,7 @@ def test_what_the_thesis_prints_stands_in_the_file() -> None:
     two, net = e.two_layer, e.one_layer
     assert (two.hidden, two.F[1], two.G[1], two.kappa) == (10, 1.8, 1.0, 0.007)
     assert (net.beta[1], net.centre_range, net.width, net.hidden) == (1.0, 70.0, 70.0, 10)
-    assert e.inputs.rows(robot.dimensions).size == 10 and e.inputs.signals == (
+    assert e.inputs.rows(Layout.of(robot.dimensions)).size == 10 and e.inputs.signals == (
         "e",
         "edot",
         "q_ref",
