@@ -130,7 +130,7 @@ def main(arguments: list[str]) -> None:
             settings.remove(word)
             motions = meant
     told = {motion: loop("computed_torque", motion, []) for motion in HELD_OUT}
-    truth = {motion: rows_of(one.run(), one.robot.dimensions) for motion, one in told.items()}
+    truth = {motion: rows_of(one.run(), one.layout) for motion, one in told.items()}
     for name in names:
         tell(name, settings, truth, motions)
 

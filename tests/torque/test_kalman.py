@@ -43,7 +43,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robots import extra
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.signals import INDEX, Measurement
+from mmnn_pin.signals import INDEX, Layout, Measurement
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.kalman import (
@@ -62,7 +62,7 @@ LONG = pytest.mark.skipif(PLAIN, reason="needs a long run")
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
 NOMINAL = load("platform_arm").with_masses(0.7)
 REGRESSOR, TRUE, THETA0 = Regressor.of(ROBOT), parameters(ROBOT), parameters(NOMINAL)
-LAYOUT, K = ROBOT.dimensions, Feedback(500.0, 30.0)
+LAYOUT, K = Layout.of(ROBOT.dimensions), Feedback(500.0, 30.0)
 GAINS = K.vector(LAYOUT)
 KINDS = {
     "regressor": KalmanRegressorSettings,

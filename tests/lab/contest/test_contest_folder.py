@@ -137,7 +137,7 @@ def test_the_page_has_all_tables_targets_and_figures(standing, folder, tmp_path,
     for task in ("eight", "poor"):
         for name in FEW:
             shown = number(1e3 * np.median([row.rms["phi"] for row in standing.of(task, name)]))
-            assert re.search(rf">\s*{re.escape(shown)}( ±\d+ %)?\s*<", page)
+            assert re.search(rf">{re.escape(shown)}(\s±\d+ %)?<", page)
     judged = [target for target in standing.targets() if target.reached is not None]
     assert f"{sum(target.met for target in judged)} of {len(judged)} targets met" in page
     assert all(text in page for text in ("What the learners say", "not excited", "mmnn report"))

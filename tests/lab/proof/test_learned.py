@@ -297,7 +297,7 @@ def test_it_is_the_same_for_all_learners_and_followed() -> None:
     assert np.abs(rows[:, Layout.of(robot.dimensions).where("pose_error")]).max() < 2e-3
     np.testing.assert_allclose(
         rows[:, Layout.of(robot.dimensions).where("psi")],
-        psi_along(robot, rows, robot.dimensions),
+        psi_along(robot, rows, Layout.of(robot.dimensions)),
         rtol=1e-8,
         atol=1e-8,
     )
