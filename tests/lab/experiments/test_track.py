@@ -156,8 +156,9 @@ def test_scaling_is_a_change_of_coordinates():
             row[layout.where("z")], row[layout.where("r")] = (scale * s)[:2], (scale * s)[2:]
         # The inputs of the networks are the same only if they do not see z and r: hide them.
         for row, state, number in zip(rows, memories, numbers, strict=True):
-            number.numbers.settings[-22 * 2 :][:22][10:12] = 0.0
-            number.numbers.settings[-22 * 2 :][:22][14:16] = 0.0
+            view = getattr(law.numbers_of, "py_func", law.numbers_of)  # plain Python where numba is off
+            scale_of_inputs = view(number.numbers.settings, number.numbers.sizes).inputs[0]
+            scale_of_inputs[10:12] = scale_of_inputs[14:16] = 0.0
             law.step(row, layout.offsets, number.numbers, state.values, None)
         torque = rows[1][layout.where("torque")]
         np.testing.assert_allclose(rows[0][layout.where("torque")], np.sqrt(m * c) * torque, rtol=1e-12)
