@@ -63,10 +63,11 @@ def tables_of_learners() -> dict[str, Any]:
 
 
 def struct_of(name: str, kinds: dict[str, Any]) -> Any:
-    """Settings with one table of each kind."""
+    """Settings with one table of each kind, an attribute of this module: a pickled one is looked for there."""
     entries = [(key, kind, msgspec.field(default_factory=kind)) for key, kind in kinds.items()]
     options: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
-    return msgspec.defstruct(name, entries, bases=(Settings,), **options)
+    globals()[name] = msgspec.defstruct(name, entries, bases=(Settings,), module=__name__, **options)
+    return globals()[name]
 
 
 if TYPE_CHECKING:
