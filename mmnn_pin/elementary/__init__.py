@@ -1,0 +1,24 @@
+"""Elementary functions in plain double arithmetic: the same bits on every processor.
+
+A libm depends on its version and on what the processor can do (glibc uses fused multiply-add where there is one), so a
+run recorded with it can be repeated on one machine only. These functions use +, -, *, / and sqrt, which IEEE 754 rounds
+correctly everywhere, comparisons and the bits of a number, and nothing else. Compiled code must not contract products
+and sums (numba does not unless asked to; in C: `-ffp-contract=off`).
+
+Algorithms and coefficients of exp, expm1, log, sin, cos, tan, tanh and atan2 are those of fdlibm (Freely Distributable
+LIBM, Sun Microsystems 1993: "Permission to use, copy, modify, and distribute this software is freely granted, provided
+that this notice is preserved"), rewritten; hypot and pow use exact products and sums of two doubles (Dekker 1971), the
+reduction of very large angles is Payne and Hanek's (1983). Errors below are bounds against the exact value, in units in
+the last place, as measured by `tests/test_elementary.py`.
+
+    exp, expm1, log, sin, cos, tan, hypot   1 ulp          tanh, atan2, pow   2 ulp
+
+Special values are those of IEEE 754 and C99's Annex F; nothing is raised. With `NUMBA_DISABLE_JIT=1` the same text runs
+as plain Python and gives the same bits.
+"""
+
+from .angles import atan, atan2, cos, sin, tan
+from .exponentials import exp, expm1, log, tanh
+from .two_doubles import hypot, pow
+
+__all__ = ["atan", "atan2", "cos", "exp", "expm1", "hypot", "log", "pow", "sin", "tan", "tanh"]
