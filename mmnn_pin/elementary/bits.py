@@ -30,7 +30,9 @@ def from_bits(bits: int) -> float:
 
 
 @intrinsic
-def as_int(typing_context: Any, x: Any) -> Any:  # noqa: D103
+def as_int(typing_context: Any, x: Any) -> Any:
+    """The bits of a double in compiled code; in plain Python there is `bits_of`."""
+
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.IntType(64))
 
@@ -38,7 +40,9 @@ def as_int(typing_context: Any, x: Any) -> Any:  # noqa: D103
 
 
 @intrinsic
-def as_double(typing_context: Any, x: Any) -> Any:  # noqa: D103
+def as_double(typing_context: Any, x: Any) -> Any:
+    """The double of some bits in compiled code; in plain Python there is `from_bits`."""
+
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.bitcast(arguments[0], ir.DoubleType())
 
