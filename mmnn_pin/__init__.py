@@ -7,7 +7,7 @@
 - `torque`: velocity command to torque: the thesis's networks, PD, computed torque, or a controller of your own.
 - `safety`, `actuator`, `disturbance`: a supervisor, imperfect motors, and what the world does to a run.
 - `plant`, `sensing`: the robot simulated and measured. `loop`: all of it, one row of signals per control sample.
-- `batch`: many runs on all cores. `recording`: one run. `experiments`: the thesis's studies as data. `show`: plots.
+- `recording`: one run. `lab`: what judges: experiments, studies, the proof, the contest, and what shows them.
 
 The public names are loaded when first used.
 """
