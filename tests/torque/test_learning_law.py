@@ -67,8 +67,9 @@ class OneLayerTwin(LearningLaw):
         return ControllerState.of(W1=(self.hidden, nb), W2=(self.hidden, n), nx=(nx,))
 
     def phi(self, now):
-        records = (now.reference, now.measurement, now.command)
-        x = np.concatenate([next(getattr(r, n) for r in records if hasattr(r, n)) for n in THESIS_INPUT])
+        asked, commanded = now.reference, now.command
+        signals = [(asked, n.removesuffix("_ref")) if n.endswith("_ref") else (commanded, n) for n in THESIS_INPUT]
+        x = np.concatenate([getattr(record, name) for record, name in signals])
         centres = np.linspace(-self.range, self.range, self.hidden)
         return np.exp(-((x[:, None] - centres) ** 2).sum(axis=0) / (2 * self.width**2))
 
