@@ -24,6 +24,7 @@ from places import ROOT
 from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
+from mmnn_pin.compiled import cache_folder
 from mmnn_pin.errors import MmnnError, StudyError
 from mmnn_pin.lab.study import cluster as dask
 from mmnn_pin.lab.study import worker
@@ -46,12 +47,15 @@ QUIET = {"DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s", "OMP_NUM_THREADS": "1", 
 
 
 def started(folder: Path, *command: str, within: str | None) -> subprocess.Popen[str]:
-    """A process of the cluster, in a network and an empty folder of its own."""
+    """A process of the cluster, in a network and a folder of its own that holds compiled code and nothing else."""
     folder.mkdir()
+    if (kept := cache_folder()) is not None:
+        shutil.copytree(kept, folder / "cache" / kept.name)
     inside = ["ip", "netns", "exec", within] if within else []
     program = [sys.executable, "-m", *command]
     paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | QUIET | {"PYTHONPATH": paths, "HOME": str(folder), "TMPDIR": str(folder)}
+    environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
     log = (folder / "log").open("w")
     return subprocess.Popen([*inside, *program], cwd=folder, env=environment, stdout=log, stderr=log, text=True)
 
@@ -125,7 +129,9 @@ class Cluster:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """A scheduler in a network of its own, one worker beside it, two outside."""
+    """A scheduler in a network of its own, one worker beside it, two outside; what they run was compiled before."""
+    first = tmp_path_factory.mktemp("first")
+    run_here(planned(first), first)
     with network() as within:
         made = Cluster(tmp_path_factory.mktemp("cluster"), within)
         try:
