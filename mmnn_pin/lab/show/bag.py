@@ -68,8 +68,10 @@ def frames_of(recording: Recording, robot: Robot) -> list[Frame]:
 def world_names(document: Document) -> tuple[str, str]:
     """Names of the world's and of the base's control frame that no link has: with underscores as needed."""
     links = {document.root_link, *(joint.child for joint in document.joints.values())}
-    longer = {stem: (stem + "_" * k for k in range(len(links) + 1)) for stem in ("world", "control_frame")}
-    world, control = (next(name for name in names if name not in links) for names in longer.values())
+    world, control = (
+        next(name for k in itertools.count() if (name := stem + "_" * k) not in links)
+        for stem in ("world", "control_frame")
+    )
     return world, control
 
 
