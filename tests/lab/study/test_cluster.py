@@ -26,11 +26,10 @@ from study_files import SHORT, numbers, planned, run_here, stored, written
 from mmnn_pin.cli import main
 from mmnn_pin.compiled import cache_folder
 from mmnn_pin.errors import MmnnError, StudyError
-from mmnn_pin.lab.study import cluster as dask
+from mmnn_pin.lab.study import pools as dask
 from mmnn_pin.lab.study import worker
-from mmnn_pin.lab.study.cluster import carriers
-from mmnn_pin.lab.study.execution import execute, fill
-from mmnn_pin.lab.study.session import missing_rows, probe
+from mmnn_pin.lab.study.execution import execute, fill, missing_rows, probe
+from mmnn_pin.lab.study.pools import carriers
 from mmnn_pin.lab.study.store import NAME, writing
 from mmnn_pin.lab.study.worker import Bundle, code_digest
 from mmnn_pin.model.robots import bundled
@@ -249,7 +248,7 @@ def test_a_worker_without_the_package_or_with_other_code_is_told() -> None:
 
 
 def test_a_worker_that_joins_later_judges_itself(tmp_path: Path, monkeypatch) -> None:
-    task = planned(tmp_path).row(0).job
+    task = planned(tmp_path).row(0)
     with pytest.raises(StudyError, match="runs other code of mmnn_pin than this machine"):
         worker.run(replace(task, code="other"))
     monkeypatch.setattr(worker, "has", lambda module: False)
