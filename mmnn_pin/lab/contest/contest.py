@@ -144,9 +144,11 @@ def is_done(store: Store, entry: Entry) -> bool:
     if trial is None:
         return False
     if trial.fingerprint != entry.fingerprint:
-        what = f"the rows of {entry.controller} on {entry.task.name} are of other settings or of another version"
-        fix = "--force runs everything anew; or choose another folder with --out"
-        raise RecordingError(what, fix=fix, file=store.folder)
+        raise RecordingError(
+            f"the rows of {entry.controller} on {entry.task.name} are of other settings or of another version",
+            fix="--force runs everything anew; or choose another folder with --out",
+            file=store.folder,
+        )
     return True
 
 
@@ -169,8 +171,12 @@ def opened(folder: Path) -> Standing:
     """
     about, store = read_about(folder), Store.opened(folder)
     if about is None:
-        fix = "run the contest again, with --force or in another folder"
-        raise RecordingError(f"no {ABOUT} beside the rows", why="an older version wrote them", fix=fix, file=folder)
+        raise RecordingError(
+            f"no {ABOUT} beside the rows",
+            why="an older version wrote them",
+            fix="run the contest again, with --force or in another folder",
+            file=folder,
+        )
     keys = [(name, controller) for name, task in about.tasks.items() for controller in task.controllers]
     trials = {key: store.trials["/".join(key)] for key in keys if "/".join(key) in store.trials}
     if not trials:
@@ -208,8 +214,12 @@ class Store:
         try:
             return cls(folder, msgspec.json.decode(file.read_bytes(), type=dict[str, Trial]))
         except (OSError, msgspec.DecodeError) as error:
-            fix = "replace it with --force, or choose another folder with --out"
-            raise RecordingError("not a file of rows", why=str(error), fix=fix, file=file) from error
+            raise RecordingError(
+                "not a file of rows",
+                why=str(error),
+                fix="replace it with --force, or choose another folder with --out",
+                file=file,
+            ) from error
 
     def put(self, key: str, trial: Trial) -> None:
         """Keep what came of a controller on a task.
@@ -327,8 +337,12 @@ def read_about(folder: Path) -> About | None:
 
 def broken(folder: Path, error: Exception) -> RecordingError:
     """The error of a file that cannot be read."""
-    why, fix = " ".join(str(error).split()), "run the contest again with --force, or choose another folder with --out"
-    return RecordingError("cannot be read", why=why, fix=fix, file=folder / ABOUT)
+    return RecordingError(
+        "cannot be read",
+        why=" ".join(str(error).split()),
+        fix="run the contest again with --force, or choose another folder with --out",
+        file=folder / ABOUT,
+    )
 
 
 def write(path: Path, content: bytes) -> None:

@@ -181,8 +181,12 @@ def require_settled(experiment: Experiment) -> None:
     """
     settle, end = experiment.tolerance.settle, experiment.time.duration
     if settle >= end:
-        why, fix = f"errors count from then on, and the run is over after {end:g} s", "use a time within the run"
-        raise ConfigError(f"{settle:g} s", why=why, fix=fix, key="tolerance.settle")
+        raise ConfigError(
+            f"{settle:g} s",
+            why=f"errors count from then on, and the run is over after {end:g} s",
+            fix="use a time within the run",
+            key="tolerance.settle",
+        )
 
 
 def judge(recording: Recording, tolerance: Tolerance) -> Verdict:

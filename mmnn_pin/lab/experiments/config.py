@@ -73,8 +73,11 @@ def recorded_experiment(recording: Recording) -> Experiment | None:
     try:
         return msgspec.convert(renamed(without_null(msgspec.json.decode(recording.config_text))), Experiment)
     except (msgspec.DecodeError, InputError) as error:
-        why = f"another version of mmnn_pin wrote it: {' '.join(str(error).split())}"
-        raise RecordingError("its config cannot be read", why=why, file=recording.path) from error
+        raise RecordingError(
+            "its config cannot be read",
+            why=f"another version of mmnn_pin wrote it: {' '.join(str(error).split())}",
+            file=recording.path,
+        ) from error
 
 
 def without_null(value: Any) -> Any:

@@ -220,8 +220,9 @@ class Experiment(LearnerTables, frozen=True):
             raise ConfigError(f"{self.weights_interval} s", fix="use a number > 0", key="weights_interval")
         for name, held in self.held_out.items():
             if not 0 < held.duration < np.inf:
-                fix = "use a finite number of seconds > 0"
-                raise ConfigError(f"{held.duration} s", fix=fix, key=f"held_out.{name}.duration")
+                raise ConfigError(
+                    f"{held.duration} s", fix="use a finite number of seconds > 0", key=f"held_out.{name}.duration"
+                )
         require_in_time(self.disturbances, self.time.duration)
 
     def load_robot(self) -> Robot:

@@ -95,11 +95,15 @@ def balance(subject: Subject, budget: float = BUDGET, progress: Callable[[float]
         RecordingError: The run is on the contact plant, or a joint is blocked in it.
     """
     if subject.hardware.blocked:
-        why = "a joint is blocked, which is no friction of the model"
-        raise RecordingError("no equality", why=why, file=subject.recording.path)
+        raise RecordingError(
+            "no equality", why="a joint is blocked, which is no friction of the model", file=subject.recording.path
+        )
     if subject.plant != "ideal":
-        why = "its wheels may slip, and then nu does not move by the reduced model"
-        raise RecordingError(f"no equality on the {subject.plant} plant", why=why, file=subject.recording.path)
+        raise RecordingError(
+            f"no equality on the {subject.plant} plant",
+            why="its wheels may slip, and then nu does not move by the reduced model",
+            file=subject.recording.path,
+        )
     periods, motion = len(subject.rows) - 1, Motion(subject)
     result: dict[int, tuple[float, ...]] = {}
     for k in evenly(periods):

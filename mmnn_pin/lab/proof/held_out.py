@@ -75,8 +75,12 @@ def all_held_out(experiment: Experiment, robot: Robot) -> dict[str, HeldOut]:
     """
     for name, settings in experiment.held_out.items():
         if settings.duration <= START:
-            why, fix = f"the first {START:g} s do not count", "make it longer"
-            raise ConfigError(f"{settings.duration:g} s", why=why, fix=fix, key=f"held_out.{name}.duration")
+            raise ConfigError(
+                f"{settings.duration:g} s",
+                why=f"the first {START:g} s do not count",
+                fix="make it longer",
+                key=f"held_out.{name}.duration",
+            )
     if not experiment.held_out:
         rows = whole_reference(experiment, robot)
         return {"usual": usual(robot, experiment.time.control_period, rows)}

@@ -207,8 +207,12 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
         return None
     found = entry.load().from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
     if found is None and entry.thesis:
-        what = f"the recording does not tell the settings of {name}"
-        raise RecordingError(what, why="an older mmnn_pin wrote it", fix="run it again", file=recording.path)
+        raise RecordingError(
+            f"the recording does not tell the settings of {name}",
+            why="an older mmnn_pin wrote it",
+            fix="run it again",
+            file=recording.path,
+        )
     return of_experiment(recording, robot, name, settings) if found is None else found
 
 
@@ -241,8 +245,11 @@ def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[
     if not hasattr(controller, "learning"):
         return None
     if encode(controller.facts()) != encode(settings):
-        what, why = f"the config of the recording does not give its {name}", "it tells of other settings"
-        raise RecordingError(what, why=why, file=recording.path)
+        raise RecordingError(
+            f"the config of the recording does not give its {name}",
+            why="it tells of other settings",
+            file=recording.path,
+        )
     return controller
 
 

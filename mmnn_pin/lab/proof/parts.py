@@ -103,11 +103,15 @@ def weights_error(learner: Learner, state: ControllerState, ideal: Array) -> dic
     law = learner.controller
     gain, W = law.learning_gain(state, learner.context), of_shape(law.weights(state), *ideal.shape)
     if gain is None:
-        fix = "write a method gain(state) that returns Gamma of W' = Gamma Phi' s + ...: a number, (k,) or (k, k)"
-        raise left_out(f"{law.name} does not tell its learning gain", fix)
+        raise left_out(
+            f"{law.name} does not tell its learning gain",
+            "write a method gain(state) that returns Gamma of W' = Gamma Phi' s + ...: a number, (k,) or (k, k)",
+        )
     if W is None:
-        what = f"not exactly one learned array of {law.name} has the {ideal.size} numbers that its features multiply"
-        raise left_out(what, "name it in `learned`")
+        raise left_out(
+            f"not exactly one learned array of {law.name} has the {ideal.size} numbers that its features multiply",
+            "name it in `learned`",
+        )
     gain, k = np.array(gain, float), len(ideal)
     if gain.shape not in ((), (k,), (k, k)):
         raise left_out(

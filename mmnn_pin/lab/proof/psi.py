@@ -110,8 +110,12 @@ def psi_of(
     time = subject.signal("time")[:, 0]
     edges = windows(time, count)
     if not edges.size:
-        why = f"it ends at {time[-1]:.3g} s, and FVU counts from {START} s on"
-        raise RecordingError("too short for Psi", why=why, fix="run longer", file=subject.recording.path)
+        raise RecordingError(
+            "too short for Psi",
+            why=f"it ends at {time[-1]:.3g} s, and FVU counts from {START} s on",
+            fix="run longer",
+            file=subject.recording.path,
+        )
     counts = time >= START - 1e-9
     frozen: dict[str, Frozen] = {}
     networks: list[Network] = []
@@ -145,8 +149,11 @@ def require_psi_hat(subject: Subject, psi_hat: Array) -> None:
     if psi_hat.any():
         return
     own = "a controller of your own whose step returns a torque alone; let it return (torque, Psi_hat)"
-    why = own if subject.controller not in CONTROLLERS else "it estimates nothing"
-    raise RecordingError(f"{subject.controller} gives no Psi_hat", why=why, file=subject.recording.path)
+    raise RecordingError(
+        f"{subject.controller} gives no Psi_hat",
+        why=own if subject.controller not in CONTROLLERS else "it estimates nothing",
+        file=subject.recording.path,
+    )
 
 
 def remarks_on_law(subject: Subject) -> list[str]:

@@ -64,8 +64,11 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
     """
     learner = subject.networks
     if learner is None:
-        why = f"{subject.controller} is no learner of the thesis"
-        raise RecordingError("no condition on the rates", why=why, file=subject.recording.path)
+        raise RecordingError(
+            "no condition on the rates",
+            why=f"{subject.controller} is no learner of the thesis",
+            file=subject.recording.path,
+        )
     rows = learned_at(subject, learner, places)
     result = [judged(subject, learner, row, state) for row, state in rows]
     time = np.array([row[subject.layout.where("time")][0] for row, _ in rows])

@@ -55,18 +55,26 @@ class Subject:
             InputError: Its robot cannot be built.
         """
         if not recording.urdf.strip():
-            why = "without it there is no model to compare with"
-            raise RecordingError("the recording does not hold its robot's URDF", why=why, file=recording.path)
+            raise RecordingError(
+                "the recording does not hold its robot's URDF",
+                why="without it there is no model to compare with",
+                file=recording.path,
+            )
         robot = recorded_robot(recording)
         for key, what in (("kinematic", "gains of its kinematic layer"), ("time", "periods")):
             if key not in recording.meta:
-                why = "an older mmnn_pin wrote it"
-                raise RecordingError(f"the recording does not hold the {what}", why=why, file=recording.path)
+                raise RecordingError(
+                    f"the recording does not hold the {what}", why="an older mmnn_pin wrote it", file=recording.path
+                )
         require_signals(recording)
         rows = finite_rows(recording, Layout.of(robot.dimensions))
         if len(rows) < 2:
-            why = f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}"
-            raise RecordingError("too short to judge", why=why, fix="run longer", file=recording.path)
+            raise RecordingError(
+                "too short to judge",
+                why=f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}",
+                fix="run longer",
+                file=recording.path,
+            )
         return cls(
             recording,
             robot,
@@ -149,8 +157,11 @@ def require_signals(recording: Recording) -> None:
     """
     for name in NEEDED:
         if name not in recording:
-            why = f"the signal '{name}' is not in the recording, as in one from outside a simulation"
-            raise RecordingError("no truth to compare with", why=why, file=recording.path)
+            raise RecordingError(
+                "no truth to compare with",
+                why=f"the signal '{name}' is not in the recording, as in one from outside a simulation",
+                file=recording.path,
+            )
 
 
 def finite_rows(recording: Recording, layout: Layout) -> Array:

@@ -95,8 +95,11 @@ def true_parameters(subject: Subject, learner: Learner) -> Truth:
     bodies = controller.regressor.bodies
     for name, P in zip(bodies, pseudo_inertias(theta[: controller.regressor.inertial]), strict=True):
         if np.linalg.eigvalsh(P)[0] <= 1e-12 * np.trace(P):
-            why = f"the body at '{name}' has no density: flat, a point, or with impossible inertias"
-            raise RecordingError("no true parameters", why=why, file=subject.recording.path)
+            raise RecordingError(
+                "no true parameters",
+                why=f"the body at '{name}' has no density: flat, a point, or with impossible inertias",
+                file=subject.recording.path,
+            )
     some = np.unique(np.linspace(0, len(subject.rows) - 1, 500).astype(int))
     eps = subject.signal("psi")[some] - regressors(learner, subject.rows[some]) @ theta
     ends = np.array([learner.start["theta"], learner.end["theta"]])
