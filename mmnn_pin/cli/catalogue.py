@@ -76,9 +76,9 @@ def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as
     wd = 5, the frame of the pose error in the networks' input, the input with and without absolute position. Nothing
     is written.
     """
+    from ..lab.experiments.cases import readings as turn
+    from ..lab.experiments.cases import summaries
     from ..lab.experiments.config import load_experiment
-    from ..lab.experiments.readings import readings as turn
-    from ..lab.experiments.readings import summaries
     from ..lab.show.comparison import render_readings
 
     asked, name = load_experiment(experiment, settings, variant), Path(experiment).stem

@@ -80,7 +80,6 @@ def prove(
     from ..lab.proof.certified_run import certified_run
     from ..lab.proof.proof import Proof, sentence
     from ..lab.show.proof.figures import write_proof
-    from ..lab.show.proof.numbers import certificate_dict, to_dict
     from ..lab.show.proof.text import render, render_certificate
 
     wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
@@ -95,7 +94,7 @@ def prove(
     certified = certified_run(proof, wanted, forces)
     files = {} if plots is None else write_proof(proof, plots, force)
     if as_json:
-        result = to_dict(proof) | {"certificate": certificate_dict(certified)}
+        result = proof.to_dict() | {"certificate": certified.to_dict()}
         say_json(result | ({} if plots is None else {"files": {k: str(v) for k, v in files.items()}}))
     else:
         say(render(proof, colour=sys.stdout.isatty()))

@@ -16,16 +16,15 @@ from typing import Any
 import msgspec
 
 from ...errors import InputError, RecordingError
-from ...settings import plain
+from ...settings import finite, plain
 from ..experiments.config import without_null
 from ..experiments.contest import Contest
 from ..experiments.experiment import Experiment
 from ..experiments.runner import require_free
 from ..study.worker import code_digest
-from .result import Trial, as_csv, known
 from .standing import Standing
 from .task import Demand, Task, demand, late_windows, tasks_of
-from .trial import Stopped, run_trial
+from .trial import Stopped, Trial, as_csv, run_trial
 
 ABOUT = "contest.json"
 RESULTS, TABLE = "rows.json", "rows.csv"
@@ -128,7 +127,7 @@ def run_missing(
                     raise
                 failed[entry.key] = str(error)
                 continue
-            store.put(entry.label, Trial(entry.fingerprint, known(step), results))
+            store.put(entry.label, Trial(entry.fingerprint, finite(step), results))
     except (Stopped, KeyboardInterrupt):
         return failed, True
     return failed, False

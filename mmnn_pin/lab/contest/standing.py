@@ -10,11 +10,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from ...settings import finite
 from ..experiments.contest import Contest
 from ..experiments.controllers import ORACLES
 from ..experiments.experiment import Experiment
-from .result import Trial, TrialResult, as_json, known, middle, nan
 from .task import Demand
+from .trial import Trial, TrialResult, as_json, middle, nan
 
 BASELINE = "pd"
 FIXED = (BASELINE, "nominal")  # they learn nothing
@@ -104,7 +105,7 @@ class Standing:
         for task, controller in self.trials:
             times = self.learning_times(task, controller)
             rows += [
-                as_json(row) | {"learning_time": known(time)}
+                as_json(row) | {"learning_time": finite(time)}
                 for row, time in zip(self.of(task, controller), times, strict=True)
             ]
         steps: dict[str, dict[str, float | None]] = {task: {} for task in self.tasks}

@@ -192,7 +192,8 @@ def require_windows(experiment: Experiment) -> None:
         if not time.control_period <= value <= time.duration:
             raise ConfigError(
                 f"{value:g} s",
-                fix=f"use a time from the control period, {time.control_period:g} s, to the duration, {time.duration:g} s",
+                fix=f"use a time from the control period, {time.control_period:g} s, to the duration, "
+                f"{time.duration:g} s",
                 key=f"contest.{name}",
             )
 

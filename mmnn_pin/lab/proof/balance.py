@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +29,7 @@ from ...kinematic import command
 from ...model.reduction import position_rate, quadratic
 from ...plant.ideal import IdealPlant
 from ...sensing import exact
+from ...settings import finite
 from ...signals import INDEX, Array, Layout
 from .subject import Subject
 
@@ -81,6 +83,18 @@ class Balance:
     def holds(self) -> bool:
         """Whether the equality holds for the model, and the recorded states are the plant's."""
         return self.identity <= TOLERANCE and not self.steps > TOLERANCE
+
+    def to_dict(self) -> dict[str, Any]:
+        """Worst relative errors for JSON."""
+        return {
+            "model": finite(self.identity),
+            "steps": finite(self.steps),
+            "recorded": finite(self.recorded),
+            "tolerance": TOLERANCE,
+            "periods": len(self.time),
+            "of": self.periods,
+            "holds": self.holds,
+        }
 
 
 def balance(subject: Subject, budget: float = BUDGET, progress: Callable[[float], None] | None = None) -> Balance:

@@ -29,7 +29,6 @@ import numpy as np
 
 from ...kinematic import Kinematic
 from ...signals import Array
-from .excitation import hidden_learns
 from .learner import Networks
 
 TRIED = np.linspace(0.02, 0.98, 49)  # eps
@@ -183,7 +182,7 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
     """
     controller, layout = learner.own, learner.context.layout
     part = dict(learner.networks)[i]
-    two_layer = hidden_learns(controller.network)
+    two_layer = controller.network.hidden_learns
     per = 1.0 if controller.rates == "per_sample" else learner.context.control_period
     rate, rate_V, kappa = controller.network.rates(i - 1, controller.leakage)
     scale_in, scale_out = (scale[part] for scale in controller.network_scales(layout))

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -18,11 +19,12 @@ from ...errors import InputError, RecordingError
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...recording.metrics import halves
+from ...settings import finite
 from ...signals import Array, Layout
 from ...torque.learning_law import origin_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.laws import GIVEN
-from .features import Network, features_of
+from .excitation import Network, features_of
 from .held_out import START, held_out, loaded, recorded_under_computed_torque, usual_payload
 from .learner import Learner, said
 from .subject import Subject
@@ -89,6 +91,29 @@ class Psi:
     networks: list[Network]
     weights_time: float
     remarks: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """FVU online and frozen per component with the worst of base and arm, shares of the torque, the networks."""
+
+        def each(values: Array) -> dict[str, float | None]:
+            return {label: finite(value) for label, value in zip(self.labels, values, strict=True)}
+
+        def judged(values: Array) -> dict[str, Any]:
+            halves = {part: finite(worst(values[where])) for part, where in self.halves.items()}
+            return {"components": each(values), **halves}
+
+        return {
+            "online": judged(self.online),
+            "windows": [
+                {"from": finite(a), "to": finite(b), **judged(row), "of_run_variance": each(error)}
+                for (a, b), row, error in zip(pairwise(self.edges), self.windows, self.errors, strict=True)
+            ],
+            "frozen": {name: {"about": frozen.about, **judged(frozen.fvu)} for name, frozen in self.frozen.items()},
+            "weights_time": finite(self.weights_time),
+            "torque_share": {part: each(values) for part, values in self.shares.items()},
+            "torque_rms_ratio": {part: each(values) for part, values in self.sizes.items()},
+            "networks": {network.name: network.to_dict() for network in self.networks},
+        }
 
 
 def psi_of(

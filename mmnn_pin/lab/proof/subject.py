@@ -144,6 +144,11 @@ class Subject:
             dynamics.refresh_psi(nu_ref, nudot_ref, psi)
         return rows
 
+    @property
+    def s(self) -> Array:
+        """`[z; r]` as the controller saw it, (N, p)."""
+        return np.hstack((self.signal("z"), self.signal("r")))
+
     def signal(self, name: str) -> Array:
         """A signal of the run, (N, size)."""
         return self.rows[:, self.layout.where(name)]

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from ..contest.result import Number, TrialResult, arm_of, base_of, nan
 from ..contest.standing import Standing, Target
+from ..contest.trial import Number, TrialResult, arm_of, base_of, nan
 from .contest_figures import finished, over_all, tasks_run
 from .figure import FIGURES, svg
 from .files import HtmlPage, fill_template

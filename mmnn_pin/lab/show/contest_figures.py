@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...signals import Array
-from ..contest.result import Number, Tracking, TrialResult, arm_of, base_of, nan
 from ..contest.standing import BASELINE, Standing
+from ..contest.trial import Number, Tracking, TrialResult, arm_of, base_of, nan
 from ..experiments.controllers import ORACLES
 from .figure import FIGURES, Look, Style, axes_grid, figure, log_ticks, new_figure, plain, save, styles_of_controllers
 

@@ -18,9 +18,9 @@ from robots import feedback
 from mmnn_pin import ControllerState, LearningLaw, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.proof.learner import Networks, Stepper, said
-from mmnn_pin.lab.proof.linear_parts import covariance_part, stack_part
+from mmnn_pin.lab.proof.linear import covariance_part, stack_part
 from mmnn_pin.lab.proof.lyapunov import TERMS
-from mmnn_pin.lab.proof.network_part import network_part
+from mmnn_pin.lab.proof.networks import network_part
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.truth import distances, metric, numbers_of, prediction_step, true_weights
 from mmnn_pin.model.tree.body import parameters
@@ -288,7 +288,7 @@ def test_a_networks_part_changes_exactly_as_its_terms_say(name: str) -> None:
     subject, one = proof.subject, proof.subject.learner
     assert isinstance(one, Networks) and subject.networks is None  # the certificate is for networks alone
     every = np.arange(len(subject.rows))
-    found = network_part(one, proof.ideal, subject.rows, every)
+    found = network_part(subject, one, proof.ideal, every)
     change = np.diff(found.value) / subject.timing.control_period
     expected = (found.terms["leakage"] + found.terms["remainder"] - errors_of(proof)[1])[:-1]
     expected = expected + found.arrived["step"][1:] + found.arrived["prediction"][1:]

@@ -33,9 +33,9 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.proof import learner as learners
 from mmnn_pin.lab.proof import truth
-from mmnn_pin.lab.proof.features import features_of
-from mmnn_pin.lab.proof.ideal import linear_fit
+from mmnn_pin.lab.proof.excitation import features_of
 from mmnn_pin.lab.proof.learner import said
+from mmnn_pin.lab.proof.linear import linear_fit
 from mmnn_pin.lab.proof.lyapunov import lyapunov
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject
