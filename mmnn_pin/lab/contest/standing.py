@@ -294,5 +294,4 @@ def least_ratio(above: dict[str, float], below: dict[str, float]) -> float:
     """Least ratio over the axes, 0 where the run below was lost; nan where they are not the same."""
     if not above or above.keys() != below.keys() or not all(value > 0 for value in below.values()):
         return math.nan
-    ratios = [above[key] / below[key] if math.isfinite(below[key]) else 0.0 for key in above]
-    return min(ratios)
+    return min([above[key] / below[key] if math.isfinite(below[key]) else 0.0 for key in above])

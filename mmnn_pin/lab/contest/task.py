@@ -251,8 +251,7 @@ def demand(task: Task) -> Demand:
         dynamics.refresh(position, nu[k])
         dynamics.refresh_psi(nu[k], nudot[k], psi)
         torque = np.maximum(torque, np.abs(inverse @ psi))
-    limits = robot.effort_limits
-    return Demand(tuple(robot.actuator_names), tuple(speed.tolist()), tuple((torque / limits).tolist()))
+    return Demand(tuple(robot.actuator_names), tuple(speed.tolist()), tuple((torque / robot.effort_limits).tolist()))
 
 
 def held_out_torque(task: Task) -> dict[str, float]:

@@ -206,8 +206,7 @@ def follow_held_out(
     """How the held-out trajectories were followed with every state, frozen and learning."""
     found: list[dict[str, dict[str, Tracking]]] = [{name: {} for name in task.held_out} for _ in states]
     ways = ("learning",) if frozen(controller) is controller else ("frozen", "learning")
-    kept = [i for i, state in enumerate(states) if state is not None]
-    places = list(product(kept, task.held_out, ways))
+    places = list(product([i for i, state in enumerate(states) if state is not None], task.held_out, ways))
     every = [task.held_out_loop(controller, task.seeds[i], name, how == "learning") for i, name, how in places]
     loops = {place: loop for place, loop in zip(places, every, strict=True) if loop is not None}
     if not loops:

@@ -156,8 +156,7 @@ def run_cases(
         except InputError as error:
             error.key = f"cases.{case}: {error.key or ''}".rstrip(": ")
             raise
-    files = [out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else []
-    require_free(files, force)
+    require_free([out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else [], force)
     results: dict[str, Result] = {}
     verdicts: dict[str, dict[str, Verdict]] = {}
     for i, (case, changed) in enumerate(cases.items()):

@@ -248,8 +248,7 @@ def put(table: dict[str, Any], key: str, value: Any) -> None:
         here = here[place(here, part, key)] if isinstance(here, list) else here.setdefault(part, {})
         if not isinstance(here, (dict, list)):
             raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key)
-    last = place(here, parts[-1], key) if isinstance(here, list) else parts[-1]
-    here[last] = value
+    here[place(here, parts[-1], key) if isinstance(here, list) else parts[-1]] = value
 
 
 def place(items: list[Any], part: str, key: str) -> int:

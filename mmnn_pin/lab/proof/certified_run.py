@@ -93,8 +93,7 @@ def certified_run(
         loop = certified_loop(subject)
         loop = loop.disturbed(loop.disturbance + force)
         sizes = sizes_of(subject, loop)
-        certificate = certify(loop, wanted, sizes.start)
-        run = compare(subject, certificate, sizes)
+        run = compare(subject, certify(loop, wanted, sizes.start), sizes)
     except InputError as error:
         missing["certificate"] = sentence(error)
     try:
@@ -306,8 +305,7 @@ def thesis_bounds(
         half = D / (2 * k) + math.sqrt(D**2 / (4 * k**2) + rest)
         term = controller.robust or Robust(0.0, 0.0)
         robust = term.base if i == 1 else term.arm
-        last = float(s[i][len(s[i]) // 2 :].max())
-        result[i] = ThesisBounds(C, D / k, bZ, half, float(np.min(robust)), last)
+        result[i] = ThesisBounds(C, D / k, bZ, half, float(np.min(robust)), float(s[i][len(s[i]) // 2 :].max()))
     return result
 
 

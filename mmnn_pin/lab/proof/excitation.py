@@ -276,8 +276,7 @@ def features_of(learner: Learner, rows: Array) -> list[Network]:
     regressor = learner.context.regressor or getattr(learner.controller, "regressor", None)
     if not isinstance(regressor, Regressor) or regressor.size != k or outputs == 1:
         return [Network.of("all", "features", weights, excitation(table), lacks.get("all"))]
-    excited = excitation(table @ regressor.unit(), EXCITED)
-    return [Network.of("all", "regressor", weights, excited, lacks.get("all"))]
+    return [Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED), lacks.get("all"))]
 
 
 def not_excited(name: str, result: dict[str, Unknown]) -> list[str]:

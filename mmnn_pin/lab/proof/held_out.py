@@ -82,8 +82,7 @@ def all_held_out(experiment: Experiment, robot: Robot) -> dict[str, HeldOut]:
                 key=f"held_out.{name}.duration",
             )
     if not experiment.held_out:
-        rows = whole_reference(experiment, robot)
-        return {"usual": usual(robot, experiment.time.control_period, rows)}
+        return {"usual": usual(robot, experiment.time.control_period, whole_reference(experiment, robot))}
     return {
         name: HeldOut(
             experiment.held_out_of(robot, name), settings.duration, f"as [held_out.{name}] of its config says"
@@ -97,8 +96,7 @@ def whole_reference(experiment: Experiment, robot: Robot) -> Array:
     layout, timing = Layout.of(robot.dimensions), experiment.time
     rows = np.zeros((timing.samples, layout.width))
     where = slice(layout.where("pose_ref").start, layout.where("qddot_ref").stop)
-    times = np.arange(timing.samples) * timing.control_period
-    rows[:, where] = experiment.trajectory_of(robot).table(times, layout)
+    rows[:, where] = experiment.trajectory_of(robot).table(np.arange(timing.samples) * timing.control_period, layout)
     return rows
 
 

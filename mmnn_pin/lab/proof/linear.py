@@ -266,8 +266,7 @@ class Ledger:
 
     def take(self, row: Row) -> None:
         """Value, pull and terms of one row."""
-        along = row.Phi @ (self.ideal - row.before["W"]).T  # (rows, m)
-        pull = float(row.s @ along.ravel())
+        pull = float(row.s @ (row.Phi @ (self.ideal - row.before["W"]).T).ravel())
         self.found[:2, row.number] = self.value, pull
         if "U" in row.before:
             o = Parts(**row.state.view(Parts)._asdict() | row.before)

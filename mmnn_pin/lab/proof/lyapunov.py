@@ -241,8 +241,7 @@ def limited_power(learner: Learner, rows: Array, at: IntArray) -> Array:
     stepper = Stepper(learner, learner.start.snapshot())
     for n, row in enumerate(rows):
         psi_hat = stepper.step(row)
-        s = np.concatenate((row[layout.where("z")], row[layout.where("r")]))
-        result[n] = s @ (stepper.known - psi_hat)
+        result[n] = np.concatenate((row[layout.where("z")], row[layout.where("r")])) @ (stepper.known - psi_hat)
     return result[at]
 
 

@@ -127,8 +127,7 @@ def hidden_weights(x: Array, target: Array, V: Array) -> Array:
         W = output_weights(hidden, target)
         error = hidden @ W - target
         value = ((error**2).mean(axis=0) / variance).sum() + PENALTY * ((W**2).sum() + (V**2).sum())
-        slope = 2 * (error / variance) @ W.T * hidden * (1 - hidden) / len(x)
-        return value, (x.T @ slope + 2 * PENALTY * V).ravel()
+        return value, (x.T @ (2 * (error / variance) @ W.T * hidden * (1 - hidden) / len(x)) + 2 * PENALTY * V).ravel()
 
     result = minimize(cost, V.ravel(), jac=True, method="L-BFGS-B", options={"maxiter": ITERATIONS, "maxcor": 20})
     return np.asarray(result.x.reshape(V.shape))
@@ -136,8 +135,7 @@ def hidden_weights(x: Array, target: Array, V: Array) -> Array:
 
 def output_weights(hidden: Array, target: Array) -> Array:
     """W (h, m) of least penalised squares for hidden outputs (N, h)."""
-    units = np.ones((hidden.shape[1], target.shape[1]))
-    return penalised(hidden, target, PENALTY * variances(target), units)
+    return penalised(hidden, target, PENALTY * variances(target), np.ones((hidden.shape[1], target.shape[1])))
 
 
 def spread(V: Array) -> Array:
@@ -199,8 +197,7 @@ class Network:
 
     def distance(self, one: tuple[Array, Array], other: tuple[Array, Array]) -> float:
         """What the part says of two sets of weights: the part itself for the ideal ones, second order of an update."""
-        dW, dV = one[0] - other[0], one[1] - other[1]
-        return float(self.weigh_W * (dW**2).sum() + self.weigh_V * (dV**2).sum())
+        return float(self.weigh_W * ((one[0] - other[0]) ** 2).sum() + self.weigh_V * ((one[1] - other[1]) ** 2).sum())
 
     def value(self, weights: tuple[Array, Array]) -> float:
         """Its part of V."""

@@ -159,8 +159,7 @@ def radius(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
     closed = held.closed(gain)
     if first:
         closed = closed + held.torque @ L @ held.errors
-    loop = np.block([[closed, held.torque], [L @ held.errors, np.eye(p)]])
-    return float(np.abs(np.linalg.eigvals(loop)).max())
+    return float(np.abs(np.linalg.eigvals(np.block([[closed, held.torque], [L @ held.errors, np.eye(p)]]))).max())
 
 
 def factor(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:

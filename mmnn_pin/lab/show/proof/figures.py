@@ -139,8 +139,7 @@ def shares_figure(recordings: Recordings) -> Figure:
         right, left = np.zeros(len(labels)), np.zeros(len(labels))
         for part, values in proof.psi.shares.items():
             values = np.nan_to_num(values)
-            start = np.where(values >= 0, right, left)
-            axes.barh(names, values, left=start, color=SHADES[part], height=0.7)
+            axes.barh(names, values, left=np.where(values >= 0, right, left), color=SHADES[part], height=0.7)
             right, left = right + np.maximum(values, 0), left + np.minimum(values, 0)
         axes.invert_yaxis()
         axes.axvline(0.0, color="0.3", linewidth=0.8)
@@ -266,8 +265,7 @@ def lyapunov_figure(recordings: Recordings) -> Figure:
     for axes in values:
         axes.set_yscale("log")
         axes.autoscale(axis="y")
-        top = axes.get_ylim()[1]
-        axes.set_ylim(bottom=max(axes.get_ylim()[0], DEEPEST * top))
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], DEEPEST * axes.get_ylim()[1]))
     largest = max((float(np.abs(v.measured).max(initial=0.0)) for v in result.values()), default=1.0)
     rates.set_yscale("symlog", linthresh=power_of_ten(1e-5 * largest))
     rates.autoscale(axis="y")
