@@ -96,11 +96,13 @@ def run(
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.runner import has_hardware
+    from ..lab.show.gallery import require_plots
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
     overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
     asked, name = chosen_cases(load_experiment(experiment, overrides, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
+    require_plots(asked.plots)
     drawn = [folder / f"{plot}.png" for plot in asked.plots]
     require_no_pictures(drawn, "plot", "choose another folder with --out", force)
     compile_if_cold(bool(asked.cases) or has_hardware(asked))

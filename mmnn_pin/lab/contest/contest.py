@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -65,9 +65,15 @@ def run_contest(
     demands, notes = {task.name: demand(task) for task in tasks}, tuple(late_windows(tasks))
     for note in notes:
         warn(note)
-    about = About.of(experiment, name, controllers, {t.name: AboutTask.of(t, demands[t.name]) for t in tasks}, notes)
+    about = About(
+        name,
+        msgspec.json.decode(msgspec.structs.replace(experiment, cases={}).to_json()),
+        controllers,
+        {t.name: AboutTask(t.title, t.experiment.controllers, demands[t.name]) for t in tasks},
+        notes,
+    )
     if out is not None:
-        write_about(out, about if force else about.after(read_about(out)))
+        write(out / ABOUT, msgspec.json.encode(about if force else about.after(read_about(out))))
     failed, interrupted = run_missing(store, todo, tuple(experiment.laws), workers, progress)
     trials = {entry.key: store.trials[entry.label] for entry in plan if entry.label in store.trials}
     missing = tuple(entry.label for entry in plan if entry.key not in trials and entry.key not in failed)
@@ -250,19 +256,6 @@ class About(msgspec.Struct, frozen=True):
     tasks: dict[str, AboutTask]
     notes: tuple[str, ...] = ()
 
-    @classmethod
-    def of(
-        cls,
-        experiment: Experiment,
-        name: str,
-        controllers: tuple[str, ...],
-        tasks: Mapping[str, AboutTask],
-        notes: tuple[str, ...],
-    ) -> About:
-        """That of a contest."""
-        table = msgspec.json.decode(msgspec.structs.replace(experiment, cases={}).to_json())
-        return cls(name, table, controllers, dict(tasks), notes)
-
     def after(self, earlier: About | None) -> About:
         """This one with the tasks and controllers of an earlier command, whose rows stay in the folder."""
         if earlier is None:
@@ -299,24 +292,10 @@ class AboutTask(msgspec.Struct, frozen=True):
     controllers: tuple[str, ...]
     demand: Demand
 
-    @classmethod
-    def of(cls, task: Task, demand: Demand) -> AboutTask:
-        """That of a task."""
-        return cls(task.title, task.experiment.controllers, demand)
-
 
 def both(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[str, ...]:
     """Names of two lists, each once."""
     return tuple(dict.fromkeys((*first, *second)))
-
-
-def write_about(folder: Path, about: About) -> None:
-    """Write it.
-
-    Raises:
-        RecordingError: It cannot be written.
-    """
-    write(folder / ABOUT, msgspec.json.encode(about))
 
 
 def read_about(folder: Path) -> About | None:

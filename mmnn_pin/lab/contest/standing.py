@@ -235,14 +235,14 @@ def near(names: Iterable[str], task: str, how: str, limit: float, of: Results) -
 def bounded(names: Iterable[str], task: str, of: Results) -> Target:
     """Learners that reach the end of the poor motion, and of the held-out ones after it."""
     rows = {name: found for name in names if (found := of(task, name))}
-    good = [name for name, found in rows.items() if all(map(survived, found))]
+    good = [name for name, found in rows.items() if all(row.survived for row in found)]
     return everyone(f"after '{task}', in training and held out, bounded", good, rows)
 
 
 def unexcited(names: Iterable[str], task: str, of: Results) -> Target:
     """Learners that say that the poor motion did not excite them."""
     rows = {name: found for name in names if (found := of(task, name))}
-    good = [name for name, found in rows.items() if all(says_not_excited(row) for row in found)]
+    good = [name for name, found in rows.items() if all(row.not_excited for row in found)]
     return everyone(f"after '{task}' say that they were not excited", good, rows)
 
 
@@ -268,16 +268,6 @@ def everyone(about: str, good: list[str], rows: dict[str, list[TrialResult]]) ->
         return Target(about, 1.0, None, "", False)
     by = f"all but {', '.join(missing)}" if missing and good else "nobody" if missing else "all"
     return Target(about, 1.0, len(good) / len(rows), by, not missing)
-
-
-def survived(row: TrialResult) -> bool:
-    """Whether training and all held-out runs reached their end."""
-    return row.completed and all(one.outcome == "completed" for ways in row.held_out.values() for one in ways.values())
-
-
-def says_not_excited(row: TrialResult) -> bool:
-    """Whether a finding says so."""
-    return any("not excited" in text for text in row.findings)
 
 
 def held_out(rows: list[TrialResult], how: str) -> dict[str, float]:

@@ -105,6 +105,17 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         """Whether the training reached its end."""
         return self.outcome == "completed"
 
+    @property
+    def survived(self) -> bool:
+        """Whether training and all held-out runs reached their end."""
+        held = (one.outcome for ways in self.held_out.values() for one in ways.values())
+        return self.completed and all(outcome == "completed" for outcome in held)
+
+    @property
+    def not_excited(self) -> bool:
+        """Whether a finding says that it was not excited."""
+        return any("not excited" in text for text in self.findings)
+
 
 class Trial(msgspec.Struct, frozen=True, rename={"results": "rows"}):
     """All results of one controller on one task; in files `results` is called `rows`.

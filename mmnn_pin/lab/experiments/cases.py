@@ -78,7 +78,9 @@ class Matrix:
     def to_dict(self) -> dict[str, Any]:
         """The matrix as the command line's JSON object."""
         runs = {
-            f"{case}/{name}": about for case, result in self.results.items() for name, about in runs_of(result).items()
+            f"{case}/{name}": about
+            for case, result in self.results.items()
+            for name, about in result.to_dict()["runs"].items()
         }
         cells = {
             case: {
@@ -91,12 +93,6 @@ class Matrix:
         counts = {kind: self.count(kind) for kind in ("tracked", "stopped", "failed")}
         comparison = {"cases": {c: self.experiment.cases[c].title for c in cells}, "verdicts": cells, "counts": counts}
         return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
-
-
-def runs_of(result: Result) -> dict[str, Any]:
-    """The part of a result's JSON object that is about its runs."""
-    runs: dict[str, Any] = result.to_dict()["runs"]
-    return runs
 
 
 def with_case(experiment: Experiment, name: str) -> Experiment:

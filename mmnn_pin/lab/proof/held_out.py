@@ -23,8 +23,8 @@ from ...model.robot import Robot, carrying
 from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
 from ...settings import Timing
 from ...signals import Array, Layout
+from ...torque import CONTROLLERS
 from ...torque.controller import Feedback
-from ...torque.model_based import ComputedTorque
 from ..experiments.config import recorded_experiment
 from ..experiments.experiment import Experiment
 from .subject import Subject, finite_rows
@@ -174,7 +174,7 @@ def recorded_under_computed_torque(
     loop = Loop(
         robot=robot,
         trajectory=wanted.trajectory,
-        controller=ComputedTorque(feedback),
+        controller=CONTROLLERS["computed_torque"].load()(feedback),
         kinematic=kinematic,
         timing=timing,
         start=Start(moving=True),

@@ -38,7 +38,7 @@ class Learner:
 
     Attributes:
         controller: Its settings; one with a field `learning`.
-        context: What it was told before the run.
+        context: What it is given before the run.
         start: Its state before the first row.
         end: Its state at the end, or the last one that is known.
         end_time: When that is [s].
@@ -51,12 +51,6 @@ class Learner:
     end: ControllerState
     end_time: float
     robot: Robot
-
-    @property
-    def feedback(self) -> Feedback:
-        """Its gains K."""
-        found: Feedback = self.controller.feedback
-        return found
 
     def frozen(self) -> Any:
         """The controller with its weights held fixed."""

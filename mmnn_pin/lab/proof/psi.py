@@ -131,7 +131,13 @@ def psi_of(
         RecordingError: The controller gave no Psi_hat, or the run is not longer than 0.5 s.
     """
     psi, psi_hat, torque, robust = (subject.signal(name) for name in ("psi", "psi_hat", "torque", "robust"))
-    require_psi_hat(subject, psi_hat)
+    if not psi_hat.any():
+        own = "a controller of your own whose step returns a torque alone; let it return (torque, Psi_hat)"
+        raise RecordingError(
+            f"{subject.controller} gives no Psi_hat",
+            why=own if subject.controller not in CONTROLLERS else "it estimates nothing",
+            file=subject.recording.path,
+        )
     time = subject.signal("time")[:, 0]
     edges = windows(time, count)
     if not edges.size:
@@ -162,22 +168,6 @@ def psi_of(
         networks=networks,
         weights_time=learner.end_time if learner else float("nan"),
         remarks=tuple(remarks),
-    )
-
-
-def require_psi_hat(subject: Subject, psi_hat: Array) -> None:
-    """Refuse a controller that says nothing of Psi.
-
-    Raises:
-        RecordingError: With the name of the controller.
-    """
-    if psi_hat.any():
-        return
-    own = "a controller of your own whose step returns a torque alone; let it return (torque, Psi_hat)"
-    raise RecordingError(
-        f"{subject.controller} gives no Psi_hat",
-        why=own if subject.controller not in CONTROLLERS else "it estimates nothing",
-        file=subject.recording.path,
     )
 
 
@@ -220,7 +210,9 @@ def frozen_weights(
     show("frozen weights", 0.3)
     try:
         wanted = held_out(subject)
-        seen = recorded_under_computed_torque(robot, wanted, learner.feedback, subject.kinematic, subject.timing)
+        seen = recorded_under_computed_torque(
+            robot, wanted, learner.controller.feedback, subject.kinematic, subject.timing
+        )
         show("frozen weights", 0.7)
         estimate = said(learner, learner.end, seen)
         frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], estimate)

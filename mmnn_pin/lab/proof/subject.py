@@ -51,7 +51,8 @@ class Subject:
         """Everything from a recording.
 
         Raises:
-            RecordingError: It holds less than two rows that are finite, or does not hold its robot, gains or periods.
+            RecordingError: It holds less than two rows that are finite, or does not hold its robot, gains, periods, or
+                a signal of which everything here is made.
             InputError: Its robot cannot be built.
         """
         if not recording.urdf.strip():
@@ -66,7 +67,13 @@ class Subject:
                 raise RecordingError(
                     f"the recording does not hold the {what}", why="an older mmnn_pin wrote it", file=recording.path
                 )
-        require_signals(recording)
+        for name in NEEDED:
+            if name not in recording:
+                raise RecordingError(
+                    "no truth to compare with",
+                    why=f"the signal '{name}' is not in the recording, as in one from outside a simulation",
+                    file=recording.path,
+                )
         rows = finite_rows(recording, Layout.of(robot.dimensions))
         if len(rows) < 2:
             raise RecordingError(
@@ -152,21 +159,6 @@ class Subject:
     def signal(self, name: str) -> Array:
         """A signal of the run, (N, size)."""
         return self.rows[:, self.layout.where(name)]
-
-
-def require_signals(recording: Recording) -> None:
-    """Refuse a recording without the signals that everything here is made of.
-
-    Raises:
-        RecordingError: With the name of the first that is missing.
-    """
-    for name in NEEDED:
-        if name not in recording:
-            raise RecordingError(
-                "no truth to compare with",
-                why=f"the signal '{name}' is not in the recording, as in one from outside a simulation",
-                file=recording.path,
-            )
 
 
 def finite_rows(recording: Recording, layout: Layout) -> Array:
