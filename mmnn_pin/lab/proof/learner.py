@@ -100,7 +100,7 @@ class Stepper:
         return None if found is None else np.array(np.atleast_2d(found), float)
 
 
-def said(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
+def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
     """What the weights of a state, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
 
     It is what they know: before the motors' limits take of it.

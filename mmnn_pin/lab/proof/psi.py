@@ -26,7 +26,7 @@ from ..experiments.controllers import CONTROLLERS
 from ..experiments.laws import GIVEN
 from .excitation import Network, features_of
 from .held_out import START, held_out, loaded, recorded_under_computed_torque, usual_payload
-from .learner import Learner, said
+from .learner import Learner, frozen_psi_hat
 from .subject import Subject
 
 FLAT = 1e-9  # spread of Psi, relative to its size, below which it has no variance to explain
@@ -205,7 +205,7 @@ def frozen_weights(
     rows = subject.rows[::every]
     time = rows[:, where("time")][:, 0]
     show("frozen weights", 0.1)
-    visited = said(learner, learner.end, subject.rows, every)
+    visited = frozen_psi_hat(learner, learner.end, subject.rows, every)
     frozen = {"same": Frozen("the run's own trajectory", time, rows[:, where("psi")], visited)}
     show("frozen weights", 0.3)
     try:
@@ -214,7 +214,7 @@ def frozen_weights(
             robot, wanted, learner.controller.feedback, subject.kinematic, subject.timing
         )
         show("frozen weights", 0.7)
-        estimate = said(learner, learner.end, seen)
+        estimate = frozen_psi_hat(learner, learner.end, seen)
         frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], estimate)
     except InputError as error:
         remarks.append(f"no held-out trajectory: {' '.join(str(error).split())}")
