@@ -148,13 +148,8 @@ def psi_of(
             file=subject.recording.path,
         )
     counts = time >= START - 1e-9
-    frozen: dict[str, Frozen] = {}
-    networks: list[Network] = []
-    remarks: list[str] = []
     learner = subject.learner
-    if learner is not None:
-        frozen, networks, remarks = frozen_weights(subject, learner, payload, progress)
-    remarks += remarks_on_law(subject)
+    frozen, networks, remarks = frozen_weights(subject, learner, payload, progress) if learner else ({}, [], [])
     return Psi(
         labels=subject.robot.velocity_names,
         halves=halves(subject.recording),
@@ -167,7 +162,7 @@ def psi_of(
         frozen=frozen,
         networks=networks,
         weights_time=learner.end_time if learner else float("nan"),
-        remarks=tuple(remarks),
+        remarks=(*remarks, *remarks_on_law(subject)),
     )
 
 
