@@ -213,7 +213,6 @@ def prove(
     from ..lab.proof.certified_run import certified_run
     from ..lab.proof.proof import Proof, sentence
     from ..lab.show.proof.figures import write_proof
-    from ..lab.show.proof.numbers import certificate_dict, to_dict
     from ..lab.show.proof.text import render, render_certificate
 
     wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
@@ -230,7 +229,7 @@ def prove(
     written = {} if plots is None else {"files": named(files)}
     answer(
         as_json,
-        lambda: to_dict(proof) | {"certificate": certificate_dict(certified)} | written,
+        lambda: proof.to_dict() | {"certificate": certified.to_dict()} | written,
         lambda: "\n".join(
             (render(proof, colour), render_certificate(certified, colour), wrote(files.values()))
         ).rstrip(),

@@ -107,6 +107,7 @@ def run(
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.runner import has_hardware
     from ..lab.show.files import require_free
+    from ..lab.show.gallery import require_plots
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
     changes = [*about_robot(robot, overrides), *settings, *in_toml(**chosen)]
@@ -114,6 +115,7 @@ def run(
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
     if out is None and not force and asked.contest is None:  # a contest goes on where it was stopped
         folder = unused(folder)
+    require_plots(asked.plots)
     for plot in asked.plots:
         require_free(folder / f"{plot}.png", force, "plot")
     compile_if_cold(bool(asked.cases) or has_hardware(asked))
@@ -272,9 +274,9 @@ def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as
     wd = 5, the frame of the pose error in the networks' input, the input with and without absolute position. Nothing
     is written.
     """
+    from ..lab.experiments.cases import readings as turn
+    from ..lab.experiments.cases import summaries
     from ..lab.experiments.config import load_experiment
-    from ..lab.experiments.readings import readings as turn
-    from ..lab.experiments.readings import summaries
     from ..lab.show.comparison import render_readings
 
     asked, name = load_experiment(experiment, settings, variant), Path(experiment).stem

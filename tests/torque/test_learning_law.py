@@ -26,8 +26,8 @@ from mmnn_pin import (
     TorqueController,
 )
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.lab.proof.ideal import linear_fit
 from mmnn_pin.lab.proof.learner import Stepper
+from mmnn_pin.lab.proof.linear import linear_fit
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.sensing import Sensor

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...signals import Array
-from ..contest.result import Number, TrialResult, arm_of, base_of, nan
 from ..contest.standing import BASELINE, Standing, Target
+from ..contest.trial import Number, TrialResult, arm_of, base_of, nan
 from ..experiments.controllers import ORACLES
 from .figure import (
     FIGURES,

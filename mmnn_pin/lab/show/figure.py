@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
-Subject = Literal["runs", "contest", "study"]
+Subject = Literal["runs", "proof", "contest", "study"]
 Dash = tuple[float, tuple[float, ...] | None]
 Look = Mapping[str, Any]  # keywords of matplotlib's `plot`
 
@@ -90,7 +90,7 @@ class Entry:
     caption: str
 
 
-FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "contest": {}, "study": {}}
+FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "proof": {}, "contest": {}, "study": {}}
 
 
 def figure(
@@ -100,11 +100,11 @@ def figure(
 
     Args:
         name: By which it is asked for.
-        of: What it shows: runs by name, a contest, or a study.
+        of: What it shows: runs by name, their proofs, a contest, or a study.
         needs: Tells why it cannot be drawn of these, nothing where it can; see `signals`.
         caption: What to know of it, for a page.
     """
-    lacks: Callable[[Any], str] = needs or (signals() if of == "runs" else lambda shown: "")
+    lacks: Callable[[Any], str] = needs or (signals() if of in ("runs", "proof") else lambda shown: "")
 
     def register(make: Callable[P, Figure]) -> Callable[P, Figure]:
         drawn = styled(make)
@@ -131,6 +131,21 @@ def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
         return "" if known else f"its signals are not in {', '.join(recordings)}"
 
     return lacks
+
+
+def write_figures(entries: Mapping[str, Entry], recordings: Mapping[str, Recording], folder: Path) -> dict[str, Path]:
+    """Draw the figures that these recordings have something for, then write them as PNG; name to file.
+
+    Raises:
+        RecordingError: A file that cannot be written.
+    """
+    figures = {}
+    for name, entry in entries.items():
+        try:
+            figures[name] = entry.make(recordings)
+        except RecordingError:  # such as a figure of two learners where only one was run
+            continue
+    return {name: save(figure, folder / f"{name}.png") for name, figure in figures.items()}
 
 
 def styles_of_controllers(controllers: Iterable[str]) -> dict[str, Style]:

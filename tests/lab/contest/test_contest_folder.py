@@ -15,8 +15,8 @@ from test_contest import NAMES, SET, quick
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.contest.contest import opened, run_contest
-from mmnn_pin.lab.contest.result import Trial
 from mmnn_pin.lab.contest.task import demand, tasks_of
+from mmnn_pin.lab.contest.trial import Trial
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show import contest as figures
