@@ -17,8 +17,8 @@ Special values are those of IEEE 754 and C99's Annex F; nothing is raised. With 
 as plain Python and gives the same bits.
 """
 
-from .angles import atan, atan2, cos, sin, tan
+from .angles import atan, atan2, cos, cos_sin, sin, tan
 from .exponentials import exp, expm1, log, tanh
 from .two_doubles import hypot, pow
 
-__all__ = ["atan", "atan2", "cos", "exp", "expm1", "hypot", "log", "pow", "sin", "tan", "tanh"]
+__all__ = ["atan", "atan2", "cos", "cos_sin", "exp", "expm1", "hypot", "log", "pow", "sin", "tan", "tanh"]

@@ -19,7 +19,8 @@ from ..disturbance import block
 from ..model.reduction import as_measured, quadratic
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, energy_of, evaluate, new_work
-from ..model.tree.dynamics import potential_energy, psi_again
+from ..model.tree.dynamics import potential_energy
+from ..model.tree.twin import psi_of
 from ..plant.integrators import METHODS, RK4, Joints, Terms, derivative, euler, rk4_stage
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
@@ -262,9 +263,7 @@ def model_psi(row: Array, at: IntArray, nominal: Machine) -> None:
         view(row, at, QDOT), nominal.position, nominal.nu,
     )  # fmt: skip
     evaluate(body, work, nominal.position, nominal.nu)
-    psi_again(body.tree, nominal.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), work.scratch, psi_hat)
-    for i in range(psi_hat.size):
-        psi_hat[i] += work.F[i]
+    psi_of(body, work, nominal.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi_hat)
 
 
 @spliced
@@ -273,9 +272,7 @@ def observe(run: Run, body: Body, true: Machine, energy: float) -> int:
     row, at, work = run.row, run.at, true.work
     psi = view(row, at, PSI)
     evaluate(body, work, true.position, true.nu)
-    psi_again(body.tree, true.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), work.scratch, psi)
-    for i in range(psi.size):
-        psi[i] += work.F[i]
+    psi_of(body, work, true.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi)
     potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
     return after_torque(row, at, true.y, body.arm, work.M, run.E_inv, potential, energy, run.bounds)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..disturbance import block
+from ..model.reduction import quadratic
 from ..plant import Plant
 from ..plant.contact.plant import ContactPlant
 from ..plant.ideal import IdealPlant
@@ -146,7 +147,7 @@ class OrdinaryLoop:
     def energy(self) -> float:
         """Kinetic and potential energy at the plant's state [J]."""
         dynamics, nu = self.plant.dynamics, self.plant.nu
-        return float(0.5 * nu @ dynamics.M @ nu) + dynamics.potential()
+        return 0.5 * quadratic(dynamics.M, nu) + dynamics.potential()
 
     def rehearse(self, samples: int) -> None:
         """Ask the controller at some samples without moving, and without a supervisor: what fails, fails now."""

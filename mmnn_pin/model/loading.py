@@ -23,6 +23,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
+from ..elementary.matrices import product
 from ..errors import RobotError
 from ..signals import Array, Dimensions
 from .arm import Arm, choose_arm
@@ -222,7 +223,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         T=read_only(T),
         A=read_only(constraint_rows(base, rows, arm)),
         E_full=read_only(E_full),
-        E=read_only(T.T @ E_full),
+        E=read_only(product(T.T, E_full)),
         q_index=q_index,
         is_continuous=is_continuous,
         frame=read_only(base.frame.copy()),

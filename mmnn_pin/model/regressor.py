@@ -22,7 +22,6 @@ nu through its row of T.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -31,6 +30,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..compiled import compiled
+from ..elementary import tanh
 from ..errors import RobotError
 from .reduction import COULOMB_SPEED, as_measured
 from .tree.dynamics import psi_again
@@ -358,7 +358,7 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
         for i in range(p):
             acceleration += joints[k, i] * nudot_ref[i]
             speed += joints[k, i] * nu[i]
-        dry = math.tanh(speed / known.coulomb_speed)
+        dry = tanh(speed / known.coulomb_speed)
         rough = first + count + known.base + k
         for i in range(p):
             Y[i, first + k] = joints[k, i] * acceleration

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from ..compiled import Matrix, Vector, compiled, layout_of, views
+from ..elementary import exp
 from ..model.regressor import measured, regress
 from ..settings import Settings, plain, require_numbers
 from ..signals import Array, IntArray
@@ -290,7 +291,7 @@ class AdaptiveComposite(Adaptive):
             filter=new_filter(context.layout, h, own.pole),
             trust=1.0 / K,
             weight=float(own.weight) * every * h,
-            keep=float(np.exp(-every * h / own.forgetting_time)),
+            keep=float(exp(-every * h / own.forgetting_time)),
             every=every,
             gradient=np.zeros(k),
             velocity=np.zeros(k),

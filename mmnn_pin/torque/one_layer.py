@@ -14,6 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..compiled import compiled
+from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
 from ..signals import Array
@@ -87,7 +88,7 @@ def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Arra
         for j in range(phi.size):
             phi[j] += (x[i] - centres[i, j]) ** 2
     for j in range(phi.size):
-        phi[j] = np.exp(-phi[j] / (2.0 * width * width))
+        phi[j] = exp(-phi[j] / (2.0 * width * width))
     return math.sqrt(weighted_sum(W, phi, psi_hat))
 
 

@@ -30,6 +30,7 @@ import numpy as np
 from scipy.special import expit
 
 from ..compiled import Matrix, Vector, compiled, copy_to, layout_of, views
+from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
@@ -237,7 +238,7 @@ def descend(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Ar
     for i in range(nx):
         inputs += x[i] * x[i]
     for j in range(h):
-        sigma[j] = 1.0 / (1.0 + np.exp(-net[j]))
+        sigma[j] = 1.0 / (1.0 + exp(-net[j]))
         slope = sigma[j] * (1.0 - sigma[j])
         square += sigma[j] * sigma[j]
         for i in range(m):

@@ -1,0 +1,96 @@
+"""The compiled twin for Python: a robot's terms at a state, without Pinocchio and without a libm."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from typing import Protocol
+
+import numpy as np
+
+from ...compiled import compiled
+from ...errors import RobotError
+from ...signals import Array
+from ..dynamics import Dynamics
+from ..robot import Robot
+from .body import Body, Work, body_of, evaluate, new_work
+from .dynamics import potential_energy, psi_again
+
+
+class Terms(Protocol):
+    """Terms of the dynamics at a state, for loops that go through Python.
+
+    Attributes:
+        M: (p, p) reduced mass matrix.
+        h: (p,) `C nu + gravity + friction`.
+        F: (p,) friction.
+        v: (nv,) `T nu`.
+    """
+
+    M: Array
+    h: Array
+    F: Array
+    v: Array
+
+    def refresh(self, position: Array, nu: Array) -> None:
+        """Evaluate the terms at a position (nv,) and velocity nu (p,)."""
+
+    def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
+        """True Psi at the state last refreshed, written to psi (p,)."""
+
+    def potential(self) -> float:
+        """Potential energy at the place last refreshed [J]."""
+
+
+@compiled
+def psi_of(body: Body, work: Work, position: Array, nu_ref: Array, nudot_ref: Array, out: Array) -> None:
+    """`M nudot_ref + C nu_ref + gravity + friction` at the state last evaluated, into out (p,)."""
+    psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, out)
+    for i in range(out.size):
+        out[i] += work.F[i]
+
+
+class Twin:
+    """Reduced dynamics of one robot by its compiled twin. Holds a workspace: one object per thread.
+
+    Args:
+        robot: The robot.
+
+    Attributes:
+        As of `Terms`, and `body` and `work` for compiled code.
+
+    Raises:
+        RobotError: It has a joint that cannot be flattened.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.body = body_of(robot)
+        self.work = new_work(self.body)
+        self.position = robot.neutral_position()
+        self.M, self.h, self.F, self.v = self.work.M, self.work.h, self.work.F, self.work.v
+
+    def mass_matrix(self, position: Array) -> Array:
+        """Reduced mass matrix at a position (nv,), (p, p) [kg, kg m, kg m^2]; a copy."""
+        self.refresh(position, np.zeros(len(self.M)))
+        return self.M.copy()
+
+    def refresh(self, position: Array, nu: Array) -> None:
+        """See `Terms.refresh`."""
+        self.position[:] = position
+        evaluate(self.body, self.work, self.position, nu)
+
+    def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
+        """See `Terms.refresh_psi`."""
+        psi_of(self.body, self.work, self.position, nu_ref, nudot_ref, psi)
+
+    def potential(self) -> float:
+        """See `Terms.potential`."""
+        if not self.body.feels_gravity:
+            return 0.0
+        return float(potential_energy(self.body.tree, self.position, self.work.scratch))
+
+
+def terms_of(robot: Robot) -> Terms:
+    """The terms by the compiled twin; by Pinocchio (with its libm) for a robot that cannot be flattened."""
+    with suppress(RobotError):
+        return Twin(robot)
+    return Dynamics(robot)
