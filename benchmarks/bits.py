@@ -1,9 +1,9 @@
 """Are the bits of a run the same whatever the processor can do, and wherever it is made?
 
-    python benchmarks/bits.py                                a hash per experiment
-    python benchmarks/bits.py --settings                     and again under every setting below; exit status 1 on a change
-    python benchmarks/bits.py --settings libraries plain     under some of them
-    python benchmarks/bits.py --only two_layer --only study  experiments whose names contain a word
+    python benchmarks/bits.py                                 a hash per experiment
+    python benchmarks/bits.py --settings                      and again under all settings; exit status 1 on a change
+    python benchmarks/bits.py --settings libraries python     under some of them
+    python benchmarks/bits.py --only two_layer --only study   experiments whose names contain a word
 
 A hash is taken of everything that is recorded but the machine's seconds: all signals of every sample, and the states of
 controller, hardware and plant at the end; of a study's rows the metrics. Settings, each in a process of its own:
@@ -160,7 +160,7 @@ def study(place: str) -> Callable[[Hash, float], None]:
             with pools[place]() as pool:
                 done = {row.id: result for row, result in execute(pool, plan, map(plan.row, range(len(plan))))}
         for _, result in sorted(done.items()):
-            assert result.status == "done", result.message
+            assert result.status == "completed", (result.status, result.message)
             digest.update(json.dumps(result.metrics, sort_keys=True).encode())
 
     return case

@@ -121,7 +121,8 @@ def dry_level(v: float, dry: Array) -> float:
     """
     if dry[1] == 0.0:
         return dry[0]
-    return dry[0] + dry[1] * exp(-((v / dry[2]) ** 2))
+    ratio = v / dry[2]
+    return dry[0] + dry[1] * exp(-(ratio * ratio))
 
 
 @compiled

@@ -242,7 +242,7 @@ def shortened(y: Array, a: Bodies) -> float:
         for i in range(4):
             for j in range(4):
                 a.steps[b, i, j] = root * y[16 * b + 4 * i + j]
-                square += a.steps[b, i, j] ** 2
+                square += a.steps[b, i, j] * a.steps[b, i, j]
         eta = min(eta, LARGEST / math.sqrt(square) if square > 0.0 else 1.0)
     for j in range(a.rates.size):
         a.rest[j] = math.sqrt(a.rates[j]) * y[16 * len(a.roots) + j]

@@ -243,16 +243,18 @@ def descend(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Ar
         square += sigma[j] * sigma[j]
         for i in range(m):
             e[i] -= W[j, i] * sigma[j]
-            square += inputs * (slope * W[j, i] / unit[i]) ** 2
+            part = slope * W[j, i] / unit[i]
+            square += inputs * (part * part)
     mu, sum_w, sum_v = a.rate / square, 0.0, 0.0
     if not math.isfinite(mu):
         return
     for j in range(h):
         back = 0.0
         for i in range(m):
-            back += W[j, i] * e[i] / unit[i] ** 2
+            back += W[j, i] * e[i] / (unit[i] * unit[i])
             W[j, i] += mu * sigma[j] * e[i]
-            sum_w += (W[j, i] / unit[i]) ** 2
+            part = W[j, i] / unit[i]
+            sum_w += part * part
         net[j] = mu * sigma[j] * (1.0 - sigma[j]) * back
     for i in range(nx):
         for j in range(h):
