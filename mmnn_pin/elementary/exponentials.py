@@ -91,11 +91,8 @@ def tanh(x: float) -> float:
     if a < 2.0**-28:
         return x
     if a < 22.0:
-        if a >= 1.0:
-            z = 1.0 - 2.0 / (expm1(2.0 * a) + 2.0)
-        else:
-            t = expm1(-2.0 * a)
-            z = -t / (t + 2.0)
+        t = expm1(2.0 * a)  # not of -2 a, whose errors 2 / (t + 2) magnifies
+        z = t / (t + 2.0) if a < 1.0 else 1.0 - 2.0 / (t + 2.0)
     elif a >= 22.0:
         z = 1.0
     else:
