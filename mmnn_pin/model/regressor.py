@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..elementary import tanh
+from ..elementary.matrices import product
 from ..errors import RobotError
 from .reduction import COULOMB_SPEED, as_measured
 from .tree.dynamics import psi_again
@@ -191,7 +192,7 @@ class Regressor:
     def random_position(self, rng: np.random.Generator) -> Array:
         """A pose and an arm somewhere, slaves with their masters, (nv,)."""
         m = self.massless
-        position = m.offset + m.arm @ rng.uniform(-np.pi, np.pi, m.arm.shape[1])
+        position = m.offset + product(m.arm, rng.uniform(-np.pi, np.pi, m.arm.shape[1]))
         if m.base:
             position[:3] = rng.uniform(-np.pi, np.pi, 3)
         return position
