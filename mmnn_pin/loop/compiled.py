@@ -1,7 +1,7 @@
 """The compiled loop: the ordinary loop's blocks without Python between the steps.
 
 The dynamics come from the flattened tree (`model/tree`); everything else is the same functions that the ordinary
-loop calls. The two agree to rounding.
+loop calls. The two agree bit for bit.
 
 `advance` is the loop; its stages are spliced into it, since compiled code is optimised anew at every level of calls,
 seconds of a first run. What stands behind `hardware is not None` or `learner is not None` is compiled only for runs

@@ -1,4 +1,7 @@
-"""The ordinary loop: Pinocchio does the dynamics, the blocks between are compiled, a controller may be plain Python."""
+"""The ordinary loop: it steps through Python, so a controller may be plain Python and the plant any.
+
+The dynamics are those of the compiled twin, and the blocks those of the compiled loop: the same bits.
+"""
 
 from __future__ import annotations
 
