@@ -20,7 +20,7 @@ from ..model.reduction import as_measured, quadratic
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, energy_of, evaluate, new_work
 from ..model.tree.dynamics import potential_energy
-from ..model.tree.twin import psi_of
+from ..model.tree.twin import Twin, psi_of
 from ..plant.integrators import METHODS, RK4, Joints, Terms, derivative, euler, rk4_stage
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
@@ -119,7 +119,7 @@ class CompiledLoop:
                 per_measurement=timing.steps_per_measurement,
                 method=METHODS[timing.integrator],
                 uses_model=uses_model,
-                start_energy=start_energy(self.true),
+                start_energy=start_energy(plan.robot, self.true),
             ),
             at=layout.offsets,
             setpoints=plan.setpoints,
@@ -139,12 +139,11 @@ class CompiledLoop:
         return advance(first, last, self.run, self.true, self.nominal, self.hardware, self.learner, self.limits)
 
 
-def start_energy(true: Machine) -> float:
+def start_energy(robot: Robot, true: Machine) -> float:
     """Kinetic and potential energy at the start [J]; `energy_of` would be compiled for this one call."""
-    body, work = true.body, true.work
-    evaluate(body, work, true.position, true.nu)
-    potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
-    return 0.5 * quadratic(work.M, true.nu) + potential
+    twin = Twin(robot)
+    twin.refresh(true.position, true.nu)
+    return 0.5 * quadratic(twin.M, true.nu) + twin.potential()
 
 
 @compiled

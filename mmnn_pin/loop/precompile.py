@@ -18,8 +18,8 @@ from ..model.base.holonomic import moves_sideways
 from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
 from ..model.tree.body import body_of, evaluate, new_work
-from ..model.tree.dynamics import potential_energy
-from ..model.tree.twin import psi_of
+from ..model.tree.dynamics import psi_again
+from ..model.tree.twin import Twin
 from ..plant.integrators import Joints, Terms, derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
 from ..sensing import exact
@@ -76,8 +76,10 @@ def call_plant_blocks() -> None:
     pose, velocity, q, qdot = (row[layout.where(name)] for name in ("pose", "velocity", "q", "qdot"))
     as_measured(body.offset, body.columns, pose, velocity, q, qdot, y[:nv], y[nv : nv + p])
     evaluate(body, work, y[:nv], y[nv : nv + p])
-    psi_of(body, work, y[:nv], nu, nu, np.zeros(p))
-    potential_energy(body.tree, y[:nv], work.scratch)
+    psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
+    twin = Twin(robot)
+    twin.refresh(y[:nv], y[nv : nv + p])
+    twin.potential()
     quadratic(work.M, nu)
     after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
     sums, windows = np.zeros(1), np.zeros((1, 2))
