@@ -136,7 +136,7 @@ def dask() -> Iterator[Any]:
     """A pool of the workers of a cluster on this machine."""
     from distributed import LocalCluster
 
-    from mmnn_pin.lab.study.cluster import cluster
+    from mmnn_pin.lab.study.pools import cluster
 
     with (
         LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as there,
@@ -149,8 +149,9 @@ def study(place: str) -> Callable[[Hash, float], None]:
     """The rows of a small study, made in threads, in processes or on a cluster."""
 
     def case(digest: Hash, duration: float) -> None:
-        from mmnn_pin.lab.study.execution import execute, processes, threads
+        from mmnn_pin.lab.study.execution import execute
         from mmnn_pin.lab.study.plan import plan_of
+        from mmnn_pin.lab.study.pools import processes, threads
         from mmnn_pin.lab.study.settings import load_study
 
         pools: dict[str, Callable[[], AbstractContextManager[Any]]]

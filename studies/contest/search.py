@@ -29,8 +29,7 @@ from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.experiments.config import load_experiment, override, value_at
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.study.factors import Factor
-from mmnn_pin.lab.study.objective import settings_of
-from mmnn_pin.lab.study.tuning import imported, own_gains, suggested
+from mmnn_pin.lab.study.tuning import imported, own_gains, settings_of, suggested
 
 SEED = 20100
 

@@ -360,7 +360,7 @@ def test_a_law_is_settings_and_nothing_else() -> None:
     class Misnamed(Nothing):
         learned = ("W",)
 
-    with pytest.raises(UnknownName, match="part of the memory of Misnamed"):
+    with pytest.raises(UnknownName, match="part of the state of Misnamed"):
         loop_of("fixed", Misnamed(feedback=feedback(robot_of_kind("fixed"), 0.002))).run()
     with pytest.raises(ConfigError, match="call estimate and learn"):
         law.step(0.0, None, None, None, None)

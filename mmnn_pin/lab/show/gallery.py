@@ -9,12 +9,13 @@ import base64
 import html
 import io
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import InputError, RecordingError
 from ...recording.recording import Recording
-from . import contest_figures, plots, thesis_figures
+from . import contest, plots, thesis_figures
 from .figure import FIGURES, RC, save
 from .proof.figures import PROOF_FIGURES
 from .replay import page
@@ -22,11 +23,12 @@ from .replay import page
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MODULES = (plots, thesis_figures, contest_figures)
+MODULES = (plots, thesis_figures, contest)
 PICTURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {
     **{name: entry.make for name, entry in FIGURES["runs"].items()},
     **PROOF_FIGURES,
 }
+CONTEST = {name: entry.make for name, entry in FIGURES["contest"].items()}
 NOTEBOOK = ("errors", "path", "torque")
 MOST = 5_000_000  # bytes of a replay that goes into a notebook
 
@@ -40,10 +42,8 @@ def write_pictures(recordings: Mapping[str, Recording], names: Iterable[str], fo
     runs = {name: recording for name, recording in recordings.items() if len(recording)}
     figures = {}
     for name in names:
-        try:
+        with suppress(RecordingError):  # such as a figure of two learners where only one was run
             figures[name] = PICTURES[name](runs)
-        except RecordingError:  # such as a figure of two learners where only one was run
-            continue
     return {name: save(figure, folder / f"{name}.png") for name, figure in figures.items()}
 
 
