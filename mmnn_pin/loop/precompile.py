@@ -14,6 +14,7 @@ import sys
 import numpy as np
 
 from ..compiled import cache_folder, is_warm
+from ..elementary import arrays
 from ..model.base.holonomic import moves_sideways
 from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
@@ -80,6 +81,7 @@ def call_plant_blocks() -> None:
     twin = Twin(robot)
     twin.refresh(y[:nv], y[nv : nv + p])
     twin.potential()
+    arrays.cos_sin(np.zeros(1))  # of references
     quadratic(work.M, nu)
     after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
     sums, windows = np.zeros(1), np.zeros((1, 2))
