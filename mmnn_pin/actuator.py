@@ -28,6 +28,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from .compiled import spliced
+from .elementary import exp
 from .errors import ConfigError
 from .model.checks.properties import random_state
 from .model.dynamics import Dynamics
@@ -128,7 +129,7 @@ class Actuator(Settings, frozen=True):
         )
         torque = np.array(limits(self.torque_limit, robot.effort_limits, "motor", "actuator.torque_limit"))
         speed = np.array(limits(self.speed_limit, speed_limits(robot), "motor", "actuator.speed_limit"))
-        decay = np.array([0.0 if lag == 0 else math.exp(-dt / lag) for lag in of("lag")])
+        decay = np.array([0.0 if lag == 0 else exp(-dt / lag) for lag in of("lag")])
         self._require_gears(robot, gap, rotor, brake, dt)
         self._require_battery(resistance)
         numbers = float(self.voltage or 0.0), float(self.battery_resistance), float(self.pwm_levels)

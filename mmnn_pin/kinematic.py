@@ -12,6 +12,7 @@ import math
 import numpy as np
 
 from .compiled import compiled
+from .elementary import cos_sin
 from .model.base import BY_SIZE, velocity_command
 from .settings import Settings, one_or_each, require_gains
 from .signals import INDEX, Array, Dimensions, IntArray
@@ -34,7 +35,7 @@ def wrap(angle: float) -> float:
 def body_error(pose_ref: Array, pose: Array, error: Array) -> None:
     """Pose error in the base frame, `e_p = T_e(phi) (q_vd - q_v)` (3.1), heading wrapped; writes error (3,)."""
     dx, dy = pose_ref[0] - pose[0], pose_ref[1] - pose[1]
-    c, s = math.cos(pose[2]), math.sin(pose[2])
+    c, s = cos_sin(pose[2])
     error[0] = c * dx + s * dy
     error[1] = c * dy - s * dx
     error[2] = wrap(pose_ref[2] - pose[2])

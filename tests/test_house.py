@@ -41,6 +41,20 @@ KNOWS = {
 }
 # These are handed a robot that somebody believes in: the oracle, and a nominal model. They hold it and pass it on.
 HANDED = {"torque.model_based", "torque.two_layer_residual"}
+# What differs by processor: a libm, and what numpy makes of it.
+LIBM = {
+    *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "arcsin", "arccos", "arctan", "arctan2", "sinc", "angle"),
+    *("sinh", "cosh", "tanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "pow", "power", "float_power"),
+    *("hypot", "cbrt", "standard_normal", "normal", "exponential", "lognormal"),
+}
+# And a BLAS; in compiled code only, elsewhere it may judge and print.
+BLAS = {"dot", "vdot", "inner", "matmul", "einsum", "linalg"}
+# Modules that hand numbers to Pinocchio, or judge: none of theirs reaches a run's motion.
+JUDGES = (
+    *("model.robot", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree", "model.base.differential"),
+    *("model.base.holonomic", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
+    *("model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite"),
+)
 
 
 @cache
@@ -108,6 +122,42 @@ def test_blocks_meet_only_in_the_loop() -> None:
 
 def test_no_module_imports_itself_over_others() -> None:
     assert rings({module: set(imports(module)) for module in modules()}) == []
+
+
+def test_what_moves_a_robot_uses_no_libm() -> None:
+    """`mmnn_pin.elementary` instead: exact bits everywhere. Of `math`, sqrt and what is exact remains."""
+    found = [
+        f"{module}:{node.lineno} {node.attr}"
+        for module, file in modules().items()
+        if block_of(module) and FLOOR[block_of(module)] <= FLOOR["loop"] and not module.startswith(JUDGES)
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.Attribute) and node.attr in LIBM
+        if isinstance(node.value, ast.Name) and node.value.id in ("math", "np", "rng", "normal", "stream")
+    ]
+    assert found == []
+
+
+def test_compiled_code_uses_neither_a_libm_nor_a_blas() -> None:
+    found = []
+    for module, file in modules().items():
+        for function in ast.walk(ast.parse(file.read_text())):
+            if not isinstance(function, ast.FunctionDef) or not any(
+                isinstance(mark, ast.Name) and mark.id in ("compiled", "inlined", "spliced")
+                for mark in function.decorator_list
+            ):
+                continue
+            for node in ast.walk(ast.Module(function.body, [])):
+                product = isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult)
+                power = isinstance(node, ast.BinOp) and isinstance(node.op, ast.Pow) and not is_two(node)
+                called = isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
+                if product or power or (called and node.value.id in ("math", "np") and node.attr in LIBM | BLAS):
+                    found.append(f"{module}:{node.lineno} {ast.unparse(node)}")
+    assert found == []
+
+
+def is_two(power: ast.BinOp) -> bool:
+    """Whether a power is of a constant, which is computed before, exactly."""
+    return isinstance(power.left, ast.Constant)
 
 
 def rings(graph: dict[str, set[str]]) -> list[list[str]]:

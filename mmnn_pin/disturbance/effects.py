@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from ..compiled import compiled, spliced
+from ..elementary import sin
 from ..signals import EARLY, Array
 
 # Columns of the table of pushes.
@@ -44,7 +45,7 @@ class Pushes(NamedTuple):
                 if shape == IMPULSE:
                     value = value / self.dt if middle - self.dt < start - EARLY else 0.0
                 elif shape == SINE:
-                    value *= math.sin(2.0 * math.pi * table[i, FREQUENCY] * (middle - start))
+                    value *= sin(2.0 * math.pi * table[i, FREQUENCY] * (middle - start))
                 elif shape == NOISE:
                     value *= self.gusts[k, i]
                 wire.force[int(table[i, ON])] += value

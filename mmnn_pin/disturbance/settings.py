@@ -12,6 +12,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from ..elementary.normals import standard_normal
 from ..errors import ConfigError, UnknownName
 from ..model.robot import Robot
 from ..settings import Settings, Timing
@@ -232,7 +233,7 @@ def pushes(
         on = place(one.on, robot.velocity_names, f"disturbances.{i}.on", "velocity")
         rows.append((on, SHAPES[one.shape], one.force, one.frequency, one.start, one.end))
     if any(one.shape == "noise" for _, one in found):
-        drawn = [stream.standard_normal(samples) for stream in rng.spawn(len(found))]
+        drawn = [standard_normal(stream, samples) for stream in rng.spawn(len(found))]
         gusts = np.column_stack(drawn)
     return Pushes(float(dt), np.array(rows, float).reshape(-1, PUSH), gusts)
 

@@ -55,6 +55,13 @@ def window(first: int, j: int) -> int:
 
 
 @compiled
+def added(total: float, rest: float, part: float) -> tuple[float, float]:
+    """`total + rest + part`, part above the total, as a sum and its rest."""
+    whole = part + total
+    return whole, rest + (total - (whole - part))
+
+
+@compiled
 def reduced_large(a: float) -> tuple[int, float, float]:
     """`reduced` for a large positive angle: its mantissa times those bits of 2/pi that matter (Payne and Hanek 1983).
 
@@ -65,33 +72,22 @@ def reduced_large(a: float) -> tuple[int, float, float]:
     m = (bits_of(a) & 0xFFFFFFFFFFFFF) | 0x10000000000000
     m0, m1, m2 = m & WORD, (m >> 24) & WORD, m >> 48
     first = e - 2 + 48
-    top = carry = 0
-    for j in range(8):
-        column = carry + m0 * window(first, j)
-        if j >= 1:
-            column += m1 * window(first, j - 1)
-        if j >= 2:
-            column += m2 * window(first, j - 2)
-        top, carry = column & WORD, column >> 24
-    n, behind = top >> 22, (top >> 21) & 1 == 1  # whole quarters, and whether the next one is nearer
-    sum_, rest, unit, carry = 0.0, 0.0, 2.0**-190, 0
-    for j in range(8):
-        column = carry + m0 * window(first, j)
-        if j >= 1:
-            column += m1 * window(first, j - 1)
-        if j >= 2:
-            column += m2 * window(first, j - 2)
+    before = last = carry = digit = 0
+    up, up_rest, down, down_rest, unit = 0.0, 0.0, 0.0, 0.0, 2.0**-190
+    for j in range(8):  # the digits of the product, the lowest first; `down` is 1 less the fraction
+        here = window(first, j)
+        column = carry + m0 * here + m1 * last + m2 * before
+        before, last = last, here
         digit, carry = column & WORD, column >> 24
-        if behind:
-            digit = WORD - digit
-        if j == 7:
-            digit &= 0x3FFFFF
-        part = digit * unit
-        whole = part + sum_
-        rest += sum_ - (whole - part)
-        sum_, unit = whole, unit * 2.0**24
-    if behind:
-        n, sum_, rest = n + 1, -sum_, -rest
+        most = WORD if j < 7 else 0x3FFFFF
+        up, up_rest = added(up, up_rest, (digit & most) * unit)
+        down, down_rest = added(down, down_rest, ((WORD - digit) & most) * unit)
+        unit *= 2.0**24
+    n = digit >> 22  # whole quarters
+    if (digit >> 21) & 1:  # the next one is nearer
+        n, sum_, rest = n + 1, -down, -down_rest
+    else:
+        sum_, rest = up, up_rest
     y0, y1 = product(sum_, PIO2)
     y1 += sum_ * PIO2_LO + rest * PIO2
     whole = y0 + y1
@@ -179,6 +175,22 @@ def cos(x: float) -> float:
     if n == 1:
         return -sin_near(y0, y1)
     return -cos_near(y0, y1) if n == 2 else sin_near(y0, y1)
+
+
+@compiled
+def cos_sin(x: float) -> tuple[float, float]:
+    """Cosine and sine of an angle [rad], the bits of `cos` and `sin` in the time of one."""
+    if -7.45e-9 < x < 7.45e-9:
+        return 1.0, x
+    if not -INF < x < INF:
+        return NAN, NAN
+    n, y0, y1 = reduced(x)
+    c, s = cos_near(y0, y1), sin_near(y0, y1)
+    if n == 0:
+        return c, s
+    if n == 1:
+        return -s, c
+    return (-c, -s) if n == 2 else (s, -c)
 
 
 @compiled

@@ -12,6 +12,8 @@ EXPM1 = (-3.33333333333331316428e-02, 1.58730158725481460165e-03, -7.93650757867
          4.00821782732936239552e-06, -2.01099218183624371326e-07)  # fmt: skip
 LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01, 2.222219843214978396e-01,
        1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01)  # fmt: skip
+TANH_P = (-1.61468768441708447952e3, -9.92877231001918586564e1, -9.64399179425052238628e-1)
+TANH_Q = (4.84406305325125486048e3, 2.23548839060100448583e3, 1.12811678491632931402e2, 1.0)
 
 
 @compiled
@@ -86,16 +88,13 @@ def log(x: float) -> float:
 
 @compiled
 def tanh(x: float) -> float:
-    """The hyperbolic tangent, by expm1."""
+    """The hyperbolic tangent: a rational function in the middle, by the exponential beyond."""
     a = abs(x)
-    if a < 2.0**-28:
-        return x
+    if a < 0.625:
+        z = x * x
+        return x + x * z * horner(z, TANH_P, 0, 2, 1) / horner(z, TANH_Q, 0, 3, 1) if a > 2.0**-28 else x
     if a < 22.0:
-        if a >= 1.0:
-            z = 1.0 - 2.0 / (expm1(2.0 * a) + 2.0)
-        else:
-            t = expm1(-2.0 * a)
-            z = -t / (t + 2.0)
+        z = 1.0 - 2.0 / (exp(2.0 * a) + 1.0)
     elif a >= 22.0:
         z = 1.0
     else:

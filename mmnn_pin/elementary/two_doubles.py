@@ -42,7 +42,8 @@ def hypot(x: float, y: float) -> float:
         a, b, unit = a * 2.0**700, b * 2.0**700, 2.0**-700
     a2, a2_rest = product(a, a)
     b2, b2_rest = product(b, b)
-    return unit * math.sqrt(b2_rest + a2_rest + b2 + a2)
+    whole = a2 + b2
+    return unit * math.sqrt(whole + (((a2 - whole) + b2) + (a2_rest + b2_rest)))
 
 
 @compiled

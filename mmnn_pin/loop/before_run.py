@@ -14,6 +14,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from ..compiled import one_thread
+from ..elementary import cos_sin
+from ..elementary.matrices import product
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
@@ -62,7 +64,7 @@ class Start(Settings, frozen=True):
         if layout.base:
             x, y, phi = setpoint.pose
             dx, dy, dphi = self.pose_offset
-            c, s = np.cos(phi), np.sin(phi)
+            c, s = cos_sin(phi)
             position[:3] = x + c * dx - s * dy, y + s * dx + c * dy, phi + dphi
         position[robot.arm_index] = setpoint.q + joint_offset
         if self.moving:
@@ -180,7 +182,7 @@ def held_loop(
 
 def viscous_friction(robot: Robot) -> Array:
     """Viscous friction of a robot's joints and base on nu, (p, p); Coulomb friction has none once it slides."""
-    return robot.T.T @ (robot.damping[:, None] * robot.T) + np.diag(robot.viscous)
+    return product(robot.T.T, robot.damping[:, None] * robot.T) + np.diag(robot.viscous)
 
 
 def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float) -> None:

@@ -1,7 +1,7 @@
 """The compiled loop: the ordinary loop's blocks without Python between the steps.
 
 The dynamics come from the flattened tree (`model/tree`); everything else is the same functions that the ordinary
-loop calls. The two agree to rounding.
+loop calls. The two agree bit for bit.
 
 `advance` is the loop; its stages are spliced into it, since compiled code is optimised anew at every level of calls,
 seconds of a first run. What stands behind `hardware is not None` or `learner is not None` is compiled only for runs
@@ -19,7 +19,8 @@ from ..disturbance import block
 from ..model.reduction import as_measured, quadratic
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, energy_of, evaluate, new_work
-from ..model.tree.dynamics import potential_energy, psi_again
+from ..model.tree.dynamics import potential_energy
+from ..model.tree.twin import Twin, psi_of
 from ..plant.integrators import METHODS, RK4, Joints, Terms, derivative, euler, rk4_stage
 from ..safety import TRIPPED, has_ended
 from ..sensing import exact
@@ -118,7 +119,7 @@ class CompiledLoop:
                 per_measurement=timing.steps_per_measurement,
                 method=METHODS[timing.integrator],
                 uses_model=uses_model,
-                start_energy=start_energy(self.true),
+                start_energy=start_energy(plan.robot, self.true),
             ),
             at=layout.offsets,
             setpoints=plan.setpoints,
@@ -138,12 +139,11 @@ class CompiledLoop:
         return advance(first, last, self.run, self.true, self.nominal, self.hardware, self.learner, self.limits)
 
 
-def start_energy(true: Machine) -> float:
+def start_energy(robot: Robot, true: Machine) -> float:
     """Kinetic and potential energy at the start [J]; `energy_of` would be compiled for this one call."""
-    body, work = true.body, true.work
-    evaluate(body, work, true.position, true.nu)
-    potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
-    return 0.5 * quadratic(work.M, true.nu) + potential
+    twin = Twin(robot)
+    twin.refresh(true.position, true.nu)
+    return 0.5 * quadratic(twin.M, true.nu) + twin.potential()
 
 
 @compiled
@@ -262,9 +262,7 @@ def model_psi(row: Array, at: IntArray, nominal: Machine) -> None:
         view(row, at, QDOT), nominal.position, nominal.nu,
     )  # fmt: skip
     evaluate(body, work, nominal.position, nominal.nu)
-    psi_again(body.tree, nominal.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), work.scratch, psi_hat)
-    for i in range(psi_hat.size):
-        psi_hat[i] += work.F[i]
+    psi_of(body, work, nominal.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi_hat)
 
 
 @spliced
@@ -273,9 +271,7 @@ def observe(run: Run, body: Body, true: Machine, energy: float) -> int:
     row, at, work = run.row, run.at, true.work
     psi = view(row, at, PSI)
     evaluate(body, work, true.position, true.nu)
-    psi_again(body.tree, true.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), work.scratch, psi)
-    for i in range(psi.size):
-        psi[i] += work.F[i]
+    psi_of(body, work, true.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi)
     potential = potential_energy(body.tree, true.position, work.scratch) if body.feels_gravity else 0.0
     return after_torque(row, at, true.y, body.arm, work.M, run.E_inv, potential, energy, run.bounds)
 

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.random import Generator
 
 from ..errors import ConfigError, InputError
-from ..model.dynamics import Dynamics
 from ..model.reduction import as_measured
 from ..model.regressor import Regressor
 from ..model.robot import Robot
+from ..model.tree.twin import Terms, terms_of
 from ..recording.recording import Outcome
 from ..settings import given_array
 from ..signals import Array, Layout, Measurement, Setpoint, VelocityCommand
@@ -157,7 +157,7 @@ class Torque:
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
         self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
-        self.model: Dynamics | None = None
+        self.model: Terms | None = None
         self.learner: Any = None
         self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, LearningLaw):
@@ -167,7 +167,7 @@ class Torque:
             self.learner = self.law.learner
             if controller.uses_model:
                 believed: Robot = controller.model or nominal
-                self.model, self.arm_map = Dynamics(believed), believed.arm_map()
+                self.model, self.arm_map = terms_of(believed), believed.arm_map()
                 self.position, self.nu = believed.neutral_position(), np.zeros(layout.dof)
 
     def step(self, time: float) -> None:
@@ -242,7 +242,7 @@ class Torque:
             )
         return values
 
-    def _model_psi(self, model: Dynamics) -> None:
+    def _model_psi(self, model: Terms) -> None:
         """Psi of the nominal model at the measured state, into psi_hat."""
         m = self.measurement
         as_measured(*self.arm_map, m.pose, m.velocity, m.q, m.qdot, self.position, self.nu)

@@ -10,10 +10,11 @@ import numpy as np
 from .. import actuator as motor
 from .. import disturbance, safety
 from ..disturbance import Forces
+from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
 from ..kinematic import Kinematic
-from ..model.dynamics import Dynamics
 from ..model.robot import Robot
+from ..model.tree.twin import Twin
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders, Sensor
 from ..settings import Timing, given_array
@@ -98,7 +99,7 @@ def new_hardware(
     dead = disturbance.windows(disturbance.DeadMotor, events, robot.actuator_names)
     is_exact = loop.sensor.exact and not (faults.any() or len(frozen) or len(geared))
     states = np.zeros((layout.motors, motor.STATES))
-    states[:, motor.ROTOR_SPEED] = robot.E.T @ nu
+    states[:, motor.ROTOR_SPEED] = product(robot.E.T, nu)
     sensed = loop.sensor.init(robot, faults)
     parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof))
     values, (sensed, states, guard, held, sent) = flat(parts)
@@ -123,7 +124,7 @@ def new_hardware(
         motors=motors,
         world=world_of(loop, gust_rng),
         E=np.ascontiguousarray(robot.E),
-        E_inv=np.ascontiguousarray(np.linalg.pinv(robot.E)),
+        E_inv=pseudo_inverse(robot.E),
         totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
         sent=sent,
         tau=np.zeros(layout.dof),
@@ -232,8 +233,9 @@ def stopping_gains(loop: Setup) -> Array:
     """
     if isinstance(loop.controller, CompiledController | LearningLaw):
         return loop.controller.feedback_gain(loop.robot.dimensions)
-    M = Dynamics(loop.nominal or loop.robot).mass_matrix(loop.robot.neutral_position())
-    fastest = float(np.linalg.eigvals(np.linalg.solve(M, np.diag(np.diag(M)))).real.max())
+    M = Twin(loop.nominal or loop.robot).mass_matrix(loop.robot.neutral_position())
+    root = np.sqrt(np.diag(M))
+    fastest = svd(root[:, None] * inverse(M) * root)[1][0]  # eigenvalue of diag(M) M^-1, which this is similar to
     return min(STOP_BANDWIDTH, 0.5 / (loop.timing.control_period * fastest)) * np.diag(M)
 
 

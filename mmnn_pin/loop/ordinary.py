@@ -1,4 +1,7 @@
-"""The ordinary loop: Pinocchio does the dynamics, the blocks between are compiled, a controller may be plain Python."""
+"""The ordinary loop: it steps through Python, so a controller may be plain Python and the plant any.
+
+The dynamics are those of the compiled twin, and the blocks those of the compiled loop: the same bits.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..disturbance import block
+from ..model.reduction import quadratic
 from ..plant import Plant
 from ..plant.contact.plant import ContactPlant
 from ..plant.ideal import IdealPlant
@@ -146,7 +150,7 @@ class OrdinaryLoop:
     def energy(self) -> float:
         """Kinetic and potential energy at the plant's state [J]."""
         dynamics, nu = self.plant.dynamics, self.plant.nu
-        return float(0.5 * nu @ dynamics.M @ nu) + dynamics.potential()
+        return 0.5 * quadratic(dynamics.M, nu) + dynamics.potential()
 
     def rehearse(self, samples: int) -> None:
         """Ask the controller at some samples without moving, and without a supervisor: what fails, fails now."""

@@ -14,11 +14,13 @@ import sys
 import numpy as np
 
 from ..compiled import cache_folder, is_warm
+from ..elementary import arrays
 from ..model.base.holonomic import moves_sideways
 from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
 from ..model.tree.body import body_of, evaluate, new_work
-from ..model.tree.dynamics import potential_energy, psi_again
+from ..model.tree.dynamics import psi_again
+from ..model.tree.twin import Twin
 from ..plant.integrators import Joints, Terms, derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
 from ..sensing import exact
@@ -76,7 +78,10 @@ def call_plant_blocks() -> None:
     as_measured(body.offset, body.columns, pose, velocity, q, qdot, y[:nv], y[nv : nv + p])
     evaluate(body, work, y[:nv], y[nv : nv + p])
     psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
-    potential_energy(body.tree, y[:nv], work.scratch)
+    twin = Twin(robot)
+    twin.refresh(y[:nv], y[nv : nv + p])
+    twin.potential()
+    arrays.cos_sin(np.zeros(1))  # of references
     quadratic(work.M, nu)
     after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
     sums, windows = np.zeros(1), np.zeros((1, 2))

@@ -16,6 +16,7 @@ import numpy as np
 
 from .. import kinematic
 from ..compiled import compiled, copy_to, view
+from ..elementary.matrices import pseudo_inverse
 from ..model.robot import Robot
 from ..plant.contact.feet import Contact
 from ..settings import Timing
@@ -147,7 +148,7 @@ class Plan:
     @property
     def E_inv(self) -> Array:
         """(motors, p) motor torques from the torque on nu."""
-        return np.ascontiguousarray(np.linalg.pinv(self.robot.E))
+        return pseudo_inverse(self.robot.E)
 
 
 class Control:

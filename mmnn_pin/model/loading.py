@@ -23,6 +23,7 @@ import pinocchio as pin
 from lxml import etree
 from numpy.typing import NDArray
 
+from ..elementary.matrices import product
 from ..errors import RobotError
 from ..signals import Array, Dimensions
 from .arm import Arm, choose_arm
@@ -33,6 +34,7 @@ from .base.understanding import find_base
 from .robot import Robot, read_only
 from .robots import find
 from .urdf.document import Document, Joint
+from .urdf.mechanism import Part
 from .urdf.reading import read
 from .urdf.shapes import AtRest
 
@@ -165,12 +167,45 @@ def pinocchio_model(document: Document, mobile: bool) -> tuple[pin.Model, str]:
     except (ValueError, RuntimeError) as error:
         why = " ".join(" ".join([*printed, str(error)]).split())
         raise RobotError("Pinocchio cannot build the model", why=why, file=document.path) from None
+    place(document, model)
     model.name, message = document.path.stem, " ".join(" ".join(printed).split())
     stated, taken = document.mass, sum(body.mass for body in model.inertias)
     if not math.isclose(stated, taken, rel_tol=1e-9):
         what = f"Pinocchio's model has {taken:.6g} kg where the file states {stated:.6g} kg"
         raise RobotError(what, why=message or "it lost an <inertial>", file=document.path)
     return model, message
+
+
+def place(document: Document, model: pin.Model) -> None:
+    """Put joints and inertias of a model where the file has them, by our own sines and cosines.
+
+    Pinocchio's parser takes roll, pitch and yaw through the platform's; the two differ in the last place at most.
+    """
+    known = set(model.names)
+
+    def carried(link: str) -> tuple[int, Array]:
+        """The joint of the model that carries a link, 0 for none, and the link's placement on it."""
+        at = np.eye(4)
+        while link in document.carrier:
+            joint = document.carrier[link]
+            if joint.name in known:
+                return model.getJointId(joint.name), at
+            at, link = product(joint.origin, at), joint.parent
+        return int(model.njoints > 1 and model.nvs[1] == 3), at
+
+    for name in model.names:
+        if name in document.joints:
+            joint = document.joints[name]
+            model.jointPlacements[model.getJointId(name)] = pin.SE3(product(carried(joint.parent)[1], joint.origin))
+    sums = {j: pin.Inertia.Zero() for j in range(1, model.njoints)}
+    for name, link in document.links.items():
+        j, at = carried(name)
+        if j and link.find("inertial") is not None:
+            part = Part.of(link, at)
+            R = part.frame[:3, :3]
+            sums[j] += pin.Inertia(part.mass, part.frame[:3, 3], product(R, part.inertia, R.T))
+    for j, inertia in sums.items():
+        model.inertias[j] = inertia
 
 
 @contextmanager
@@ -222,7 +257,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         T=read_only(T),
         A=read_only(constraint_rows(base, rows, arm)),
         E_full=read_only(E_full),
-        E=read_only(T.T @ E_full),
+        E=read_only(product(T.T, E_full)),
         q_index=q_index,
         is_continuous=is_continuous,
         frame=read_only(base.frame.copy()),

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import compiled
+from ..elementary import cos_sin, exp, tanh
 from ..signals import Array, IntArray
 from .base.holonomic import moves_sideways
 
@@ -74,14 +75,14 @@ def configuration(
     """
     first = frame.size
     if first == 3:
-        c, s = math.cos(position[2] - frame[2]), math.sin(position[2] - frame[2])
+        c, s = cos_sin(position[2] - frame[2])
         q[0] = position[0] - c * frame[0] + s * frame[1]
         q[1] = position[1] - s * frame[0] - c * frame[1]
         q[2], q[3] = c, s
     for i in range(first, position.size):
         k = q_index[i]
         if continuous[i]:
-            q[k], q[k + 1] = math.cos(position[i]), math.sin(position[i])
+            q[k], q[k + 1] = cos_sin(position[i])
         else:
             q[k] = position[i]
     spread(T, nu, v)
@@ -103,7 +104,7 @@ def position_rate(position: Array, nu: Array, v: Array, base: int, rate: Array) 
     first = 0
     if base:
         first = 3
-        c, s = math.cos(position[2]), math.sin(position[2])
+        c, s = cos_sin(position[2])
         vx, vy = nu[0], nu[1] if moves_sideways(base) else 0.0
         rate[0], rate[1], rate[2] = c * vx - s * vy, s * vx + c * vy, nu[base - 1]
     for i in range(first, position.size):
@@ -120,7 +121,8 @@ def dry_level(v: float, dry: Array) -> float:
     """
     if dry[1] == 0.0:
         return dry[0]
-    return dry[0] + dry[1] * math.exp(-((v / dry[2]) ** 2))
+    ratio = v / dry[2]
+    return dry[0] + dry[1] * exp(-(ratio * ratio))
 
 
 @compiled
@@ -133,7 +135,7 @@ def friction(T: Array, v: Array, nu: Array, damping: Array, dry: Array, viscous:
         F[j] = viscous[j] * nu[j]
     for i in range(v.size):
         if damping[i] != 0.0 or dry[i, 0] != 0.0:
-            f = damping[i] * v[i] + dry_level(v[i], dry[i]) * math.tanh(v[i] / COULOMB_SPEED)
+            f = damping[i] * v[i] + dry_level(v[i], dry[i]) * tanh(v[i] / COULOMB_SPEED)
             for j in range(nu.size):
                 F[j] += T[i, j] * f
 

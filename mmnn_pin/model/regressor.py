@@ -22,7 +22,6 @@ nu through its row of T.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -31,6 +30,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ..compiled import compiled
+from ..elementary import tanh
+from ..elementary.matrices import product
 from ..errors import RobotError
 from .reduction import COULOMB_SPEED, as_measured
 from .tree.dynamics import psi_again
@@ -191,7 +192,7 @@ class Regressor:
     def random_position(self, rng: np.random.Generator) -> Array:
         """A pose and an arm somewhere, slaves with their masters, (nv,)."""
         m = self.massless
-        position = m.offset + m.arm @ rng.uniform(-np.pi, np.pi, m.arm.shape[1])
+        position = m.offset + product(m.arm, rng.uniform(-np.pi, np.pi, m.arm.shape[1]))
         if m.base:
             position[:3] = rng.uniform(-np.pi, np.pi, 3)
         return position
@@ -358,7 +359,7 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
         for i in range(p):
             acceleration += joints[k, i] * nudot_ref[i]
             speed += joints[k, i] * nu[i]
-        dry = math.tanh(speed / known.coulomb_speed)
+        dry = tanh(speed / known.coulomb_speed)
         rough = first + count + known.base + k
         for i in range(p):
             Y[i, first + k] = joints[k, i] * acceleration

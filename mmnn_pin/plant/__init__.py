@@ -9,8 +9,8 @@ from typing import Protocol
 
 import numpy as np
 
-from ..model.dynamics import Dynamics
 from ..model.robot import Robot
+from ..model.tree.twin import Terms
 from ..signals import Array, Layout
 
 NO_PUSH: Array = np.zeros(0)
@@ -31,7 +31,7 @@ class Plant(Protocol):
     position: Array
     nu: Array
     hold: Array
-    dynamics: Dynamics
+    dynamics: Terms
 
     def start(self, position: Array, nu: Array) -> None:
         """Put the robot at a position (nv,) with velocity nu (p,) and no work done."""

@@ -7,8 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from ..errors import UnknownName
-from ..model.dynamics import Dynamics
+from ..model.reduction import spread
 from ..model.robot import Robot
+from ..model.tree.twin import terms_of
 from ..signals import Array, Layout
 from . import NO_PUSH, integrators
 
@@ -76,7 +77,7 @@ class IdealPlant:
 
     def motor_speeds(self, speeds: Array) -> None:
         """Speed of every motor's joint, (motors,) [rad/s or m/s]."""
-        np.dot(self.to_motors, self.nu, out=speeds)
+        spread(self.to_motors, self.nu, speeds)
 
     def observe(self, row: Array, layout: Layout) -> None:
         """Nothing: the row has all that this plant knows."""
@@ -105,8 +106,10 @@ class IdealPlant:
 
     def _take(self, robot: Robot) -> None:
         """Dynamics of a robot, and its arrays for the integrators."""
-        self.robot, self.dynamics = robot, Dynamics(robot)
+        self.robot, self.dynamics = robot, terms_of(robot)
         d, p = self.dynamics, robot.dimensions.dof
-        self.joints = integrators.Joints(d.T, d.damping, d.dry, d.viscous, robot.dimensions.base)
-        scratch = d.L, np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
+        # writable copies: compiled code exists once for these, not again for read-only arrays
+        arrays = robot.T.copy(), robot.damping.copy(), robot.dry, robot.viscous.copy()
+        self.joints = integrators.Joints(*arrays, robot.dimensions.base)
+        scratch = np.zeros((p, p)), np.zeros(p), np.zeros((robot.dimensions.full, p + 2))
         self.terms = integrators.Terms(d.v, d.M, d.h, d.F, self.hold, self.ydot, *scratch)

@@ -15,10 +15,10 @@ implicit there, too.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 from ..compiled import compiled
+from ..elementary import tanh
 from ..model.reduction import COULOMB_SPEED, dry_level, position_rate, solve, spread, substitute
 from ..signals import Array
 
@@ -113,7 +113,7 @@ def friction_ratio(v: float, damping: float, dry: Array) -> float:
     level = dry_level(v, dry)
     if abs(v) < 1e-6 * COULOMB_SPEED:
         return damping + level / COULOMB_SPEED
-    return damping + level * math.tanh(v / COULOMB_SPEED) / v
+    return damping + level * tanh(v / COULOMB_SPEED) / v
 
 
 @compiled
@@ -160,7 +160,7 @@ def release(joints: Joints, terms: Terms) -> None:
     T, dry, v, h, F = joints.T, joints.dry, terms.v, terms.h, terms.F
     for i in range(v.size):
         if dry[i, 0] != 0.0:
-            force = dry_level(v[i], dry[i]) * math.tanh(v[i] / COULOMB_SPEED)
+            force = dry_level(v[i], dry[i]) * tanh(v[i] / COULOMB_SPEED)
             for j in range(F.size):
                 h[j] -= T[i, j] * force
                 F[j] -= T[i, j] * force

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..model.base.holonomic import Holonomic as HolonomicBase
-from .path import BasePath, BaseSamples, times
+from .path import BasePath, BaseSamples, times, turned
 from .samples import in_three
 from .trajectory import JointProfile
 
@@ -44,26 +44,16 @@ class Holonomic(BasePath):
         """See `BasePath.sample`."""
         t, along = times(t), self.path.sample(t)
         w, wdot = along.velocity[:, -1], along.acceleration[:, -1]
-        # World velocity and acceleration as complex numbers, from those in the path's own frame.
-        turn, spin = np.exp(1j * along.pose[:, 2]), 1j * w
-        rate, change = planar(along.velocity), planar(along.acceleration)
-        rate, change = turn * rate, turn * (change + spin * rate)
-        psi = along.pose[:, 2]
+        # World velocity and acceleration, from those in the path's own frame.
+        psi, (vx, vy, _), (ax, ay, _) = along.pose[:, 2], in_three(along.velocity), in_three(along.acceleration)
+        rate, change = turned((vx, vy), psi), turned((ax - w * vy, ay + w * vx), psi)
         if self.heading is not None:
             profile = self.heading.sample(t)
             psi, w, wdot = profile.q, profile.qdot, profile.qddot
-        back = np.exp(-1j * psi)
-        own = back * rate
-        own_dot = back * change - 1j * w * own
+        (vx, vy), (ax, ay) = turned(rate, -psi), turned(change, -psi)
         return BaseSamples(
             t,
             np.stack([along.pose[:, 0], along.pose[:, 1], psi], axis=1),
-            np.stack([own.real, own.imag, w], axis=1),
-            np.stack([own_dot.real, own_dot.imag, wdot], axis=1),
+            np.stack([vx, vy, w], axis=1),
+            np.stack([ax + w * vy, ay - w * vx, wdot], axis=1),
         )
-
-
-def planar(velocity: np.ndarray) -> np.ndarray:
-    """Translation of base velocities (N, nb) as complex numbers (N,): forward real, sideways imaginary."""
-    ahead, aside, _ = in_three(velocity)
-    return ahead + 1j * aside

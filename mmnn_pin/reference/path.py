@@ -13,12 +13,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from ..elementary.arrays import atan2, cos, cos_sin, hypot, sin
 from ..errors import TrajectoryError
 from ..signals import Array
 
@@ -84,8 +85,8 @@ def start_up(t: Array, rate: float, ramp: float) -> Progress:
     if ramp == 0:
         return Progress(rate * t, np.full_like(t, rate), np.zeros_like(t))
     u = np.clip(t / ramp, 0, 1)
-    s = rate * (ramp * u**4 * (2.5 - 3 * u + u**2) + np.maximum(t - ramp, 0))
-    return Progress(s, rate * u**3 * (10 - 15 * u + 6 * u**2), rate * 30 * u**2 * (1 - u) ** 2 / ramp)
+    s = rate * (ramp * u**2 * u**2 * (2.5 - 3 * u + u**2) + np.maximum(t - ramp, 0))
+    return Progress(s, rate * u**2 * u * (10 - 15 * u + 6 * u**2), rate * 30 * u**2 * (1 - u) ** 2 / ramp)
 
 
 def there_and_stop(t: Array, rate: float, ramp: float, length: float) -> Progress:
@@ -167,7 +168,8 @@ class Line(BasePath):
         x, y, phi = self.start
         progress = start_up(t, self.speed, self.ramp)
         s, zero = progress.s, np.zeros_like(t)
-        return driven(t, progress, Curve(x + s * np.cos(phi), y + s * np.sin(phi), zero + phi, zero + 1, 0, zero, 0))
+        c, sine = cos_sin(phi)
+        return driven(t, progress, Curve(x + s * c, y + s * sine, zero + phi, zero + 1, 0, zero, 0))
 
 
 @dataclass(frozen=True)
@@ -204,7 +206,8 @@ class Circle(BasePath):
         progress = start_up(t, self.speed, self.ramp)
         one, k = np.ones_like(t), self.turn / self.radius
         phi = phi0 + k * progress.s
-        xs, ys = x + (np.sin(phi) - np.sin(phi0)) / k, y - (np.cos(phi) - np.cos(phi0)) / k
+        (c, s), (c0, s0) = cos_sin(phi), cos_sin(phi0)
+        xs, ys = x + (s - s0) / k, y - (c - c0) / k
         return driven(t, progress, Curve(xs, ys, phi, one, 0, k * one, 0))
 
 
@@ -245,34 +248,53 @@ class Eight(BasePath):
 
     def _curve(self, s: Array) -> Curve:
         a, b = self.length / 2, self.width / 2
-        x1, x2, x3 = a * np.cos(s), -a * np.sin(s), -a * np.cos(s)
-        y1, y2, y3 = 2 * b * np.cos(2 * s), -4 * b * np.sin(2 * s), -8 * b * np.cos(2 * s)
-        g = np.hypot(x1, y1)
+        (c, sine), (c2, sine2) = cos_sin(s), cos_sin(2 * s)
+        x1, x2, x3 = a * c, -a * sine, -a * c
+        y1, y2, y3 = 2 * b * c2, -4 * b * sine2, -8 * b * c2
+        g = hypot(x1, y1)
         dg = (x1 * x2 + y1 * y2) / g
         k = (x1 * y2 - y1 * x2) / g**2
         dk = (x1 * y3 - y1 * x3) / g**2 - 2 * k * dg / g
         # The tangent never points along +y of the eight's own frame, so measured from -y its angle has no jump.
-        phi = np.arctan2(x1, -y1) - np.pi / 2
+        phi = atan2(x1, -y1) - np.pi / 2
         x0, y0, phi0 = self.start
-        turn = phi0 - np.arctan2(2 * b, a)
-        x, y = a * np.sin(s), b * np.sin(2 * s)
-        cos, sin = np.cos(turn), np.sin(turn)
-        return Curve(x0 + cos * x - sin * y, y0 + sin * x + cos * y, phi + turn, g, dg, k, dk)
+        turn = phi0 - atan2(2 * b, a)
+        x, y = a * sine, b * sine2
+        c, sine = cos_sin(turn)
+        return Curve(x0 + c * x - sine * y, y0 + sine * x + c * y, phi + turn, g, dg, k, dk)
 
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(32)
+@cache
+def quadrature(n: int = 32) -> tuple[Array, Array]:
+    """Nodes in (-1, 1) and weights of Gauss and Legendre's rule, by Newton's method on the recurrence."""
+    i = np.arange(1, n + 1)
+    x, slope = -cos(np.pi * (i - 0.25) / (n + 0.5)), np.ones(n)
+    for _ in range(6):
+        last, value = np.ones(n), x
+        for k in range(2, n + 1):
+            last, value = value, ((2 * k - 1) * x * value - (k - 1) * last) / k
+        slope = n * (x * value - last) / (x * x - 1)
+        x = x - value / slope
+    return x, 2 / ((1 - x * x) * slope * slope)
 
 
-def bend(u: ArrayLike, turn: ArrayLike) -> NDArray[np.complex128]:
-    """Point at fraction `u` of a bend of unit length that turns by `turn`, starting along +x; complex x + iy.
+def bend(u: ArrayLike, turn: ArrayLike) -> tuple[Array, Array]:
+    """Point (x, y) at fraction `u` of a bend of unit length that turns by `turn`, starting along +x.
 
     The heading is `turn (u - sin(2 pi u) / (2 pi))`: the curvature rises from 0 to twice its mean and falls back to 0,
     with a continuous slope. Integrated by Gauss-Legendre quadrature, exact to rounding for turns up to pi.
     """
-    end = np.asarray(u, float)[..., None]
-    nodes = end * (1 + NODES) / 2
-    heading = np.asarray(turn, float)[..., None] * (nodes - np.sin(2 * np.pi * nodes) / (2 * np.pi))
-    return np.exp(1j * heading) @ WEIGHTS * end[..., 0] / 2
+    end, (nodes, weights) = np.asarray(u, float)[..., None], quadrature()
+    at = end * (1 + nodes) / 2
+    heading = np.asarray(turn, float)[..., None] * (at - sin(2 * np.pi * at) / (2 * np.pi))
+    c, s = cos_sin(heading)
+    return (c * weights).sum(axis=-1) * end[..., 0] / 2, (s * weights).sum(axis=-1) * end[..., 0] / 2
+
+
+def turned(point: tuple[Array, Array], angle: ArrayLike) -> tuple[Array, Array]:
+    """Points (x, y) turned by angles about the origin."""
+    (x, y), (c, s) = point, cos_sin(angle)
+    return c * x - s * y, s * x + c * y
 
 
 @dataclass(frozen=True)
@@ -281,7 +303,8 @@ class Pieces:
 
     s: Array  # path length at the start
     length: Array
-    point: NDArray[np.complex128]  # start, complex x + iy
+    x: Array  # start
+    y: Array
     heading: Array  # at the start
     turn: Array
 
@@ -357,13 +380,13 @@ class Waypoints(BasePath):
         i = np.searchsorted(p.s, s, side="right") - 1
         length, turn = p.length[i], p.turn[i]
         u = np.clip((s - p.s[i]) / length, 0, 1)
-        point = p.point[i] + length * np.exp(1j * p.heading[i]) * bend(u, turn)
-        heading = p.heading[i] + turn * (u - np.sin(2 * np.pi * u) / (2 * np.pi))
-        k = turn / length * (1 - np.cos(2 * np.pi * u))
-        dk = turn / length**2 * 2 * np.pi * np.sin(2 * np.pi * u)
+        (x, y), (c, s1) = turned(bend(u, turn), p.heading[i]), cos_sin(2 * np.pi * u)
+        heading = p.heading[i] + turn * (u - s1 / (2 * np.pi))
+        k = turn / length * (1 - c)
+        dk = turn / length**2 * 2 * np.pi * s1
         forward = np.sign(self.speed)
         phi = heading if forward > 0 else heading + np.pi
-        return Curve(point.real, point.imag, phi, np.full_like(s, forward), 0, k, dk)
+        return Curve(p.x[i] + length * x, p.y[i] + length * y, phi, np.full_like(s, forward), 0, k, dk)
 
 
 def rounded(points: Array, radius: float) -> Pieces:
@@ -372,35 +395,37 @@ def rounded(points: Array, radius: float) -> Pieces:
     Raises:
         TrajectoryError: Two points coincide, the path turns back on itself, or a leg is shorter than its bends need.
     """
-    legs = np.diff(points @ (1, 1j))
-    if (abs(legs) < 1e-9).any():
-        i = int(np.argmin(abs(legs)))
+    dx, dy = np.diff(points, axis=0).T
+    legs = hypot(dx, dy)
+    if (legs < 1e-9).any():
+        i = int(np.argmin(legs))
         raise TrajectoryError(f"points {i} and {i + 1} are the same: {points[i]}", fix="leave one of them out")
-    turns = np.angle(legs[1:] / legs[:-1])
+    turns = atan2(dx[:-1] * dy[1:] - dy[:-1] * dx[1:], dx[:-1] * dx[1:] + dy[:-1] * dy[1:])
     if (abs(turns) > np.radians(175)).any():
         i = int(np.argmax(abs(turns))) + 1
         raise TrajectoryError(f"the path turns back at point {i}: {points[i]}", fix="go around by one more point")
-    reach = 2 * abs(turns) * abs(bend(1.0, turns)) / (2 * np.cos(turns / 2))  # corner to start of bend, per radius
+    reach = 2 * abs(turns) * hypot(*bend(1.0, turns)) / (2 * cos(turns / 2))  # corner to start of bend, per radius
     need = np.append(reach, 0) + np.append(0, reach)
-    short = need * radius - abs(legs)
+    short = need * radius - legs
     if (short > 1e-9).any():
         i = int(np.argmax(short))
-        fits = min(abs(leg) / n for leg, n in zip(legs, need, strict=True) if n > 0)
+        fits = min(leg / n for leg, n in zip(legs, need, strict=True) if n > 0)
         raise TrajectoryError(
-            f"points {i} and {i + 1} are too close: {abs(legs[i]):.3g} m apart",
+            f"points {i} and {i + 1} are too close: {legs[i]:.3g} m apart",
             why=f"the bends of radius {radius:g} m there take {need[i] * radius:.3g} m",
             fix=f"give radius <= {fits:.3g} m, or move the points",
         )
-    return _chain(complex(*points[0]), legs, turns, reach * radius, radius)
+    heading = float(atan2(dy[0], dx[0]))
+    return _chain(points[0], heading, legs, turns, reach * radius, radius)
 
 
-def _chain(start: complex, legs: NDArray[np.complex128], turns: Array, reach: Array, radius: float) -> Pieces:
-    """Alternating straights and bends; empty ones are left out."""
-    straight = abs(legs) - np.append(reach, 0) - np.append(0, reach)
+def _chain(start: Array, first: float, legs: Array, turns: Array, reach: Array, radius: float) -> Pieces:
+    """Alternating straights and bends from a point (2,) and a heading; empty ones are left out."""
+    straight = legs - np.append(reach, 0) - np.append(0, reach)
     length, turn = np.zeros(2 * len(legs) - 1), np.zeros(2 * len(legs) - 1)
     length[::2], length[1::2], turn[1::2] = straight, 2 * abs(turns) * radius, turns
-    heading = np.angle(legs[0]) + np.cumsum(turn) - turn
-    step = length * np.exp(1j * heading) * bend(1.0, turn)
-    point, s = start + np.cumsum(step) - step, np.cumsum(length) - length
+    heading = first + np.cumsum(turn) - turn
+    dx, dy = (length * part for part in turned(bend(1.0, turn), heading))
+    x, y, s = start[0] + np.cumsum(dx) - dx, start[1] + np.cumsum(dy) - dy, np.cumsum(length) - length
     keep = length > 1e-9
-    return Pieces(s[keep], length[keep], point[keep], heading[keep], turn[keep])
+    return Pieces(s[keep], length[keep], x[keep], y[keep], heading[keep], turn[keep])

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..elementary.arrays import cos_sin
 from ..errors import TrajectoryError
 from ..model.base import BY_SIZE
 from ..model.base.holonomic import moves_sideways
@@ -92,7 +93,7 @@ class Table(BasePath):
         from scipy.interpolate import CubicHermiteSpline, CubicSpline  # slow to import, seldom needed
 
         vx, vy, w = in_three(self.velocity)
-        c, s = np.cos(self.pose[:, 2]), np.sin(self.pose[:, 2])
+        c, s = cos_sin(self.pose[:, 2])
         rate = np.stack([vx * c - vy * s, vx * s + vy * c, w], axis=1)
         return CubicHermiteSpline(self.time, self.pose, rate), CubicSpline(self.time, self.velocity)
 
@@ -144,7 +145,7 @@ def check_followable(time: Array, pose: Array, velocity: Array, tolerance: float
     from scipy.interpolate import CubicSpline  # slow to import, seldom needed
 
     rate = CubicSpline(time, pose)(time, 1)
-    cos, sin = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    cos, sin = cos_sin(pose[:, 2])
     forward, sideways = rate[:, 0] * cos + rate[:, 1] * sin, rate[:, 1] * cos - rate[:, 0] * sin
     if tolerance is None:
         tolerance = max(1e-3, 0.02 * float(max(abs(rate).max(), abs(velocity).max())))

@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..elementary.arrays import cos_sin
 from ..errors import TrajectoryError
 from ..model.base import BY_SIZE
 from ..signals import Array, Dimensions, Measurement, Setpoint
@@ -62,8 +63,9 @@ class Sine(JointProfile):
         """See `JointProfile.sample`."""
         rate = 2 * np.pi / self.period
         angle = rate * times(t) + self.phase
-        swing = self.amplitude * np.sin(angle)
-        return JointSamples(self.offset + swing, self.amplitude * rate * np.cos(angle), -(rate**2) * swing)
+        cosine, sine = cos_sin(angle)
+        swing = self.amplitude * sine
+        return JointSamples(self.offset + swing, self.amplitude * rate * cosine, -(rate * rate) * swing)
 
 
 @dataclass(frozen=True)
@@ -146,8 +148,8 @@ class MinimumJerk(JointProfile):
         """See `JointProfile.sample`."""
         u = np.clip((times(t) - self.begin) / self.duration, 0, 1)
         by, T = self.goal - self.start, self.duration
-        q = self.start + by * u**3 * (10 - 15 * u + 6 * u**2)
-        return JointSamples(q, by / T * 30 * u**2 * (1 - u) ** 2, by / T**2 * 60 * u * (1 - u) * (1 - 2 * u))
+        q = self.start + by * u**2 * u * (10 - 15 * u + 6 * u**2)
+        return JointSamples(q, by / T * 30 * u**2 * (1 - u) ** 2, by / (T * T) * 60 * u * (1 - u) * (1 - 2 * u))
 
 
 class SetpointSource(Protocol):

@@ -7,9 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from ..elementary.matrices import pseudo_inverse
 from ..model.base import BY_SIZE
-from ..model.dynamics import Dynamics
 from ..model.robot import Robot, limits, speed_limits
+from ..model.tree.twin import Twin
 from ..settings import Numbers, Settings, one_or_each, require_numbers
 from ..signals import Array, Dimensions, IntArray
 from .supervisor import (
@@ -133,7 +134,7 @@ class Safety(Settings, frozen=True):
         torque = limits(self.torque, robot.effort_limits, "motor", "safety.torque")
         most = math.inf if self.joint_error is None else self.joint_error
         error = one_or_each(most, layout.arm, "joint", "safety.joint_error")
-        arrays = [numbers, torque, [*base, *joint_speed], gains, error, K, robot.E, np.linalg.pinv(robot.E)]
+        arrays = [numbers, torque, [*base, *joint_speed], gains, error, K, robot.E, pseudo_inverse(robot.E)]
         fixed = [np.array(array, float, order="C") for array in arrays]
         places = np.zeros((0, 2), np.int64) if weights is None else weights
         return Supervisor._make([True, *fixed, places, *views(new_state(layout) if values is None else values, layout)])
@@ -141,7 +142,7 @@ class Safety(Settings, frozen=True):
     def _calm_rate(self, robot: Robot, gains: Array) -> float:
         """`M qddot = g (K (e + I) - qdot)`, `Idot = rate e` is stable for `rate < g / M` (Routh); half at most."""
         nb = robot.dimensions.base
-        inertias = np.diag(Dynamics(robot).mass_matrix(robot.neutral_position()))[nb:]
+        inertias = np.diag(Twin(robot).mass_matrix(robot.neutral_position()))[nb:]
         return min(self.hold_rate, float(np.min(0.5 * gains[nb:] / inertias, initial=math.inf)))
 
 

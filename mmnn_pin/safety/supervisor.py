@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 from ..compiled import compiled, copy_to, spliced
+from ..elementary import hypot
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -183,11 +184,11 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
     for i in range(nb + n):
         speed = abs(row[at[VELOCITY] + i] if i < nb else row[at[QDOT] + i - nb])
         if moves_sideways(nb) and i < 2:  # the speed of a base that moves sideways, too
-            speed = math.hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
+            speed = hypot(row[at[VELOCITY]], row[at[VELOCITY] + 1])
         if speed > speeds[i]:
             trip(time, OVER_SPEED, i, speed, speeds[i], state)
     if at[POSE_ERROR + 1] > at[POSE_ERROR]:
-        away = math.hypot(row[at[POSE_ERROR]], row[at[POSE_ERROR] + 1])
+        away = hypot(row[at[POSE_ERROR]], row[at[POSE_ERROR] + 1])
         turned = abs(row[at[POSE_ERROR] + 2])
         if away > numbers[POSITION]:
             trip(time, OFF_PATH, 0, away, numbers[POSITION], state)

@@ -16,6 +16,7 @@ import math
 from typing import Any, NamedTuple
 
 from ..compiled import compiled, copy_to, spliced
+from ..elementary import cos_sin
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -217,7 +218,7 @@ class Odometry(NamedTuple):
                     if moves_sideways(self.W.shape[0]):
                         aside += self.W[1, j] * moved
                 heading = self.pose[2] + 0.5 * turn
-                c, s = math.cos(heading), math.sin(heading)
+                c, s = cos_sin(heading)
                 self.pose[0] += c * ahead - s * aside
                 self.pose[1] += s * ahead + c * aside
                 self.pose[2] += turn

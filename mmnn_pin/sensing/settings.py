@@ -8,6 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from ..elementary import exp
+from ..elementary.matrices import pseudo_inverse
+from ..elementary.normals import standard_normal
 from ..errors import ConfigError
 from ..model.robot import Robot
 from ..settings import Settings, one_or_each, require_gain
@@ -103,9 +106,9 @@ class Sensor(Settings, frozen=True):
         wheels, nw, n, p = self._wheels(robot), len(self._wheels(robot)), layout.arm, layout.dof
         W: Array = np.zeros((layout.base, 0))
         if wheels:
-            W = np.ascontiguousarray(np.linalg.pinv(robot.T[wheels, : layout.base]))
+            W = pseudo_inverse(robot.T[wheels, : layout.base])
         normal, uniform = rng.spawn(2)
-        normals = np.split(normal.standard_normal((count, nw + n + p + layout.pose)), [nw + n, nw + n + p], axis=1)
+        normals = np.split(standard_normal(normal, (count, nw + n + p + layout.pose)), [nw + n, nw + n + p], axis=1)
         uniforms = uniform.random((count, 2))
         angles, rates, poses = (np.ascontiguousarray(part) for part in normals)
         size = layout.pose + layout.base + 2 * n
@@ -158,8 +161,8 @@ class Sensor(Settings, frozen=True):
         if self.velocity == "filtered":
             return self.bandwidth * period / (1.0 + self.bandwidth * period), 0.0
         if self.velocity == "observer":
-            pole = math.exp(-self.bandwidth * period)
-            return 1.0 - pole**2, (1.0 - pole) ** 2 / period
+            pole = exp(-self.bandwidth * period)
+            return 1.0 - pole * pole, (1.0 - pole) * (1.0 - pole) / period
         return 1.0, 0.0
 
     def _per_encoder(self, wheels: int, joints: int, name: str, of_wheels: float) -> Array:

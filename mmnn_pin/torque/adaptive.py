@@ -31,9 +31,9 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from ..compiled import Matrix, Vector, compiled, layout_of, views
+from ..elementary.matrices import cholesky, inverse
 from ..errors import ConfigError
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_numbers
@@ -240,14 +240,14 @@ class Adaptive(ParameterLearner):
         """What it learns with, the gradient of the tracking error times a factor."""
         own, start = self.settings, self.start()
         scale, first, faster = scales(self.regressor, K), self.regressor.inertial, tempo(K, context.layout.base)
-        roots: Array = np.linalg.cholesky(pseudo_inertias(start[:first])).astype(np.float64)
+        roots = np.array([cholesky(P) for P in pseudo_inertias(start[:first])]).reshape(-1, 4, 4)
         rates = faster * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         bodies = Bodies(
             h=float(context.control_period),
             gamma=faster * float(own.rate),
             rho=float(own.bounds),
             roots=roots,
-            inverses=np.array([solve_triangular(C, np.eye(4), lower=True) for C in roots]).reshape(roots.shape),
+            inverses=np.array([inverse(C) for C in roots]).reshape(roots.shape),
             rates=rates,
             start=start[first:].copy(),
             top=np.maximum(own.friction_bound * scale, start[first:]),

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from ..compiled import Matrix, Vector, compiled, layout_of, views
+from ..elementary import exp
 from ..model.regressor import measured, regress
 from ..settings import Settings, plain, require_numbers
 from ..signals import Array, IntArray
@@ -240,7 +241,7 @@ def shortened(y: Array, a: Bodies) -> float:
         for i in range(4):
             for j in range(4):
                 a.steps[b, i, j] = root * y[16 * b + 4 * i + j]
-                square += a.steps[b, i, j] ** 2
+                square += a.steps[b, i, j] * a.steps[b, i, j]
         eta = min(eta, LARGEST / math.sqrt(square) if square > 0.0 else 1.0)
     for j in range(a.rates.size):
         a.rest[j] = math.sqrt(a.rates[j]) * y[16 * len(a.roots) + j]
@@ -289,7 +290,7 @@ class AdaptiveComposite(Adaptive):
             filter=new_filter(context.layout, h, own.pole),
             trust=1.0 / K,
             weight=float(own.weight) * every * h,
-            keep=float(np.exp(-every * h / own.forgetting_time)),
+            keep=float(exp(-every * h / own.forgetting_time)),
             every=every,
             gradient=np.zeros(k),
             velocity=np.zeros(k),

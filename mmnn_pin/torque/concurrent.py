@@ -27,6 +27,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ..compiled import Vector, compiled, layout_of, views
+from ..elementary import exp
+from ..elementary.matrices import svd, triangle
+from ..elementary.normals import standard_normal
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
@@ -186,7 +189,7 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
         consider(o.stack, a.scratch, a.Phi, a.y, row[at[TIME]], a.growth, a.lifetime)
         estimate_of(o.stack, a.target)
         into_ball(a.target, a.radius)
-        share = 1.0 - math.exp(-a.rate * a.every * a.h)
+        share = 1.0 - exp(-a.rate * a.every * a.h)
         for j in range(k):
             w[j] += share * (a.target[j] - w[j])
 
@@ -391,15 +394,15 @@ class Concurrent(ParameterLearner):
         """Regressors of random motion of unit speed, (samples, p, k0)."""
         rng, p = np.random.default_rng(seed), self.regressor.massless.nu.size
         place = self.regressor.random_position
-        return np.array([self.regressor.matrix(place(rng), *rng.standard_normal((3, p))) for _ in range(SAMPLES)])
+        return np.array([self.regressor.matrix(place(rng), *standard_normal(rng, (3, p))) for _ in range(SAMPLES)])
 
     @cached_property
     def _typical(self) -> tuple[Array, Array]:
         """Standard deviations of the prior (k0,), and orthonormal directions of the scaled parameters that matter."""
         deviation = self.settings.spread * self._sizes()
         Y = self.random_motion().reshape(-1, self.regressor.size) * deviation
-        _, singular, directions = np.linalg.svd(Y, full_matrices=False)
-        return deviation, np.ascontiguousarray(directions[singular > RANK * singular[0]].T)
+        _, singular, directions = svd(triangle(Y))
+        return deviation, np.ascontiguousarray(directions[:, singular > RANK * singular[0]])
 
     def _sizes(self) -> Array:
         """Sizes of the parameters, (k0,): of a typical robot, and of friction some of the gain that the joint feels."""

@@ -18,6 +18,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from ..compiled import Vector, compiled, layout_of, views
+from ..elementary import exp
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import CompiledController, Context, ControllerState, Feedback, Law
@@ -114,7 +115,7 @@ class DisturbanceObserver(CompiledController):
         """The numbers of the law; errors as of `positive_gains`."""
         K, h, own = self.positive_gains(context.layout), float(context.control_period), self.settings
         layout = layout_of(Observed, self.shapes(context))
-        observer = Observer(K, self.learning, own.gamma * h, math.exp(-own.leakage * h), own.bound * K, layout)
+        observer = Observer(K, self.learning, own.gamma * h, exp(-own.leakage * h), own.bound * K, layout)
         return Law(constant_gain(K), observer)
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import Matrix, Vector, compiled
+from ..elementary import exp
 from ..errors import ConfigError
 from ..signals import INDEX, Array, Dimensions, IntArray
 
@@ -101,13 +102,13 @@ def new_filter(layout: Dimensions, h: float, pole: float, state_pole: float = 0.
     for value in (pole, state_pole):
         if not (np.isfinite(value) and value >= 0):
             raise ConfigError(f"a filter's pole of {value} 1/s", fix="use a finite number >= 0; 0 is no filter")
-    keep, lag = (math.exp(-state_pole * h), 1.0 / (state_pole * h)) if state_pole else (0.0, 0.0)
+    keep, lag = (exp(-state_pole * h), 1.0 / (state_pole * h)) if state_pole else (0.0, 0.0)
     return Filter(
         h=float(h),
         keep=keep,
         fresh=1.0 - (1.0 - keep) * lag,
         lag=lag,
-        hold=math.exp(-pole * h) if pole else 0.0,
+        hold=exp(-pole * h) if pole else 0.0,
         wait=math.ceil(SETTLED * lag),
         pose=np.zeros(layout.pose),
         q=np.zeros(layout.arm),

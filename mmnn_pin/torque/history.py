@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import Cube, Matrix, Vector, compiled
+from ..elementary import log
 from ..signals import Array
 
 
@@ -268,7 +269,7 @@ def log_det(X: Array, factor: Array) -> float:
         return -math.inf
     total = 0.0
     for i in range(len(X)):
-        total += 2.0 * math.log(factor[i, i])
+        total += 2.0 * log(factor[i, i])
     return total
 
 

@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiled import layout_of
+from ..elementary.matrices import product
+from ..elementary.normals import standard_normal
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..settings import Settings, plain, require_at_most, require_numbers
@@ -278,8 +280,8 @@ class Kalman(CompiledController):
             learning=self.learning,
             every=every,
             interval=every * h,
-            noise=float(own.noise) ** 2,
-            answer=own.tracking / own.prior**2 * (K if m > 1 else np.array([1 / K.max()])),
+            noise=float(own.noise * own.noise),
+            answer=own.tracking / (own.prior * own.prior) * (K if m > 1 else np.array([1 / K.max()])),
             share=SHARE,
             drift=float(own.drift) * every * h,
             radius=own.bound * np.sqrt(k) * (K if m > 1 else np.ones(1)),
@@ -302,7 +304,7 @@ class Kalman(CompiledController):
         """No weights yet, the prior, and the random functions, drawn from the run's seed."""
         (_, k, m), random, state = self.shape, self.random(), super().init(context)
         if self.drawn is not None:
-            state["a"] = self.drawn.weights * context.rng.standard_normal(state["a"].shape)
+            state["a"] = self.drawn.weights * standard_normal(context.rng, state["a"].shape)
             state["b"] = context.rng.uniform(-1.0, 1.0, state["b"].shape)
         Phi, K = self.typical(state), self.feedback.vector(context.layout)
         scaled = Phi / K[:, None] if m == 1 else Phi
@@ -315,9 +317,9 @@ class Kalman(CompiledController):
         share /= share.sum()
         if random is not None and self.drawn is not None:
             rest = at_rest(random, k)
-            wide = (self.drawn.gravity * self.machine.strength(K) / self.settings.prior) ** 2
-            share[rest] *= max(1.0, wide / share[rest].sum())
-        state["prior"] = self.settings.prior**2 * share / np.where(matters, square, 1.0)
+            wide = self.drawn.gravity * self.machine.strength(K) / self.settings.prior
+            share[rest] *= max(1.0, wide * wide / share[rest].sum())
+        state["prior"] = self.settings.prior * self.settings.prior * share / np.where(matters, square, 1.0)
         state["D"] = state["prior"]
         return state
 
@@ -328,12 +330,12 @@ class Kalman(CompiledController):
         rows, k, _ = self.shape
         Phi = np.zeros((SAMPLES, rows, k))
         for one in Phi:
-            q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), rng.standard_normal((3, p))
+            q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), standard_normal(rng, (3, p))
             if random is not None:
                 fill(random, state["a"], state["b"], q, nu[: p - n], nu[p - n :], nu_ref, nudot_ref, one[0])
             elif self.regressor is not None:
                 known = self.regressor.massless
-                position = known.offset + known.arm @ q
+                position = known.offset + product(known.arm, q)
                 one[:] = self.regressor.matrix(position, nu, nu_ref, nudot_ref)
         return Phi
 

@@ -23,6 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compiled import Matrix, Vector, by_type, compiled, copy_to, layout_of, views
+from ..elementary.matrices import pseudo_inverse
 from ..signals import INDEX, Array, IntArray
 from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
 from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update
@@ -288,7 +289,7 @@ def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
     if not np.isfinite(effort).any():
         return None
     E = np.ascontiguousarray(E, dtype=float)
-    E_inv = np.ascontiguousarray(np.linalg.pinv(E))
+    E_inv = pseudo_inverse(E)
     return MotorLimits(E, E_inv, (1.0 - ROUNDING) * effort, np.zeros(effort.size), np.zeros(len(E)))
 
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import math
 import sys
 import traceback
 from abc import abstractmethod
@@ -250,9 +251,9 @@ def norms(weights: dict[str, Array], layout: Dimensions) -> tuple[float, float]:
     for array in weights.values():
         split = array.ndim == 2 and array.shape[1] == layout.dof
         first, rest = (array[:, : layout.base], array[:, layout.base :]) if split else (array, array[:0])
-        squares[0] += float(np.vdot(first, first))
-        squares[1] += float(np.vdot(rest, rest))
-    return squares[0] ** 0.5, squares[1] ** 0.5
+        squares[0] += float(np.sum(first * first))
+        squares[1] += float(np.sum(rest * rest))
+    return math.sqrt(squares[0]), math.sqrt(squares[1])
 
 
 def origin_of(kind: type[TorqueController]) -> dict[str, Any]:

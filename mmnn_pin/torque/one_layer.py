@@ -14,6 +14,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..compiled import compiled
+from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
 from ..signals import Array
@@ -86,9 +87,10 @@ def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Arra
     phi[:] = 0.0
     for i in range(x.size):
         for j in range(phi.size):
-            phi[j] += (x[i] - centres[i, j]) ** 2
+            away = x[i] - centres[i, j]
+            phi[j] += away * away
     for j in range(phi.size):
-        phi[j] = np.exp(-phi[j] / (2.0 * width * width))
+        phi[j] = exp(-phi[j] / (2.0 * width * width))
     return math.sqrt(weighted_sum(W, phi, psi_hat))
 
 

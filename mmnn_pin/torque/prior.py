@@ -14,6 +14,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
+from ..elementary.matrices import product
 from ..errors import ConfigError
 from ..model.regressor import BODY, Regressor
 from ..signals import Array, Layout
@@ -21,7 +22,7 @@ from .controller import CompiledController, Feedback, Given, Told, read_facts
 
 GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
 SAMPLES = 100  # of random positions
-POWERS = (0, 1, 1, 1, 2, 2, 2, 2, 2, 2)  # of the size in the ten numbers of a body
+POWERS = [0, 1, 1, 1, 2, 2, 2, 2, 2, 2]  # of the size in the ten numbers of a body
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +122,8 @@ def sizes_of(
 
     Arguments as in `prior_of`.
     """
-    found = np.array([mass[b != "root"] * size[b != "root"] ** np.array(POWERS) for b in regressor.bodies])
+    powers = [np.array([1.0, one, one * one])[POWERS] for one in size]
+    found = np.array([mass[b != "root"] * powers[b != "root"] for b in regressor.bodies])
     return np.asarray(found * lightness(regressor, balls(regressor, mass, size), K, slowest)[:, None]).ravel()
 
 
@@ -130,7 +132,7 @@ def balls(regressor: Regressor, mass: tuple[float, float], size: tuple[float, fl
     theta = np.zeros(regressor.size)
     for i, body in enumerate(regressor.bodies):
         theta[BODY * i] = mass[body != "root"]
-        theta[BODY * i + np.array([4, 7, 9])] = mass[body != "root"] * size[body != "root"] ** 2
+        theta[BODY * i + np.array([4, 7, 9])] = mass[body != "root"] * (size[body != "root"] * size[body != "root"])
     return theta
 
 
@@ -181,5 +183,5 @@ def gains_of(regressor: Regressor, feedback: Feedback) -> Array:
 def scales(regressor: Regressor, K: Array) -> Array:
     """c_j of rotors, viscous and dry friction, (k - 10 bodies,): the gain that each of them feels."""
     known = regressor.massless
-    joints = 1.0 / np.einsum("ki,i,ki->k", known.joints, 1.0 / K, known.joints)
+    joints = 1.0 / product(known.joints**2, 1.0 / K)
     return np.concatenate((joints, K[: known.base], joints, joints))

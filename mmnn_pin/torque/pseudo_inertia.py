@@ -15,9 +15,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import eigh
 
 from ..compiled import compiled
+from ..elementary import matrices
 from ..signals import Array
 
 BODY = 10  # numbers of a body
@@ -274,6 +274,10 @@ def vector_of(P: Array) -> Array:
 
 def lifted(P: Array, prior: Array) -> Array:
     """A pseudo-inertia with at least `FLOOR` times a prior, in every direction in which it has less."""
-    values, vectors = eigh(P, prior)
-    back = prior @ vectors
-    return np.asarray(back @ np.diag(np.maximum(values, FLOOR)) @ back.T)
+    root = matrices.cholesky(prior)
+    inward = matrices.inverse(root)
+    Q = matrices.product(inward, P, inward.T)
+    image, _, vectors = matrices.svd((Q + Q.T) / 2)
+    values = np.maximum((vectors * image).sum(axis=0), FLOOR)
+    back = matrices.product(root, vectors)
+    return matrices.product(back * values, back.T)

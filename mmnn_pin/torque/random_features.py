@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..compiled import compiled
+from ..elementary import tanh
 from ..signals import Array, IntArray
 
 BILINEAR, GENERIC = 0, 1
@@ -124,7 +125,7 @@ def fill(
     first = phi.size - 2 * p
     for i in range(p):
         speed = velocity[i] if i < nb else qdot[i - nb]
-        phi[first + i], phi[first + p + i] = speed, math.tanh(speed / r.eps)
+        phi[first + i], phi[first + p + i] = speed, tanh(speed / r.eps)
     nu, x = phi[first : first + p], r.x
     for i in range(n):
         x[i] = r.scale[i] * (q[i] - r.centre[i])
@@ -137,7 +138,7 @@ def fill(
         total = b[u]
         for i in range(r.inputs):
             total += a[u, i] * x[i]
-        r.g[u] = math.tanh(total)
+        r.g[u] = tanh(total)
     t, last = r.t, r.t.size - 1
     for i in range(p):
         t[i] = nudot_ref[i]

@@ -17,6 +17,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..compiled import compiled
+from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_at_most, require_gains
 from ..signals import Array
@@ -85,7 +86,7 @@ def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi
     hidden_input(V, x, net)
     squares = sum_of_squares(V, sigma)
     for j in range(net.size):
-        sigma[j] = 1.0 / (1.0 + np.exp(-net[j]))
+        sigma[j] = 1.0 / (1.0 + exp(-net[j]))
     return math.sqrt(squares + weighted_sum(W, sigma, psi_hat))
 
 

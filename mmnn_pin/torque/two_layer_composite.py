@@ -30,6 +30,7 @@ import numpy as np
 from scipy.special import expit
 
 from ..compiled import Matrix, Vector, compiled, copy_to, layout_of, views
+from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
@@ -237,21 +238,23 @@ def descend(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Ar
     for i in range(nx):
         inputs += x[i] * x[i]
     for j in range(h):
-        sigma[j] = 1.0 / (1.0 + np.exp(-net[j]))
+        sigma[j] = 1.0 / (1.0 + exp(-net[j]))
         slope = sigma[j] * (1.0 - sigma[j])
         square += sigma[j] * sigma[j]
         for i in range(m):
             e[i] -= W[j, i] * sigma[j]
-            square += inputs * (slope * W[j, i] / unit[i]) ** 2
+            part = slope * W[j, i] / unit[i]
+            square += inputs * (part * part)
     mu, sum_w, sum_v = a.rate / square, 0.0, 0.0
     if not math.isfinite(mu):
         return
     for j in range(h):
         back = 0.0
         for i in range(m):
-            back += W[j, i] * e[i] / unit[i] ** 2
+            back += W[j, i] * e[i] / (unit[i] * unit[i])
             W[j, i] += mu * sigma[j] * e[i]
-            sum_w += (W[j, i] / unit[i]) ** 2
+            part = W[j, i] / unit[i]
+            sum_w += part * part
         net[j] = mu * sigma[j] * (1.0 - sigma[j]) * back
     for i in range(nx):
         for j in range(h):

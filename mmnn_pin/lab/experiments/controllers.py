@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 import numpy as np
 
+from ...elementary.matrices import product
 from ...errors import ConfigError, InputError, UnknownName
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
@@ -218,7 +219,11 @@ class Granted:
 def machine_of(robot: Robot) -> Machine:
     """What a learner may know of a robot without knowing how it moves: names, and of its joints the ends and motors."""
     n, limits = robot.dimensions.arm, robot.effort_limits
-    joints = (np.abs(robot.E) @ limits)[robot.dimensions.dof - n :] if np.isfinite(limits).all() else np.full(n, np.inf)
+    joints = (
+        product(np.abs(robot.E), limits)[robot.dimensions.dof - n :]
+        if np.isfinite(limits).all()
+        else np.full(n, np.inf)
+    )
     return Machine(
         velocities=tuple(robot.velocity_names),
         lower=robot.lower[robot.arm_index],

@@ -9,18 +9,18 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from scipy.linalg import expm
 
 from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
+from ...elementary.matrices import exponential, inverse, product
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
 from ...loop.before_run import Bounds, Start, viscous_friction
 from ...loop.loop import PLANTS, Loop
 from ...model.base.overrides import Overrides
-from ...model.dynamics import Dynamics
 from ...model.loading import load_with
 from ...model.robot import Robot
+from ...model.tree.twin import Twin
 from ...plant.contact.feet import Contact
 from ...reference import Trajectory
 from ...safety import Safety
@@ -340,11 +340,11 @@ def effective_inertia(robot: Robot, trajectory: Trajectory, duration: float, per
         period: Control period [s].
         places: Instants, evenly spaced.
     """
-    dynamics, D, p = Dynamics(robot), viscous_friction(robot), robot.dimensions.dof
+    twin, D, p = Twin(robot), viscous_friction(robot), robot.dimensions.dof
     table = trajectory.table(np.linspace(0.0, duration, places), robot.dimensions)
     found = []
     for row in table:
-        M_inv = np.linalg.inv(dynamics.mass_matrix(Start().state(robot, row)[0]))
-        held = expm(np.block([[-M_inv @ D, M_inv], [np.zeros((p, 2 * p))]]) * period)
+        M_inv = inverse(twin.mass_matrix(Start().state(robot, row)[0]))
+        held = exponential(np.block([[-product(M_inv, D), M_inv], [np.zeros((p, 2 * p))]]) * period)
         found.append(period / np.diag(held[:p, p:]))
     return np.min(found, axis=0)

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtr, ndtri
 
+from ...elementary import exp, log
+from ...elementary.normals import probability, quantile
 from ...errors import ConfigError
 from ...settings import Settings
 from ...signals import Array
@@ -123,9 +124,9 @@ class Factor(Settings, frozen=True):
         middle, deviation = getattr(self, self.kind)
         lower, upper = self.within
         if self.kind == "log_normal":
-            middle = math.log(middle)
-            lower, upper = (math.log(bound) if bound > 0 else -math.inf for bound in (lower, upper))
-        return float(ndtr((lower - middle) / deviation)), float(ndtr((upper - middle) / deviation))
+            middle = log(middle)
+            lower, upper = (log(bound) if bound > 0 else -math.inf for bound in (lower, upper))
+        return probability((lower - middle) / deviation), probability((upper - middle) / deviation)
 
 
 def impossible(kind: str, numbers: tuple[float, ...]) -> str:
@@ -182,9 +183,9 @@ def triangular(numbers: tuple[float, float, float], u: float) -> float:
 
 QUANTILES: dict[str, Callable[[Any, float], float]] = {
     "uniform": lambda ends, u: ends[0] + u * (ends[1] - ends[0]),
-    "log_uniform": lambda ends, u: ends[0] * math.exp(u * math.log(ends[1] / ends[0])),
-    "normal": lambda numbers, u: numbers[0] + numbers[1] * float(ndtri(u)),
-    "log_normal": lambda numbers, u: numbers[0] * np.exp(numbers[1] * ndtri(u)),
+    "log_uniform": lambda ends, u: ends[0] * exp(u * log(ends[1] / ends[0])),
+    "normal": lambda numbers, u: numbers[0] + numbers[1] * quantile(u),
+    "log_normal": lambda numbers, u: numbers[0] * exp(numbers[1] * quantile(u)),
     "triangular": triangular,
 }
 

@@ -17,13 +17,14 @@ mecanum wheel's.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from ...elementary import cos, cos_sin
+from ...elementary.matrices import product
 from ...signals import Array
 
 
@@ -54,8 +55,8 @@ class Wheel:
     def grip(self) -> Array:
         """(3,) row on the control frame's `(vx, vy, w)`: the rim's speed `sign r thetadot` that it imposes [m/s]."""
         roller = self.roller or 0.0
-        a = math.cos(self.heading + roller), math.sin(self.heading + roller)
-        return np.array([a[0], a[1], a[1] * self.x - a[0] * self.y]) / math.cos(roller)
+        a = cos_sin(self.heading + roller)
+        return np.array([a[0], a[1], a[1] * self.x - a[0] * self.y]) / cos(roller)
 
 
 class LinearErrors(NamedTuple):
@@ -180,14 +181,14 @@ class Base:
     def to_control(self) -> Array:
         """(3, 3) map from the root's planar velocity `(vx, vy, w)` to the control frame's, each in its own axes."""
         x, y, psi = self.frame
-        c, s = math.cos(psi), math.sin(psi)
+        c, s = cos_sin(psi)
         return np.array([[c, s, s * x - c * y], [-s, c, c * x + s * y], [0.0, 0.0, 1.0]])
 
     @cached_property
     def root_map(self) -> Array:
         """(3, nb) map from the base velocity to the root's planar velocity; an axle at x = a gives vy = -a w."""
         x, y, psi = self.frame
-        c, s = math.cos(psi), math.sin(psi)
+        c, s = cos_sin(psi)
         return np.array([[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]])[:, self.columns]
 
     @cached_property
@@ -204,7 +205,7 @@ class Base:
     @cached_property
     def rolling_rows(self) -> Array:
         """(number of wheels, 3) speed of each wheel's rim from the root's planar velocity."""
-        return np.array([w.grip @ self.to_control for w in self.wheels]).reshape(-1, 3)
+        return np.array([product(w.grip, self.to_control) for w in self.wheels]).reshape(-1, 3)
 
 
 class Fixed(Base):

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar
 
 import numpy as np
 
 from ...compiled import compiled
+from ...elementary import cos_sin
 from ...signals import Array
 from .base import Base, LinearErrors, PoseEnergy
 
@@ -73,7 +73,7 @@ def kanayama(
     ex, ey, ephi = error[0], error[1], error[2]
     vr, wr, v, w = v_ref[0], v_ref[1], velocity[0], velocity[1]
     kx, ky, kth = gains[0], gains[1], gains[2]
-    c, s = math.cos(ephi), math.sin(ephi)
+    c, s = cos_sin(ephi)
     exdot, eydot, ephidot = w * ey - v + vr * c, -w * ex + vr * s, wr - w  # Eqn. 3.2
     speed, speed_dot = abs(vr), a_ref[0] if vr > 0.0 else -a_ref[0]
     if vr == 0.0:

@@ -18,6 +18,7 @@ from lxml import etree
 
 from mmnn_pin.signals import Array
 
+from ...elementary import atan2
 from ..urdf.shapes import HORIZONTAL, AtRest
 from ..urdf.xml import number_problem
 from .wheels import Candidate
@@ -92,7 +93,7 @@ def roller_angle(rest: AtRest, wheel: Candidate) -> float:
 def from_rolling(wheel: Candidate, axis: Array) -> float:
     """Angle of a line on the floor from a wheel's rolling direction, counterclockwise from above [rad]."""
     forward = (wheel.axis[1], -wheel.axis[0])
-    angle = math.atan2(forward[0] * axis[1] - forward[1] * axis[0], forward[0] * axis[0] + forward[1] * axis[1])
+    angle = atan2(forward[0] * axis[1] - forward[1] * axis[0], forward[0] * axis[0] + forward[1] * axis[1])
     return math.remainder(angle, math.pi)
 
 

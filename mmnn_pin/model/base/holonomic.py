@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar
 
 import numpy as np
 
 from ...compiled import compiled, spliced
+from ...elementary import cos_sin
 from ...signals import Array
 from .base import Base, LinearErrors, PoseEnergy
 
@@ -80,7 +80,7 @@ def holonomic_command(
         alphadot: (3,) written: its derivative [m/s^2, m/s^2, rad/s^2].
     """
     ex, ey, ephi = error[0], error[1], error[2]
-    c, s, w = math.cos(ephi), math.sin(ephi), velocity[2]
+    (c, s), w = cos_sin(ephi), velocity[2]
     ux, uy = c * v_ref[0] - s * v_ref[1], s * v_ref[0] + c * v_ref[1]
     exdot, eydot, ephidot = w * ey - velocity[0] + ux, -w * ex - velocity[1] + uy, v_ref[2] - w
     alpha[0] = ux + gains[0] * ex

@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...elementary import atan2, hypot
+from ...elementary.matrices import product
 from ...errors import ConfigError, UnknownName
 from ...signals import Array
 from ..urdf.finding import Finding
@@ -121,7 +123,7 @@ def frame_of(
     return kind(
         wheels=tuple(placed),
         track=track,
-        frame=np.array([*middle, math.atan2(forward[1], forward[0])]),
+        frame=np.array([*middle, atan2(forward[1], forward[0])]),
         floor=float(np.mean([c.bottom for c in drives])),
         casters=in_order(rest, set(casters) - set(suspensions)),
         suspensions=in_order(rest, suspensions),
@@ -131,16 +133,17 @@ def frame_of(
 
 def rolling(candidate: Candidate) -> Array:
     """(2,) direction that positive joint velocity rolls a wheel in."""
-    return np.array([candidate.axis[1], -candidate.axis[0]]) / np.hypot(*candidate.axis[:2])
+    return np.array([candidate.axis[1], -candidate.axis[0]]) / hypot(candidate.axis[0], candidate.axis[1])
 
 
 def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bool, overrides: Overrides) -> Wheel:
     """The wheel in the control frame; parallel wheels have a sign, others a heading of their own."""
     direction, radius = rolling(c), overrides.radius or c.radius
-    sign = math.copysign(1.0, direction @ forward) if alike else 1.0
-    heading = 0.0 if alike else math.atan2(direction @ left, direction @ forward)
-    x = 0.0 if abs(at @ forward) < 1e-12 else float(at @ forward)
-    return Wheel(c.joint.name, radius, sign, y=float(at @ left), x=x, heading=heading)
+    sign = math.copysign(1.0, product(direction, forward)) if alike else 1.0
+    heading = 0.0 if alike else atan2(float(product(direction, left)), float(product(direction, forward)))
+    x, y = float(product(at, forward)), float(product(at, left))
+    x = 0.0 if abs(x) < 1e-12 else x
+    return Wheel(c.joint.name, radius, sign, y=y, x=x, heading=heading)
 
 
 def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:

@@ -13,10 +13,9 @@ Echeandia and Wensing 2021, in moments). Symbols as in `mmnn_pin.model.tree.moti
 
 from __future__ import annotations
 
-import math
-
 from mmnn_pin.compiled import compiled, inlined, spliced
 
+from ...elementary import cos_sin
 from .motion import (
     AT,
     BASE,
@@ -47,7 +46,7 @@ def _gravity(gravity: Vector, frame: Vector, level: int, position: Array) -> Vec
     """Gravity in O."""
     x, y, z = gravity
     if not level:
-        c, s = math.cos(position[2] - frame[2]), math.sin(position[2] - frame[2])
+        c, s = cos_sin(position[2] - frame[2])
         x, y = c * x + s * y, c * y - s * x
     return x, y, z
 
@@ -253,7 +252,7 @@ def potential_energy(tree: Tree, position: Array, scratch: Array) -> float:
         energy -= dot(g, along(first_moment(numbers, i, scratch), get(scratch, i, AT.origin), m))
         mass += m
     if not tree.level:
-        c, s = math.cos(position[2] - frame[2]), math.sin(position[2] - frame[2])
+        c, s = cos_sin(position[2] - frame[2])
         x = position[0] - c * frame[0] + s * frame[1]
         y = position[1] - s * frame[0] - c * frame[1]
         energy -= mass * (tree.gravity[0] * x + tree.gravity[1] * y)

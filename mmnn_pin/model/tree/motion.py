@@ -10,13 +10,14 @@ All tables have one row per velocity `(vx, vy, w)` of the base, whose body is in
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mmnn_pin.compiled import compiled, inlined, spliced
+
+from ...elementary import cos_sin
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -195,7 +196,7 @@ def locate(links: Indices, numbers: Array, position: Array, i: int, scratch: Arr
     rx, ry, rz = get(numbers, i, k), get(numbers, i, k + 3), get(numbers, i, k + 6)
     lever, c, s = get(numbers, i, NUMBER.origin), 1.0, 0.0
     if links[i, LINK.kind] == REVOLUTE:
-        c, s = math.cos(q), math.sin(q)
+        c, s = cos_sin(q)
     else:
         lever = along(lever, (rx[2], ry[2], rz[2]), q)
     for row in range(3):

@@ -14,7 +14,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from ...elementary.matrices import length, product
 from ...errors import RobotError
+from ..urdf.shapes import rotation
 from .dynamics import psi_again, terms
 from .motion import BASE, NUMBER, PRISMATIC, REVOLUTE, Array, Tree, Vector, new_scratch
 
@@ -74,7 +76,7 @@ def flatten(
     frame = _array("control_frame", control_frame, (3,))
     _refuse(model)
     bodies = _lump(model, T, rest)
-    rotors = T.T @ np.diag(model.armature) @ T
+    rotors = product(T.T, model.armature[:, None] * T)
     if absorb:
         rotors = rotors + _absorb_wheels(bodies, T, _mobile(model))
     tree = _tables(model, bodies, T, rotors, frame)
@@ -129,15 +131,15 @@ def _lump(model: pin.Model, T: Array, rest: Array) -> list[_Body]:
         body, at = where[model.parents[j]]
         joint, k = model.joints[j], model.idx_vs[j]
         if joint.nv == 1:
-            at = at @ model.jointPlacements[j].homogeneous
+            at = product(at, model.jointPlacements[j].homogeneous)
             kind, axis = _axis(joint)
             if T[k].any():
                 turned = _turned(tuple(axis))
-                body, at = _Body(body, kind, k, at @ turned), turned.T
+                body, at = _Body(body, kind, k, product(at, turned)), turned.T
                 bodies.append(body)
             else:
-                at = at @ _displaced(kind, axis, rest[k])
-        body.moments += at @ _moments(model.inertias[j]) @ at.T
+                at = product(at, _displaced(kind, axis, rest[k]))
+        body.moments += product(at, _moments(model.inertias[j]), at.T)
         where.append((body, at))
     return bodies
 
@@ -151,7 +153,7 @@ def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:
         if body.kind != REVOLUTE or off.max() > 1e-15 * np.abs(P).max():
             continue
         bodies.remove(body)
-        bodies[0].moments += body.placement @ P @ body.placement.T
+        bodies[0].moments += product(body.placement, P, body.placement.T)
         carried = body.placement[2, 2] * turn
         spin = T[body.velocity] + carried
         rotors += (P[0, 0] + P[1, 1]) * (np.outer(spin, spin) - np.outer(carried, carried))
@@ -162,7 +164,7 @@ def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, fram
     """The arrays of a tree."""
     mobile, weight = _mobile(model), sum(b.moments[3, 3] for b in bodies) * model.gravity.linear
     root = model.jointPlacements[1] if mobile else pin.SE3.Identity()
-    gravity = root.rotation.T @ model.gravity.linear
+    gravity = product(root.rotation.T, model.gravity.linear)
     rows = [_Body(), _Body(), *bodies]  # two more velocities of the base
     row_of = {id(body): i for i, body in enumerate(rows)}
     T_rows = [*(T[:3] if mobile else np.zeros((3, T.shape[1]))), *(T[b.velocity] for b in bodies[1:])]
@@ -181,7 +183,7 @@ def _tables(model: pin.Model, bodies: list[_Body], T: Array, rotors: Array, fram
         gravity=(gravity[0], gravity[1], gravity[2]),
         frame=(frame[0], frame[1], frame[2]),
         level=int(not (mobile and gravity[:2].any())),
-        root_energy=-float(weight @ root.translation),
+        root_energy=-float(product(weight, root.translation)),
     )
 
 
@@ -204,14 +206,14 @@ def _homogeneous(rotation: Array, translation: Array) -> Array:
 def _turned(axis: tuple[float, float, float]) -> Array:
     """Rotation whose z is the axis, homogeneous; a permutation with signs where the axis is one of x, y, z."""
     x = np.cross(np.eye(3)[np.argmin(np.abs(axis))], axis)
-    x /= np.linalg.norm(x)
+    x /= length(x)
     return _homogeneous(np.column_stack((x, np.cross(axis, x), axis)), np.zeros(3))
 
 
 def _displaced(kind: int, axis: Array, q: float) -> Array:
     """Placement of a body after its joint has moved by q."""
     if kind == REVOLUTE:
-        return _homogeneous(pin.exp3(axis * q), np.zeros(3))
+        return rotation(axis, q)
     return _homogeneous(np.eye(3), axis * q)
 
 

@@ -12,6 +12,7 @@ from lxml import etree
 
 from mmnn_pin.signals import Array
 
+from ...elementary import cos, sin
 from .finding import Finding
 from .xml import number, numbers
 
@@ -189,8 +190,8 @@ def placement(origin: etree._Element | None) -> Array:
 def transform(xyz: tuple[float, ...], rpy: tuple[float, ...]) -> Array:
     """(4, 4) transform of an offset and angles, read-only: the same origins are asked for again and again."""
     (x, y, z), (roll, pitch, yaw) = xyz, rpy
-    cr, cp, cy = math.cos(roll), math.cos(pitch), math.cos(yaw)
-    sr, sp, sy = math.sin(roll), math.sin(pitch), math.sin(yaw)
+    cr, cp, cy = cos(roll), cos(pitch), cos(yaw)
+    sr, sp, sy = sin(roll), sin(pitch), sin(yaw)
     matrix = np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr, x],

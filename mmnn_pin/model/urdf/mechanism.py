@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from lxml import etree
 
+from ...elementary.matrices import product
 from ...signals import Array
 from .document import Joint, Tree, placement
 from .finding import Finding, finding
@@ -236,7 +237,7 @@ class Part:
         if inertial is None:
             return cls(link, 0.0, pose, np.zeros((3, 3)))
         parts = {part.tag: part for part in reversed(inertial)}  # of several the first one counts
-        frame, element = pose @ placement(parts.get("origin")), parts.get("inertia")
+        frame, element = product(pose, placement(parts.get("origin"))), parts.get("inertia")
         xx, xy, xz, yy, yz, zz = [number(element, key, 0.0) for key in INERTIA]
         inertia = np.array([xx, xy, xz, xy, yy, yz, xz, yz, zz]).reshape(3, 3)
         return cls(link, number(parts.get("mass"), "value", 0.0), frame, inertia)

@@ -18,6 +18,8 @@ from typing import Literal
 import numpy as np
 from lxml import etree
 
+from ...elementary import cos_sin, hypot
+from ...elementary.matrices import length, product
 from ...signals import Array
 from .document import Document, Joint, placement
 from .xml import number, numbers, vector
@@ -71,7 +73,7 @@ class Shape:
         if self.kind == "sphere":
             return float(height - self.radius)
         if self.kind == "cylinder":
-            return float(height - self.radius * math.hypot(x, y) - self.half[2] * abs(z))
+            return float(height - self.radius * hypot(x, y) - self.half[2] * abs(z))
         a, b, c = self.half.tolist()
         return float(height - a * abs(x) - b * abs(y) - c * abs(z))
 
@@ -96,14 +98,14 @@ class AtRest:
         while pending:
             link = pending.pop()
             for joint in self.document.children[link]:
-                at_zero = placements[link] @ joint.origin
-                placements[joint.child] = at_zero @ motion(joint, joint.rest) if joint.rest else at_zero
+                at_zero = product(placements[link], joint.origin)
+                placements[joint.child] = product(at_zero, motion(joint, joint.rest)) if joint.rest else at_zero
                 pending.append(joint.child)
         return placements
 
     def axis(self, joint: Joint) -> Array:
         """(3,) axis of a joint."""
-        return self.placements[joint.child][:3, :3] @ joint.axis
+        return product(self.placements[joint.child][:3, :3], joint.axis)
 
     def hub(self, joint: Joint) -> Array:
         """(3,) origin of a joint's child link [m]."""
@@ -137,14 +139,14 @@ class AtRest:
         for holder in self.document.links[link].iterchildren(tag):
             body = next((body for body in holder.iterfind("geometry/*") if body.tag in SHAPES), None)
             if body is not None and body.tag in kinds:
-                pose = self.placements[link] @ placement(holder.find("origin"))
+                pose = product(self.placements[link], placement(holder.find("origin")))
                 yield self.mesh(body, pose) if body.tag == "mesh" else primitive(body, pose)
 
     def mesh(self, body: etree._Element, pose: Array) -> Shape:
         """Shape of a `<mesh>`."""
         points = mesh_points(self.document.path, body.get("filename", ""), self.package_dirs)
         with np.errstate(over="ignore", invalid="ignore"):
-            points = points * vector(body, "scale", (1.0, 1.0, 1.0)) @ pose[:3, :3].T + pose[:3, 3]
+            points = product(points * vector(body, "scale", (1.0, 1.0, 1.0)), pose[:3, :3].T) + pose[:3, 3]
         return Shape("mesh", pose, 0.0, np.zeros(3), points if np.isfinite(points).all() else np.zeros((0, 3)))
 
     @property
@@ -164,7 +166,7 @@ class AtRest:
     def centre(self, link: str) -> Array:
         """(3,) centre of mass of a link [m]."""
         origin, at = self.document.links[link].find("inertial/origin"), self.placements[link]
-        return at[:3, :3] @ numbers(origin, "xyz") + at[:3, 3]
+        return product(at[:3, :3], numbers(origin, "xyz")) + at[:3, 3]
 
     def bottom(self, link: str) -> float:
         """How low a link reaches, as far as primitives tell, else its centre of mass; inf for an empty one [m]."""
@@ -188,9 +190,15 @@ def motion(joint: Joint, position: float) -> Array:
     if joint.type == "prismatic":
         result[:3, 3] = position * joint.axis
     elif joint.type in ("revolute", "continuous"):
-        x, y, z = joint.axis
-        K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        result[:3, :3] += math.sin(position) * K + (1 - math.cos(position)) * K @ K  # Rodrigues
+        return rotation(joint.axis, position)
+    return result
+
+
+def rotation(axis: Array, angle: float) -> Array:
+    """(4, 4) rotation about an axis (3,) of unit length through the origin (Rodrigues) [rad]."""
+    (x, y, z), result, (c, s) = axis, np.eye(4), cos_sin(angle)
+    K = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    result[:3, :3] += s * K + (1 - c) * product(K, K)
     return result
 
 
@@ -199,19 +207,21 @@ def round_about(shape: Shape, hub: Array, axis: Array) -> tuple[float, float] | 
     if shape.kind == "mesh":
         return mesh_round_about(shape.points - hub, axis)
     offset = shape.pose[:3, 3] - hub
-    travel = float(offset @ axis)
-    centred = np.linalg.norm(offset - travel * axis) <= AROUND * shape.radius
+    travel = float(product(offset, axis))
+    centred = length(offset - travel * axis) <= AROUND * shape.radius
     aligned = shape.kind == "sphere" or abs(shape.pose[:3, 2] @ axis) > 1 - HORIZONTAL**2
     return (shape.radius, travel) if shape.kind in ("sphere", "cylinder") and centred and aligned else None
 
 
 def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
     """The same for vertices: they must reach equally far in all directions across the axis."""
-    along = points @ axis
+    along = product(points, axis)
     across = points - np.outer(along, axis)
     radius = float(np.linalg.norm(across, axis=1).max())
     side = np.cross(axis, [0.0, 0.0, 1.0])  # the axis is horizontal
-    reach = [(across @ direction).max() for direction in (side, -side, np.cross(axis, side), np.cross(side, axis))]
+    reach = [
+        product(across, direction).max() for direction in (side, -side, np.cross(axis, side), np.cross(side, axis))
+    ]
     if radius <= 0 or min(reach) < (1 - 2 * AROUND) * radius:
         return None
     return radius, float(along.min() + along.max()) / 2

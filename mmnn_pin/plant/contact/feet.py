@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 import pinocchio as pin
 
+from ...elementary import cos_sin
 from ...errors import ConfigError, RobotError
 from ...model.base.overrides import folders_of
 from ...model.robot import Robot
@@ -155,7 +156,7 @@ def at_origin(robot: Robot) -> Array:
 def wheel_feet(robot: Robot, data: pin.Data) -> Iterator[Foot]:
     """One foot per drive wheel, its centre on the wheel's axis."""
     x, y, psi = robot.frame
-    c, s = math.cos(psi), math.sin(psi)
+    c, s = cos_sin(psi)
     for wheel in robot.base.wheels:
         j = robot.model.getJointId(wheel.joint)
         hub, axis = data.oMi[j].translation, data.oMi[j].rotation @ turning_axis(data, j)

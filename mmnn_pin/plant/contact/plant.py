@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...model.dynamics import Dynamics
+from ...elementary import arrays, cos_sin, hypot
+from ...elementary.matrices import pseudo_inverse
 from ...model.robot import Robot
+from ...model.tree.twin import terms_of
 from ...signals import Array, Layout
 from .. import NO_PUSH
 from .feet import Contact, feet_of
@@ -118,11 +120,11 @@ class ContactPlant:
         self.steps = math.ceil(dt / self.contact.step - 1e-9)
         self.feet, self.h = feet_of(robot), dt / self.steps
         self.model = compile_tree(robot, self.feet, self.contact, self.h, method)
-        self.data, self.dynamics = self.mj.MjData(self.model), Dynamics(robot)
+        self.data, self.dynamics = self.mj.MjData(self.model), terms_of(robot)
         nv, p, wheels = robot.dimensions.full, robot.dimensions.dof, len(self.feet.wheels)
         self.y = np.zeros(nv + p + 1)
         self.position, self.nu = self.y[:nv], self.y[nv : nv + p]
-        self.velocity, self.to_motors = np.zeros(nv), np.linalg.pinv(robot.E)
+        self.velocity, self.to_motors = np.zeros(nv), pseudo_inverse(robot.E)
         self.base = FreeBase(robot) if robot.dimensions.base else None
         self.motion: BaseMotion | None = None
         self._index()
@@ -170,7 +172,7 @@ class ContactPlant:
         """Go on with a robot that carries more."""
         before, self.robot = self.data, robot
         self.model = compile_tree(robot, self.feet, self.contact, self.h, self.method)
-        self.data, self.dynamics = self.mj.MjData(self.model), Dynamics(robot)
+        self.data, self.dynamics = self.mj.MjData(self.model), terms_of(robot)
         for name in ("qpos", "qvel", "qacc_warmstart"):
             getattr(self.data, name)[:] = getattr(before, name)
         self.friction = Friction(robot, self.moving, self.at_v, self.model)
@@ -249,14 +251,14 @@ class ContactPlant:
         """Constraint residual and the speed of the contact points."""
         if self.base is not None:
             self.residual[0] = np.linalg.norm(self.robot.A @ self.velocity)
-            self.speed[:] = np.hypot(self.along @ self.velocity, self.across @ self.velocity)
+            self.speed[:] = arrays.hypot(self.along @ self.velocity, self.across @ self.velocity)
         self.slip.take(self.speed)
 
     def _take_floor(self) -> None:
         """Friction under every wheel, where it now is."""
         assert self.motion is not None
         x, y, heading = self.motion.pose
-        c, s = math.cos(heading), math.sin(heading)
+        c, s = cos_sin(heading)
         for pair, wheel in zip(self.pairs, self.robot.base.wheels, strict=True):
             place = x + c * wheel.x - s * wheel.y, y + s * wheel.x + c * wheel.y
             self.model.pair_friction[pair, :2] = max(NO_FRICTION, self.contact.at(*place))
@@ -272,5 +274,5 @@ class ContactPlant:
             self.mj.mj_contactForce(self.model, data, i, self._wrench)
             normal, grip = self._wrench[0], contact.friction[0]
             if normal > 0:
-                use = math.hypot(self._wrench[1], self._wrench[2]) / (grip * normal)
+                use = hypot(self._wrench[1], self._wrench[2]) / (grip * normal)
                 self.traction[wheel] = max(self.traction[wheel], use)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ...elementary import arrays, atan2, cos, cos_sin, hypot, sin
 from ...errors import ConfigError, RobotError
 from ...model.reduction import COULOMB_SPEED
 from ...model.robot import Robot
@@ -196,10 +197,10 @@ class FreeBase:
             qvel: (6,) written.
         """
         heading = pose[2] - self.psi
-        c, s = math.cos(heading), math.sin(heading)
+        c, s = cos_sin(heading)
         x, y, _ = self.origin
         qpos[:3] = pose[0] - c * x + s * y, pose[1] - s * x - c * y, -TOUCH
-        qpos[3:] = math.cos(heading / 2), 0.0, 0.0, math.sin(heading / 2)
+        qpos[3:] = cos(heading / 2), 0.0, 0.0, sin(heading / 2)
         vx, vy, w = velocity
         qvel[:] = c * vx - s * vy, s * vx + c * vy, 0.0, 0.0, 0.0, w
 
@@ -208,8 +209,8 @@ class FreeBase:
         R = rotation(qpos[3:])
         lever, omega = R @ self.origin, R @ qvel[3:]
         v = qvel[:3] + cross(omega, lever)
-        heading = math.atan2(R[1, 0], R[0, 0]) + self.psi
-        c, s = math.cos(heading), math.sin(heading)
+        heading = atan2(R[1, 0], R[0, 0]) + self.psi
+        c, s = cos_sin(heading)
         pose = np.array([qpos[0] + lever[0], qpos[1] + lever[1], heading])
         return BaseMotion(pose, np.array([c * v[0] + s * v[1], c * v[1] - s * v[0], omega[2]]), R, lever)
 
@@ -228,7 +229,7 @@ def rotation(quaternion: Array) -> Array:
 
 def tilt(quaternion: Array) -> float:
     """Angle of the z axis of a unit quaternion (w, x, y, z) from the vertical [rad]."""
-    return 2 * math.asin(min(1.0, math.hypot(quaternion[1], quaternion[2])))
+    return 2 * math.asin(min(1.0, hypot(quaternion[1], quaternion[2])))
 
 
 def cross(a: Array, b: Array) -> Array:
@@ -262,8 +263,8 @@ class Friction:
             self.held = bool(hold.any())
             v = data.qvel[self.at]
             slow = np.abs(v) < 1e-6 * COULOMB_SPEED
-            level = hold + self.dry[:, 0] + self.dry[:, 1] * np.exp(-((v / self.dry[:, 2]) ** 2))
-            ratio = np.tanh(v / COULOMB_SPEED) / np.where(slow, 1.0, v)
+            level = hold + self.dry[:, 0] + self.dry[:, 1] * arrays.exp(-((v / self.dry[:, 2]) ** 2))
+            ratio = arrays.tanh(v / COULOMB_SPEED) / np.where(slow, 1.0, v)
             self.model.dof_damping[self.at] = self.damping + level * np.where(slow, 1 / COULOMB_SPEED, ratio)
         if self.on_base and motion is not None:
             v, _, w = motion.velocity
@@ -280,7 +281,7 @@ class Friction:
 
 def on_base(data: Any, motion: BaseMotion, forward: float, turning: float) -> None:
     """Add a force along the heading at the control frame [N], and a torque about the vertical [N m]."""
-    c, s = math.cos(motion.pose[2]), math.sin(motion.pose[2])
+    c, s = cos_sin(motion.pose[2])
     force = np.array([c * forward, s * forward, 0.0])
     moment = cross(motion.lever, force)
     moment[2] += turning

@@ -1,0 +1,92 @@
+"""The elementary functions for every number of an array; numpy's vectorised ones differ by processor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..compiled import compiled
+from . import angles, exponentials, two_doubles
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def fill_cos_sin(x: Array, cosine: Array, sine: Array) -> None:
+    """Cosines and sines of x."""
+    for i in range(x.size):
+        cosine[i], sine[i] = angles.cos_sin(x[i])
+
+
+@compiled
+def fill_exp(x: Array, out: Array) -> None:
+    """Exponentials of x."""
+    for i in range(x.size):
+        out[i] = exponentials.exp(x[i])
+
+
+@compiled
+def fill_tanh(x: Array, out: Array) -> None:
+    """Hyperbolic tangents of x."""
+    for i in range(x.size):
+        out[i] = exponentials.tanh(x[i])
+
+
+@compiled
+def fill_hypot(x: Array, y: Array, out: Array) -> None:
+    """Lengths of (x, y)."""
+    for i in range(x.size):
+        out[i] = two_doubles.hypot(x[i], y[i])
+
+
+@compiled
+def fill_atan2(y: Array, x: Array, out: Array) -> None:
+    """Angles of (x, y)."""
+    for i in range(x.size):
+        out[i] = angles.atan2(y[i], x[i])
+
+
+def filled(fill: Callable[..., None], count: int, *given: ArrayLike) -> list[Array]:
+    """What a loop over numbers writes into `count` arrays of the shape that the given ones have together."""
+    arrays = np.broadcast_arrays(*(np.asarray(one, float) for one in given))
+    out = [np.empty(arrays[0].shape) for _ in range(count)]
+    fill(*(np.array(one).ravel() for one in arrays), *(one.reshape(-1) for one in out))
+    return out
+
+
+def cos_sin(x: ArrayLike) -> tuple[Array, Array]:
+    """Cosines and sines of angles [rad]."""
+    cosine, sine = filled(fill_cos_sin, 2, x)
+    return cosine, sine
+
+
+def cos(x: ArrayLike) -> Array:
+    """Cosines of angles [rad]."""
+    return cos_sin(x)[0]
+
+
+def sin(x: ArrayLike) -> Array:
+    """Sines of angles [rad]."""
+    return cos_sin(x)[1]
+
+
+def exp(x: ArrayLike) -> Array:
+    """`e^x`."""
+    return filled(fill_exp, 1, x)[0]
+
+
+def tanh(x: ArrayLike) -> Array:
+    """Hyperbolic tangents."""
+    return filled(fill_tanh, 1, x)[0]
+
+
+def hypot(x: ArrayLike, y: ArrayLike) -> Array:
+    """`sqrt(x^2 + y^2)`."""
+    return filled(fill_hypot, 1, x, y)[0]
+
+
+def atan2(y: ArrayLike, x: ArrayLike) -> Array:
+    """Angles of the points (x, y) [rad]."""
+    return filled(fill_atan2, 1, y, x)[0]
