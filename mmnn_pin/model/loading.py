@@ -33,6 +33,7 @@ from .base.understanding import find_base
 from .robot import Robot, read_only
 from .robots import find
 from .urdf.document import Document, Joint
+from .urdf.finding import excused
 from .urdf.reading import read
 from .urdf.shapes import AtRest
 
@@ -60,22 +61,28 @@ def load(
     free: Sequence[str] = (),
     arm_tip: str | None = None,
     package_dirs: Sequence[str | Path] = (),
+    xacro: Sequence[str] = (),
     strict: bool = False,
+    controllers: str | Path | None = None,
+    mu: float | None = None,
 ) -> Robot:
     """Load a robot. What is not said is found in the file, after `NAME.mmnn.toml` beside it (see docs/robots.md).
 
     Args:
-        robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF file.
-        base: `differential_drive`, `holonomic` or `fixed`.
+        robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF or xacro file.
+        base: `differential_drive`, `skid_steer`, `holonomic` or `fixed`.
         wheels: Joints of the drive wheels; left, right for a differential drive.
         radius: Radius of the drive wheels [m].
-        track: Lateral distance of the drive wheels [m].
+        track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
         roller: Angle of the rollers of a holonomic base [rad], see `Overrides`.
         lock: Joints that stand still: `joint` where it rests, or `joint=position` [rad or m].
         free: Joints that are not locked though heads and fingers are by default; `all` for all.
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
-        package_dirs: Folders that hold the packages of `package://` meshes.
+        package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
+        xacro: Arguments of a xacro file, `NAME:=VALUE`.
         strict: Whether impossible inertias and implausible sizes are errors.
+        controllers: YAML file of the robot's controllers, see `Overrides`.
+        mu: Friction coefficient between the floor and the wheels of a skid-steer base, 1 by default.
 
     Raises:
         UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
@@ -92,7 +99,10 @@ def load(
         free=tuple(free),
         arm_tip=arm_tip,
         package_dirs=tuple(map(str, package_dirs)),
+        xacro=tuple(xacro),
         strict=strict,
+        controllers=None if controllers is None else str(controllers),
+        mu=mu,
     )
     return load_with(robot, overrides)
 
@@ -101,7 +111,7 @@ def load_with(robot: str | Path, overrides: Overrides) -> Robot:
     """`load` with all that is said in one; arguments and errors as there."""
     path = find(robot)
     overrides, notes = with_file(path, overrides)
-    built = build(read(path, overrides.strict, folders_of(path, overrides)), overrides)
+    built = build(read(path, overrides.strict, folders_of(path, overrides), overrides.xacro), overrides)
     return replace(built, findings=(*built.findings, *notes))
 
 
@@ -123,9 +133,10 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     found = find_base(rest, overrides)
     arm = choose_arm(rest, found.base, overrides)
     model, printed = pinocchio_model(document, mobile=found.base.root_size > 0)
-    require_sane(document, model)
+    audited = excused(document.findings, arm.locked)
+    require_sane(document, model, set(arm.locked))
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
-    findings = (*settle(document.findings, found.findings, overrides.strict), *notes)
+    findings = (*settle(audited, found.findings, overrides.strict), *notes)
     robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=overrides)
     require_finite(document, robot)
     return robot
@@ -199,7 +210,8 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
     joints = [document.joints[name] for name in model.names[2 if root else 1 :]]
     names = [joint.name for joint in joints]
     arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
-    motors = (*(wheel.joint for wheel in base.wheels), *arm.joints)
+    driven = (w.joint for w in base.wheels if document.joints[w.joint].mimics is None)
+    motors = (*driven, *arm.joints)
     pushes, rows = PUSHES if base.is_pushed else (), {name: i for i, name in enumerate(names, root)}
     T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
     q_index, is_continuous = configuration_indices(model, root)
@@ -230,7 +242,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         upper=of_joints(joints, root, "upper", np.inf),
         effort_limits=read_only(np.array([np.inf] * len(pushes) + [document.joints[n].effort for n in motors], float)),
         damping=of_joints(joints, root, "damping", 0.0),
-        coulomb=of_joints(joints, root, "friction", 0.0),
+        coulomb=with_turning(of_joints(joints, root, "friction", 0.0), base),
         viscous=read_only(np.zeros(T.shape[1])),
         rest=np.array(at_rest, dtype=float),
     )
@@ -241,6 +253,15 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
 def of_joints(joints: list[Joint], root: int, attribute: str, of_root: float) -> Array:
     """A number of every joint, read-only, (nv,); the root's velocities have one of their own."""
     return read_only(np.array([of_root] * root + [getattr(joint, attribute) for joint in joints]))
+
+
+def with_turning(coulomb: Array, base: Base) -> Array:
+    """Coulomb friction of every joint, (nv,), with the base's friction against turning on the root's yaw rate."""
+    if not base.turning:
+        return coulomb
+    full = coulomb.copy()
+    full[2] += base.turning
+    return read_only(full)
 
 
 def configuration_indices(model: pin.Model, root: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
@@ -319,23 +340,27 @@ def motor_map(base: Base, rows: Mapping[str, int], motors: tuple[str, ...]) -> A
 # -- is it fit to be driven --------------------------------------------------------------------------------------------
 
 
-def require_sane(document: Document, model: pin.Model) -> None:
+def require_sane(document: Document, model: pin.Model, still: set[str]) -> None:
     """Hold M and the forward dynamics against non-finite numbers and singularity at rest and random states.
 
     Args:
         document: The URDF, for the line of the body to blame.
         model: Its full model.
+        still: Joints that stand still: what they alone would feel is no matter.
 
     Raises:
         RobotError: M or the acceleration is not finite, or M is not positive definite; names the body.
     """
     data, rng = model.createData(), np.random.default_rng(0)
-    q0, still = pin.neutral(model), np.zeros(model.nv)
+    q0, rest = pin.neutral(model), np.zeros(model.nv)
+    held = [j.idx_v + k for n, j in zip(model.names, model.joints, strict=True) if n in still for k in range(j.nv)]
     for k in range(STATES):
         q = pin.integrate(model, q0, rng.uniform(-np.pi, np.pi, model.nv)) if k else q0
-        velocity = rng.uniform(-1.0, 1.0, model.nv) if k else still
+        velocity = rng.uniform(-1.0, 1.0, model.nv) if k else rest
         M = pin.crba(model, data, q)
         M = np.triu(M) + np.triu(M, 1).T
+        M[held], M[:, held] = 0.0, 0.0
+        M[held, held] = np.abs(M).max(initial=0.0) or 1.0
         if not np.isfinite(M).all():
             raise blame(document, model, ~np.isfinite(M).all(axis=1), "the mass matrix is not finite")
         for matrix, least in ((scaled(M), SINGULAR), (M, INDISTINCT * np.abs(M).max(initial=0.0))):
@@ -343,7 +368,9 @@ def require_sane(document: Document, model: pin.Model) -> None:
             if values.min(initial=np.inf) <= least:
                 what = f"the mass matrix is singular or not positive definite (smallest eigenvalue {values[0]:.3g})"
                 raise blame(document, model, np.abs(vectors[:, 0]), what)
-        acceleration = pin.aba(model, data, q, velocity, still)
+        forces = pin.nonLinearEffects(model, data, q, velocity)
+        with np.errstate(all="ignore"):
+            acceleration = -np.linalg.solve(M, np.where(np.isin(range(model.nv), held), 0.0, forces))
         if not np.isfinite(acceleration).all():
             raise blame(document, model, ~np.isfinite(acceleration), "the forward dynamics are not finite")
 

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import ConfigError, RobotError
+from ...model.base.differential import DifferentialDrive
 from ...model.base.overrides import folders_of
 from ...model.robot import Robot
 from ...model.urdf.reading import parse
@@ -130,7 +131,7 @@ def feet_of(robot: Robot) -> Feet:
     """
     if not robot.dimensions.base:
         return Feet((), ())
-    if robot.base.kind != "differential_drive":
+    if not isinstance(robot.base, DifferentialDrive):
         raise RobotError(
             f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'",
             why="it has plain wheels only, neither rollers nor a base that is pushed",
