@@ -79,8 +79,8 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     ),
 )
 SAID = (
-    "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro", "controllers",
-    "mu", "strict",
+    "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",
+    "controllers_file", "mu", "strict",
 )  # fmt: skip
 ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option(
@@ -97,7 +97,12 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
         "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
     ),
     click.option("--xacro", metavar="NAME:=VALUE", multiple=True, help="Argument of a xacro file; repeatable."),
-    click.option("--controllers", metavar="FILE", help="YAML file of its controllers: evidence, radius and track."),
+    click.option(
+        "--controllers",
+        "controllers_file",
+        metavar="FILE",
+        help="YAML file of its controllers: evidence, radius and track.",
+    ),
     click.option(
         "--mu", type=float, metavar="MU", help="Friction under the wheels of a skid-steer base.  [default: 1]"
     ),

@@ -63,7 +63,7 @@ def load(
     package_dirs: Sequence[str | Path] = (),
     xacro: Sequence[str] = (),
     strict: bool = False,
-    controllers: str | Path | None = None,
+    controllers_file: str | Path | None = None,
     mu: float | None = None,
 ) -> Robot:
     """Load a robot. What is not said is found in the file, after `NAME.mmnn.toml` beside it (see docs/robots.md).
@@ -81,7 +81,7 @@ def load(
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
         strict: Whether impossible inertias and implausible sizes are errors.
-        controllers: YAML file of the robot's controllers, see `Overrides`.
+        controllers_file: YAML file of the robot's controllers, see `Overrides`.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base, 1 by default.
 
     Raises:
@@ -101,7 +101,7 @@ def load(
         package_dirs=tuple(map(str, package_dirs)),
         xacro=tuple(xacro),
         strict=strict,
-        controllers=None if controllers is None else str(controllers),
+        controllers_file=None if controllers_file is None else str(controllers_file),
         mu=mu,
     )
     return load_with(robot, overrides)

@@ -76,20 +76,29 @@ def refused(entry: dict[str, Any], path: str | Path, said: dict[str, Any], error
         wanted = kind.removeprefix("refused: ")
         ok = wanted.lower() in told.lower()
         return Outcome("refused rightly" if ok else "refused, misleading", told, "", took)
-    for way in error.fix.split("; ") + error.fix.split(", ") + error.fix.split(" or "):
+    if "--radius" in error.fix and "radius" in entry and "radius" not in said:  # measured, as it asks
+        known = said | {"radius": entry["radius"]}
+        try:
+            return followed(entry, load(path, **known), f"--radius {entry['radius']}", took)
+        except InputError as again:
+            return refused(entry, path, known, again, took)
+    for way in re.split("; |, | or ", error.fix):
         options = dict(WAY.findall(way))
-        if not options or options.get("base", kind) != kind or re.search("METRES|VALUE|FOLDER", way):
+        if not options or {"METRES", "FOLDER", "VALUE"} & {*options.values()} or options.get("base", kind) != kind:
             continue
         try:
             robot = load(path, **said, **{name: READ.get(name, str)(text) for name, text in options.items()})
         except InputError as again:
             return Outcome("refused wrongly", f"{told} THEN {again}", way, took)
-        wrong = faults(entry, robot)
-        verdict = "ACCEPTED WRONG" if wrong else "right after the command"
-        return Outcome(
-            verdict, "; ".join(wrong) or words(robot), " ".join(f"--{k} {v}" for k, v in options.items()), took
-        )
+        return followed(entry, robot, " ".join(f"--{name} {text}" for name, text in options.items()), took)
     return Outcome("refused", told, "", took)
+
+
+def followed(entry: dict[str, Any], robot: Robot, command: str, took: float) -> Outcome:
+    """The outcome of a robot that was accepted after the command of its refusal."""
+    wrong = faults(entry, robot)
+    verdict = "ACCEPTED WRONG" if wrong else "right after the command"
+    return Outcome(verdict, "; ".join(wrong) or words(robot), command, took)
 
 
 def faults(entry: dict[str, Any], robot: Robot) -> list[str]:

@@ -71,6 +71,7 @@ def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = No
         *plugins(rest),
         *controllers_in(controllers),
         *commands(rest, wheels),
+        *followers(wheels),
         *contact(rest, wheels),
         *transmissions(rest, wheels),
         *names(rest, wheels),
@@ -145,7 +146,7 @@ def lines_of(file: str | None) -> list[tuple[int, str]]:
     except (OSError, ValueError) as error:
         fix = "name the YAML file of the robot's controllers"
         why = getattr(error, "strerror", None) or str(error)
-        raise ConfigError("cannot be read", why=why, fix=fix, file=file, key="controllers") from None
+        raise ConfigError("cannot be read", why=why, fix=fix, file=file, key="controllers_file") from None
     return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
 
 
@@ -161,6 +162,23 @@ def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     if 0 < len(driven) < len(wheels):
         text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
         yield Evidence("skid_steer", text, lines[driven[0]])
+
+
+def followers(wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Wheels that follow the one in front of them or behind it: side chains, whose wheels must skid."""
+    for wheel in wheels:
+        if wheel.joint.mimics is not None and follows_on_its_side(wheel, wheels):
+            text = f"wheel '{wheel.joint.name}' follows '{wheel.joint.mimics}' (<mimic>, line {wheel.joint.line})"
+            yield Evidence("skid_steer", text, wheel.joint.line, wheel=wheel.joint.name)
+
+
+def follows_on_its_side(slave: Candidate, drives: list[Candidate]) -> bool:
+    """Whether a wheel follows one in front of or behind it, on the same side."""
+    master = next((c for c in drives if c.joint.name == slave.joint.mimics), None)
+    if master is None:
+        return False
+    between = slave.centre - master.centre
+    return bool(abs(between @ master.axis) < master.radius < float((between @ between) ** 0.5))
 
 
 def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -187,7 +205,7 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
 def coefficient(block: etree._Element, tag: str) -> float:
     """A friction coefficient, nan when it is not stated as a number."""
     element = block.find(f".//{tag}")
-    text = None if element is None else element.text
+    text = None if element is None else element.get("value", element.text)
     return math.nan if number_problem(text or "", 1) else float(text or "nan")
 
 
@@ -197,7 +215,7 @@ def friction_direction(rest: AtRest, block: etree._Element) -> Array:
     It is in the frame of the link, or of the link that an attribute `expressed_in` names.
     """
     element = block.find(".//fdir1")
-    text = None if element is None else element.text
+    text = None if element is None else element.get("value", element.text)
     if element is None or number_problem(text or "", 3):
         return np.zeros(3)
     named = [value for key, value in element.attrib.items() if key.endswith("expressed_in")]

@@ -19,7 +19,9 @@ from ..urdf.shapes import AtRest
 
 MOST_PER_SIDE = 3  # wheels of a skid-steer base
 
-STEERED_NAMES = re.compile(r"steer|ackermann|racecar|tricycle|bicycle|car[_-]?like", re.IGNORECASE)
+STEERED_NAMES = re.compile(
+    r"(?<!skid_)(?<!skid)(?<!skid-)steer|ackermann|racecar|tricycle|bicycle|car[_-]?like", re.IGNORECASE
+)
 
 TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?)([_./ -]|$)", re.IGNORECASE)
 

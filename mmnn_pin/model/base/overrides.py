@@ -49,7 +49,7 @@ class Overrides(Settings, frozen=True):
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
         strict: Whether impossible inertias and implausible sizes are errors.
-        controllers: YAML file of the robot's controllers: evidence of its kind, and opinions on radius and track.
+        controllers_file: YAML file of the robot's controllers: evidence of its kind, and opinions on radius and track.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base.
     """
 
@@ -64,7 +64,7 @@ class Overrides(Settings, frozen=True):
     package_dirs: tuple[str, ...] = ()
     xacro: tuple[str, ...] = ()
     strict: bool = False
-    controllers: str | None = None
+    controllers_file: str | None = None
     mu: float | None = None
 
     def __post_init__(self) -> None:

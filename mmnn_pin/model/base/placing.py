@@ -43,7 +43,7 @@ def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], 
         if not all(parallel(drives[0], c) for c in drives[1:]):
             return crossed(rest, drives, wheels, overrides)
         base, findings = mecanum(
-            rest, drives, wheels, overrides, stated_rollers(evidence(rest, drives, overrides.controllers))
+            rest, drives, wheels, overrides, stated_rollers(evidence(rest, drives, overrides.controllers_file))
         )
         return BaseResult(base, tuple(findings))
     if len(drives) != 2 or not coaxial(*drives):

@@ -160,8 +160,8 @@ def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overr
         text = f"the wheels touch the floor {contacts:.4g} m apart, their joints are {joints:.4g} m apart"
         yield note(rest, "base-joints", first, text, "the track is that of the contacts", "--track for another")
     blind = [c.joint.name for c in own if c.shape == STATED and overrides.radius is None]
-    questions = [("track", base.track, stated(rest, overrides.controllers, TRACKS)), ("radius", radius, [])]
-    questions[1] = ("radius", radius, stated(rest, overrides.controllers, RADII))
+    questions = [("track", base.track, stated(rest, overrides.controllers_file, TRACKS)), ("radius", radius, [])]
+    questions[1] = ("radius", radius, stated(rest, overrides.controllers_file, RADII))
     for name, used, opinions in questions:
         for opinion in opinions if getattr(overrides, name) is None else ():
             if blind and name == "radius":
@@ -319,7 +319,7 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
     elif any(math.isnan(c.radius) for c in near_misses):
         why = "no shape of them can be read, and nothing tells where the floor is"
         if any(c.shape == PARTIAL for c in near_misses):
-            why = "meshes of them are missing, and nothing is measured from what is left"
+            why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
         fix = "give --radius (and --package-dir, where their meshes are); --base fixed parks them"
     else:
         why = f"they end {min(c.bottom for c in near_misses) - candidates.floor:.3g} m above the robot's lowest point"

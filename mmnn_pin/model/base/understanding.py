@@ -16,7 +16,7 @@ import numpy as np
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Fixed
-from .evidence import RADII, evidence, motors_named, stated, stated_rollers, verdict
+from .evidence import RADII, evidence, follows_on_its_side, motors_named, stated, stated_rollers, verdict
 from .machines import machine, steering_named, tracks
 from .overrides import Overrides
 from .placing import crossed, declared_wheel, in_order, mecanum, pushed, require_used, skidding, with_wheels
@@ -77,7 +77,7 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
         ConfigError: Wheels that do not suit the base.
     """
     overrides = overrides or Overrides()
-    radii = stated(rest, overrides.controllers, RADII)
+    radii = stated(rest, overrides.controllers_file, RADII)
     candidates = wheel_candidates(rest, overrides.radius or (radii[0].value if len(radii) == 1 else None))
     drives = candidates.wheels
     if overrides.base == "fixed":
@@ -162,16 +162,32 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
     if len(drives) == 2 and coaxial(*drives) and overrides.base != "holonomic":
         refuse_steered_pair(rest, drives, wheels)
         return with_wheels(rest, drives, wheels, overrides)
+    if overrides.base == "holonomic" and not in_pairs(drives):
+        return pushed(rest, candidates)
     if len(drives) >= 3 and overrides.base != "differential_drive":
         if not all(parallel(drives[0], c) for c in drives[1:]):
             return crossed(rest, drives, wheels, overrides)
         if len(drives) >= 4:
             return many_parallel(rest, drives, wheels, overrides)
+    known = {c.joint.name for c in wheels}
+    low = [j for j in rest.document.joints.values() if is_low(rest, j)]
+    if any(j.name not in known for j in low):
+        everything = [*wheels, *(wheel_of(rest, j) for j in low if j.name not in known)]
+        why = "what turns on some of them cannot be measured, or does not reach the floor"
+        raise undecided(rest, everything, readings(rest, drives), why, blind_fix(everything))
     why = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls"
     pairs = [(a, b) for i, a in enumerate(drives) for b in drives[i + 1 :] if coaxial(a, b)]
     pairs.sort(key=lambda pair: -pair[0].radius)  # those that drive are hardly the smaller ones
     ways = [f"--wheels {a.joint.name},{b.joint.name}" for a, b in pairs]
-    raise undecided(rest, wheels, readings(rest, drives), why, " or ".join(ways) or GO_ON)
+    if len(drives) >= 3:
+        ways.append("--base holonomic to drive it by forces on its frame")
+    raise undecided(rest, wheels, readings(rest, drives), why, ", or ".join(ways) or GO_ON)
+
+
+def in_pairs(drives: list[Candidate]) -> bool:
+    """Whether wheels could be mecanum wheels or omni wheels: two and two on one line, or not all parallel."""
+    alike = all(parallel(drives[0], c) for c in drives[1:])
+    return not alike or all(any(coaxial(c, o) for o in drives if o is not c) for c in drives)
 
 
 def driven_pair(rest: AtRest, drives: list[Candidate]) -> tuple[list[Candidate], list[Finding]]:
@@ -233,7 +249,7 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
 
 def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
     """Four or more wheels that roll in one direction: mecanum wheels or a skid-steer, as the evidence has it."""
-    told = evidence(rest, drives, overrides.controllers)
+    told = evidence(rest, drives, overrides.controllers_file)
     if overrides.wheels is None and (why := tracks(rest)):
         raise unsupported(rest, "tracked machine", why, drives)
     meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(told)
@@ -315,21 +331,15 @@ def refuse_mimic_wheels(rest: AtRest, wheels: list[Candidate], drives: list[Cand
     slaves = [c for c in drives if c.joint.mimics is not None]
     if not slaves:
         return
+    if steers := steering_named(rest):
+        raise unsupported(rest, "car-like base", steers, drives)
     why = "; ".join(f"wheel '{c.joint.name}' follows '{c.joint.mimics}' (<mimic>)" for c in slaves)
     aligned = all(parallel(drives[0], c) for c in drives[1:])
-    if aligned and all(follows_on_its_side(c, drives) for c in slaves):
+    turning_alike = aligned and all(follows_on_its_side(c, drives) for c in slaves)
+    if turning_alike and verdict(evidence(rest, drives)) == "skid_steer":
         return
     two = Reading("differential_drive", (), ("a drive wheel turns by itself",))
     raise undecided(rest, wheels, [two], why, GO_ON + ", or take out their <mimic>")
-
-
-def follows_on_its_side(slave: Candidate, drives: list[Candidate]) -> bool:
-    """Whether a wheel follows one in front of or behind it, on the same side."""
-    master = next((c for c in drives if c.joint.name == slave.joint.mimics), None)
-    if master is None:
-        return False
-    between = slave.centre - master.centre
-    return bool(abs(between @ master.axis) < master.radius < float((between @ between) ** 0.5))
 
 
 def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> None:

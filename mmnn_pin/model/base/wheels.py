@@ -114,7 +114,8 @@ def wheel_candidates(rest: AtRest, radius: float | None = None) -> Candidates:
     found = [c for c in found if rest.is_horizontal(c.joint)]
     unknown, lumpy = [c for c in found if c.shape in ("unknown", PARTIAL)], [c for c in found if c.shape == LUMPY]
     known = [c for c in found if c not in unknown and c not in lumpy]
-    shapes = [shape for link in rest.document.links for shape in rest.primitives[link]]
+    blind = {link for c in unknown for link in rest.document.body(c.joint.child)}  # what is left of them tells nothing
+    shapes = [shape for link in rest.document.links if link not in blind for shape in rest.primitives[link]]
     footing = footing_of(rest, known, shapes)
     known += on_floor(rest, unknown, known, footing, radius)
     lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
@@ -254,9 +255,14 @@ def is_low(rest: AtRest, joint: Joint) -> bool:
     beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
     if above and len(beside) < ROUND_ABOUT:
         return False
+    return bool(rest.hub(joint)[2] <= height_at(rest, LOW / 2 if above else LOW))
+
+
+def height_at(rest: AtRest, fraction: float) -> float:
+    """Height of so much of the way from a robot's lowest frame or primitive to its highest [m]."""
     heights = [float(pose[2, 3]) for pose in rest.placements.values()]
-    part = LOW / 2 if above else LOW
-    return bool(rest.hub(joint)[2] <= min(heights) + part * (max(heights) - min(heights)))
+    heights += [float(shape.pose[2, 3]) for shapes in rest.primitives.values() for shape in shapes]
+    return min(heights) + fraction * (max(heights) - min(heights))
 
 
 def is_endless_end(rest: AtRest, joint: Joint) -> bool:
@@ -265,7 +271,7 @@ def is_endless_end(rest: AtRest, joint: Joint) -> bool:
 
 
 def alike_on_root(rest: AtRest) -> list[Joint]:
-    """Three or more like bodies on endless joints of one direction on the root's body: wheels or casters, not an arm."""
+    """Three or more like bodies on endless parallel joints on the root's body: wheels or casters, hardly an arm."""
     joints = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
     if len(joints) < ROUND_ABOUT:
         return []
@@ -295,6 +301,9 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
     than two joints are a leg, fewer without a vertical one a rocker or swing arm: a suspension.
     """
     above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
+    beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
+    if len(beside) >= ROUND_ABOUT:  # the base hangs on joints of a torso that is the root
+        return "", math.inf
     if len(above) > 2:
         return "leg", math.inf
     upright = next((j for j in above if rest.is_vertical(j)), None)
@@ -319,7 +328,7 @@ def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
 
     A file made for planning often has its casters and wheels welded so.
     """
-    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor)])) or welded_by_name(rest)
+    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor), *welded_by_name(rest)]))
 
 
 def welded_by_name(rest: AtRest) -> list[Joint]:
@@ -327,8 +336,7 @@ def welded_by_name(rest: AtRest) -> list[Joint]:
 
     A name makes the loader ask here, where geometry has nothing to say.
     """
-    heights = [float(pose[2, 3]) for pose in rest.placements.values()]
-    highest = min(heights) + LOW * (max(heights) - min(heights))
+    highest = height_at(rest, LOW)
     body = rest.document.body(rest.document.root_link)[1:]
     ends = [
         rest.document.carrier[name] for name in body if WHEEL_NAMES.search(name) and not rest.document.children[name]

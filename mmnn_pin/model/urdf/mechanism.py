@@ -311,7 +311,9 @@ def bad_inertia(parts: list[Part], joint: Joint | None, principal: list[float]) 
     if low < -POSITIVE * abs(high) or high < 0 or (joint is not None and low <= POSITIVE * high):
         what = f"the inertia of {whose} is not positive definite ({values})"
         why, fix = "its acceleration could be infinite or against the torque", "compute it from the mesh and the mass"
-        yield finding("inertia-not-positive", to_blame(parts), what, why, fix, joint=joint and joint.name)
+        yield finding(
+            "inertia-not-positive", to_blame(parts), what, why, fix, joint=None if joint is None else joint.name
+        )
     elif high > low + middle + ROUNDING * high:
         what = f"the inertia of {whose} violates the triangle inequality ({values})"
         yield finding(

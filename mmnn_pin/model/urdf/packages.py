@@ -22,7 +22,7 @@ from ...errors import ConfigError, RobotError
 
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
 
-ABOVE, BELOW, VISITED = 6, 3, 1500  # levels searched above a file, levels below each of them, folders at most
+ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels below each of them, folders at most
 
 NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
@@ -62,7 +62,9 @@ def packages(urdf: Path, package_dirs: Sequence[str | Path] = ()) -> dict[str, s
         urdf: The file.
         package_dirs: Folders that hold packages, or are one; they count first.
     """
-    above = upwards(os.path.abspath(urdf.parent))[:ABOVE]
+    above = upwards(os.path.abspath(urdf.parent))
+    own = next((k for k, folder in enumerate(above[:6]) if os.path.isfile(os.path.join(folder, "package.xml"))), 1)
+    above = above[: own + 1 + ABOVE]
     places = (*(os.path.abspath(place) for place in package_dirs), *environment(), *above)
     found: dict[str, str] = {}
     for place in places:
@@ -227,7 +229,7 @@ def expand(path: Path, given: Sequence[str] = (), package_dirs: Sequence[str | P
 
 @contextlib.contextmanager
 def lenient(xacro: Any, xacrodoc: Any, known: dict[str, str], absent: set[str]) -> Iterator[None]:
-    """xacro that finds packages without ROS, and can do without those that it does not need.
+    """Have xacro find packages without ROS, and do without those that it does not need.
 
     A file of a package that is not there is left out: where a macro or property of it is used, xacro refuses all the
     same. A file that a build would install elsewhere in its package is taken where it is, if there is one alone.
@@ -238,7 +240,7 @@ def lenient(xacro: Any, xacrodoc: Any, known: dict[str, str], absent: set[str]) 
         known: Folders of packages.
         absent: Filled with the packages that are not there.
     """
-    places = sys.modules["xacro.substitution_args"]
+    places: Any = sys.modules["xacro.substitution_args"]
     parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
 
     def seek(package: str) -> str:

@@ -10,7 +10,7 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -250,7 +250,21 @@ def outline(shape: Shape) -> Array:
 def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) -> Array:
     """(k, 3) vertices of a mesh file, unscaled; (0, 3) when it is missing, remote, outside or cannot be read."""
     file = locate(name, urdf, package_dirs).file
-    if file is None or damage_of(file):
+    try:
+        return np.zeros((0, 3)) if file is None else vertices_of(file, file.stat().st_mtime_ns)
+    except OSError:
+        return np.zeros((0, 3))
+
+
+@lru_cache(maxsize=16)
+def vertices_of(file: Path, changed: int) -> Array:
+    """(k, 3) vertices of a mesh file, read-only; (0, 3) when it cannot be read; wheels share one file.
+
+    Args:
+        file: The file.
+        changed: When it was written last; a file written again is read again.
+    """
+    if damage_of(file):
         return np.zeros((0, 3))
     import trimesh  # comes with yourdfpy; slow to import
 
