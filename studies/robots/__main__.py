@@ -122,6 +122,15 @@ def words(robot: Robot) -> str:
     return f"{base.kind}, {radius}, {robot.dimensions.arm} arm joints"
 
 
+def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
+    """A row of the table of docs/robots.md."""
+    truth = ", ".join([entry["kind"], *(f"{entry[name]:g} m" for name in ("radius", "track") if name in entry)])
+    text = outcome.text if outcome.verdict.startswith("right") else ""
+    found = ": ".join(filter(None, (outcome.verdict, f"`{outcome.command}`" if outcome.command else "", text)))
+    place = entry.get("repository", "example-robot-data")
+    return f"| {entry['name']} | {place} | {truth} ({entry['source']}) | {found} |"
+
+
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, path_type=Path))
 @click.option("--only", default="", help="Robots whose names have this text.")
@@ -136,10 +145,7 @@ def main(folder: Path, only: str, markdown: bool) -> None:
         outcome = judge(entry, folder)
         counts[outcome.verdict] = counts.get(outcome.verdict, 0) + 1
         if markdown:
-            source = entry.get("repository", "example-robot-data")
-            text = outcome.text if outcome.verdict.startswith("right") else ""
-            command = f" `{outcome.command}`" if outcome.command else ""
-            click.echo(f"| {entry['name']} | {source} | {entry['kind']} | {outcome.verdict}{command} | {text} |")
+            click.echo(markdown_row(entry, outcome))
         else:
             click.echo(
                 f"{outcome.verdict:24}{entry['name']:26}{outcome.seconds:6.2f} s  {outcome.command}  {outcome.text}"

@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from ...signals import Array
 from .base import Wheel
@@ -76,6 +75,8 @@ def rotation_centre(wheels: Sequence[Wheel], load: Array) -> float:
         wheels: The wheels in the control frame.
         load: (k,) of every wheel [N].
     """
+    from scipy.optimize import brentq  # slow to import
+
     along = np.array([w.x**2 / abs(w.y) for w in wheels])
     x = np.array([w.x for w in wheels])
 

@@ -169,19 +169,24 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
             return crossed(rest, drives, wheels, overrides)
         if len(drives) >= 4:
             return many_parallel(rest, drives, wheels, overrides)
+    raise no_base(rest, wheels, drives)
+
+
+def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> Undecided:
+    """The error for wheels that make no base by themselves, with the options that would."""
     known = {c.joint.name for c in wheels}
     low = [j for j in rest.document.joints.values() if is_low(rest, j)]
     if any(j.name not in known for j in low):
         everything = [*wheels, *(wheel_of(rest, j) for j in low if j.name not in known)]
         why = "what turns on some of them cannot be measured, or does not reach the floor"
-        raise undecided(rest, everything, readings(rest, drives), why, blind_fix(everything))
+        return undecided(rest, everything, readings(rest, drives), why, blind_fix(everything))
     why = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls"
     pairs = [(a, b) for i, a in enumerate(drives) for b in drives[i + 1 :] if coaxial(a, b)]
     pairs.sort(key=lambda pair: -pair[0].radius)  # those that drive are hardly the smaller ones
     ways = [f"--wheels {a.joint.name},{b.joint.name}" for a, b in pairs]
     if len(drives) >= 3:
         ways.append("--base holonomic to drive it by forces on its frame")
-    raise undecided(rest, wheels, readings(rest, drives), why, ", or ".join(ways) or GO_ON)
+    return undecided(rest, wheels, readings(rest, drives), why, ", or ".join(ways) or GO_ON)
 
 
 def in_pairs(drives: list[Candidate]) -> bool:

@@ -230,11 +230,11 @@ def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str
     M, C = terms.mass(q), terms.coriolis(q, v)
     Mdot = rate_along(terms.mass, model, q, v, speed)
     arm = robot.arm_index
-    moving = robot.T.any(axis=1) | (np.arange(len(M)) < robot.dimensions.pose)  # what is locked may have no mass
-    base = np.setdiff1d(np.flatnonzero(moving | (np.diag(M) > 0)), arm)
+    carried = robot.T.any(axis=1) | (np.arange(len(M)) < robot.dimensions.pose)  # what is locked may have no mass
+    base = np.setdiff1d(np.flatnonzero(carried | (np.diag(M) > 0)), arm)
     numbers = {
         "symmetric": asymmetry(M),
-        "positive_definite": smallest_eigenvalue(M[np.ix_(moving, moving)]),
+        "positive_definite": smallest_eigenvalue(M[np.ix_(carried, carried)]),
         "property_1": nonlinearity(lambda v: terms.coriolis(q, v), v, M, speed),
         "property_2": skewness(M, Mdot, C, speed),
         "property_3": max(block_residual(M, Mdot, C, speed, part) for part in (base, arm)),

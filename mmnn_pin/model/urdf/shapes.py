@@ -266,13 +266,24 @@ def vertices_of(file: Path, changed: int) -> Array:
     """
     if damage_of(file):
         return np.zeros((0, 3))
+    if file.suffix.lower() == ".stl" and (corners := stl_corners(file)) is not None:
+        return corners
     import trimesh  # comes with yourdfpy; slow to import
 
     try:
         with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
-            return np.array(trimesh.load_mesh(file).vertices, dtype=np.float64).reshape(-1, 3)
+            return np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
     except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
         return np.zeros((0, 3))
+
+
+def stl_corners(file: Path) -> Array | None:
+    """(k, 3) corners of a binary STL file, None for the text form."""
+    data = file.read_bytes()
+    if data.lstrip().startswith(b"solid") and b"facet" in data[:CHUNK]:
+        return None
+    triangles = np.frombuffer(data, dtype=TRIANGLE, count=int.from_bytes(data[80:84], "little"), offset=84)
+    return np.asarray(triangles["corners"].reshape(-1, 3), dtype=np.float64)
 
 
 def damage_of(file: Path) -> str:
