@@ -199,6 +199,17 @@ def test_wheels_that_are_welded_on_are_said(moving):
     assert robot_of(text, base="holonomic").base.is_pushed
 
 
+def test_two_mirrored_endless_joints_are_no_arm_though_their_axes_are_wrong():
+    text = (
+        drive_of("", 0.2, 0.1)
+        .replace('<axis xyz="0.0 1.0 0.0"/>', '<axis xyz="1 0 0"/>')
+        .replace('xyz="0 1 0"', 'xyz="1 0 0"')
+    )
+    with pytest.raises(Undecided, match="2 wheel"):
+        robot_of(text)
+    assert robot_of(text, base="fixed").joint_names == ("shoulder", "elbow")
+
+
 def test_two_of_three_wheels_that_have_motors_drive():
     third = link("third_link", 1.0, 0.01, CYLINDER.format(r=0.05), LYING) + joint(
         "third", "continuous", "base", "third_link", p=(0.2, 0, 0.05)

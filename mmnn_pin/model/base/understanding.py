@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Fixed
@@ -114,7 +115,8 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
     used = {*base.locked, *(wheel.joint for wheel in base.wheels)}
     alike = alike_on_root(rest)
     strays = [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
-    if not strays or (not base.columns and overrides.base is None and len(strays) < ROUND_ABOUT):
+    few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
+    if not strays or (not base.columns and overrides.base is None and few):
         return found
     level = [j for j in strays if any(abs(rest.hub(j)[2] - hub) < TOUCHING * r for hub, r in hubs_of(rest, base))]
     if overrides.base is None and overrides.wheels is None and (not base.columns or len(level) >= 2):
@@ -129,6 +131,14 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
     why, fix = "low on the base and endless: no joints of an arm", "name them in --wheels if they drive"
     told = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
     return BaseResult(base, (*found.findings, told))
+
+
+def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
+    """Whether two joints stand at the same place on either side."""
+    if len(joints) != 2:
+        return False
+    one, other = rest.hub(joints[0]), rest.hub(joints[1]) * (1.0, -1.0, 1.0)
+    return bool(np.linalg.norm(one - other) < 0.02 * abs(one[1]))
 
 
 def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:

@@ -289,6 +289,8 @@ WAYS_OUT = (
         r"No such file or directory:? .*?([^/'\" ]+)['\"]?(?: |$)",
         "is '{}' in a package that --package-dir should name?",
     ),
+    (r"unknown macro name: xacro:(\S+)", "is the file that defines '{}' included?"),
+    (r"(unbound prefix)", 'declare it: <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'),
     (r"(maximum recursion depth exceeded)", "files or macros include each other without end: open the circle"),
 )
 
@@ -301,9 +303,8 @@ def refusal(place: Path, error: Exception, absent: list[str]) -> RobotError:
         if hit := re.search(pattern, text):
             word, fix = hit[1], way.format(hit[1])
             break
-    else:
-        if absent:
-            fix = f"is it in a package that is not found ({', '.join(absent)})? Give its folder with --package-dir"
+    if absent and (fix == "mend the file" or "included" in fix):
+        fix = f"is it in a package that is not found ({', '.join(absent)})? Give its folder with --package-dir"
     return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
 
 

@@ -6,6 +6,7 @@ and read only when they are asked for (that takes long); nothing is fetched, not
 
 from __future__ import annotations
 
+import logging
 import math
 import warnings
 from collections.abc import Iterator, Sequence
@@ -270,6 +271,7 @@ def vertices_of(file: Path, changed: int) -> Array:
         return corners
     import trimesh  # comes with yourdfpy; slow to import
 
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # of textures that are not there
     try:
         with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
             return np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
