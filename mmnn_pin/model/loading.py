@@ -17,7 +17,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 from lxml import etree
@@ -137,9 +139,21 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     require_sane(document, model, set(arm.locked))
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
     findings = (*settle(audited, found.findings, overrides.strict), *notes)
-    robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=overrides)
+    said = settled(overrides, found.base)
+    robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=said)
     require_finite(document, robot)
     return robot
+
+
+def settled(overrides: Overrides, base: Base) -> Overrides:
+    """What is said with a controllers' file replaced by what it led to: a recording stands alone."""
+    if overrides.controllers_file is None:
+        return overrides
+    found: dict[str, Any] = {"base": base.kind, "controllers_file": None}
+    if base.wheels:
+        found |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
+        found["radius"] = base.wheels[0].radius if len({wheel.radius for wheel in base.wheels}) == 1 else None
+    return msgspec.structs.replace(overrides, **found)
 
 
 # -- Pinocchio's model -------------------------------------------------------------------------------------------------

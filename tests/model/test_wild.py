@@ -91,6 +91,17 @@ def test_joints_that_stand_inside_their_wheels_are_told():
     )
 
 
+def test_what_a_controllers_file_led_to_stands_alone(tmp_path):
+    urdf, file = tmp_path / "r.urdf", tmp_path / "c.yaml"
+    urdf.write_text(four())
+    file.write_text("base:\n  type: diff_drive_controller/D\n")
+    (tmp_path / "r.mmnn.toml").write_text('controllers_file = "c.yaml"\n')  # from its own folder
+    robot = load(urdf)
+    file.unlink()
+    again = robot_of(robot.urdf, **robot.facts()["overrides"])
+    assert again.base.kind == "skid_steer" and np.array_equal(again.T, robot.T) and np.array_equal(again.A, robot.A)
+
+
 def test_controllers_are_evidence(tmp_path):
     file = tmp_path / "c.yaml"
     for kind, words in (("skid_steer", "diff_drive_controller/D"), ("holonomic", "mecanum_drive/M")):
@@ -391,6 +402,17 @@ def test_other_formats_are_named_with_the_way_out(tmp_path, name, data, words):
     (tmp_path / name).write_bytes(data)
     with pytest.raises(RobotError, match=words):
         load(tmp_path / name)
+
+
+def test_hostile_files_are_one_line(tmp_path):
+    file = workspace(tmp_path, '<xacro:macro name="m" params="n"><a/><xacro:if value="${n}"><xacro:m n="${n-1}"/>'
+                               '<xacro:m n="${n-1}"/></xacro:if></xacro:macro><xacro:m n="6"/>')  # fmt: skip
+    assert load(file).dimensions.arm == 1
+    mesh = tmp_path / "checkout" / "meshes" / "a.stl"
+    with mesh.open("r+b") as stream:
+        stream.truncate(200_000_001)  # sparse: takes no room
+    told = codes(load(file))
+    assert "more than 200 MB" in told["mesh-corrupt"]
 
 
 def test_a_mesh_by_find_is_a_mesh_of_a_package(tmp_path):

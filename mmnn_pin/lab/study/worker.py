@@ -167,6 +167,8 @@ class Bundle:
         path = find(robot)
         overrides, _ = with_file(path, overrides)
         folders = folders_of(path, overrides)
+        if overrides.controllers_file is not None:  # what it led to travels, not the file
+            overrides = load_with(path, overrides).overrides
         root = copy.deepcopy(read(path, overrides.strict, folders, overrides.xacro).root)
         files: dict[str, bytes] = {}
         places: dict[str, str] = {}

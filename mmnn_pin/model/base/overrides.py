@@ -161,7 +161,7 @@ def beside(urdf: Path) -> Path:
 
 
 def read_overrides(path: Path) -> Overrides:
-    """Overrides of a TOML file; its package folders start from its own folder.
+    """Overrides of a TOML file; its package folders and controllers' file start from its own folder.
 
     Raises:
         ConfigError: The file cannot be read, is not TOML, or a value is of the wrong type or out of range.
@@ -170,7 +170,8 @@ def read_overrides(path: Path) -> Overrides:
     try:
         found = msgspec.toml.decode(path.read_bytes(), type=Overrides)
         folders = tuple(str(path.parent / folder) for folder in found.package_dirs)
-        return msgspec.structs.replace(found, package_dirs=folders)
+        file = None if found.controllers_file is None else str(path.parent / found.controllers_file)
+        return msgspec.structs.replace(found, package_dirs=folders, controllers_file=file)
     except OSError as error:
         raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from None
     except msgspec.ValidationError as error:

@@ -149,6 +149,9 @@ def audit_file(
     else:
         if len(data) <= MAX_BYTES and is_xacro(path, data):
             data, absent = expand(path, xacro, package_dirs)
+            if len(data) > MAX_BYTES:
+                what = f"expands to more than {MAX_BYTES // 1_000_000} MB"
+                return None, settle([finding("file", 1, what)], path, strict)
             document, findings = audit_data(data, path, strict, package_dirs)
             notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
             if absent:

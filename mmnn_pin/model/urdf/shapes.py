@@ -34,6 +34,8 @@ HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizon
 
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
 
+MOST_BYTES = 200_000_000  # of a mesh; no wheel needs more
+
 CHUNK = 65_536  # bytes looked at, at either end of a file
 
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
@@ -300,6 +302,8 @@ def damage_of(file: Path) -> str:
         return f"cannot be read ({error.strerror})"
     if not size:
         return "it is empty"
+    if size > MOST_BYTES:
+        return f"it has more than {MOST_BYTES // 1_000_000} MB"
     check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage}.get(file.suffix.lower())
     return check(head, tail, size) if check else ""
 
