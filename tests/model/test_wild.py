@@ -259,6 +259,17 @@ def test_faults_of_joints_that_stand_still_are_warnings():
     assert "missing-value" in codes(robot_of(bare, lock=("elbow", "w")))
 
 
+def test_locked_joints_stand_with_what_follows_them_when_the_model_is_checked():
+    jaws = JAWS.replace('"jaw_r"><inertial><mass value="0.0"', "").replace(
+        '<joint name="jaw_r" type="prismatic">', '<joint name="jaw_r" type="prismatic"><mimic joint="jaw_l"/>'
+    )
+    wrist = link("wrist", 0.3, 1e-3) + joint("w", "revolute", "fore", "wrist", p=(0.2, 0, 0), more=LIMIT.format(-1, 1))
+    robot = robot_of(four(more=MOVE + wrist + jaws.replace('"fore"', '"wrist"')), lock=("jaw_l=0.01",))
+    assert {"jaw_l": 0.01, "jaw_r": 0.01}.items() <= robot.arm.locked.items()
+    report = check_properties(robot, samples=5)
+    assert report.properties["forward_kinematics"].passed and report.passed
+
+
 def test_an_inertia_is_symmetric_whichever_way_its_letters_stand():
     text = four(more=MOVE).replace('ixy="0" ixz="0" iyz="0"', 'iyx="0" izx="0" izy="0"')
     assert "transposed-inertia" in codes(robot_of(text))

@@ -2,7 +2,8 @@
 
 `check_properties` takes the worst of the `residuals` over random states. A sample is not a proof: M_min, M_max and C_b
 are what was found, the true bounds may lie a little outside. Positions are uniform within the limits (unlimited angles
-within +-pi, other unlimited travel and the base's place within +-1 m), velocities standard normal in SI units.
+within +-pi, other unlimited travel and the base's place within +-1 m), what is locked stands where it is locked,
+velocities are standard normal in SI units.
 """
 
 from __future__ import annotations
@@ -205,7 +206,8 @@ def random_state(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, 
     lower, upper = np.where(free, rest - reach, robot.lower), np.where(free, rest + reach, robot.upper)
     lower = np.where(free, np.maximum(lower, robot.lower), robot.lower)
     upper = np.where(free, np.minimum(upper, robot.upper), robot.upper)
-    position = robot.follow(rng.uniform(lower, upper))
+    still = np.isin(robot.position_names, list(robot.arm.locked))
+    position = robot.follow(np.where(still, rest, rng.uniform(lower, upper)))
     return position, rng.standard_normal(robot.dimensions.full), rng.standard_normal(robot.dimensions.dof)
 
 
