@@ -40,6 +40,11 @@ def plain(settings: Any) -> Any:
     return msgspec.to_builtins(settings, enc_hook=lambda value: np.asarray(value).tolist())
 
 
+def finite(value: float | None) -> float | None:
+    """A number for JSON: nothing where there is none, or an infinite one."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
 def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple[str, str]:
     """What is wrong and what to give instead, out of a message such as "Expected `int`, got `str` - at `$.seed`".
 

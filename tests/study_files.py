@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin.lab.study.execution import Pool, fill, threads
+from mmnn_pin.lab.study.execution import fill, missing_rows, probe
 from mmnn_pin.lab.study.plan import Plan, plan_of
-from mmnn_pin.lab.study.session import missing_rows, probe
+from mmnn_pin.lab.study.pools import Pool, threads
 from mmnn_pin.lab.study.settings import load_study
 from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
 

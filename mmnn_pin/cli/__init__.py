@@ -1,4 +1,4 @@
-"""The command line: parsing, exit codes, one line per problem. One module per command.
+"""The command line: parsing, exit codes, one line per problem. A module for each of their subjects.
 
 Exit codes: 0 done, 1 a run failed or diverged (its recording says where), 2 bad input, 130 stopped by Ctrl-C (what was
 recorded is kept). Whatever is slow to import is imported inside the commands.
@@ -15,13 +15,11 @@ import click
 
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
-from .catalogue import list_, readings
 from .options import examples
-from .output import BAD_INPUT, DONE, FAILED, STOPPED, printable, say, say_json
-from .prove import prove
-from .results import export, plot, replay, report
+from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
+from .results import export, plot, prove, replay, report
 from .robot import check, inspect, model
-from .run import run
+from .run import list_, readings, run
 from .study import study, tune
 
 for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
@@ -113,10 +111,10 @@ def complain(code: int, error: InputError, given: Sequence[str]) -> int:
     """One line on standard error; with --debug the traceback, with --json one object on standard output."""
     if "--debug" in given:
         traceback.print_exc()
-    for problem in getattr(error, "errors", None) or [error]:  # an audit tells all of them
-        click.echo(printable(" ".join(str(problem).split())), err=True)
+    problems = [str(problem) for problem in getattr(error, "errors", None) or [error]]  # an audit has several
+    click.echo("\n".join(printable(" ".join(problem.split())) for problem in problems), err=True)
     if "--json" in given:
+        fields = {name: getattr(error, name) for name in ("what", "why", "fix", "line", "key")}
         file = None if error.file is None else str(error.file)
-        content = {"error": {**{k: getattr(error, k) for k in ("what", "why", "fix", "line", "key")}, "file": file}}
-        say_json(content | {"errors": [str(problem) for problem in getattr(error, "errors", None) or [error]]})
+        answer(True, lambda: {"error": fields | {"file": file}, "errors": problems}, str)
     return code

@@ -25,7 +25,7 @@ def law(function: F) -> F:
     """Add the option that names the file of a learning law; it is run before the command."""
     text = (
         "Needed for runs of a controller of your own: its file, FILE.py or FILE.py:Class. The file is run, to evaluate"
-        " the recorded weights; without it what they say cannot be told. Repeatable."
+        " the recorded weights; without it they cannot be evaluated. Repeatable."
     )
 
     @functools.wraps(function)
@@ -45,28 +45,37 @@ def law(function: F) -> F:
 
 
 def understanding(function: F) -> F:
-    """Add the options that say what a robot is; the command gets what was said as `said`, keys of `Overrides`."""
+    """Add the options that state what a robot is; the command gets them as `overrides`, keys of `Overrides`."""
 
     @functools.wraps(function)
     def gathered(*args: Any, **kwargs: Any) -> Any:
-        given = {name: kwargs.pop(name) for name in SAID}
+        given = {name: kwargs.pop(name) for name in OVERRIDES}
         if given["wheels"] is not None:
             given["wheels"] = tuple(name.strip() for name in given["wheels"].split(","))
-        said = {name: value for name, value in given.items() if not (value is None or value is False or value == ())}
-        return function(*args, said=said, **kwargs)
+        kept = {name: value for name, value in given.items() if not (value is None or value is False or value == ())}
+        return function(*args, overrides=kept, **kwargs)
 
-    for option in reversed(ROBOT_OPTIONS):
-        gathered = option(gathered)
-    return gathered  # type: ignore[return-value]
+    return with_all(ROBOT_OPTIONS, gathered)  # type: ignore[return-value]
 
 
 def makes_runs(function: F) -> F:
     """Add argument and options of a command that makes the runs of a study: which file, where they are made."""
-    for option in reversed(STUDY_OPTIONS):
-        function = option(function)
-    return function
+    return with_all(STUDY_OPTIONS, function)
 
 
+def with_all(options: Sequence[Callable[[F], F]], function: F) -> F:
+    """A command with some options, in this order in its help."""
+    return functools.reduce(lambda made, option: option(made), reversed(options), function)
+
+
+FORCE = click.option("--force", is_flag=True, help="Replace existing files.")
+VARIANT = click.option("--variant", metavar="NAME", help="A variant, see `mmnn list`.  [default: the first]")
+CHANGES = click.option(
+    "--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the TOML; repeatable."
+)
+PACKAGE_DIRS = click.option(
+    "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
+)
 STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.argument("file", metavar="STUDY.toml", type=click.Path(path_type=Path)),
     click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]"),
@@ -74,11 +83,10 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option(
         "--cluster", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, see docs/cluster.md."
     ),
-    click.option(
-        "--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the study; repeatable."
-    ),
+    CHANGES,
+    click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),
 )
-SAID = (
+OVERRIDES = (
     "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",
     "controllers_file", "mu", "strict",
 )  # fmt: skip
@@ -88,14 +96,17 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     ),
     click.option("--wheels", metavar="LEFT,RIGHT", help="Joints of the drive wheels, separated by commas."),
     click.option("--radius", type=float, metavar="M", help="Radius of the drive wheels."),
-    click.option("--track", type=float, metavar="M", help="Lateral distance of the drive wheels; effective."),
+    click.option(
+        "--track",
+        type=float,
+        metavar="M",
+        help="Distance of left and right wheels; of a skid-steer base the effective one.",
+    ),
     click.option("--roller", type=float, metavar="RAD", help="Angle of a holonomic base's rollers: 0 for omni wheels."),
     click.option("--lock", metavar="JOINT[=AT]", multiple=True, help="A joint that stands still; repeatable."),
     click.option("--free", metavar="JOINT", multiple=True, help="A head or finger that moves, or 'all'; repeatable."),
     click.option("--arm-tip", metavar="LINK", help="End of the arm; joints that do not lead to it are locked."),
-    click.option(
-        "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
-    ),
+    PACKAGE_DIRS,
     click.option("--xacro", metavar="NAME:=VALUE", multiple=True, help="Argument of a xacro file; repeatable."),
     click.option(
         "--controllers",
@@ -116,7 +127,7 @@ def examples(*lines: str) -> str:
 
 
 def numbers(given: Sequence[str], option: str) -> dict[str, float]:
-    """What a repeatable option NAME=NUMBER was given.
+    """Numbers by name of a repeatable option NAME=NUMBER.
 
     Raises:
         ConfigError: Something else was given, or a name twice.

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import FrameType
+from typing import TYPE_CHECKING, Any, ParamSpec
 
 import click
 
@@ -21,7 +24,7 @@ from ..errors import ConfigError, RecordingError
 if TYPE_CHECKING:
     from ..recording.recording import Recording
 
-
+P = ParamSpec("P")
 DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
 STUDY, CONTEST = "study.sqlite", ("contest.json", "rows.json")  # names of their files
 
@@ -39,18 +42,28 @@ def printable(text: str) -> str:
     return text if text.isprintable() else "".join(c if c.isprintable() or c in "\n\t\x1b" else " " for c in text)
 
 
-def say_json(content: dict[str, Any]) -> None:
-    """Print one JSON object, without the NaN that JSON does not know."""
-    say(json.dumps(content, allow_nan=False))
+def answer(as_json: bool, content: Callable[[], dict[str, Any]], text: Callable[[], str]) -> None:
+    """Print what came out: as one JSON object, without the NaN that JSON does not know, or as text for people."""
+    say(json.dumps(content(), allow_nan=False) if as_json else text())
+
+
+def wrote(files: Iterable[Path]) -> str:
+    """The lines that name written files."""
+    return "\n".join(f"wrote {file}" for file in files)
+
+
+def named(files: dict[str, Path]) -> dict[str, str]:
+    """Files by name, for JSON."""
+    return {name: str(file) for name, file in files.items()}
 
 
 def warn(text: str) -> None:
-    """Say on standard error what to know of a run or a page."""
+    """Print a warning about a run or a page on standard error."""
     click.echo(f"warning: {text}", err=True)
 
 
 def compile_if_cold(hardware: bool = False) -> None:
-    """Compile what a run needs, unless that was done, and tell so on standard error.
+    """Compile what a run needs, unless that was done, and announce it on standard error.
 
     Args:
         hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
@@ -63,7 +76,7 @@ def compile_if_cold(hardware: bool = False) -> None:
 
         precompile()
     folder = cache_folder()
-    if hardware and folder is not None and not (announced := folder / "told of the rig").exists():
+    if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
         click.echo(f"first run with {parts}: their part of the loop is compiled, about half a minute more", err=True)
         announced.touch()
@@ -76,94 +89,100 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
         yield lambda controller, fraction: None
         return
     from rich.console import Console
-    from rich.progress import Progress, TaskID
+    from rich.progress import Progress
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        tasks: dict[str, TaskID] = {}
 
         def show(controller: str, fraction: float) -> None:
-            if controller not in tasks:
-                tasks[controller] = bar.add_task(controller, total=1.0)
-            bar.update(tasks[controller], completed=fraction)
+            known = {task.description: task.id for task in bar.tasks}
+            task = known[controller] if controller in known else bar.add_task(controller, total=1.0)
+            bar.update(task, completed=fraction)
 
         yield show
 
 
-def study_of(paths: tuple[Path, ...]) -> Path | None:
-    """The database of a study among some paths: the path itself, or a file in the folder; None without one.
+@contextmanager
+def counter(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str], None]]:
+    """Shows how many of something are done, with a text behind, on standard error and only where that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda done, text: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, TextColumn("{task.description}"), console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("", total=total, completed=done)
+        yield lambda done, text: bar.update(task, completed=done, description=text)
+
+
+@contextmanager
+def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
+    """A progress function that also raises what Ctrl-C raises.
+
+    Python swallows a KeyboardInterrupt that happens to hit a destructor: it is remembered, and raised again here.
+    """
+    pressed = threading.Event()
+
+    def press(number: int, frame: FrameType | None) -> None:
+        pressed.set()
+        signal.default_int_handler(number, frame)
+
+    def progress(*args: P.args, **kwargs: P.kwargs) -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        show(*args, **kwargs)
+
+    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else someone's own, or ignored
+    ours = usual and threading.current_thread() is threading.main_thread()
+    try:
+        if ours:
+            signal.signal(signal.SIGINT, press)
+        yield progress
+    finally:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
+    """The database of a study, or the folder of a contest, among some paths; None without one.
+
+    Args:
+        paths: As the user named them: a database, a folder that holds one, or the folder of a contest.
+        what: "study" or "contest".
 
     Raises:
         ConfigError: It is not the only path.
     """
-    inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
-    return alone("study", [*(path for path in paths if path.suffix == ".sqlite"), *inside], paths)
-
-
-def contest_of(paths: tuple[Path, ...]) -> Path | None:
-    """The folder of a contest among some paths; None without one.
-
-    Raises:
-        ConfigError: It is not the only path.
-    """
-    return alone("contest", [path for path in paths if any((path / name).is_file() for name in CONTEST)], paths)
-
-
-def alone(what: str, found: list[Path], paths: tuple[Path, ...]) -> Path | None:
-    """The first that was found, which has to be the only path.
-
-    Raises:
-        ConfigError: It is not.
-    """
+    if what == "study":
+        inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
+        found = [*(path for path in paths if path.suffix == ".sqlite"), *inside]
+    else:
+        found = [path for path in paths if any((path / name).is_file() for name in CONTEST)]
     if found and len(paths) > 1:
         raise ConfigError(f"a {what} among other runs", fix="name it alone", file=found[0])
     return found[0] if found else None
 
 
-def open_runs(path: Path) -> list[Recording]:
-    """The recording of a path, or all recordings of a folder.
+def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
+    """The recordings of some paths: each a recording, or a folder of recordings.
 
     Raises:
         RecordingError: None there, or one that cannot be read.
     """
     from ..recording.recording import Recording
 
-    files = sorted(path.glob("*.h5")) if path.is_dir() else [path]
-    if not files:
-        folders = [folder.name for folder in folders_of(path)]
-        fix = f"name one of its folders: {', '.join(folders)}" if folders else "name one that `mmnn run` wrote"
-        raise RecordingError("no recordings (*.h5) in this folder", fix=fix, file=path)
+    files: list[Path] = []
+    for path in paths:
+        here = sorted(path.glob("*.h5")) if path.is_dir() else [path]
+        if not here:
+            folders = [folder.name for folder in folders_of(path)]
+            fix = f"name one of its folders: {', '.join(folders)}" if folders else "name one that `mmnn run` wrote"
+            raise RecordingError("no recordings (*.h5) in this folder", fix=fix, file=path)
+        files += here
     return [Recording.open(file) for file in files]
 
 
 def folders_of(path: Path) -> list[Path]:
     """Folders with recordings in a folder: the tasks of a contest, the cases of an experiment."""
     return sorted({file.parent for file in path.glob("*/*.h5")})
-
-
-def recordings_in(path: Path) -> str:
-    """The recordings of a folder in words, to choose one; with `FOLDER/` for those of its folders."""
-    if here := sorted(path.glob("*.h5")):
-        return f"name one of its recordings: {', '.join(file.name for file in here)}"
-    folders = folders_of(path)
-    if not folders:
-        return "name a recording that `mmnn run` wrote"
-    names = dict.fromkeys(file.name for folder in folders for file in sorted(folder.glob("*.h5")))
-    where = ", ".join(folder.name for folder in folders)
-    return f"name a recording FOLDER/FILE in it: FOLDER is one of {where}; FILE one of {', '.join(names)}"
-
-
-def require_no_pictures(files: Iterable[Path], what: str, elsewhere: str, force: bool) -> None:
-    """Refuse to draw over pictures.
-
-    Args:
-        files: They.
-        what: What to call them.
-        elsewhere: What to do instead.
-        force: Whether they may be replaced.
-
-    Raises:
-        RecordingError: One exists.
-    """
-    for file in files:
-        if file.exists() and not force:
-            raise RecordingError(f"the {what} exists", fix=f"{elsewhere}, or replace it with --force", file=file)

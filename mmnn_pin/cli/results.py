@@ -1,63 +1,58 @@
-"""`mmnn plot`, `replay`, `report` and `export`: what is made of recordings, of a study, of a contest."""
+"""`mmnn plot`, `prove`, `replay`, `report` and `export`: what is made of recordings, of a study, of a contest."""
 
 from __future__ import annotations
 
 import os
 import shlex
 import sys
-from collections.abc import Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ConfigError, RecordingError
-from .options import examples, law, shared
-from .output import DONE, contest_of, folders_of, open_runs, require_no_pictures, say, say_json, study_of, warn
+from ..errors import ConfigError, InputError, RecordingError
+from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
+from .output import (
+    DONE,
+    FAILED,
+    answer,
+    compile_if_cold,
+    folders_of,
+    found_in,
+    named,
+    open_runs,
+    progress_bar,
+    warn,
+    wrote,
+)
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from ..lab.show.files import HtmlPage
-    from ..lab.show.replay import Page
     from ..recording.recording import Recording
 
-
 RUNS = click.argument("runs", nargs=-1, required=True, metavar="RUN...", type=click.Path(path_type=Path))
-PACKAGE_DIRS = click.option(
-    "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
-)
 TO = ("csv", "npz", "parquet", "mcap")
 
 
-def whats() -> tuple[str, ...]:
-    """Names of all figures of runs."""
-    from ..lab.show.gallery import PICTURES
+def whats(of: str = "runs") -> tuple[str, ...]:
+    """Names of all figures of runs, or of a contest."""
+    from ..lab.show.gallery import CONTEST, PICTURES
 
-    return tuple(PICTURES)
-
-
-def contest_whats() -> tuple[str, ...]:
-    """Names of all figures of a contest."""
-    from ..lab.show.gallery import FIGURES
-
-    return tuple(FIGURES["contest"])
+    return tuple(PICTURES if of == "runs" else CONTEST)
 
 
 class FigureName(click.Choice[str]):
     """A figure by its name in the register, which is imported when a name is looked up and not before."""
 
+    case_sensitive = True
+
     def __init__(self) -> None:
-        super().__init__(())
+        """Leave the names to the register."""
 
-    @property
-    def choices(self) -> tuple[str, ...]:
+    @cached_property
+    def choices(self) -> tuple[str, ...]:  # type: ignore[override]
         """The names."""
-        return (*whats(), *contest_whats())
-
-    @choices.setter
-    def choices(self, names: Sequence[str]) -> None:
-        """Click sets them; the register has them."""
+        return (*whats(), *whats("contest"))
 
 
 @click.command(
@@ -80,43 +75,45 @@ class FigureName(click.Choice[str]):
     help="What to draw; repeatable; contest-... of a contest's folder.  [default: errors; of a contest all four]",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="A .png, .svg or .pdf file, or a folder.  [default: .]")
-@click.option("--force", is_flag=True, help="Replace existing pictures.")
+@FORCE
 @law
 @shared
 def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force: bool, as_json: bool) -> int:
     """Plot recordings side by side. RUN is a recording, a folder with recordings, or the folder of one contest."""
-    from ..lab.show.figure import FORMATS, save
-    from ..lab.show.gallery import PICTURES
+    from ..lab.contest.contest import opened
+    from ..lab.show.curves import require_comparable
+    from ..lab.show.figure import save
+    from ..lab.show.files import require_free
+    from ..lab.show.gallery import CONTEST, PICTURES
 
-    folder = contest_of(runs)
+    folder = found_in(runs, "contest")
     require_whats(whats, folder)
-    recordings = named([recording for path in runs for recording in open_runs(path)]) if folder is None else {}
-    wanted = tuple(dict.fromkeys(whats)) or (("errors",) if folder is None else contest_whats())
-    files = pictures(out or Path("."), wanted, FORMATS)
-    require_no_pictures(files.values(), "picture", "choose another with --out", force)
-    facts: dict[str, Any]
     if folder is None:
-        facts = {"runs": [str(recording.path) for recording in recordings.values()]}
-        figures = {what: PICTURES[what](recordings) for what in files}
+        every = open_runs(runs)
+        require_comparable(every)
+        recordings = by_name(every)
+        about: dict[str, Any] = {"runs": [str(recording.path) for recording in recordings.values()]}
+        make, wanted = (lambda what: PICTURES[what](recordings)), whats or ("errors",)
     else:
-        facts, figures = {"contest": str(folder)}, figures_of(folder, wanted)
-    for what, file in files.items():
-        save(figures[what], file)
-    if as_json:
-        say_json(facts | {"files": {what: str(file) for what, file in files.items()}})
-    else:
-        say("\n".join(f"wrote {file}" for file in files.values()))
+        standing, about = opened(folder), {"contest": str(folder)}
+        make, wanted = (lambda what: CONTEST[what](standing)), whats or tuple(CONTEST)
+    files = pictures(out or Path("."), tuple(dict.fromkeys(wanted)))
+    for file in files.values():
+        require_free(file, force, "picture")
+    for what, figure in {what: make(what) for what in files}.items():
+        save(figure, files[what])
+    answer(as_json, lambda: about | {"files": named(files)}, lambda: wrote(files.values()))
     return DONE
 
 
-def require_whats(whats: tuple[str, ...], contest: Path | None) -> None:
+def require_whats(chosen: tuple[str, ...], contest: Path | None) -> None:
     """Refuse plots of runs for a contest, and the other way round.
 
     Raises:
         ConfigError: With the name of the first.
     """
-    of_contest = contest_whats() if whats else ()
-    for what in whats:
+    of_contest = whats("contest") if chosen else ()
+    for what in chosen:
         if contest is None and what in of_contest:
             raise ConfigError(f"'{what}' is a figure of a contest", fix="name a contest's folder", key="--what")
         if contest is not None and what not in of_contest:
@@ -125,51 +122,141 @@ def require_whats(whats: tuple[str, ...], contest: Path | None) -> None:
             raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=contest, key="--what")
 
 
-def figures_of(folder: Path, whats: tuple[str, ...]) -> dict[str, Figure]:
-    """Figures of the contest in a folder, drawn again.
-
-    Raises:
-        RecordingError: It has none, or no run that reached its end.
-    """
-    from ..lab.contest.contest import opened
-    from ..lab.show.figure import FIGURES
-
-    standing, register = opened(folder), FIGURES["contest"]
-    if why := next(iter(register.values())).lacks(standing):
-        raise RecordingError("nothing to draw", why=why, file=folder)
-    return {what: register[what].make(standing) for what in whats}
+def by_name(recordings: list[Recording]) -> dict[str, Recording]:
+    """Recordings by controller; where that does not tell them apart, with the robot or the file."""
+    for keys in (("controller",), ("controller", "robot"), ()):
+        names = [", ".join(str(r.meta.get(key, r.path)) for key in keys) or str(r.path) for r in recordings]
+        if len(set(names)) == len(names):
+            break
+    return dict(zip(names, recordings, strict=True))
 
 
-def named(recordings: list[Recording]) -> dict[str, Recording]:
-    """Recordings of robots alike, by name.
-
-    Raises:
-        RecordingError: One holds no rows, or they are of robots with different velocities.
-    """
-    for recording in recordings:
-        if not len(recording):
-            raise RecordingError("holds no rows", why="the run ended before its first sample", file=recording.path)
-        if recording.labels("torque") != recordings[0].labels("torque"):
-            here, there = (", ".join(r.labels("torque")) for r in (recording, recordings[0]))
-            why = f"it moves in {here}; {recordings[0].path} in {there}"
-            raise RecordingError("a recording of another robot", why=why, fix="plot them apart", file=recording.path)
-    return by_name(recordings)
-
-
-def pictures(out: Path, whats: tuple[str, ...], formats: tuple[str, ...]) -> dict[str, Path]:
+def pictures(out: Path, whats: tuple[str, ...]) -> dict[str, Path]:
     """File of every plot: the one named, or one per plot in the folder named.
 
     Raises:
         ConfigError: One file for several plots, or a format that is not offered.
     """
+    from ..lab.show.figure import FORMATS
+
     if not out.suffix or out.is_dir():
         return {what: out / f"{what}.png" for what in whats}
-    if out.suffix[1:].lower() not in formats:
-        fix = f"end its name in {', '.join(f'.{name}' for name in formats)}, or name a folder"
+    if out.suffix[1:].lower() not in FORMATS:
+        fix = f"end its name in {', '.join(f'.{name}' for name in FORMATS)}, or name a folder"
         raise ConfigError(f"unknown format '{out.suffix}'", fix=fix, file=out, key="--out")
     if len(whats) > 1:
         raise ConfigError(f"one file for {len(whats)} plots", fix="name a folder", file=out, key="--out")
     return {whats[0]: out}
+
+
+@click.command(
+    short_help="Tell whether a run learned Psi, and whether its Lyapunov function falls.",
+    epilog=examples(
+        "mmnn prove runs/chapter4/two_layer.h5",
+        "mmnn prove runs/track/two_layer.h5 --payload 3 --plots proof",
+        "mmnn prove runs/certified/two_layer.h5 --disturbance v=5",
+        "mmnn prove runs/chapter4/pd.h5 --every-period --json",
+        "mmnn prove runs/track/MyLaw.h5 --law my_law.py     a law of your own",
+    ),
+)
+@click.argument("run", metavar="RUN", type=click.Path(path_type=Path))
+@click.option(
+    "--payload",
+    type=click.FloatRange(0, 1e6, min_open=True),
+    metavar="KG",
+    help="Load of the changed robot.  [default: a quarter of what the arm weighs]",
+)
+@click.option(
+    "--windows", type=click.IntRange(1, 1000), default=5, show_default=True, help="Windows of the online FVU."
+)
+@click.option(
+    "--every-period", is_flag=True, help="Check the equality over every control period, however long it takes."
+)
+@click.option(
+    "--region",
+    metavar="SIZE=VALUE",
+    multiple=True,
+    help="Certify errors within these sizes, not the largest region that is found; give all of them: pose=M, the "
+    "base's pose error; arm=SIZE, the arm's errors; energy=J, s'Ms/2 (docs/theory.md); repeatable.",
+)
+@click.option(
+    "--disturbance",
+    metavar="VELOCITY=FORCE",
+    multiple=True,
+    help="Certify against an external force up to this, as v=5; repeatable.",
+)
+@click.option("--plots", type=click.Path(path_type=Path), metavar="DIR", help="Write the figures to this folder.")
+@FORCE
+@law
+@shared
+def prove(
+    run: Path,
+    payload: float | None,
+    windows: int,
+    every_period: bool,
+    region: tuple[str, ...],
+    disturbance: tuple[str, ...],
+    plots: Path | None,
+    force: bool,
+    as_json: bool,
+) -> int:
+    """Judge one recording: Psi_hat against the truth, the Lyapunov function, the equality behind it.
+
+    Psi: fraction of variance unexplained (FVU) online and with the final weights held fixed, on the run's own
+    trajectory, on one held out, and with a payload; shares of the torque; ranks and excitation of the networks; ideal
+    weights by an offline fit. Lyapunov function: V, its derivative term by term, when and why it grows. Equality: the
+    energy of the errors over every control period. Certificate: a region that the loop provably never leaves, the bound
+    that it ends up in, conditions and constants, a condition on the learning rates (docs/theory.md). Exit code 1 when
+    the equality or the certificate is violated.
+    """
+    from ..lab.proof.balance import BUDGET
+    from ..lab.proof.certified_run import certified_run
+    from ..lab.proof.proof import Proof, sentence
+    from ..lab.show.proof.figures import write_proof
+    from ..lab.show.proof.text import render, render_certificate
+
+    wanted, forces = numbers(region, "--region"), numbers(disturbance, "--disturbance")
+    recording = one_run(run)
+    compile_if_cold()
+    with progress_bar() as show:
+        budget = float("inf") if every_period else BUDGET
+        proof = Proof(recording, payload=payload, windows=windows, budget=budget, progress=show)
+        missing = proof.missing
+    if len(missing) == 4:
+        raise InputError("nothing to judge", why="; ".join(map(sentence, missing.values())), file=run)
+    certified, colour = certified_run(proof, wanted, forces), sys.stdout.isatty()
+    files = {} if plots is None else write_proof(proof, plots, force)
+    written = {} if plots is None else {"files": named(files)}
+    answer(
+        as_json,
+        lambda: proof.to_dict() | {"certificate": certified.to_dict()} | written,
+        lambda: "\n".join(
+            (render(proof, colour), render_certificate(certified, colour), wrote(files.values()))
+        ).rstrip(),
+    )
+    return DONE if proof.holds and certified.holds else FAILED
+
+
+def one_run(path: Path) -> Recording:
+    """The one recording of a path, with rows.
+
+    Raises:
+        RecordingError: A folder, no recording, or one without rows.
+    """
+    from ..lab.show.curves import require_comparable
+
+    if not path.is_dir():
+        recordings = open_runs((path,))
+        require_comparable(recordings)
+        return recordings[0]
+    fix, here, folders = "name a recording that `mmnn run` wrote", sorted(path.glob("*.h5")), folders_of(path)
+    if here:
+        fix = f"name one of its recordings: {', '.join(file.name for file in here)}"
+    elif folders:
+        names = ", ".join(dict.fromkeys(file.name for folder in folders for file in sorted(folder.glob("*.h5"))))
+        where = ", ".join(folder.name for folder in folders)
+        fix = f"name a recording FOLDER/FILE in it: FOLDER is one of {where}; FILE one of {names}"
+    raise RecordingError("a folder", why="one run is judged at a time", fix=fix, file=path)
 
 
 @click.command(
@@ -183,12 +270,12 @@ def pictures(out: Path, whats: tuple[str, ...], formats: tuple[str, ...]) -> dic
 )
 @RUNS
 @click.option("--html", type=click.Path(path_type=Path), help="Write the page to this file and open nothing.")
-@click.option("--force", is_flag=True, help="Replace that file.")
+@FORCE
 @click.option("--fps", type=click.FloatRange(0.1, 1000), default=60, show_default=True, help="Frames kept per second.")
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=7007, show_default=True, help="Or the next that is free."
 )
-@click.option("--no-browser", is_flag=True, help="Only tell the address.")
+@click.option("--no-browser", is_flag=True, help="Only print the address.")
 @PACKAGE_DIRS
 @shared
 def replay(
@@ -207,37 +294,26 @@ def replay(
     Ctrl-C.
     """
     parent = os.getppid()  # before anything slow: a parent that dies meanwhile counts, too
-    from ..lab.show.replay import page
+    import webbrowser
 
-    if html is not None and html.exists() and not force:
-        raise RecordingError("the file exists", fix="choose another, or replace it with --force", file=html)
-    recordings = by_name([recording for path in runs for recording in open_runs(path)])
+    from ..lab.show.files import require_free
+    from ..lab.show.replay import page, wait_until_left
+
+    if html is not None:
+        require_free(html, force)
+    recordings = by_name(open_runs(runs))
     made = page(recordings, fps=fps, package_dirs=package_dirs)
     for warning in made.warnings:
         warn(warning)
-    facts = {"runs": [str(r.path) for r in recordings.values()], "bytes": made.size, "frames": made.frames}
-    facts |= {"samples": made.samples, "warnings": list(made.warnings)}
-    if html is None:
-        return serve(made, port, no_browser, parent, facts if as_json else None)
-    made.save(html)
-    if as_json:
-        say_json(facts | {"html": str(html)})
-    else:
-        say(f"wrote {html}: {summary(made)}")
-    return DONE
-
-
-def serve(made: Page, port: int, no_browser: bool, parent: int, facts: dict[str, Any] | None) -> int:
-    """Serve a page until Ctrl-C or until the parent process is gone; `facts` are printed as JSON."""
-    import webbrowser
-
-    from ..lab.show.replay.server import served, wait_until_left
-
-    with served(made.html, port) as url:
-        if facts is None:
-            say(f"replay at {url} ({summary(made)}); Ctrl-C ends it")
-        else:
-            say_json(facts | {"url": url})
+    about = {"runs": [str(r.path) for r in recordings.values()], "bytes": made.size, "frames": made.frames}
+    about |= {"samples": made.samples, "warnings": list(made.warnings)}
+    summary = f"{made.size / 1e6:.2g} MB, {made.frames:,} frames of {made.samples:,} samples"
+    if html is not None:
+        made.save(html)
+        answer(as_json, lambda: about | {"html": str(html)}, lambda: f"wrote {html}: {summary}")
+        return DONE
+    with made.served(port) as url:
+        answer(as_json, lambda: about | {"url": url}, lambda: f"replay at {url} ({summary}); Ctrl-C ends it")
         if not no_browser and has_display():
             webbrowser.open(url)
         wait_until_left(parent)
@@ -249,22 +325,8 @@ def has_display() -> bool:
     return sys.platform != "linux" or any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"))
 
 
-def summary(made: Page) -> str:
-    """Size of a page in words."""
-    return f"{made.size / 1e6:.2g} MB, {made.frames:,} frames of {made.samples:,} samples"
-
-
-def by_name(recordings: list[Recording]) -> dict[str, Recording]:
-    """Recordings by controller; where that does not tell them apart, with the robot or the file."""
-    for keys in (("controller",), ("controller", "robot"), ()):
-        names = [", ".join(str(r.meta.get(key, r.path)) for key in keys) or str(r.path) for r in recordings]
-        if len(set(names)) == len(names):
-            break
-    return dict(zip(names, recordings, strict=True))
-
-
 @click.command(
-    short_help="Write one HTML page that tells what was run and how good it was.",
+    short_help="Write one HTML page that shows what was run and how good it was.",
     epilog=examples(
         "mmnn report runs/chapter4 --html chapter4.html",
         "mmnn report runs/chapter4/pd.h5 runs/chapter4/two_layer.h5 --html two.html",
@@ -276,7 +338,7 @@ def by_name(recordings: list[Recording]) -> dict[str, Recording]:
 )
 @RUNS
 @click.option("--html", required=True, type=click.Path(path_type=Path), help="The page.")
-@click.option("--force", is_flag=True, help="Replace it.")
+@FORCE
 @click.option("--no-replay", is_flag=True, help="Leave the replay out.")
 @PACKAGE_DIRS
 @law
@@ -294,30 +356,29 @@ def report(
 
     require_free(html, force)
     command = shlex.join(["mmnn", "report", *map(str, runs), "--html", str(html)])
-    warnings: tuple[str, ...] = ()
-    if (study := study_of(runs)) is not None:
+    if (study := found_in(runs, "study")) is not None:
         from ..lab.show.study import page as study_page
         from ..lab.study.results import load_results
 
         about: dict[str, Any] = {"study": str(study)}
-        made: HtmlPage = study_page(load_results(study), command)
-    elif (contest := contest_of(runs)) is not None:
+        made = study_page(load_results(study), command)
+    elif (contest := found_in(runs, "contest")) is not None:
         from ..lab.contest.contest import opened
         from ..lab.show.contest import page as contest_page
 
         about, made = {"contest": str(contest)}, contest_page(opened(contest), command)
     else:
-        recordings = by_name([recording for path in runs for recording in open_runs(path)])
+        recordings = by_name(open_runs(runs))
         about = {"runs": [str(recording.path) for recording in recordings.values()]}
-        made = page = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
-        warnings = page.warnings
-    for warning in warnings:
+        made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
+    for warning in made.warnings:
         warn(warning)
     made.save(html)
-    if as_json:
-        say_json(about | {"html": str(html), "bytes": made.size, "warnings": list(warnings)})
-    else:
-        say(f"wrote {html}: {made.size / 1e6:.2g} MB")
+    answer(
+        as_json,
+        lambda: about | {"html": str(html), "bytes": made.size, "warnings": list(made.warnings)},
+        lambda: f"wrote {html}: {made.size / 1e6:.2g} MB",
+    )
     return DONE
 
 
@@ -333,7 +394,7 @@ def report(
 @RUNS
 @click.option("--to", type=click.Choice(TO), required=True, help="The format.")
 @click.option("--out", type=click.Path(path_type=Path), help="A file, or a folder.  [default: beside the recording]")
-@click.option("--force", is_flag=True, help="Replace existing files.")
+@FORCE
 @shared
 def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_json: bool) -> int:
     """Write recordings as tables (csv, npz, parquet) or as MCAP. RUN is a recording, or a folder with recordings.
@@ -346,25 +407,24 @@ def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_js
     from ..lab.show.export import export_study
     from ..lab.show.files import require_free
 
-    files: dict[Path, Path]
-    if (study := study_of(runs)) is not None:
+    if (study := found_in(runs, "study")) is not None:
         from ..lab.study.results import load_results
 
         results = load_results(study)
-        is_file = out is not None and out.suffix and not out.is_dir()
-        file = out if is_file and out is not None else (out or study.parent) / f"{results.name}.{to}"
-        files = {study: export_study(results, file, to, force=force)}
+        files = dict(zip([study], targets([results.path.with_stem(results.name)], out, to), strict=True))
+        export_study(results, files[study], to, force=force)
     else:
-        recordings = {run: recording for path in runs for recording in open_runs(path) if (run := recording.path)}
+        recordings = {run: recording for recording in open_runs(runs) if (run := recording.path)}
         files = dict(zip(recordings, targets(list(recordings), out, to), strict=True))
         for file in files.values():
             require_free(file, force)
         for run, recording in recordings.items():
             write(recording, files[run], to, force=True)
-    if as_json:
-        say_json({"to": to, "files": {str(run): str(file) for run, file in files.items()}})
-    else:
-        say("\n".join(f"wrote {file}" for file in files.values()))
+    answer(
+        as_json,
+        lambda: {"to": to, "files": {str(run): str(file) for run, file in files.items()}},
+        lambda: wrote(files.values()),
+    )
     return DONE
 
 

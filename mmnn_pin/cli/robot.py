@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import click
 
 from ..errors import RobotError
 from .options import examples, shared, understanding
-from .output import BAD_INPUT, DONE, FAILED, progress_bar, say, say_json
+from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar
 
 
 @click.command(
@@ -25,7 +26,7 @@ from .output import BAD_INPUT, DONE, FAILED, progress_bar, say, say_json
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Their seed.")
 @understanding
 @shared
-def check(robot: str, samples: int, seed: int, said: dict[str, Any], as_json: bool) -> int:
+def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_json: bool) -> int:
     """Check ROBOT: M, properties 1-5, A S = 0, passivity, bounds of M and C, and whether its base is nonholonomic.
 
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. Every property is a scale-free
@@ -35,14 +36,10 @@ def check(robot: str, samples: int, seed: int, said: dict[str, Any], as_json: bo
     from ..model.checks.properties import check_properties
     from ..model.loading import load
 
-    loaded = load(robot, **said)
+    loaded = load(robot, **overrides)
     with progress_bar() as show:
-        progress = None if show is None else lambda fraction: show("checking", fraction)
-        report = check_properties(loaded, samples, seed, progress=progress)
-    if as_json:
-        say_json(properties_dict(report))
-    else:
-        say(properties_text(report))
+        report = check_properties(loaded, samples, seed, progress=functools.partial(show, "checking"))
+    answer(as_json, lambda: properties_dict(report), lambda: properties_text(report))
     return DONE if report.passed else FAILED
 
 
@@ -58,10 +55,10 @@ def check(robot: str, samples: int, seed: int, said: dict[str, Any], as_json: bo
 @click.argument("robot")
 @understanding
 @shared
-def inspect(robot: str, said: dict[str, Any], as_json: bool) -> int:
+def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
     """Show what the loader understood of ROBOT: base, wheels, arm with limits, locked joints, mass, and all findings.
 
-    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. What is said in the options can
+    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. What the options state can
     stand in NAME.mmnn.toml beside NAME.urdf too. Exit code 2 when the robot cannot be used or its base is undecided.
     """
     from ..lab.show.robots import inspection_text, refusal_text
@@ -71,26 +68,17 @@ def inspect(robot: str, said: dict[str, Any], as_json: bool) -> int:
     from ..model.robots import find
 
     try:
-        content, code = inspection_of(load(robot, **said)), DONE
+        content, code = inspection_of(load(robot, **overrides)), DONE
     except RobotError as error:
-        path = find(robot)
-        content, code = refusal_of(error, path, Overrides(**said)), BAD_INPUT
+        content, code = refusal_of(error, find(robot), Overrides(**overrides)), BAD_INPUT
     for finding in content["findings"]:
         if finding["severity"] == "error":
             click.echo(finding["text"], err=True)
-    if as_json:
-        say_json(without_texts(content))
-    elif code == DONE:
-        say(inspection_text(content))
-    elif text := refusal_text(content):
-        say(text)
+    text = inspection_text(content) if code == DONE else refusal_text(content)
+    without_texts = [{k: v for k, v in finding.items() if k != "text"} for finding in content["findings"]]
+    if as_json or text:
+        answer(as_json, lambda: content | {"findings": without_texts}, lambda: text)
     return code
-
-
-def without_texts(content: dict[str, Any]) -> dict[str, Any]:
-    """The content without the lines that a terminal shows."""
-    findings = [{k: v for k, v in finding.items() if k != "text"} for finding in content["findings"]]
-    return content | {"findings": findings}
 
 
 @click.command(
@@ -105,23 +93,18 @@ def without_texts(content: dict[str, Any]) -> dict[str, Any]:
 @click.option("--at", "state", metavar="STATE.json", type=click.Path(path_type=Path), help="The state; else at rest.")
 @understanding
 @shared
-def model(robot: str, state: Path | None, said: dict[str, Any], as_json: bool) -> int:
+def model(robot: str, state: Path | None, overrides: dict[str, Any], as_json: bool) -> int:
     """Print the reduced model of ROBOT at one state: M, C, gravity, friction, T, A, E with names.
 
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. STATE.json has the keys
     pose [x, y, phi], base_velocity [v, w], joints {name: rad or m}, joint_velocities {name: rad/s or m/s}; what is left
     out is at rest and zero.
     """
+    from ..lab.show.robots import model_text
     from ..model.inspection import NamedState, model_at, read_state
     from ..model.loading import load
 
-    loaded = load(robot, **said)
-    position, nu = read_state(state, loaded) if state else NamedState().of(loaded)
-    at = model_at(loaded, position, nu)
-    if as_json:
-        say_json(at)
-    else:
-        from ..lab.show.robots import model_text
-
-        say(model_text(at))
+    loaded = load(robot, **overrides)
+    at = model_at(loaded, *(read_state(state, loaded) if state else NamedState().of(loaded)))
+    answer(as_json, lambda: at, lambda: model_text(at))
     return DONE

@@ -1,26 +1,34 @@
-"""`mmnn run`."""
+"""`mmnn run`, and what there is to run: `mmnn list` and `mmnn readings`."""
 
 from __future__ import annotations
 
+import itertools
 import json
-import signal
 import sys
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import examples, shared, understanding
-from .output import DONE, FAILED, STOPPED, compile_if_cold, progress_bar, require_no_pictures, say, say_json, warn
+from .options import CHANGES, VARIANT, examples, shared, understanding
+from .output import (
+    DONE,
+    FAILED,
+    STOPPED,
+    answer,
+    compile_if_cold,
+    interruptible,
+    named,
+    progress_bar,
+    warn,
+    wrote,
+)
 
 if TYPE_CHECKING:
     from ..lab.contest.standing import Standing
     from ..lab.experiments.experiment import Experiment
-    from ..lab.experiments.runner import Result
+
+MOST = 8  # names of cases that a line of `mmnn list` shows
 
 
 @click.command(
@@ -41,7 +49,7 @@ if TYPE_CHECKING:
     ),
 )
 @click.argument("experiment")
-@click.option("--variant", metavar="NAME", help="A variant of the experiment, see `mmnn list`.  [default: its first]")
+@VARIANT
 @click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
 @click.option(
     "--controller",
@@ -57,11 +65,13 @@ if TYPE_CHECKING:
     multiple=True,
     help="Only this case, or this task of a contest, see `mmnn list`; repeatable.",
 )
-@click.option("--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the TOML; repeatable.")
+@CHANGES
 @click.option("--plant", metavar="NAME", help="ideal, or contact: wheels that may slip, in MuJoCo.")
 @click.option("--seed", type=int, help="The seed, short for --set seed=N.")
 @click.option(
-    "--out", type=click.Path(path_type=Path), help="Folder for the files.  [default: runs/EXPERIMENT[-VARIANT]]"
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder for the files.  [default: runs/EXPERIMENT[-VARIANT], numbered where that exists]",
 )
 @click.option("--force", is_flag=True, help="Replace what is already in that folder.")
 @understanding
@@ -77,7 +87,7 @@ def run(
     seed: int | None,
     out: Path | None,
     force: bool,
-    said: dict[str, Any],
+    overrides: dict[str, Any],
     as_json: bool,
 ) -> int:
     """Run EXPERIMENT with all its controllers from equal starts and compare them.
@@ -96,46 +106,48 @@ def run(
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.runner import has_hardware
+    from ..lab.show.files import require_free
+    from ..lab.show.gallery import require_plots
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
-    overrides = [*about_robot(robot, said), *settings, *in_toml(**chosen)]
-    asked, name = chosen_cases(load_experiment(experiment, overrides, variant), cases), Path(experiment).stem
+    changes = [*about_robot(robot, overrides), *settings, *in_toml(**chosen)]
+    asked, name = chosen_cases(load_experiment(experiment, changes, variant), cases), Path(experiment).stem
     folder = out or Path("runs") / (f"{name}-{variant}" if variant else name)
-    drawn = [folder / f"{plot}.png" for plot in asked.plots]
-    require_no_pictures(drawn, "plot", "choose another folder with --out", force)
+    if out is None and not force and asked.contest is None:  # a contest goes on where it was stopped
+        folder = unused(folder)
+    require_plots(asked.plots)
+    for plot in asked.plots:
+        require_free(folder / f"{plot}.png", force, "plot")
     compile_if_cold(bool(asked.cases) or has_hardware(asked))
-    return (run_contest if asked.contest is not None else run_cases if asked.cases else run_one)(
-        asked, name, folder, force, as_json
-    )
+    command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
+    return command(asked, name, folder, force, as_json)
+
+
+def unused(folder: Path) -> Path:
+    """A folder that does not exist yet: this one, or `FOLDER-2` and so on."""
+    numbered = (folder.with_name(f"{folder.name}-{i}") for i in itertools.count(2))
+    return next(each for each in itertools.chain([folder], numbered) if not each.exists())
 
 
 def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
     """Run an experiment, draw and print what came of it; 130 if stopped, 1 if a run did not reach its end, else 0."""
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render
+    from ..lab.show.gallery import write_pictures
 
-    with shown_progress() as progress:
+    with progress_bar() as show, interruptible(show) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress)
-    pictures = draw(result, folder)
-    if as_json:
-        say_json(result.to_dict() | {"plots": {plot: str(file) for plot, file in pictures.items()}})
-    else:
-        say(render(result, colour=sys.stdout.isatty()) + "\n")
-        for note in notes(result):
-            say(f"note: {note}")
+    pictures = write_pictures(result.recordings, asked.plots, folder)
+
+    def text() -> str:
+        remarks = [f"note: {note}" for note in notes(result)]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        for file in [*files, *pictures.values()]:
-            say(f"wrote {file}")
+        return "\n".join([render(result, sys.stdout.isatty()), "", *remarks, wrote([*files, *pictures.values()])])
+
+    answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
         return STOPPED
     return DONE if result.completed else FAILED
-
-
-def draw(result: Result, folder: Path) -> dict[str, Path]:
-    """Write the pictures of an experiment, as far as its runs have something for them; name to file."""
-    from ..lab.show.gallery import write_pictures
-
-    return write_pictures(result.recordings, result.experiment.plots, folder)
 
 
 def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
@@ -143,97 +155,138 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
     from ..lab.experiments.cases import run_cases as run_all
     from ..lab.show.comparison import render_cases
 
-    with shown_progress() as progress:
+    with progress_bar() as show, interruptible(show) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
-    if as_json:
-        say_json(matrix.to_dict())
-    else:
-        look = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
-        say(render_cases(matrix, colour=sys.stdout.isatty()) + "\n")
-        say(f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {look}")
+    look = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
+    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {look}"
+    answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, sys.stdout.isatty())}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 
 
 def run_contest(asked: Experiment, name: str, folder: Path, force: bool, as_json: bool) -> int:
     """Run a contest, draw and print what came of it; the exit code."""
     from ..lab.contest.contest import run_contest as run_all
-    from ..lab.show.contest_figures import write_figures
+    from ..lab.show.contest import write_figures
 
-    with shown_progress() as progress:
+    with progress_bar() as show, interruptible(show) as progress:
         standing = run_all(asked, name, out=folder, force=force, progress=progress, warn=warn)
     pictures = write_figures(standing, folder)
-    if as_json:
-        say_json(standing.to_dict() | {"plots": {plot: str(file) for plot, file in pictures.items()}})
-    else:
-        say_contest(standing, folder, list(pictures.values()))
+    answer(
+        as_json,
+        lambda: standing.to_dict() | {"plots": named(pictures)},
+        lambda: contest_text(standing, folder, list(pictures.values())),
+    )
     return STOPPED if standing.interrupted else DONE if standing.completed else FAILED
 
 
-def say_contest(standing: Standing, folder: Path, pictures: list[Path]) -> None:
-    """Print a contest: its tables, what failed, what to know, where the files are."""
+def contest_text(standing: Standing, folder: Path, pictures: list[Path]) -> str:
+    """A contest as text: its tables, what failed, what to know, where the files are."""
     from ..lab.show.contest import findings, render
 
-    say(render(standing, colour=sys.stdout.isatty()) + "\n")
-    for (task, controller), error in standing.failed.items():
-        say(f"failed: {controller} on {task}: {error}")
-    for note in findings(standing):
-        say(f"note: {note}")
-    for file in (folder / "rows.json", folder / "rows.csv", *pictures) if standing.trials else ():
-        say(f"wrote {file}")
-    say(
+    lines = [render(standing, colour=sys.stdout.isatty()), ""]
+    lines += [f"failed: {controller} on {task}: {error}" for (task, controller), error in standing.failed.items()]
+    lines += [f"note: {note}" for note in findings(standing)]
+    lines += [wrote([folder / "rows.json", folder / "rows.csv", *pictures])] if standing.trials else []
+    lines.append(
         f"wrote {folder}/TASK/CONTROLLER.h5, the first seed's; look at one with mmnn plot, prove, report or replay;"
         f" mmnn report {folder} --html contest.html makes one page of all"
     )
     if standing.interrupted:
         done, rest = len(standing.trials), len(standing.missing)
-        say(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
-
-
-@contextmanager
-def shown_progress() -> Iterator[Callable[[str, float], None]]:
-    """Show how far each run is; yields what a run calls with its controller and the share that is done."""
-    with progress_bar() as show, remembered_interrupt() as stop_if_pressed:
-
-        def progress(controller: str, fraction: float) -> None:
-            stop_if_pressed()
-            show(controller, fraction)
-
-        yield progress
-
-
-@contextmanager
-def remembered_interrupt() -> Iterator[Callable[[], None]]:
-    """Ctrl-C as ever, and remembered: Python swallows a KeyboardInterrupt that happens to hit a destructor.
-
-    Yields a function that raises it again if it was pressed.
-    """
-    pressed = threading.Event()
-
-    def press(number: int, frame: FrameType | None) -> None:
-        pressed.set()
-        signal.default_int_handler(number, frame)
-
-    def stop_if_pressed() -> None:
-        if pressed.is_set():
-            raise KeyboardInterrupt
-
-    usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # else someone's own, or ignored
-    if not usual or threading.current_thread() is not threading.main_thread():
-        yield stop_if_pressed
-        return
-    signal.signal(signal.SIGINT, press)
-    try:
-        yield stop_if_pressed
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        lines.append(f"stopped: {done} of {done + rest} are done and kept; the same command goes on with the rest")
+    return "\n".join(lines)
 
 
 def in_toml(**values: object) -> list[str]:
-    """Overrides `key=value` of those that are given; JSON's texts, lists and integers are TOML's."""
+    """Changes `key=value` of those that are given; JSON's texts, lists and integers are TOML's."""
     return [f"{key}={json.dumps(value, ensure_ascii=False)}" for key, value in values.items() if value is not None]
 
 
-def about_robot(robot: str | None, said: dict[str, Any]) -> list[str]:
-    """Overrides for what the options say about the robot; of another robot nothing is left of what the TOML says."""
+def about_robot(robot: str | None, overrides: dict[str, Any]) -> list[str]:
+    """Changes of the TOML for what the options state about the robot; another robot drops what the TOML states."""
     anew = ["overrides={}"] if robot is not None else []
-    return [*anew, *in_toml(**{f"overrides.{key}": value for key, value in said.items()})]
+    return [*anew, *in_toml(**{f"overrides.{key}": value for key, value in overrides.items()})]
+
+
+@click.command(
+    "list",
+    short_help="List experiments with their cases, robots, controllers, references.",
+    epilog=examples("mmnn list", "mmnn list --json"),
+)
+@shared
+def list_(as_json: bool) -> int:
+    """List the bundled experiments with their cases, robots, the controllers and the references.
+
+    A contest's cases are its tasks. Controllers are listed with what they know and what they learn.
+    """
+    from ..lab.experiments.config import bundled, read_toml, variants
+    from ..lab.experiments.controllers import CONTROLLERS
+    from ..lab.experiments.references import ARM_PROFILES, BASE_PATHS
+    from ..model.robots import bundled as robots
+    from ..model.robots import extra
+
+    files = {name: read_toml(path) for name, path in bundled().items()}
+    there_is: dict[str, dict[str, Any]] = {
+        "experiments": {name: table.get("title", "") for name, table in files.items()},
+        "variants": {name: list(variants(path)) for name, path in bundled().items()},
+        "cases": {name: list(table.get("cases", {})) for name, table in files.items()},
+        "robots": {name: str(path) for name, path in (robots() | extra()).items()},
+        "controllers": CONTROLLERS,
+        "references": {
+            part: {name: (kind.__doc__ or "").partition("\n")[0] for name, kind in kinds.items()}
+            for part, kinds in (("base", BASE_PATHS), ("arm", ARM_PROFILES))
+        },
+    }
+    answer(as_json, lambda: there_is, lambda: list_text(there_is))
+    return DONE
+
+
+def list_text(there_is: dict[str, dict[str, Any]]) -> str:
+    """What there is, a line each; variants and cases behind their experiments."""
+    titles = dict(there_is["experiments"])
+    for option in ("variant", "case"):
+        for name, known in there_is[f"{option}s"].items():
+            shown = [*known[:MOST], "..."] if len(known) > MOST else known
+            titles[name] += f" (--{option} {', '.join(shown)})" if known else ""
+    groups = {"experiments": titles, **{kind: there_is[kind] for kind in ("robots", "controllers")}}
+    groups |= {f"references of the {part}": kinds for part, kinds in there_is["references"].items()}
+    return "\n".join(
+        "\n".join([kind, *(f"  {name:24}{text}" for name, text in group.items())]) for kind, group in groups.items()
+    )
+
+
+@click.command(
+    short_help="Turn each switch that the thesis leaves open, one at a time.",
+    epilog=examples(
+        "mmnn readings chapter4",
+        "mmnn readings chapter4 --variant printed",
+        "mmnn readings chapter4 --set time.control_period=0.001 --json",
+    ),
+)
+@click.argument("experiment")
+@VARIANT
+@CHANGES
+@shared
+def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as_json: bool) -> int:
+    """Run both learners of EXPERIMENT as it is, then with each switch turned alone, and print what that changes.
+
+    The switches: learning rates per sample or per second, weights from zero or random, Appendix B's order and its
+    wd = 5, the frame of the pose error in the networks' input, the input with and without absolute position. Nothing
+    is written.
+    """
+    from ..lab.experiments.cases import readings as turn
+    from ..lab.experiments.cases import summaries
+    from ..lab.experiments.config import load_experiment
+    from ..lab.show.comparison import render_readings
+
+    asked, name = load_experiment(experiment, settings, variant), Path(experiment).stem
+    compile_if_cold()
+    with progress_bar() as show:
+        rows = summaries(turn(asked, name, show))
+    words = f" (variant {asked.variant})" if asked.variant else ""
+    answer(
+        as_json,
+        lambda: {"experiment": name, "variant": asked.variant, "readings": rows},
+        lambda: render_readings(f"{asked.title or name}{words}, each switch turned alone", rows),
+    )
+    return DONE

@@ -81,7 +81,9 @@ class Reducer:
         peak of `energy_residual`. On the contact plant also the peaks of slip [m/s], traction use and constraint
         residual [m/s].
         """
-        numbers, where = {}, self._places()
+        ends = np.cumsum([0, *(len(names) for names in self.labels.values())])
+        where = {name: np.arange(ends[i], ends[i + 1]) for i, name in enumerate(self.labels)}
+        nb, numbers = len(self.labels.get("z", ())), {}
         for name in ERRORS:
             for i, label in zip(where.get(name, ()), self.labels.get(name, ()), strict=True):
                 numbers[f"{name}.{label}.peak"] = float(self.peak[i]) if self.count else np.nan
@@ -89,28 +91,17 @@ class Reducer:
                     squares = self.window_squares[w, i] / self.inside[w] if self.inside[w] else np.nan
                     numbers[f"{name}.{label}.rms_{start:g}_{end:g}"] = float(np.sqrt(squares))
         numbers["effort"] = float(self.squares[where["motor_torque"]].sum() * self.h)
-        nb = len(self.labels.get("z", ()))
         for part, half in (("base", slice(0, nb)), ("arm", slice(nb, None))):
-            torque = self.squares[where["torque"][half]].sum()
             if not len(where["torque"][half]):
                 continue
-            learned = self.squares[where["psi_hat"][half]].sum()
+            torque, learned = (self.squares[where[name][half]].sum() for name in ("torque", "psi_hat"))
             numbers[f"learned_share.{part}"] = float(np.sqrt(learned / torque)) if torque > 0 else 0.0
             gain = self.total[where["effective_gain"][half]]
             numbers[f"effective_gain.{part}"] = float(gain.mean() / self.count) if self.count else np.nan
-        if "energy_residual" in where:
-            numbers["energy_residual"] = float(self.peak[where["energy_residual"]][0])
-        for name in ("slip", "traction"):
+        for name in ("energy_residual", "slip", "traction", "constraint_residual"):
             for i, label in zip(where.get(name, ()), self.labels.get(name, ()), strict=True):
-                numbers[f"{name}.{label}.peak"] = float(self.peak[i])
-        if "constraint_residual" in where:
-            numbers["constraint_residual"] = float(self.peak[where["constraint_residual"]][0])
+                numbers[name if label == name else f"{name}.{label}.peak"] = float(self.peak[i])
         return numbers
-
-    def _places(self) -> dict[str, Array]:
-        """Columns of every tracked signal."""
-        ends = np.cumsum([0, *(len(names) for names in self.labels.values())])
-        return {name: np.arange(ends[i], ends[i + 1]) for i, name in enumerate(self.labels)}
 
 
 @compiled

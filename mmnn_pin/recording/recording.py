@@ -1,6 +1,6 @@
 """One run, on disk or in memory: signals with units, weights, config, URDF, versions and the outcome.
 
-`Recording` reads it, `recorder.Recorder` writes it, `run_file` tells what the HDF5 file holds. A run that was killed
+`Recording` reads it, `recorder.Recorder` writes it, `run_file` describes the HDF5 file. A run that was killed
 is readable up to its last flush.
 """
 
@@ -199,13 +199,13 @@ def recorded_robot(recording: Recording) -> Robot:
     """
     meta = recording.meta
     try:
-        said = msgspec.convert(meta["overrides"], Overrides)
-        document = parse(recording.urdf.encode(), meta["urdf_file"], said.strict, said.package_dirs)
+        overrides = msgspec.convert(meta["overrides"], Overrides)
+        document = parse(recording.urdf.encode(), meta["urdf_file"], overrides.strict, overrides.package_dirs)
         masses, viscous, gears = meta["mass_factors"], meta["viscous"], meta["joint_friction"]
     except KeyError as error:
         what = f"the recording does not tell {error} of its robot"
         raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path) from None
-    robot = build(document, said)
+    robot = build(document, overrides)
     if robot.position_names != meta["position_names"] or robot.velocity_names != meta["velocity_names"]:
         why = f"it moves by {', '.join(robot.velocity_names)}, not by {', '.join(meta['velocity_names'])}"
         raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)

@@ -17,8 +17,8 @@ import fcntl
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -83,14 +83,12 @@ class RunFile:
             RecordingError: The disk is full or gone; the file is closed and holds the rows before these.
         """
         chunks = -(-(self.rows + len(rows)) // CHUNK_ROWS) - -(-self.rows // CHUNK_ROWS)
-        try:
+        with self._closing_on_failure():
             self._reserve(chunks * CHUNK_ROWS * self._row_bytes)
             for table, where in self._tables:
                 _extend(table, rows, where, self.rows)
             _extend(self._file["timing/step_time"], step_times[:, None], slice(0, 1), self.rows)
             self._file.flush()
-        except (OSError, RuntimeError) as error:
-            raise self._failed(error) from error
         self.rows += len(rows)
 
     def weights(self, snapshots: Mapping[str, NDArray[Any]]) -> None:
@@ -99,18 +97,15 @@ class RunFile:
         Raises:
             RecordingError: As for `write`.
         """
-        try:
+        with self._closing_on_failure():
             self._reserve(sum(max(array.nbytes, 8192) for array in snapshots.values()))
             for name, array in snapshots.items():
                 if name not in self._weights:
                     rows = max(1, 8192 // max(array[0].nbytes, 1))
                     self._weights[name] = _table(self._file, f"weights/{name}", array.shape[1:], rows, array.dtype)
                 table = self._weights[name]
-                count = len(table)
-                table.resize(count + len(array), axis=0)
-                table[count:] = array
-        except (OSError, RuntimeError) as error:
-            raise self._failed(error) from error
+                table.resize(len(table) + len(array), axis=0)
+                table[-len(array) :] = array
 
     def finish(self, outcome: Mapping[str, Any], final: Mapping[str, NDArray[Any]]) -> None:
         """Write how the run ended, mark the file complete and close it.
@@ -118,7 +113,7 @@ class RunFile:
         Raises:
             RecordingError: As for `write`.
         """
-        try:
+        with self._closing_on_failure():
             self._reserve(sum(array.nbytes for array in final.values()))
             for name, array in final.items():
                 self._file[f"final/{name}"] = array
@@ -128,8 +123,6 @@ class RunFile:
             self._file.flush()
             self._file.attrs["complete"] = True
             self.close()
-        except (OSError, RuntimeError) as error:
-            raise self._failed(error) from error
 
     def close(self) -> None:
         """Close the file as it is; unless `finish` came before, it reads as incomplete."""
@@ -142,11 +135,17 @@ class RunFile:
             with open(self.path, "r+b") as raw:
                 os.posix_fallocate(raw.fileno(), self._file.id.get_filesize(), size + SLACK_BYTES)
 
-    def _failed(self, error: Exception) -> RecordingError:
-        with suppress(OSError, RuntimeError):
-            self.close()
-        fix = f"make room on the disk; the first {self.rows:,} rows can be read"
-        return RecordingError("cannot write the recording", why=_reason(error), fix=fix, file=self.path)
+    @contextmanager
+    def _closing_on_failure(self) -> Iterator[None]:
+        """Close the file where it cannot be written."""
+        try:
+            yield
+        except (OSError, RuntimeError) as error:
+            with suppress(OSError, RuntimeError):
+                self.close()
+            fix = f"make room on the disk; the first {self.rows:,} rows can be read"
+            why = _reason(error)
+            raise RecordingError("cannot write the recording", why=why, fix=fix, file=self.path) from error
 
 
 def open_run(path: Path) -> h5py.File:
@@ -225,30 +224,26 @@ def _create(path: Path, force: bool, fill: Callable[[h5py.File], None]) -> h5py.
     """Make the file, whole or not at all: one that is replaced stays until its successor has a header."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
-        _require_free(path, force)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = h5py.File(part, "w", locking=True)
-    except OSError as error:
+        with ExitStack() as undo:
+            _require_free(path, force)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = h5py.File(part, "w", locking=True)
+            undo.callback(part.unlink, missing_ok=True)
+            undo.callback(file.close)
+            fill(file)
+            file.flush()
+            os.replace(part, path)
+            undo.pop_all()
+    except (OSError, RuntimeError) as error:
         raise RecordingError("cannot create the recording", why=_reason(error), file=path) from error
-    try:
-        fill(file)
-        file.flush()
-        os.replace(part, path)
-    except BaseException as error:
-        with suppress(OSError, RuntimeError):
-            file.close()
-        part.unlink(missing_ok=True)
-        if isinstance(error, OSError | RuntimeError):
-            raise RecordingError("cannot create the recording", why=_reason(error), file=path) from error
-        raise
     return file
 
 
 def _require_free(path: Path, force: bool) -> None:
-    if path.is_dir():
-        raise RecordingError("cannot create the recording", why="there is a folder of that name", file=path)
     if not path.exists():
         return
+    if path.is_dir():
+        raise RecordingError("cannot create the recording", why="there is a folder of that name", file=path)
     if not force:
         fix = "choose another name, or replace it with --force (force=True)"
         raise RecordingError("the file exists", why="a recording is not overwritten unasked", fix=fix, file=path)

@@ -26,11 +26,10 @@ from .adaptive import Adaptation, Adaptive, Estimate, adapt, look
 from .controller import Context, ControllerState, Given, Law, Told
 from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
 from .law import KERNELS, Kernels, constant_gain
-from .pseudo_inertia import Bodies, factor, move, sandwich, to_matrix, to_vector, transposed_sandwich
+from .pseudo_inertia import LARGEST, Bodies, factor, move, sandwich, to_matrix, to_vector, transposed_sandwich
 
 ITERATIONS = 12  # of conjugate gradients in a step
 ENOUGH = 1e-8  # share of the residual's square at which they end
-LARGEST = 0.3  # by which a step may change a body, relative to itself
 
 
 class AdaptiveCompositeSettings(Settings, frozen=True):

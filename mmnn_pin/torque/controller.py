@@ -229,7 +229,7 @@ class Controller(ABC):
         notes: Things the user should be told before a run.
         within_limits: Whether Psi_hat is kept within what the feedback leaves of the motors' limits, unless the loop
             says (see `torque.law`); off for the thesis's laws.
-        lyapunov_part: Name of the weights' part of its Lyapunov function (`lab.proof.parts`); None for none.
+        lyapunov_part: Name of the weights' part of its Lyapunov function (`lab.proof.proof`); None for none.
     """
 
     name: str = "custom"
@@ -264,6 +264,29 @@ class Controller(ABC):
     def findings(self, state: Any) -> list[str]:
         """What the state shows after a run that the user should be told, such as "not excited"."""
         return []
+
+    @property
+    def networks(self) -> Any:
+        """The thesis's controller (`torque.neural.Neural`) where the law has its networks; None where it has none."""
+        return None
+
+    @property
+    def excited_by(self) -> tuple[str, ...]:
+        """Signals of a run by which `lab.proof.excitation` judges what it excited; none where `findings` say it."""
+        return ()
+
+    def prior_deviation(self, state: ControllerState) -> Array | None:
+        """Standard deviation of every weight (k, m) before anything was learned; None without a prior."""
+        return None
+
+    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
+        """The weights (k,) that say the true parameters theta (k0,), where weights are those; None where they are not.
+
+        Args:
+            theta: Parameters of the robot, in the order of `model.regressor`.
+            start: The state before a run.
+        """
+        return None
 
 
 class TorqueController(Controller):
@@ -333,11 +356,6 @@ class CompiledController(Controller):
         """Whether the law adds Psi of a model: its own, or the loop's nominal robot (the true one: an oracle)."""
         return False
 
-    @property
-    def networks(self) -> Any:
-        """The thesis's controller (`torque.neural.Neural`) where the law has its networks; None where it has none."""
-        return None
-
     @abstractmethod
     def law(self, context: Context) -> Law:
         """The settings as numbers."""
@@ -370,19 +388,6 @@ class CompiledController(Controller):
         """What the weights were multiplied with at the last step of a law, `Psi_hat = (Phi W).ravel()`.
 
         (rows, k), a view, with rows times the columns of W equal to p; None where Psi_hat is not linear in the weights.
-        """
-        return None
-
-    def prior_deviation(self, state: ControllerState) -> Array | None:
-        """Standard deviation of every weight (k, m) before anything was learned; None without a prior."""
-        return None
-
-    def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
-        """The weights (k,) that say the true parameters theta (k0,), where weights are those; None where they are not.
-
-        Args:
-            theta: Parameters of the robot, in the order of `model.regressor`.
-            start: The state before a run.
         """
         return None
 

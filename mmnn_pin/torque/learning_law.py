@@ -34,6 +34,7 @@ from ..errors import ConfigError, InputError, UnknownName
 from ..model.regressor import Massless, measured, regress
 from ..signals import Array, Dimensions, Measurement, Setpoint, VelocityCommand
 from .controller import Context, ControllerState, Feedback, TorqueController, all_facts
+from .neural import MEASURED
 
 DIGEST = "__mmnn_sha256__"  # of a module: what its file was when it was read
 
@@ -93,6 +94,11 @@ class LearningLaw(TorqueController):
         (p, k) where all components share the k weights, (k,) where each has its own; None for none of these.
         """
         return None
+
+    @property
+    def excited_by(self) -> tuple[str, ...]:
+        """All that it may look at, where it gives `features`."""
+        return (*MEASURED, "world_error") if type(self).features is not LearningLaw.features else ()
 
     def gain(self, state: ControllerState) -> ArrayLike | None:
         """Gamma where the law follows s by `W' = Gamma Phi' s + ...`, if it has `features` Phi.

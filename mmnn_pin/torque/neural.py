@@ -173,6 +173,11 @@ class Neural(CompiledController):
         return self
 
     @property
+    def excited_by(self) -> tuple[str, ...]:
+        """The signals of its input."""
+        return self.inputs.signals
+
+    @property
     def name(self) -> str:  # type: ignore[override]
         """What it is called, or the name of the network."""
         return self.called or self.network.name
@@ -275,7 +280,7 @@ class Neural(CompiledController):
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """W1, V1 (base) and W2, V2 (arm); V holds the fixed centres of a one-layer network and is left out there."""
-        letters = "WV" if isinstance(self.network, TwoLayer) else "W"
+        letters = "WV" if self.network.hidden_learns else "W"
         return {name: state[name] for name in state.shapes if name[0] in letters}
 
     def facts(self) -> dict[str, Any]:

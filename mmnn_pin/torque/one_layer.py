@@ -46,6 +46,7 @@ class OneLayer(Settings, frozen=True):
 
     kind: ClassVar[int] = ONE_LAYER
     name: ClassVar[str] = "one_layer"
+    hidden_learns: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         require_hidden(self, self.hidden, "one_layer")

@@ -22,6 +22,7 @@ from ..signals import Array
 
 BODY = 10  # numbers of a body
 SWEEPS = 12  # of Jacobi's eigenvalue iteration, of which a 4 x 4 matrix needs about 5
+LARGEST = 0.3  # by which an implicit step may change a body, relative to itself
 FLOOR = 1e-4  # least share of the prior that a nominal body keeps: massless and flat ones have no density
 
 

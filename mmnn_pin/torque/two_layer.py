@@ -50,6 +50,7 @@ class TwoLayer(Settings, frozen=True):
 
     kind: ClassVar[int] = TWO_LAYER
     name: ClassVar[str] = "two_layer"
+    hidden_learns: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         require_hidden(self, self.hidden, "two_layer")

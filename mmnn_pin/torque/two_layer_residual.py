@@ -66,6 +66,11 @@ class TwoLayerResidual(CompiledController):
         return replace(self.learner, called=self.name, learning=learning, projection=self.projection, adds_model=True)
 
     @property
+    def excited_by(self) -> tuple[str, ...]:
+        """The network's."""
+        return self.learner.excited_by
+
+    @property
     def notes(self) -> list[str]:
         """What the network has to say."""
         return self.networks.notes

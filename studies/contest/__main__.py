@@ -14,7 +14,7 @@ from mmnn_pin.lab.contest.contest import run_contest
 from mmnn_pin.lab.contest.standing import Standing
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.show.contest_figures import write_figures
+from mmnn_pin.lab.show.contest import write_figures
 from mmnn_pin.loop.precompile import precompile
 
 from ..document import Clock

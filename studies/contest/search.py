@@ -22,15 +22,13 @@ import msgspec
 import numpy as np
 
 from mmnn_pin.errors import InputError
-from mmnn_pin.lab.contest.result import TrialResult, nan
 from mmnn_pin.lab.contest.task import Task, tasks_of
-from mmnn_pin.lab.contest.trial import run_trial
+from mmnn_pin.lab.contest.trial import TrialResult, nan, run_trial
 from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.experiments.config import load_experiment, override, value_at
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.study.factors import Factor
-from mmnn_pin.lab.study.objective import settings_of
-from mmnn_pin.lab.study.tuning import imported, own_gains, suggested
+from mmnn_pin.lab.study.tuning import imported, own_gains, settings_of, suggested
 
 SEED = 20100
 

@@ -45,11 +45,11 @@ def call(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """The plot of a run is only a file: drawing takes longer than all the rest."""
 
-    def draw(result: object, folder: Path) -> dict[str, Path]:
+    def draw(recordings: object, names: object, folder: Path) -> dict[str, Path]:
         (folder / "errors.png").write_text("plot")
         return {"errors": folder / "errors.png"}
 
-    monkeypatch.setattr(sys.modules["mmnn_pin.cli.run"], "draw", draw)
+    monkeypatch.setattr("mmnn_pin.lab.show.gallery.write_pictures", draw)
 
 
 @pytest.fixture(scope="module")
@@ -181,17 +181,20 @@ def test_diverged_run_is_exit_code_1_and_says_where(call: Call) -> None:
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_second_run_is_refused_and_leaves_the_first_as_it_was(call: Call) -> None:
-    assert call("run", "chapter4", "--controller", "pd", *SHORT)[0] == 0
+def test_a_second_run_gets_a_numbered_folder_and_leaves_the_first_as_it_was(call: Call) -> None:
+    command, first, second = ("run", "chapter4", "--controller", "pd", *SHORT), "runs/chapter4", "runs/chapter4-2"
+    assert call(*command)[0] == 0
     before = {file: file.read_bytes() for file in files_here() if file.is_file()}
-    code, out, err = call("run", "chapter4", "--controller", "pd", *SHORT)
+    code, out, _ = call(*command)
+    assert code == 0 and f"wrote {second}/pd.h5" in out
+    assert sorted(map(str, Path("runs").iterdir())) == [first, second]
+    code, out, err = call(*command, "--out", second)
     assert code == 2 and out == "" and "--force" in only_line(err)
-    Path("runs/chapter4/errors.png").unlink()
-    assert call("run", "chapter4", *SHORT)[0] == 2
-    before.pop(Path("runs/chapter4/errors.png"))
-    assert {file: file.read_bytes() for file in files_here() if file.is_file()} == before
+    Path(second, "errors.png").unlink()
+    assert call(*command, "--out", second)[0] == 2
+    assert {file: file.read_bytes() for file in before} == before
     assert call("run", "chapter4", "--controller", "pd", "--set", "time.duration=0.03", "--force")[0] == 0
-    assert len(Recording.open("runs/chapter4/pd.h5")) == 15
+    assert len(Recording.open(f"{first}/pd.h5")) == 15 and len(list(Path("runs").iterdir())) == 2
 
 
 def test_a_plot_that_exists_is_not_overwritten(call: Call) -> None:
@@ -628,11 +631,11 @@ def test_bad_plots_are_refused(call: Call, short_run: Path, tmp_path: Path) -> N
 
 
 def test_equal_controllers_are_told_apart_by_file(call: Call, short_run: Path, tmp_path: Path) -> None:
-    from mmnn_pin.cli.results import named
+    from mmnn_pin.cli.results import by_name
 
     runs = [Recording.open(short_run / "pd.h5")] * 2
     runs[1] = Recording.open(short_run / "../short/pd.h5")
-    assert list(named(runs)) == [str(run.path) for run in runs]
+    assert list(by_name(runs)) == [str(run.path) for run in runs]
 
 
 # -- list --------------------------------------------------------------------------------------------------------------

@@ -26,8 +26,8 @@ from mmnn_pin import (
     TorqueController,
 )
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
-from mmnn_pin.lab.proof.ideal import linear_fit
 from mmnn_pin.lab.proof.learner import Stepper
+from mmnn_pin.lab.proof.linear import linear_fit
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.sensing import Sensor
@@ -360,7 +360,7 @@ def test_a_law_is_settings_and_nothing_else() -> None:
     class Misnamed(Nothing):
         learned = ("W",)
 
-    with pytest.raises(UnknownName, match="part of the memory of Misnamed"):
+    with pytest.raises(UnknownName, match="part of the state of Misnamed"):
         loop_of("fixed", Misnamed(feedback=feedback(robot_of_kind("fixed"), 0.002))).run()
     with pytest.raises(ConfigError, match="call estimate and learn"):
         law.step(0.0, None, None, None, None)

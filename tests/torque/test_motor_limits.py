@@ -25,9 +25,9 @@ from mmnn_pin import (
 )
 from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.proof.certified_loop import refusal
-from mmnn_pin.lab.proof.ideal import ideal_weights
 from mmnn_pin.lab.proof.lyapunov import limited_power, lyapunov
-from mmnn_pin.lab.proof.parts import weights_of
+from mmnn_pin.lab.proof.networks import ideal_weights
+from mmnn_pin.lab.proof.proof import weights_of
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,16 +16,15 @@ from typing import Any
 import msgspec
 
 from ...errors import InputError, RecordingError
-from ...settings import plain
+from ...settings import finite, plain
 from ..experiments.config import without_null
 from ..experiments.contest import Contest
 from ..experiments.experiment import Experiment
 from ..experiments.runner import require_free
 from ..study.worker import code_digest
-from .result import Trial, as_csv, known
 from .standing import Standing
 from .task import Demand, Task, demand, late_windows, tasks_of
-from .trial import Stopped, run_trial
+from .trial import Stopped, Trial, as_csv, run_trial
 
 ABOUT = "contest.json"
 RESULTS, TABLE = "rows.json", "rows.csv"
@@ -66,9 +65,15 @@ def run_contest(
     demands, notes = {task.name: demand(task) for task in tasks}, tuple(late_windows(tasks))
     for note in notes:
         warn(note)
-    about = About.of(experiment, name, controllers, {t.name: AboutTask.of(t, demands[t.name]) for t in tasks}, notes)
+    about = About(
+        name,
+        msgspec.json.decode(msgspec.structs.replace(experiment, cases={}).to_json()),
+        controllers,
+        {t.name: AboutTask(t.title, t.experiment.controllers, demands[t.name]) for t in tasks},
+        notes,
+    )
     if out is not None:
-        write_about(out, about if force else about.after(read_about(out)))
+        write(out / ABOUT, msgspec.json.encode(about if force else about.after(read_about(out))))
     failed, interrupted = run_missing(store, todo, tuple(experiment.laws), workers, progress)
     trials = {entry.key: store.trials[entry.label] for entry in plan if entry.label in store.trials}
     missing = tuple(entry.label for entry in plan if entry.key not in trials and entry.key not in failed)
@@ -128,7 +133,7 @@ def run_missing(
                     raise
                 failed[entry.key] = str(error)
                 continue
-            store.put(entry.label, Trial(entry.fingerprint, known(step), results))
+            store.put(entry.label, Trial(entry.fingerprint, finite(step), results))
     except (Stopped, KeyboardInterrupt):
         return failed, True
     return failed, False
@@ -144,9 +149,11 @@ def is_done(store: Store, entry: Entry) -> bool:
     if trial is None:
         return False
     if trial.fingerprint != entry.fingerprint:
-        what = f"the rows of {entry.controller} on {entry.task.name} are of other settings or of another version"
-        fix = "--force runs everything anew; or choose another folder with --out"
-        raise RecordingError(what, fix=fix, file=store.folder)
+        raise RecordingError(
+            f"the rows of {entry.controller} on {entry.task.name} are of other settings or of another version",
+            fix="--force runs everything anew; or choose another folder with --out",
+            file=store.folder,
+        )
     return True
 
 
@@ -169,8 +176,12 @@ def opened(folder: Path) -> Standing:
     """
     about, store = read_about(folder), Store.opened(folder)
     if about is None:
-        fix = "run the contest again, with --force or in another folder"
-        raise RecordingError(f"no {ABOUT} beside the rows", why="an older version wrote them", fix=fix, file=folder)
+        raise RecordingError(
+            f"no {ABOUT} beside the rows",
+            why="an older version wrote them",
+            fix="run the contest again, with --force or in another folder",
+            file=folder,
+        )
     keys = [(name, controller) for name, task in about.tasks.items() for controller in task.controllers]
     trials = {key: store.trials["/".join(key)] for key in keys if "/".join(key) in store.trials}
     if not trials:
@@ -208,8 +219,12 @@ class Store:
         try:
             return cls(folder, msgspec.json.decode(file.read_bytes(), type=dict[str, Trial]))
         except (OSError, msgspec.DecodeError) as error:
-            fix = "replace it with --force, or choose another folder with --out"
-            raise RecordingError("not a file of rows", why=str(error), fix=fix, file=file) from error
+            raise RecordingError(
+                "not a file of rows",
+                why=str(error),
+                fix="replace it with --force, or choose another folder with --out",
+                file=file,
+            ) from error
 
     def put(self, key: str, trial: Trial) -> None:
         """Keep what came of a controller on a task.
@@ -240,19 +255,6 @@ class About(msgspec.Struct, frozen=True):
     controllers: tuple[str, ...]
     tasks: dict[str, AboutTask]
     notes: tuple[str, ...] = ()
-
-    @classmethod
-    def of(
-        cls,
-        experiment: Experiment,
-        name: str,
-        controllers: tuple[str, ...],
-        tasks: Mapping[str, AboutTask],
-        notes: tuple[str, ...],
-    ) -> About:
-        """That of a contest."""
-        table = msgspec.json.decode(msgspec.structs.replace(experiment, cases={}).to_json())
-        return cls(name, table, controllers, dict(tasks), notes)
 
     def after(self, earlier: About | None) -> About:
         """This one with the tasks and controllers of an earlier command, whose rows stay in the folder."""
@@ -290,24 +292,10 @@ class AboutTask(msgspec.Struct, frozen=True):
     controllers: tuple[str, ...]
     demand: Demand
 
-    @classmethod
-    def of(cls, task: Task, demand: Demand) -> AboutTask:
-        """That of a task."""
-        return cls(task.title, task.experiment.controllers, demand)
-
 
 def both(first: tuple[str, ...], second: tuple[str, ...]) -> tuple[str, ...]:
     """Names of two lists, each once."""
     return tuple(dict.fromkeys((*first, *second)))
-
-
-def write_about(folder: Path, about: About) -> None:
-    """Write it.
-
-    Raises:
-        RecordingError: It cannot be written.
-    """
-    write(folder / ABOUT, msgspec.json.encode(about))
 
 
 def read_about(folder: Path) -> About | None:
@@ -327,8 +315,12 @@ def read_about(folder: Path) -> About | None:
 
 def broken(folder: Path, error: Exception) -> RecordingError:
     """The error of a file that cannot be read."""
-    why, fix = " ".join(str(error).split()), "run the contest again with --force, or choose another folder with --out"
-    return RecordingError("cannot be read", why=why, fix=fix, file=folder / ABOUT)
+    return RecordingError(
+        "cannot be read",
+        why=" ".join(str(error).split()),
+        fix="run the contest again with --force, or choose another folder with --out",
+        file=folder / ABOUT,
+    )
 
 
 def write(path: Path, content: bytes) -> None:

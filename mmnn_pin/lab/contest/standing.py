@@ -10,11 +10,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+from ...settings import finite
 from ..experiments.contest import Contest
 from ..experiments.controllers import ORACLES
 from ..experiments.experiment import Experiment
-from .result import Trial, TrialResult, as_json, known, middle, nan
 from .task import Demand
+from .trial import Trial, TrialResult, as_json, middle, nan
 
 BASELINE = "pd"
 FIXED = (BASELINE, "nominal")  # they learn nothing
@@ -104,7 +105,7 @@ class Standing:
         for task, controller in self.trials:
             times = self.learning_times(task, controller)
             rows += [
-                as_json(row) | {"learning_time": known(time)}
+                as_json(row) | {"learning_time": finite(time)}
                 for row, time in zip(self.of(task, controller), times, strict=True)
             ]
         steps: dict[str, dict[str, float | None]] = {task: {} for task in self.tasks}
@@ -197,7 +198,10 @@ def targets(contest: Contest, learners: tuple[str, ...], tasks: Iterable[str], o
     knowing = [name for name in learners if contest.knowledge_of(name) == "kinematics"]
     found += [near(knowing, asked.task, how, asked.near, of) for how in ("learning", "frozen")]
     if asked.poor:
-        found += [bounded(learners, asked.poor, of), unexcited(learners, asked.poor, of)]
+        bounded = f"after '{asked.poor}', in training and held out, bounded"
+        found.append(everyone(bounded, learners, asked.poor, of, lambda row: row.survived))
+        silent = f"after '{asked.poor}' say that they were not excited"
+        found.append(everyone(silent, learners, asked.poor, of, lambda row: row.not_excited))
     judged = [task for task in (asked.task, asked.rich, asked.poor) if task]
     return [
         *found,
@@ -209,7 +213,7 @@ def targets(contest: Contest, learners: tuple[str, ...], tasks: Iterable[str], o
 def lowest_fvu(names: Iterable[str], task: str, words: str, limit: float, of: Results) -> Target:
     """Lowest frozen FVU of some learners."""
     values = {name: middle([nan(row.frozen_fvu) for row in of(task, name)]) for name in names}
-    return smallest(f"frozen FVU after '{task}', {words}", limit, values)
+    return best_of(f"frozen FVU after '{task}', {words}", limit, values)
 
 
 def better(
@@ -217,10 +221,8 @@ def better(
 ) -> Target:
     """Best learner against the thesis's errors, on every axis of every held-out trajectory."""
     values = {name: least_ratio(thesis, held_out(of(task, name), how)) for name in names if name != THESIS}
-    judged = {name: value for name, value in values.items() if math.isfinite(value)}
-    best = max(judged, key=judged.__getitem__, default="")
-    about = f"{THESIS}'s error over that of the best learner, {words}, held out, worst axis: at least {limit:g}"
-    return Target(about, limit, judged.get(best), best, bool(best) and judged[best] >= limit)
+    about = f"{THESIS}'s error over that of the best learner, {words}, held out, worst axis"
+    return best_of(about, limit, values, largest=True)
 
 
 def near(names: Iterable[str], task: str, how: str, limit: float, of: Results) -> Target:
@@ -228,21 +230,7 @@ def near(names: Iterable[str], task: str, how: str, limit: float, of: Results) -
     oracle = held_out(of(task, ORACLE), "learning")
     least = {name: least_ratio(oracle, held_out(of(task, name), how)) for name in names}
     values = {name: 1 / value for name, value in least.items() if value > 0}
-    return smallest(f"{PRIOR['kinematics']}: error over {ORACLE}'s, {how}, held out, worst axis", limit, values)
-
-
-def bounded(names: Iterable[str], task: str, of: Results) -> Target:
-    """Learners that reach the end of the poor motion, and of the held-out ones after it."""
-    rows = {name: found for name in names if (found := of(task, name))}
-    good = [name for name, found in rows.items() if all(map(survived, found))]
-    return everyone(f"after '{task}', in training and held out, bounded", good, rows)
-
-
-def unexcited(names: Iterable[str], task: str, of: Results) -> Target:
-    """Learners that say that the poor motion did not excite them."""
-    rows = {name: found for name in names if (found := of(task, name))}
-    good = [name for name, found in rows.items() if all(says_not_excited(row) for row in found)]
-    return everyone(f"after '{task}' say that they were not excited", good, rows)
+    return best_of(f"{PRIOR['kinematics']}: error over {ORACLE}'s, {how}, held out, worst axis", limit, values)
 
 
 def kick(names: Iterable[str], tasks: Iterable[str], where: str, limit: float, of: Results) -> Target:
@@ -253,30 +241,22 @@ def kick(names: Iterable[str], tasks: Iterable[str], where: str, limit: float, o
     return Target(about, limit, values.get(worst), worst, bool(values) and values[worst] <= limit)
 
 
-def smallest(about: str, limit: float, values: dict[str, float]) -> Target:
-    """Target that the smallest number has to meet."""
+def best_of(about: str, limit: float, values: dict[str, float], largest: bool = False) -> Target:
+    """Target that the smallest number has to meet from below, or the largest from above."""
     judged = {name: value for name, value in values.items() if math.isfinite(value)}
-    best = min(judged, key=judged.__getitem__, default="")
-    return Target(f"{about}: at most {limit:g}", limit, judged.get(best), best, bool(best) and judged[best] <= limit)
+    best = (max if largest else min)(judged, key=judged.__getitem__, default="")
+    met = bool(best) and (judged[best] >= limit if largest else judged[best] <= limit)
+    return Target(f"{about}: at {'least' if largest else 'most'} {limit:g}", limit, judged.get(best), best, met)
 
 
-def everyone(about: str, good: list[str], rows: dict[str, list[TrialResult]]) -> Target:
-    """Target that all learners have to meet; the number is their share."""
-    missing = [name for name in rows if name not in good]
-    if not rows:
+def everyone(about: str, names: Iterable[str], task: str, of: Results, good: Callable[[TrialResult], bool]) -> Target:
+    """Target that all learners with results on a task have to meet; the number is their share."""
+    met = {name: all(map(good, results)) for name in names if (results := of(task, name))}
+    missing = [name for name, one in met.items() if not one]
+    if not met:
         return Target(about, 1.0, None, "", False)
-    by = f"all but {', '.join(missing)}" if missing and good else "nobody" if missing else "all"
-    return Target(about, 1.0, len(good) / len(rows), by, not missing)
-
-
-def survived(row: TrialResult) -> bool:
-    """Whether training and all held-out runs reached their end."""
-    return row.completed and all(one.outcome == "completed" for ways in row.held_out.values() for one in ways.values())
-
-
-def says_not_excited(row: TrialResult) -> bool:
-    """Whether a finding says so."""
-    return any("not excited" in text for text in row.findings)
+    by = f"all but {', '.join(missing)}" if len(missing) < len(met) else "nobody"
+    return Target(about, 1.0, (len(met) - len(missing)) / len(met), by if missing else "all", not missing)
 
 
 def held_out(rows: list[TrialResult], how: str) -> dict[str, float]:
@@ -293,5 +273,4 @@ def least_ratio(above: dict[str, float], below: dict[str, float]) -> float:
     """Least ratio over the axes, 0 where the run below was lost; nan where they are not the same."""
     if not above or above.keys() != below.keys() or not all(value > 0 for value in below.values()):
         return math.nan
-    ratios = [above[key] / below[key] if math.isfinite(below[key]) else 0.0 for key in above]
-    return min(ratios)
+    return min([above[key] / below[key] if math.isfinite(below[key]) else 0.0 for key in above])

@@ -143,8 +143,12 @@ def tasks_of(
     """
     borrowed = [name for name in controllers if name in EFFECTIVE]
     if borrowed:
-        why = f"its gain is that of {EFFECTIVE[borrowed[0]]}'s run"
-        raise ConfigError(f"{borrowed[0]} takes no part in a contest", why=why, fix="leave it out", key="controllers")
+        raise ConfigError(
+            f"{borrowed[0]} takes no part in a contest",
+            why=f"its gain is that of {EFFECTIVE[borrowed[0]]}'s run",
+            fix="leave it out",
+            key="controllers",
+        )
     found = []
     for name in tuple(experiment.cases) or ("",):
         progress(name)
@@ -177,13 +181,21 @@ def require_windows(experiment: Experiment) -> None:
     """
     contest, time = experiment.contest or Contest(), experiment.time
     if not experiment.windows:
-        fix = "give at least one, [start, end] in seconds"
-        raise ConfigError("no windows", why="the errors count in the last", fix=fix, key="windows")
+        raise ConfigError(
+            "no windows",
+            why="the errors count in the last",
+            fix="give at least one, [start, end] in seconds",
+            key="windows",
+        )
     for name in ("window", "start"):
         value = getattr(contest, name)
         if not time.control_period <= value <= time.duration:
-            fix = f"use a time from the control period, {time.control_period:g} s, to the duration, {time.duration:g} s"
-            raise ConfigError(f"{value:g} s", fix=fix, key=f"contest.{name}")
+            raise ConfigError(
+                f"{value:g} s",
+                fix=f"use a time from the control period, {time.control_period:g} s, to the duration, "
+                f"{time.duration:g} s",
+                key=f"contest.{name}",
+            )
 
 
 def late_windows(tasks: Sequence[Task]) -> list[str]:
@@ -193,8 +205,15 @@ def late_windows(tasks: Sequence[Task]) -> list[str]:
         (start, stop), end = task.experiment.windows[-1], task.experiment.time.duration
         if start >= end:
             found.append(f"{task.name} ({start:g}-{stop:g} s of {end:g} s)")
-    what = "no errors where the last window begins after the end of the training: "
-    return [what + ", ".join(found) + "; set windows, too"] if found else []
+    return (
+        [
+            "no errors where the last window begins after the end of the training: "
+            + ", ".join(found)
+            + "; set windows, too"
+        ]
+        if found
+        else []
+    )
 
 
 @dataclass(frozen=True)
@@ -232,8 +251,7 @@ def demand(task: Task) -> Demand:
         dynamics.refresh(position, nu[k])
         dynamics.refresh_psi(nu[k], nudot[k], psi)
         torque = np.maximum(torque, np.abs(inverse @ psi))
-    limits = robot.effort_limits
-    return Demand(tuple(robot.actuator_names), tuple(speed.tolist()), tuple((torque / limits).tolist()))
+    return Demand(tuple(robot.actuator_names), tuple(speed.tolist()), tuple((torque / robot.effort_limits).tolist()))
 
 
 def held_out_torque(task: Task) -> dict[str, float]:

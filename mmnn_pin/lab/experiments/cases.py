@@ -14,10 +14,14 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, InputError, UnknownName
+from ...recording.metrics import ERRORS
 from ...recording.recording import Recording, as_columns
+from ...settings import finite
+from ...torque.neural import THESIS_INPUT
 from .config import config_error, merged, require_disturbances
+from .controllers import LEARNERS
 from .experiment import Experiment, Tolerance
-from .runner import Result, finite, require_free, require_runnable, run_experiment
+from .runner import Result, require_free, require_runnable, run_experiment
 
 AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
 
@@ -74,7 +78,9 @@ class Matrix:
     def to_dict(self) -> dict[str, Any]:
         """The matrix as the command line's JSON object."""
         runs = {
-            f"{case}/{name}": about for case, result in self.results.items() for name, about in runs_of(result).items()
+            f"{case}/{name}": about
+            for case, result in self.results.items()
+            for name, about in result.to_dict()["runs"].items()
         }
         cells = {
             case: {
@@ -87,12 +93,6 @@ class Matrix:
         counts = {kind: self.count(kind) for kind in ("tracked", "stopped", "failed")}
         comparison = {"cases": {c: self.experiment.cases[c].title for c in cells}, "verdicts": cells, "counts": counts}
         return {"experiment": self.name, "robot": self.experiment.robot, "runs": runs, "comparison": comparison}
-
-
-def runs_of(result: Result) -> dict[str, Any]:
-    """The part of a result's JSON object that is about its runs."""
-    runs: dict[str, Any] = result.to_dict()["runs"]
-    return runs
 
 
 def with_case(experiment: Experiment, name: str) -> Experiment:
@@ -152,8 +152,7 @@ def run_cases(
         except InputError as error:
             error.key = f"cases.{case}: {error.key or ''}".rstrip(": ")
             raise
-    files = [out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else []
-    require_free(files, force)
+    require_free([out / case / f"{c}.h5" for case in cases for c in experiment.controllers] if out else [], force)
     results: dict[str, Result] = {}
     verdicts: dict[str, dict[str, Verdict]] = {}
     for i, (case, changed) in enumerate(cases.items()):
@@ -181,8 +180,12 @@ def require_settled(experiment: Experiment) -> None:
     """
     settle, end = experiment.tolerance.settle, experiment.time.duration
     if settle >= end:
-        why, fix = f"errors count from then on, and the run is over after {end:g} s", "use a time within the run"
-        raise ConfigError(f"{settle:g} s", why=why, fix=fix, key="tolerance.settle")
+        raise ConfigError(
+            f"{settle:g} s",
+            why=f"errors count from then on, and the run is over after {end:g} s",
+            fix="use a time within the run",
+            key="tolerance.settle",
+        )
 
 
 def judge(recording: Recording, tolerance: Tolerance) -> Verdict:
@@ -244,3 +247,96 @@ def dangers(recording: Recording, tolerance: Tolerance) -> list[str]:
         found += [f"it was {away:.3g} m away when it tripped"] if away > tolerance.runaway else []
         found += [f"it drove {driven:.3g} m after the trip"] if driven > tolerance.runaway else []
     return found
+
+
+APPENDIX_B_SHORT = ("alpha", "alphadot", "e", "r", "q_ref", "qdot_ref", "qddot_ref")
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A key of an experiment and the two values between which the thesis leaves a choice.
+
+    Attributes:
+        key: Key path, `section.name`.
+        first: One value, and how the table calls it.
+        second: The other.
+    """
+
+    key: str
+    first: tuple[Any, str]
+    second: tuple[Any, str]
+
+    def turned(self, experiment: Experiment) -> tuple[str, Experiment]:
+        """The experiment with this switch in its other place, and what that is called."""
+        section, _, name = self.key.partition(".")
+        settings = getattr(experiment, section)
+        value, words = self.second if getattr(settings, name) == self.first[0] else self.first
+        return words, msgspec.structs.replace(
+            experiment, **{section: msgspec.structs.replace(settings, **{name: value})}
+        )
+
+
+WITHOUT_POSITION = tuple(name for name in THESIS_INPUT if name != "pose_ref")
+SWITCHES = (
+    Switch("learning.rates", ("per_sample", "rates per sample"), ("per_second", "rates per second")),
+    Switch("two_layer.initial", ("random", "weights from random"), ("zero", "weights from zero")),
+    Switch("learning.update", ("after_output", "update after output"), ("before_output", "update before output")),
+    Switch("inputs.constant_yaw_rate", (None, "wd in the input"), (5.0, "wd = 5 in the input")),
+    Switch("inputs.pose_error", ("body", "body-frame pose error"), ("world", "world-frame pose error")),
+    Switch("inputs.signals", (THESIS_INPUT, "input (3.24)"), (WITHOUT_POSITION, "no absolute position")),
+    Switch("inputs.signals", (THESIS_INPUT, "input (3.24)"), (APPENDIX_B_SHORT, "Appendix B's short input")),
+)
+
+
+def readings(
+    experiment: Experiment, name: str, progress: Callable[[str, float], None] | None = None
+) -> dict[str, Result]:
+    """All learners with the experiment as it is, then with each switch turned alone, in memory.
+
+    Args:
+        experiment: Where to start from.
+        name: Its name.
+        progress: Called before each reading with `readings` and the fraction done.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C during a run.
+    """
+    learners = tuple(name for name in experiment.controllers if name in LEARNERS)
+    base = msgspec.structs.replace(experiment, controllers=learners or ("two_layer", "one_layer"))
+    cases = {"as it is": base} | dict(switch.turned(base) for switch in SWITCHES)
+    found = {}
+    for i, (words, case) in enumerate(cases.items()):
+        if progress is not None:
+            progress("readings", i / len(cases))
+        found[words] = result = run_experiment(case, name)
+        if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
+            raise KeyboardInterrupt
+    return found
+
+
+def summaries(results: dict[str, Result]) -> list[dict[str, Any]]:
+    """Per reading, for JSON: RMS errors of the last window, learned shares, the figures' intervals."""
+    return [{"reading": words, **effects(result)} for words, result in results.items()]
+
+
+def effects(result: Result) -> dict[str, Any]:
+    """Per learner its outcome, RMS errors of the last window and learned shares; the intervals met and compared."""
+    window = ".rms_{:g}_{:g}".format(*result.experiment.windows[-1])
+    every, ranges = result.to_dict()["runs"], result.figure_ranges()
+    numbers = {
+        learner: {
+            "outcome": every[learner]["outcome"],
+            "rms": {
+                key.removesuffix(window): value
+                for key, value in every[learner]["metrics"].items()
+                if key.startswith(ERRORS) and key.endswith(window)
+            },
+            "learned_share": {
+                key.partition(".")[2]: value
+                for key, value in every[learner]["metrics"].items()
+                if key.startswith("learned_share")
+            },
+        }
+        for learner in every
+    }
+    return {**numbers, "figure_ranges": ranges, "met": sum(row["inside"] for row in ranges), "of": len(ranges)}

@@ -73,8 +73,11 @@ def recorded_experiment(recording: Recording) -> Experiment | None:
     try:
         return msgspec.convert(renamed(without_null(msgspec.json.decode(recording.config_text))), Experiment)
     except (msgspec.DecodeError, InputError) as error:
-        why = f"another version of mmnn_pin wrote it: {' '.join(str(error).split())}"
-        raise RecordingError("its config cannot be read", why=why, file=recording.path) from error
+        raise RecordingError(
+            "its config cannot be read",
+            why=f"another version of mmnn_pin wrote it: {' '.join(str(error).split())}",
+            file=recording.path,
+        ) from error
 
 
 def without_null(value: Any) -> Any:
@@ -245,8 +248,7 @@ def put(table: dict[str, Any], key: str, value: Any) -> None:
         here = here[place(here, part, key)] if isinstance(here, list) else here.setdefault(part, {})
         if not isinstance(here, (dict, list)):
             raise ConfigError(f"'{part}' is not a table", fix="see the experiment's TOML for its keys", key=key)
-    last = place(here, parts[-1], key) if isinstance(here, list) else parts[-1]
-    here[last] = value
+    here[place(here, parts[-1], key) if isinstance(here, list) else parts[-1]] = value
 
 
 def place(items: list[Any], part: str, key: str) -> int:

@@ -39,9 +39,11 @@ class Targets(Settings, frozen=True):
         require_gains(self, "contest.targets", "better", "near", "kick")
         for name, value in self.frozen_fvu.items():
             if name not in KNOWS or not 0 < value < float("inf"):
-                what = f"a target for '{name}'" if name not in KNOWS else f"{value}"
-                fix = f"give finite numbers > 0 for: {', '.join(KNOWS)}"
-                raise ConfigError(what, fix=fix, key=f"contest.targets.frozen_fvu.{name}")
+                raise ConfigError(
+                    f"a target for '{name}'" if name not in KNOWS else f"{value}",
+                    fix=f"give finite numbers > 0 for: {', '.join(KNOWS)}",
+                    key=f"contest.targets.frozen_fvu.{name}",
+                )
 
 
 class Contest(Settings, frozen=True):
@@ -78,12 +80,14 @@ class Contest(Settings, frozen=True):
         already: dict[str, str] = {}
         for name, controllers in self.knows.items():
             if name not in KNOWS:
-                fix = f"there is: {', '.join(KNOWS)}"
-                raise ConfigError(f"unknown key '{name}'", fix=fix, key=f"contest.knows.{name}")
+                raise ConfigError(
+                    f"unknown key '{name}'", fix=f"there is: {', '.join(KNOWS)}", key=f"contest.knows.{name}"
+                )
             for one in controllers:
                 if already.setdefault(one, name) != name:
-                    fix = "name it once"
-                    raise ConfigError(f"'{one}' is in {already[one]}, too", fix=fix, key=f"contest.knows.{name}")
+                    raise ConfigError(
+                        f"'{one}' is in {already[one]}, too", fix="name it once", key=f"contest.knows.{name}"
+                    )
 
     def knowledge_of(self, controller: str) -> str:
         """What a learner knows before it starts; empty for one that is not in the list."""

@@ -247,8 +247,11 @@ def nominal_robot(nominal: Nominal, robot: Robot, said: Overrides) -> Robot:
         raise
     alike = (believed.dimensions.dof, believed.dimensions.base) == (robot.dimensions.dof, robot.dimensions.base)
     if not alike or not np.array_equal(believed.T, robot.T):
-        fix = "name one with the same base and the same joints"
-        raise ConfigError(f"{believed.name} does not move as {robot.name}", fix=fix, key="nominal.robot")
+        raise ConfigError(
+            f"{believed.name} does not move as {robot.name}",
+            fix="name one with the same base and the same joints",
+            key="nominal.robot",
+        )
     try:
         believed = believed.with_masses(nominal.masses)
     except InputError as error:

@@ -43,13 +43,6 @@ from .controllers import (
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
 
-# Pictures that a run can write; `show.gallery` has them.
-PLOTS = (
-    *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
-    *("fvu", "frozen", "shares", "ranks", "lyapunov", "lyapunov-terms", "equality"),
-    *("figure-4.2", "figure-4.3", "figure-4.4", "figure-5.3", "figure-5.4", "figure-5.5"),
-)
-
 
 class Friction(Settings, frozen=True):
     """Viscous friction on nu, beside what the URDF says of its joints.
@@ -128,8 +121,9 @@ class Experiment(LearnerTables, frozen=True):
         seed: The one seed.
         windows: Intervals for the RMS errors [s]; one that a run does not reach has none, which a note says.
         weights_interval: Time between two records of the weights [s].
-        plots: Pictures that a run writes, names of `PLOTS`. With figures of the thesis it is compared with the
-            intervals of their axes, with `figure-5.5` also with the largest errors that chapter 5 prints.
+        plots: Pictures that a run writes, of those that `mmnn plot --help` names; `mmnn run` refuses others. With
+            figures of the thesis it is compared with the intervals of their axes, with `figure-5.5` also with the
+            largest errors that chapter 5 prints.
         torque_limits: Show every motor's peak torque beside its effort limit in the table, not only what exceeds it.
         time: Periods and integrator.
         start: Start relative to the reference.
@@ -157,7 +151,7 @@ class Experiment(LearnerTables, frozen=True):
         held_out: Held-out trajectories by name; without any one follows from the reference (see `proof.held_out`).
 
     Raises:
-        UnknownName: A controller, a plot or a plant that does not exist.
+        UnknownName: A controller or a plant that does not exist.
         ConfigError: No controllers, or windows that are not intervals.
     """
 
@@ -204,10 +198,9 @@ class Experiment(LearnerTables, frozen=True):
         msgspec.structs.force_setattr(self, "controllers", controllers)
         msgspec.structs.force_setattr(self, "laws", laws)
         there = {**CONTROLLERS, **laws}
-        for key, names, known in (("controller", self.controllers, there), ("plot", self.plots, PLOTS)):
-            for name in names:
-                if name not in known:
-                    raise UnknownName(key, name, known, key=f"{key}s")
+        for name in self.controllers:
+            if name not in there:
+                raise UnknownName("controller", name, there, key="controllers")
         if len(set(self.controllers)) < len(self.controllers):
             raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
         if self.plant not in PLANTS:
@@ -220,8 +213,9 @@ class Experiment(LearnerTables, frozen=True):
             raise ConfigError(f"{self.weights_interval} s", fix="use a number > 0", key="weights_interval")
         for name, held in self.held_out.items():
             if not 0 < held.duration < np.inf:
-                fix = "use a finite number of seconds > 0"
-                raise ConfigError(f"{held.duration} s", fix=fix, key=f"held_out.{name}.duration")
+                raise ConfigError(
+                    f"{held.duration} s", fix="use a finite number of seconds > 0", key=f"held_out.{name}.duration"
+                )
         require_in_time(self.disturbances, self.time.duration)
 
     def load_robot(self) -> Robot:

@@ -42,8 +42,9 @@ def named(spec: str) -> str:
     """
     found = SPEC.fullmatch(spec)
     if found is None:
-        fix = "write FILE.py:Class, or package.module:Class"
-        raise ConfigError(f"'{spec}' names no class", fix=fix, key="controllers")
+        raise ConfigError(
+            f"'{spec}' names no class", fix="write FILE.py:Class, or package.module:Class", key="controllers"
+        )
     return found["kind"]
 
 
@@ -72,20 +73,29 @@ def resolved(
             name = named(controller)
             where = tables.setdefault(name, {}).setdefault(LAW, controller)
             if where != controller:
-                why, fix = f"laws.{name} is {where}", "name one of them in a table of its own, [laws.NAME]"
-                raise ConfigError(f"'{controller}' is called {name}, too", why=why, fix=fix, key="controllers")
+                raise ConfigError(
+                    f"'{controller}' is called {name}, too",
+                    why=f"laws.{name} is {where}",
+                    fix="name one of them in a table of its own, [laws.NAME]",
+                    key="controllers",
+                )
             controller = name
         names.append(controller)
     for name, table in tables.items():
         if name in taken:
-            fix = "call it otherwise: in a table [laws.NAME] with law = 'FILE.py:Class'"
-            raise ConfigError(f"'{name}' is a controller of this package", fix=fix, key=f"laws.{name}")
+            raise ConfigError(
+                f"'{name}' is a controller of this package",
+                fix="call it otherwise: in a table [laws.NAME] with law = 'FILE.py:Class'",
+                key=f"laws.{name}",
+            )
         if not NAME.fullmatch(name):
-            fix = "use letters, digits, _ and -"
-            raise ConfigError(f"'{name}' is no name for a file", fix=fix, key=f"laws.{name}")
+            raise ConfigError(f"'{name}' is no name for a file", fix="use letters, digits, _ and -", key=f"laws.{name}")
         if not isinstance(table.get(LAW), str):
-            fix = f"say law = 'FILE.py:Class' there, or run --controller FILE.py:{name}"
-            raise ConfigError("it does not say where its class is", fix=fix, key=f"laws.{name}")
+            raise ConfigError(
+                "it does not say where its class is",
+                fix=f"say law = 'FILE.py:Class' there, or run --controller FILE.py:{name}",
+                key=f"laws.{name}",
+            )
         named(table[LAW])
     return tuple(names), tables
 
@@ -127,8 +137,11 @@ def with_settings(
     hints, values = get_type_hints(kind), {}
     for setting, value in settings.items():
         if setting in GIVEN:
-            fix = "set [feedback], or learning.learning, for all controllers"
-            raise ConfigError("the experiment gives it, equal for all", fix=fix, key=f"{key}.{setting}")
+            raise ConfigError(
+                "the experiment gives it, equal for all",
+                fix="set [feedback], or learning.learning, for all controllers",
+                key=f"{key}.{setting}",
+            )
         if setting not in own:
             raise UnknownName("setting", setting, sorted(own), key=key)
         try:
@@ -175,11 +188,18 @@ def load_class(spec: str) -> type[TorqueController]:
     kind, file = getattr(module, name, None), getattr(module, "__file__", None)
     if not isinstance(kind, type):
         there = tuple(own_classes(module))
-        fix = f"there is: {', '.join(there)}" if there else "write a class derived from mmnn_pin.LearningLaw"
-        raise ConfigError(f"it has no controller class '{name}'", fix=fix, file=file)
+        raise ConfigError(
+            f"it has no controller class '{name}'",
+            fix=f"there is: {', '.join(there)}" if there else "write a class derived from mmnn_pin.LearningLaw",
+            file=file,
+        )
     if not issubclass(kind, TorqueController):
-        fix = "derive it from mmnn_pin.LearningLaw or mmnn_pin.TorqueController"
-        raise ConfigError(f"{name} is no TorqueController", fix=fix, file=file, line=line_of(kind))
+        raise ConfigError(
+            f"{name} is no TorqueController",
+            fix="derive it from mmnn_pin.LearningLaw or mmnn_pin.TorqueController",
+            file=file,
+            line=line_of(kind),
+        )
     if missing := sorted(getattr(kind, "__abstractmethods__", ())):
         raise ConfigError(f"{name} lacks {', '.join(missing)}", fix="write it", file=file, line=line_of(kind))
     return kind
@@ -195,8 +215,9 @@ def read_file(path: Path) -> Any:
     try:
         content = path.read_bytes()
     except OSError as error:
-        fix = "name a file of Python as FILE.py:Class"
-        raise ConfigError("cannot be read", why=error.strerror or "", fix=fix, file=path) from error
+        raise ConfigError(
+            "cannot be read", why=error.strerror or "", fix="name a file of Python as FILE.py:Class", file=path
+        ) from error
     digest = sha256(content)
     name = f"mmnn_pin_law_{sha256(str(path).encode())[:8]}_{digest[:12]}"
     if name in sys.modules:

@@ -24,6 +24,7 @@ from ...model.robot import Robot
 from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
 from ...reference import warnings
+from ...settings import finite
 from ...torque.controller import TorqueController
 from .controllers import EFFECTIVE, LEARNERS, effective
 from .experiment import Experiment
@@ -254,11 +255,6 @@ def has_hardware(experiment: Experiment) -> bool:
     """Whether there is more between controller and robot than wires, see `hardware`."""
     perfect = experiment.sensor.exact and experiment.actuator.perfect
     return not perfect or experiment.safety is not None or bool(experiment.disturbances)
-
-
-def finite(value: float | None) -> float | None:
-    """Number for JSON: nothing where there is none."""
-    return float(value) if value is not None and np.isfinite(value) else None
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,6 @@ import numpy as np
 
 from ...kinematic import Kinematic
 from ...signals import Array
-from .excitation import hidden_learns
 from .learner import Networks
 
 TRIED = np.linspace(0.02, 0.98, 49)  # eps
@@ -101,8 +100,7 @@ class PoseBound:
         across = size / math.sqrt(rest)
         sine = min(math.sqrt(max(1 - cosine**2, 0.0)), math.sqrt(self.ky) * across)
         k1, k2 = self.ky, self.kth * math.sqrt(self.ky)
-        turn = size * math.sqrt((k1**2 - 2 * self.eps * k1 * k2 + k2**2) / rest)
-        return PoseSet(size, across, sine, cosine, turn)
+        return PoseSet(size, across, sine, cosine, size * math.sqrt((k1**2 - 2 * self.eps * k1 * k2 + k2**2) / rest))
 
     def metric(self, cosine: float) -> Array:
         """P with `2 Vk <= xi' P xi` where cos ephi >= cosine; for 1 it is `2 Vk >= xi' P xi`; (3, 3)."""
@@ -139,8 +137,7 @@ class PoseBound:
         """The size a of pose errors (k, 3), (k,) [m]."""
         ex, ey, ephi = error.T
         eta = np.sin(ephi) / math.sqrt(self.ky)
-        value = (ex**2 + ey**2) / 2 + (1 - np.cos(ephi)) / self.ky + self.eps * ey * eta
-        return np.sqrt(2 * np.maximum(value, 0.0))
+        return np.sqrt(2 * np.maximum((ex**2 + ey**2) / 2 + (1 - np.cos(ephi)) / self.ky + self.eps * ey * eta, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +180,7 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
     """
     controller, layout = learner.own, learner.context.layout
     part = dict(learner.networks)[i]
-    two_layer = hidden_learns(controller.network)
+    two_layer = controller.network.hidden_learns
     per = 1.0 if controller.rates == "per_sample" else learner.context.control_period
     rate, rate_V, kappa = controller.network.rates(i - 1, controller.leakage)
     scale_in, scale_out = (scale[part] for scale in controller.network_scales(layout))
@@ -201,8 +198,7 @@ def weights_bound(learner: Networks, i: int, s: Array, x: float, projection: flo
     if projected:
         W, V = min(W, max(W0, radii[0])), min(V, max(V0, radii[1]))
         why = f"{why}, projection" if kappa > 0 else "projection"
-    output = scale_out * W * hidden
-    return WeightsBound(leak, leak_V, W, V if two_layer else 0.0, output, why, projected)
+    return WeightsBound(leak, leak_V, W, V if two_layer else 0.0, scale_out * W * hidden, why, projected)
 
 
 def growth(y: float) -> float:

@@ -13,14 +13,16 @@ the largest that can be is searched for.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...settings import finite
 from ...signals import Array
 from .bounds import PoseSet, WeightsBound, weights_bound
 from .certified_loop import CertifiedLoop, Condition, limits_in
@@ -77,6 +79,21 @@ class Certificate:
     def constants(self) -> list[Constant]:
         """The constants of the theorem in the region."""
         return list(constants(self.boxes, self.region))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Whether it holds, conditions, constants, region and bound, for JSON."""
+        names = self.boxes.loop.robot.velocity_names
+        return {
+            "holds": self.holds,
+            "region_asked_for": self.asked,
+            "conditions": [
+                asdict(c) | {"limit": finite(c.limit), "value": finite(c.value), "holds": c.holds}
+                for c in self.conditions
+            ],
+            "constants": [asdict(c) | {"value": finite(c.value)} for c in self.constants],
+            "region": self.region.to_dict(names) if self.holds else None,
+            "bound": self.bound.to_dict(names) if self.holds else None,
+        }
 
 
 def certify(loop: CertifiedLoop, region: Box | None = None, start: Box | None = None) -> Certificate:
@@ -404,3 +421,16 @@ class Faces:
         inside = self.pose < self.box.pose and self.motion.level < self.box.energy
         inside = inside and all(limit.holds for limit in self.limits)
         return bool(inside and (self.arm < self.box.arm or not len(self.joints)))
+
+    def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
+        """The box in the units of its errors, for JSON, with the names of the velocities."""
+        return {
+            "pose_size": self.box.pose,
+            "arm_size": self.box.arm,
+            "energy": self.box.energy,
+            "ex": self.reach.ex,
+            "ey": self.reach.ey,
+            "ephi": self.reach.heading,
+            "e": {name: float(value) for name, value in zip(names[2:], self.joints, strict=True)},
+            "s": {name: float(value) for name, value in zip(names, self.velocity, strict=True)},
+        }

@@ -15,20 +15,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from ...disturbance.settings import MOST
 from ...errors import ConfigError, InputError, UnknownName
 from ...model.base import BY_SIZE
+from ...settings import finite
 from ...signals import Array
 from ...torque.neural import Robust
 from .certificate import BoolArray, Box, Certificate, certify
 from .certified_loop import CertifiedLoop, certified_loop, push_bound
-from .ideal import Ideal
-from .learner import Networks, seen
+from .learner import NAMES, Networks, seen
 from .lyapunov import motion_energy
+from .networks import Ideal
 from .proof import Proof, sentence
 from .rate import Rate, rate_of
 from .subject import Subject
@@ -58,6 +60,16 @@ class CertifiedRun:
         run = self.comparison
         return self.certificate is None or run is None or not (self.certificate.holds and run.covered) or run.stays
 
+    def to_dict(self) -> dict[str, Any]:
+        """Whether it applies and holds, conditions, constants, region, bound, the run, rates, printed bounds."""
+        certificate, run = self.certificate, self.comparison
+        result: dict[str, Any] = {"applies": certificate is not None, "why_not": self.missing.get("certificate")}
+        if certificate is not None:
+            shown = run is not None and certificate.holds
+            result |= certificate.to_dict() | {"run": run.to_dict() if run is not None and shown else None}
+        printed = {NAMES[i]: one.to_dict() for i, one in self.thesis_bounds.items()}
+        return result | {"rate": None if self.rate is None else self.rate.to_dict(), "printed": printed or None}
+
 
 def certified_run(
     proof: Proof, region: Mapping[str, float] | None = None, disturbance: Mapping[str, float] | None = None
@@ -81,8 +93,7 @@ def certified_run(
         loop = certified_loop(subject)
         loop = loop.disturbed(loop.disturbance + force)
         sizes = sizes_of(subject, loop)
-        certificate = certify(loop, wanted, sizes.start)
-        run = compare(subject, certificate, sizes)
+        run = compare(subject, certify(loop, wanted, sizes.start), sizes)
     except InputError as error:
         missing["certificate"] = sentence(error)
     try:
@@ -145,6 +156,19 @@ class Comparison:
     largest: Box
     last: Box
     weights: dict[int, tuple[float, float]]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Where the run was, for JSON."""
+        return {
+            "starts_inside": self.starts,
+            "enters": finite(self.enters),
+            "stays": self.stays,
+            "covered": self.covered,
+            "settles": finite(self.settles),
+            "largest": asdict(self.largest),
+            "last_half": asdict(self.last),
+            "weights": {NAMES[i]: {"W": W, "V": V} for i, (W, V) in self.weights.items()},
+        }
 
 
 def compare(subject: Subject, certificate: Certificate, sizes: Sizes) -> Comparison:
@@ -240,6 +264,19 @@ class ThesisBounds:
         """(3.51) or (3.52)."""
         return self.robust > self.C[2]
 
+    def to_dict(self) -> dict[str, Any]:
+        """The bounds for JSON."""
+        return {
+            "C": list(self.C),
+            "error": self.error,
+            "weights": self.weights,
+            "half_width": self.half_width,
+            "Kz": self.robust,
+            "Kz_above_C2": self.gain_holds,
+            "reached": self.largest,
+            "proved": False,
+        }
+
 
 def thesis_bounds(
     subject: Subject, learner: Networks, ideal: dict[int, Ideal], force: Array
@@ -268,8 +305,7 @@ def thesis_bounds(
         half = D / (2 * k) + math.sqrt(D**2 / (4 * k**2) + rest)
         term = controller.robust or Robust(0.0, 0.0)
         robust = term.base if i == 1 else term.arm
-        last = float(s[i][len(s[i]) // 2 :].max())
-        result[i] = ThesisBounds(C, D / k, bZ, half, float(np.min(robust)), last)
+        result[i] = ThesisBounds(C, D / k, bZ, half, float(np.min(robust)), float(s[i][len(s[i]) // 2 :].max()))
     return result
 
 

@@ -1,12 +1,14 @@
 """Was the learner excited? Ranks of its weights and activations, and what the run leaves undetermined of them.
 
 Excitation is that of the activations over the run: where the Gram matrix `mean sigma sigma'` has a small eigenvalue,
-weights leave no trace in the output. What a run leaves *undetermined* is measured on random motion instead. To first
-order a change dw of the weights moves the output by `J dw`: for a network `J = [sigma, sigma' W x]`, W's part and V's;
-for a learner that is linear in its weights its features. Weights are measured by their rates, as the thesis's V
-measures them (`tr(Wt' F^-1 Wt)`), so one that is not learned has no part, and outputs by their deviation on random
-motion. There, the mean taken out, J shows some directions of the weights (`VISIBLE`), in which it is scaled to one:
-`E_random[Jc' Jc] = 1`. What a run leaves of a variance of 1 in each of them is
+weights leave no trace in the output. That of a regressor counts in the combinations of parameters that change Psi on
+some motion, against what random motion of unit speed excites: 1 in every direction for such a motion. What a run leaves
+*undetermined* is measured on random motion instead. To first order a change dw of the weights moves the output by `J
+dw`: for a network `J = [sigma, sigma' W x]`, W's part and V's; for a learner that is linear in its weights its
+features. Weights are measured by their rates, as the thesis's V measures them (`tr(Wt' F^-1 Wt)`), so one that is not
+learned has no part, and outputs by their deviation on random motion. There, the mean taken out, J shows some directions
+of the weights (`VISIBLE`), in which it is scaled to one: `E_random[Jc' Jc] = 1`. What a run leaves of a variance of 1
+in each of them is
 
     P = (1 + E_run[J' J] / NOISE)^-1,      undetermined = trace P / directions,
 
@@ -23,22 +25,21 @@ from typing import Any
 
 import numpy as np
 
+from ...model.regressor import Regressor
 from ...model.robot import Robot
+from ...settings import finite
 from ...signals import Array, Layout
-from ...torque.controller import ControllerState
-from ...torque.learning_law import LearningLaw
-from ...torque.neural import MEASURED, Neural, channels
-from ...torque.one_layer import OneLayer
-from ...torque.two_layer import TwoLayer
-from ...torque.two_layer_residual import TwoLayerResidual
-from .learner import NAMES, Learner, Stepper
+from ...torque.adaptive import EXCITED
+from ...torque.neural import Neural, channels
+from ...torque.two_layer import numerical_rank
+from .learner import NAMES, Learner, Networks, Stepper, seen
 
 NOISE = 1e-3  # of what random motion does: less does not count as excited, as in `torque.adaptive`
 VISIBLE = 1e-6  # share of the largest eigenvalue on random motion from which a direction counts
 UNKNOWN = 0.25  # share of the directions left above which a run did not excite
 SAMPLES = 200  # of random motion
-MOST = 500  # rows of a run that are looked at, evenly spread
-SEEN = (*MEASURED, "world_error")  # all that a law in plain Python may look at
+FEW = 500  # rows of a run at which it is asked what they leave undetermined, evenly spread
+MOST = 2000  # rows whose features are looked at, evenly spread
 
 
 def effective_rank(matrix: Array) -> float:
@@ -95,23 +96,7 @@ def excitation(activations: Array, visible: float = 1e-6) -> Excitation:
 
 def signals_for(controller: Any) -> tuple[str, ...]:
     """Signals of a run that `unknown` needs; empty for a controller of which it says nothing."""
-    own = network_in(controller)
-    if own is not None:
-        return own.inputs.signals
-    tells = isinstance(controller, LearningLaw) and type(controller).features is not LearningLaw.features
-    return SEEN if tells else ()
-
-
-def hidden_learns(network: TwoLayer | OneLayer) -> bool:
-    """Whether the hidden weights of a network learn, too."""
-    return isinstance(network, TwoLayer)
-
-
-def network_in(controller: Any) -> Neural | None:
-    """The thesis's controller, where one is it or has one inside and does not judge its excitation itself."""
-    if isinstance(controller, TwoLayerResidual):
-        return controller.learner
-    return controller if isinstance(controller, Neural) else None
+    return getattr(controller, "excited_by", ())
 
 
 @dataclass(frozen=True)
@@ -144,16 +129,14 @@ def unknown(learner: Learner, rows: Array) -> dict[str, Unknown]:
     """
     if not len(rows) or not signals_for(learner.controller) or not learner.controller.learning:
         return {}
-    own, some = network_in(learner.controller), rows[:: -(-len(rows) // MOST)]
-    motion = random_motion(learner.robot, learner.context.layout)
-    if own is None:
-        visited, anywhere = features(learner, some), features(learner, motion)
-        return {} if visited is None or anywhere is None else {"all": Unknown(*left(visited, anywhere))}
-    run, random = (tangents(learner, own, table) for table in (some, motion))
-    result = {}
-    for i, _ in channels(learner.context.layout):
-        acting = excitation(random[i].activations, VISIBLE)
-        result[NAMES[i]] = Unknown(*left(run[i].J, random[i].J), acting.directions, acting.units)
+    some, motion = rows[:: -(-len(rows) // FEW)], random_motion(learner.robot, learner.context.layout)
+    if (own := learner.controller.networks) is None:
+        visited, anywhere = along(learner, some), along(learner, motion)
+        return {} if visited is None or anywhere is None else {"all": Unknown(*left(visited[0], anywhere[0]))}
+    run, random, result = tangents(learner, own, some), tangents(learner, own, motion), {}
+    for i, (J, activations) in random.items():
+        acting = excitation(activations, VISIBLE)
+        result[NAMES[i]] = Unknown(*left(run[i][0], J), acting.directions, acting.units)
     return result
 
 
@@ -172,50 +155,38 @@ def left(run: Array, random: Array) -> tuple[float, int]:
     return float(np.mean(1.0 / (1.0 + np.maximum(excited, 0.0) / NOISE))), int(seen.sum())
 
 
-@dataclass(frozen=True, eq=False)
-class Tangents:
-    """What a network's output does with its weights along n rows.
+def tangents(learner: Learner, own: Neural, rows: Array) -> dict[int, tuple[Array, Array]]:
+    """What every network's output does with its final weights along rows (n, width), and its hidden outputs (n, h).
 
-    Attributes:
-        J: (n, outputs, weights) each weight over the root of its rate.
-        activations: (n, h) hidden outputs.
+    The first is J (n, outputs, weights): each weight over the root of its rate.
     """
-
-    J: Array
-    activations: Array
-
-
-def tangents(learner: Learner, own: Neural, rows: Array) -> dict[int, Tangents]:
-    """Those of every network with the final weights at rows (n, width)."""
-    state: ControllerState = learner.end.snapshot()
-    stepper, parts = Stepper(learner, state, learning=False), channels(learner.context.layout)
-    result: dict[int, list[Array]] = {i: [] for i, _ in parts}
-    activations = {i: np.zeros((len(rows), state[f"sigma{i}"].size)) for i, _ in parts}
-    rates = {i: np.sqrt(own.network.rates(i - 1, False)) for i, _ in parts}
-    x = state["x"]
-    for n, row in enumerate(rows):
-        stepper.step(row)
-        for i, m in parts:
-            W, sigma = state[f"W{i}"], state[f"sigma{i}"]
-            activations[i][n] = sigma
-            J = [np.kron(np.eye(m), rates[i][0] * sigma)]
-            if hidden_learns(own.network):
-                hidden = (sigma * (1 - sigma))[:, None] * W  # (h, m)
-                J.append(rates[i][1] * np.einsum("hm,x->mhx", hidden, x).reshape(m, -1))
-            result[i].append(np.hstack(J))
-    return {i: Tangents(np.array(J), activations[i]) for i, J in result.items()}
-
-
-def features(learner: Learner, rows: Array) -> Array | None:
-    """J of a learner that is linear in its weights, (n, rows, k); None where it gives no features."""
-    stepper, result = Stepper(learner, learner.end.snapshot(), learning=False), list[Array]()
+    stepper = Stepper(learner, learner.end.snapshot(), learning=False)
+    state = stepper.state
+    found: dict[int, list[tuple[Array, Array]]] = {i: [] for i, _ in channels(learner.context.layout)}
     for row in rows:
         stepper.step(row)
-        Phi = stepper.features()
-        if Phi is None:
+        for i, m in channels(learner.context.layout):
+            W, sigma, rates = state[f"W{i}"], state[f"sigma{i}"].copy(), np.sqrt(own.network.rates(i - 1, False))
+            J = [np.kron(np.eye(m), rates[0] * sigma)]
+            if own.network.hidden_learns:
+                hidden = (sigma * (1 - sigma))[:, None] * W  # (h, m)
+                J.append(rates[1] * np.einsum("hm,x->mhx", hidden, state["x"]).reshape(m, -1))
+            found[i].append((np.hstack(J), sigma))
+    return {i: (np.array([J for J, _ in all_]), np.array([sigma for _, sigma in all_])) for i, all_ in found.items()}
+
+
+def along(learner: Learner, rows: Array) -> tuple[Array, Array] | None:
+    """Features (n, rows, k) of a linear learner, and what its final weights say (n, p) [N, N m], along rows (n, width).
+
+    None where it does not give its features.
+    """
+    stepper, found = Stepper(learner, learner.end.snapshot(), learning=False), list[tuple[Array, Array]]()
+    for row in rows:
+        psi_hat = stepper.step(row).copy()
+        if (Phi := stepper.features()) is None:
             return None
-        result.append(Phi)
-    return np.array(result)
+        found.append((Phi, psi_hat))
+    return np.array([Phi for Phi, _ in found]), np.array([psi_hat for _, psi_hat in found])
 
 
 def random_motion(robot: Robot, layout: Layout, seed: int = 0) -> Array:
@@ -237,6 +208,77 @@ def random_motion(robot: Robot, layout: Layout, seed: int = 0) -> Array:
     return rows
 
 
+@dataclass(frozen=True, eq=False)
+class Network:
+    """The weights of one network or regressor at the end, and what they were multiplied with along the run.
+
+    Attributes:
+        name: `base`, `arm`, or `all` for one that serves all velocities.
+        what: What the weights are multiplied with, in a word.
+        ranks: Effective rank of W, V and what else there is of weights that are matrices.
+        numerical: Numerical rank of the same.
+        singular: Singular values of the same.
+        excitation: Of what they are multiplied with.
+        unknown: What the run leaves undetermined on random motion; None for a learner that judges it itself.
+    """
+
+    name: str
+    what: str
+    ranks: dict[str, float]
+    numerical: dict[str, int]
+    singular: dict[str, Array]
+    excitation: Excitation
+    unknown: Unknown | None = None
+
+    @classmethod
+    def of(
+        cls, name: str, what: str, weights: dict[str, Array], excited: Excitation, unknown: Unknown | None = None
+    ) -> Network:
+        """With the ranks of the weights that are matrices of more than one column and row."""
+        matrices = {key: W for key, W in weights.items() if W.ndim == 2}
+        return cls(
+            name=name,
+            what=what,
+            ranks={key: effective_rank(W) for key, W in matrices.items()},
+            numerical={key: numerical_rank(W) for key, W in matrices.items()},
+            singular={key: np.asarray(np.linalg.svd(W, compute_uv=False), float) for key, W in matrices.items()},
+            excitation=excited,
+            unknown=unknown,
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Ranks and excitation for JSON."""
+        return {
+            "effective_rank": {**self.ranks, self.what: self.excitation.rank},
+            "numerical_rank": self.numerical,
+            "units": self.excitation.units,
+            "gram_smallest": finite(self.excitation.smallest),
+            "gram_largest": finite(self.excitation.largest),
+            "excited_directions": self.excitation.directions,
+            "undetermined": None if self.unknown is None else finite(self.unknown.share),
+            "acting_units": self.unknown.acting if self.unknown is not None and self.unknown.units else None,
+        }
+
+
+def features_of(learner: Learner, rows: Array) -> list[Network]:
+    """What a learner's weights were multiplied with along rows (N, width); empty where it does not tell."""
+    lacks, weights = unknown(learner, rows), learner.controller.weights(learner.end)
+    if isinstance(learner, Networks):
+        activations, found = seen(learner, learner.end, rows).activations, []
+        for i, name in ((i, NAMES[i]) for i, _ in learner.networks):
+            own = {key[0]: W for key, W in weights.items() if key.endswith(str(i))}
+            found.append(Network.of(name, "activations", own, excitation(activations[i]), lacks.get(name)))
+        return found
+    if (linear := along(learner, rows[:: -(-len(rows) // MOST)])) is None:
+        return []
+    _, outputs, k = linear[0].shape
+    table = linear[0].reshape(-1, k) * np.sqrt(outputs)  # the mean is over samples, not over the rows of each
+    regressor = learner.context.regressor or getattr(learner.controller, "regressor", None)
+    if not isinstance(regressor, Regressor) or regressor.size != k or outputs == 1:
+        return [Network.of("all", "features", weights, excitation(table), lacks.get("all"))]
+    return [Network.of("all", "regressor", weights, excitation(table @ regressor.unit(), EXCITED), lacks.get("all"))]
+
+
 def not_excited(name: str, result: dict[str, Unknown]) -> list[str]:
     """A finding on the worst network of a learner that its run did not excite; none where it did."""
     weak = [one for one in result.items() if not one[1].excited]
@@ -244,12 +286,13 @@ def not_excited(name: str, result: dict[str, Unknown]) -> list[str]:
         return []
     part, worst = max(weak, key=lambda one: (2 * one[1].acting < one[1].units, one[1].share))
     whose = "" if part == "all" else f" of its {part}'s network"
+    why = (
+        f"the run leaves {worst.share:.0%} of what random motion shows{whose} undetermined; what it learned tracks the "
+        "motions of this run and is no knowledge of others"
+    )
     if 2 * worst.acting < worst.units:
-        return [
-            f"{name}: not excited: the {worst.units} units{whose} act as {worst.acting} on random motion, so no motion "
-            "determines its weights"
-        ]
-    return [
-        f"{name}: not excited: the run leaves {worst.share:.0%} of what random motion shows{whose} undetermined; what "
-        "it learned tracks the motions of this run and is no knowledge of others"
-    ]
+        why = (
+            f"the {worst.units} units{whose} act as {worst.acting} on random motion, so no motion determines its "
+            "weights"
+        )
+    return [f"{name}: not excited: {why}"]

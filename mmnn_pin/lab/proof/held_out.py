@@ -23,8 +23,8 @@ from ...model.robot import Robot, carrying
 from ...reference import BasePath, Eight, Holonomic, Sine, Trajectory
 from ...settings import Timing
 from ...signals import Array, Layout
+from ...torque import CONTROLLERS
 from ...torque.controller import Feedback
-from ...torque.model_based import ComputedTorque
 from ..experiments.config import recorded_experiment
 from ..experiments.experiment import Experiment
 from .subject import Subject, finite_rows
@@ -75,11 +75,14 @@ def all_held_out(experiment: Experiment, robot: Robot) -> dict[str, HeldOut]:
     """
     for name, settings in experiment.held_out.items():
         if settings.duration <= START:
-            why, fix = f"the first {START:g} s do not count", "make it longer"
-            raise ConfigError(f"{settings.duration:g} s", why=why, fix=fix, key=f"held_out.{name}.duration")
+            raise ConfigError(
+                f"{settings.duration:g} s",
+                why=f"the first {START:g} s do not count",
+                fix="make it longer",
+                key=f"held_out.{name}.duration",
+            )
     if not experiment.held_out:
-        rows = whole_reference(experiment, robot)
-        return {"usual": usual(robot, experiment.time.control_period, rows)}
+        return {"usual": usual(robot, experiment.time.control_period, whole_reference(experiment, robot))}
     return {
         name: HeldOut(
             experiment.held_out_of(robot, name), settings.duration, f"as [held_out.{name}] of its config says"
@@ -93,8 +96,7 @@ def whole_reference(experiment: Experiment, robot: Robot) -> Array:
     layout, timing = Layout.of(robot.dimensions), experiment.time
     rows = np.zeros((timing.samples, layout.width))
     where = slice(layout.where("pose_ref").start, layout.where("qddot_ref").stop)
-    times = np.arange(timing.samples) * timing.control_period
-    rows[:, where] = experiment.trajectory_of(robot).table(times, layout)
+    rows[:, where] = experiment.trajectory_of(robot).table(np.arange(timing.samples) * timing.control_period, layout)
     return rows
 
 
@@ -172,7 +174,7 @@ def recorded_under_computed_torque(
     loop = Loop(
         robot=robot,
         trajectory=wanted.trajectory,
-        controller=ComputedTorque(feedback),
+        controller=CONTROLLERS["computed_torque"].load()(feedback),
         kinematic=kinematic,
         timing=timing,
         start=Start(moving=True),

@@ -38,7 +38,7 @@ class Learner:
 
     Attributes:
         controller: Its settings; one with a field `learning`.
-        context: What it was told before the run.
+        context: What it is given before the run.
         start: Its state before the first row.
         end: Its state at the end, or the last one that is known.
         end_time: When that is [s].
@@ -51,12 +51,6 @@ class Learner:
     end: ControllerState
     end_time: float
     robot: Robot
-
-    @property
-    def feedback(self) -> Feedback:
-        """Its gains K."""
-        found: Feedback = self.controller.feedback
-        return found
 
     def frozen(self) -> Any:
         """The controller with its weights held fixed."""
@@ -106,7 +100,7 @@ class Stepper:
         return None if found is None else np.array(np.atleast_2d(found), float)
 
 
-def said(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
+def frozen_psi_hat(learner: Learner, state: ControllerState, rows: Array, every: int = 1) -> Array:
     """What the weights of a state, held fixed, say along rows (N, width): Psi_hat of every so many of them, (k, p).
 
     It is what they know: before the motors' limits take of it.
@@ -207,8 +201,12 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
         return None
     found = entry.load().from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
     if found is None and entry.thesis:
-        what = f"the recording does not tell the settings of {name}"
-        raise RecordingError(what, why="an older mmnn_pin wrote it", fix="run it again", file=recording.path)
+        raise RecordingError(
+            f"the recording does not tell the settings of {name}",
+            why="an older mmnn_pin wrote it",
+            fix="run it again",
+            file=recording.path,
+        )
     return of_experiment(recording, robot, name, settings) if found is None else found
 
 
@@ -241,8 +239,11 @@ def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[
     if not hasattr(controller, "learning"):
         return None
     if encode(controller.facts()) != encode(settings):
-        what, why = f"the config of the recording does not give its {name}", "it tells of other settings"
-        raise RecordingError(what, why=why, file=recording.path)
+        raise RecordingError(
+            f"the config of the recording does not give its {name}",
+            why="it tells of other settings",
+            file=recording.path,
+        )
     return controller
 
 

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from ...errors import RecordingError
 from ...kinematic import Kinematic
 from ...model.base import BY_SIZE
 from ...model.base.base import PoseEnergy
+from ...settings import finite
 from ...signals import Array, IntArray
 from .learner import Learner, Stepper
 from .subject import Subject
@@ -93,6 +95,15 @@ class Lyapunov:
     def predicted(self) -> Array:
         """The derivative that the continuous loop has [SI/s]."""
         return np.sum([self.terms[name] for name in PREDICTED], axis=0)
+
+    def to_dict(self) -> dict[str, Any]:
+        """V and its parts at start and end, for JSON."""
+        parts = {part: getattr(self, part) for part in ("pose", "motion", "weights")}
+
+        def ends(values: Array) -> dict[str, float | None]:
+            return {"start": finite(values[0]), "end": finite(values[-1])}
+
+        return {"V": ends(self.total), "parts": {part: ends(values) for part, values in parts.items()}}
 
 
 def lyapunov(
@@ -230,8 +241,7 @@ def limited_power(learner: Learner, rows: Array, at: IntArray) -> Array:
     stepper = Stepper(learner, learner.start.snapshot())
     for n, row in enumerate(rows):
         psi_hat = stepper.step(row)
-        s = np.concatenate((row[layout.where("z")], row[layout.where("r")]))
-        result[n] = s @ (stepper.known - psi_hat)
+        result[n] = np.concatenate((row[layout.where("z")], row[layout.where("r")])) @ (stepper.known - psi_hat)
     return result[at]
 
 
@@ -271,6 +281,17 @@ class Growth:
     why: dict[str, float]
     work: dict[str, float]
     spans: tuple[Span, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """What each term adds, when and why V grows, for JSON."""
+        return {
+            "terms": {name: finite(value) for name, value in self.work.items()},
+            "growing_share": finite(self.samples),
+            "rise": finite(self.rise),
+            "fall": finite(self.fall),
+            "largest_where_growing": self.why,
+            "spans": [{"from": s.start, "to": s.end, "rise": finite(s.rise), "term": s.why} for s in self.spans],
+        }
 
 
 def growth(v: Lyapunov) -> Growth:

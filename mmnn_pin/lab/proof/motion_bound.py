@@ -141,8 +141,7 @@ def push(samples: MotionSamples, added: Drive, forces: Forces, energy: float, ga
 def dissipation(samples: MotionSamples, added: Drive, gain: Array) -> tuple[Array, Array]:
     """K (N, p, p) in the middle of the box, and the rates (N,) that the rest of the box may take from it, times M."""
     driven = np.einsum("nij,jk->nik", samples.M, added.middle)
-    coriolis = np.einsum("nijk,nk->nij", samples.coriolis, samples.along.nu)  # s' C(q, s) nu as s' (.) s
-    K = np.diag(gain) + samples.viscous - driven + coriolis
+    K = np.diag(gain) + samples.viscous - driven + np.einsum("nijk,nk->nij", samples.coriolis, samples.along.nu)
     lost = np.einsum("nik,ik->n", samples.shears, added.half) + samples.gyration @ added.nu
     return (K + K.swapaxes(1, 2)) / 2, lost
 
@@ -207,8 +206,7 @@ def drive(
     w = pose.ky * (v_dot * reach.ey + fastest * ey_dot) + pose.kth * (v_dot * reach.sine + fastest * turn)
     v += pose.kx * away + side * turning
     w += fastest * (pose.ky * away + pose.kth * turning)
-    nu = np.concatenate(([forward, turn], K * joints))
-    return Drive(nu, np.array([v, w]), arm, *input_matrix(pose, reach, K))
+    return Drive(np.concatenate(([forward, turn], K * joints)), np.array([v, w]), arm, *input_matrix(pose, reach, K))
 
 
 def input_matrix(pose: PoseBound, reach: PoseSet, K: Array) -> tuple[Array, Array]:
@@ -359,14 +357,12 @@ class MotionSamples:
     def shears(self) -> Array:
         """(N, p, p) rates: `|s' M E_ik s| <= shears_ik s' M s`, E_ik the matrix with a single 1."""
         p = self.M.shape[1]
-        units = np.eye(p * p).reshape(p * p, p, p)
-        return self.rate(np.einsum("nij,ujk->nuik", self.M, units)).reshape(-1, p, p)
+        return self.rate(np.einsum("nij,ujk->nuik", self.M, np.eye(p * p).reshape(p * p, p, p))).reshape(-1, p, p)
 
     def rate(self, X: Array) -> Array:
         """Largest `|s' X s| / s' M s` of matrices (N, k, p, p); (N, k) [1/s]."""
         L = self.root_inverse[:, None]
-        symmetric = (X + X.swapaxes(2, 3)) / 2
-        return np.asarray(np.abs(np.linalg.eigvalsh(L @ symmetric @ L.swapaxes(2, 3))).max(axis=-1))
+        return np.asarray(np.abs(np.linalg.eigvalsh(L @ ((X + X.swapaxes(2, 3)) / 2) @ L.swapaxes(2, 3))).max(axis=-1))
 
 
 def sample(robot: Robot, along: Along, spread: Array, seed: int = 0, samples: int = SAMPLES) -> MotionSamples:

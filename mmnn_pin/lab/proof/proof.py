@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ...errors import InputError, RecordingError
 from ...recording.recording import Recording
+from ...torque.learning_law import LearningLaw
 from .balance import BUDGET, Balance, balance
-from .ideal import IdealWeights, best_weights
-from .lyapunov import Growth, Lyapunov, growth, lyapunov
-from .parts import weights_of
+from .learner import NAMES, Networks
+from .linear import LinearFit, covariance_part, gain_part, linear_fit, stack_part
+from .lyapunov import MOST, Growth, Lyapunov, Part, growth, lyapunov
+from .networks import Ideal, ideal_weights, network_part
 from .psi import WINDOWS, Psi, how_to_know, psi_of
 from .subject import Subject
-from .weights_part import WITHOUT
+from .truth import Truth, estimate_part, true_parameters
+from .weights_part import WITHOUT, WeightsPart
 
 PARTS = ("psi", "ideal", "lyapunov", "balance")
 MISSED = 1e-6  # relative difference of Psi_hat beyond which the weights of a run are not its weights
 QUICK = 5_000  # evaluations of the dynamics for one of several runs: a fraction of a second
+IdealWeights = dict[int, Ideal] | Truth | LinearFit
+# What gives the weights' part at rows, by its name in the class of a learner (`lyapunov_part`).
+WEIGHTS_PARTS: dict[str, Callable[..., WeightsPart]] = {
+    "networks": network_part,
+    "estimate": estimate_part,
+    "stack": stack_part,
+    "covariance": covariance_part,
+    "gain": gain_part,
+}
+LUMPS = ("estimate", "stack", "covariance")  # parts of learners that may move their weights less often than they act
 PROOFS: WeakKeyDictionary[Recording, Proof] = WeakKeyDictionary()
 
 
@@ -130,6 +144,22 @@ class Proof:
         """False only where the equality was checked and failed."""
         return not self.has("balance") or self.balance.holds
 
+    def to_dict(self) -> dict[str, Any]:
+        """Everything that `mmnn prove` tells, for JSON; a part that cannot be had is null, and `remarks` say why."""
+        recording = self.subject.recording
+        return {
+            "run": str(recording.path) if recording.path else None,
+            "controller": self.subject.controller,
+            "robot": self.subject.robot.name,
+            "outcome": recording.outcome.status,
+            "psi": self.psi.to_dict() if self.has("psi") else None,
+            "ideal": ideal_dict(self.ideal) if self.has("ideal") else None,
+            "lyapunov": self.lyapunov.to_dict() | self.growth.to_dict() if self.has("lyapunov") else None,
+            "equality": self.balance.to_dict() if self.has("balance") else None,
+            "holds": self.holds,
+            "remarks": self.remarks(),
+        }
+
     def _try(self, part: str) -> InputError | None:
         errors: dict[str, InputError | None] = self.__dict__.setdefault("_errors", {})
         if part not in errors:
@@ -175,3 +205,55 @@ def proofs_with(recordings: Mapping[str, Recording], part: str) -> tuple[dict[st
         except InputError as error:
             reasons.append(f"{name}: {' '.join(str(error).split())}")
     return result, reasons
+
+
+def best_weights(subject: Subject) -> IdealWeights:
+    """Ideal weights of networks, true parameters for an adaptive controller, best ones of another linear learner.
+
+    Raises:
+        RecordingError: The controller has none of these, or its law is not at hand.
+    """
+    learner = subject.learner
+    if isinstance(learner, Networks):
+        return ideal_weights(subject, learner)
+    if learner is not None and learner.controller.lyapunov_part == "estimate":
+        return true_parameters(subject, learner)
+    if learner is not None and (fit := linear_fit(subject, learner)) is not None:
+        return fit
+    why = f"{subject.controller} does not give the features that its weights are multiplied with"
+    if learner is not None and isinstance(learner.controller, LearningLaw):
+        why += "; write methods features(sample, state) and gain(state), and V has its weights' part"
+    raise RecordingError("no ideal weights", why=why, file=subject.recording.path)
+
+
+def ideal_dict(ideal: IdealWeights) -> dict[str, Any]:
+    """Ideal weights for JSON: by network; true parameters; best fixed weights."""
+    if isinstance(ideal, dict):
+        return {NAMES[i]: weights.to_dict() for i, weights in ideal.items()}
+    return ideal.to_dict()
+
+
+class Kept(NamedTuple):
+    """The weights' part of a learner.
+
+    Attributes:
+        part: What gives it at rows.
+        most: Samples to look at.
+        every: Control periods from one update of the weights to the next.
+    """
+
+    part: Part
+    most: float = math.inf
+    every: int = 1
+
+
+def weights_of(subject: Subject, ideal: IdealWeights) -> Kept | None:
+    """The weights' part of a run's learner with its ideal weights; None where nothing was learned."""
+    learner = subject.learner
+    if learner is None or not learner.controller.learning or (name := learner.controller.lyapunov_part) is None:
+        return None
+    return Kept(
+        partial(WEIGHTS_PARTS[name], subject, learner, ideal.W if isinstance(ideal, LinearFit) else ideal),
+        MOST if name in ("networks", "estimate") else math.inf,
+        getattr(learner.controller.law(learner.context).learner, "every", 1) if name in LUMPS else 1,
+    )

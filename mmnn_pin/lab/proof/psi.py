@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -18,13 +19,14 @@ from ...errors import InputError, RecordingError
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot
 from ...recording.metrics import halves
+from ...settings import finite
 from ...signals import Array, Layout
 from ...torque.learning_law import origin_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.laws import GIVEN
-from .features import Network, features_of
+from .excitation import Network, features_of
 from .held_out import START, held_out, loaded, recorded_under_computed_torque, usual_payload
-from .learner import Learner, said
+from .learner import Learner, frozen_psi_hat
 from .subject import Subject
 
 FLAT = 1e-9  # spread of Psi, relative to its size, below which it has no variance to explain
@@ -90,6 +92,29 @@ class Psi:
     weights_time: float
     remarks: tuple[str, ...]
 
+    def to_dict(self) -> dict[str, Any]:
+        """FVU online and frozen per component with the worst of base and arm, shares of the torque, the networks."""
+
+        def each(values: Array) -> dict[str, float | None]:
+            return {label: finite(value) for label, value in zip(self.labels, values, strict=True)}
+
+        def judged(values: Array) -> dict[str, Any]:
+            halves = {part: finite(worst(values[where])) for part, where in self.halves.items()}
+            return {"components": each(values), **halves}
+
+        return {
+            "online": judged(self.online),
+            "windows": [
+                {"from": finite(a), "to": finite(b), **judged(row), "of_run_variance": each(error)}
+                for (a, b), row, error in zip(pairwise(self.edges), self.windows, self.errors, strict=True)
+            ],
+            "frozen": {name: {"about": frozen.about, **judged(frozen.fvu)} for name, frozen in self.frozen.items()},
+            "weights_time": finite(self.weights_time),
+            "torque_share": {part: each(values) for part, values in self.shares.items()},
+            "torque_rms_ratio": {part: each(values) for part, values in self.sizes.items()},
+            "networks": {network.name: network.to_dict() for network in self.networks},
+        }
+
 
 def psi_of(
     subject: Subject, payload: float | None = None, count: int = WINDOWS, progress: Progress | None = None
@@ -106,20 +131,25 @@ def psi_of(
         RecordingError: The controller gave no Psi_hat, or the run is not longer than 0.5 s.
     """
     psi, psi_hat, torque, robust = (subject.signal(name) for name in ("psi", "psi_hat", "torque", "robust"))
-    require_psi_hat(subject, psi_hat)
+    if not psi_hat.any():
+        own = "a controller of your own whose step returns a torque alone; let it return (torque, Psi_hat)"
+        raise RecordingError(
+            f"{subject.controller} gives no Psi_hat",
+            why=own if subject.controller not in CONTROLLERS else "it estimates nothing",
+            file=subject.recording.path,
+        )
     time = subject.signal("time")[:, 0]
     edges = windows(time, count)
     if not edges.size:
-        why = f"it ends at {time[-1]:.3g} s, and FVU counts from {START} s on"
-        raise RecordingError("too short for Psi", why=why, fix="run longer", file=subject.recording.path)
+        raise RecordingError(
+            "too short for Psi",
+            why=f"it ends at {time[-1]:.3g} s, and FVU counts from {START} s on",
+            fix="run longer",
+            file=subject.recording.path,
+        )
     counts = time >= START - 1e-9
-    frozen: dict[str, Frozen] = {}
-    networks: list[Network] = []
-    remarks: list[str] = []
     learner = subject.learner
-    if learner is not None:
-        frozen, networks, remarks = frozen_weights(subject, learner, payload, progress)
-    remarks += remarks_on_law(subject)
+    frozen, networks, remarks = frozen_weights(subject, learner, payload, progress) if learner else ({}, [], [])
     return Psi(
         labels=subject.robot.velocity_names,
         halves=halves(subject.recording),
@@ -132,21 +162,8 @@ def psi_of(
         frozen=frozen,
         networks=networks,
         weights_time=learner.end_time if learner else float("nan"),
-        remarks=tuple(remarks),
+        remarks=(*remarks, *remarks_on_law(subject)),
     )
-
-
-def require_psi_hat(subject: Subject, psi_hat: Array) -> None:
-    """Refuse a controller that says nothing of Psi.
-
-    Raises:
-        RecordingError: With the name of the controller.
-    """
-    if psi_hat.any():
-        return
-    own = "a controller of your own whose step returns a torque alone; let it return (torque, Psi_hat)"
-    why = own if subject.controller not in CONTROLLERS else "it estimates nothing"
-    raise RecordingError(f"{subject.controller} gives no Psi_hat", why=why, file=subject.recording.path)
 
 
 def remarks_on_law(subject: Subject) -> list[str]:
@@ -183,14 +200,16 @@ def frozen_weights(
     rows = subject.rows[::every]
     time = rows[:, where("time")][:, 0]
     show("frozen weights", 0.1)
-    visited = said(learner, learner.end, subject.rows, every)
+    visited = frozen_psi_hat(learner, learner.end, subject.rows, every)
     frozen = {"same": Frozen("the run's own trajectory", time, rows[:, where("psi")], visited)}
     show("frozen weights", 0.3)
     try:
         wanted = held_out(subject)
-        seen = recorded_under_computed_torque(robot, wanted, learner.feedback, subject.kinematic, subject.timing)
+        seen = recorded_under_computed_torque(
+            robot, wanted, learner.controller.feedback, subject.kinematic, subject.timing
+        )
         show("frozen weights", 0.7)
-        estimate = said(learner, learner.end, seen)
+        estimate = frozen_psi_hat(learner, learner.end, seen)
         frozen["held_out"] = Frozen(wanted.about, seen[:, where("time")][:, 0], seen[:, where("psi")], estimate)
     except InputError as error:
         remarks.append(f"no held-out trajectory: {' '.join(str(error).split())}")

@@ -13,15 +13,16 @@ speaks of small errors and an input that stands still; the leakage is left out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
 
 from ...errors import RecordingError
 from ...loop.before_run import HeldLoop, held_loop, viscous_friction
+from ...settings import finite
 from ...signals import Array
 from ...torque.controller import ControllerState
-from .excitation import hidden_learns
 from .learner import Networks, put
 from .subject import Subject
 
@@ -55,6 +56,17 @@ class Rate:
         """Whether nothing grows at any of the instants, and the leakage shrinks the weights."""
         return bool(self.radius.max() <= 1 + TOLERANCE and self.leak.max() < 2)
 
+    def to_dict(self) -> dict[str, Any]:
+        """The worst over the run, for JSON."""
+        return {
+            "stable": self.stable,
+            "spectral_radius": finite(self.radius.max()),
+            "without_learner": finite(self.without.max()),
+            "share_of_gain": [finite(value) for value in self.share.max(axis=0)],
+            "factor_left": finite(self.limit.min()),
+            "leak_per_sample": [finite(value) for value in self.leak],
+        }
+
 
 def rate_of(subject: Subject, places: int = PLACES) -> Rate:
     """The condition along a run, at the weights that it had.
@@ -64,8 +76,11 @@ def rate_of(subject: Subject, places: int = PLACES) -> Rate:
     """
     learner = subject.networks
     if learner is None:
-        why = f"{subject.controller} is no learner of the thesis"
-        raise RecordingError("no condition on the rates", why=why, file=subject.recording.path)
+        raise RecordingError(
+            "no condition on the rates",
+            why=f"{subject.controller} is no learner of the thesis",
+            file=subject.recording.path,
+        )
     rows = learned_at(subject, learner, places)
     result = [judged(subject, learner, row, state) for row, state in rows]
     time = np.array([row[subject.layout.where("time")][0] for row, _ in rows])
@@ -125,7 +140,7 @@ def kernel(learner: Networks, row: Array, state: ControllerState) -> Array:
     for i, part in learner.networks:
         W, V = state[f"W{i}"], state[f"V{i}"]
         rate, other, _ = controller.network.rates(i - 1, controller.leakage)
-        if not hidden_learns(controller.network):
+        if not controller.network.hidden_learns:
             phi = np.exp(-((x[:, None] - V) ** 2).sum(axis=0) / (2 * other**2))
             L = rate * (phi @ phi) * np.eye(W.shape[1])
         else:
@@ -144,8 +159,7 @@ def radius(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
     closed = held.closed(gain)
     if first:
         closed = closed + held.torque @ L @ held.errors
-    loop = np.block([[closed, held.torque], [L @ held.errors, np.eye(p)]])
-    return float(np.abs(np.linalg.eigvals(loop)).max())
+    return float(np.abs(np.linalg.eigvals(np.block([[closed, held.torque], [L @ held.errors, np.eye(p)]]))).max())
 
 
 def factor(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
@@ -169,13 +183,10 @@ def factor(held: HeldLoop, gain: Array, L: Array, first: bool) -> float:
 def leakage(subject: Subject, learner: Networks) -> Array:
     """Largest kappa F |s| per sample over a run, (2,) base and arm; of W and V the larger."""
     controller, layout = learner.own, subject.layout
-    into, per = controller.network_scales(layout)[0], 1.0
-    if controller.rates == "per_second":
-        per = learner.context.control_period
-    s = np.hstack((subject.signal("z"), subject.signal("r"))) * into
-    result = np.zeros(2)
+    s, result = subject.s * controller.network_scales(layout)[0], np.zeros(2)
+    per = learner.context.control_period if controller.rates == "per_second" else 1.0
     for i, part in learner.networks:
         rate, other, kappa = controller.network.rates(i - 1, controller.leakage)
-        fastest = max(rate, other) if hidden_learns(controller.network) else rate
+        fastest = max(rate, other) if controller.network.hidden_learns else rate
         result[i - 1] = kappa * per * fastest * np.linalg.norm(s[:, part], axis=1).max()
     return result

@@ -51,22 +51,37 @@ class Subject:
         """Everything from a recording.
 
         Raises:
-            RecordingError: It holds less than two rows that are finite, or does not hold its robot, gains or periods.
+            RecordingError: It holds less than two rows that are finite, or does not hold its robot, gains, periods, or
+                a signal of which everything here is made.
             InputError: Its robot cannot be built.
         """
         if not recording.urdf.strip():
-            why = "without it there is no model to compare with"
-            raise RecordingError("the recording does not hold its robot's URDF", why=why, file=recording.path)
+            raise RecordingError(
+                "the recording does not hold its robot's URDF",
+                why="without it there is no model to compare with",
+                file=recording.path,
+            )
         robot = recorded_robot(recording)
         for key, what in (("kinematic", "gains of its kinematic layer"), ("time", "periods")):
             if key not in recording.meta:
-                why = "an older mmnn_pin wrote it"
-                raise RecordingError(f"the recording does not hold the {what}", why=why, file=recording.path)
-        require_signals(recording)
+                raise RecordingError(
+                    f"the recording does not hold the {what}", why="an older mmnn_pin wrote it", file=recording.path
+                )
+        for name in NEEDED:
+            if name not in recording:
+                raise RecordingError(
+                    "no truth to compare with",
+                    why=f"the signal '{name}' is not in the recording, as in one from outside a simulation",
+                    file=recording.path,
+                )
         rows = finite_rows(recording, Layout.of(robot.dimensions))
         if len(rows) < 2:
-            why = f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}"
-            raise RecordingError("too short to judge", why=why, fix="run longer", file=recording.path)
+            raise RecordingError(
+                "too short to judge",
+                why=f"{len(rows)} of its rows are finite; its run was {recording.outcome.status}",
+                fix="run longer",
+                file=recording.path,
+            )
         return cls(
             recording,
             robot,
@@ -136,21 +151,14 @@ class Subject:
             dynamics.refresh_psi(nu_ref, nudot_ref, psi)
         return rows
 
+    @property
+    def s(self) -> Array:
+        """`[z; r]` as the controller saw it, (N, p)."""
+        return np.hstack((self.signal("z"), self.signal("r")))
+
     def signal(self, name: str) -> Array:
         """A signal of the run, (N, size)."""
         return self.rows[:, self.layout.where(name)]
-
-
-def require_signals(recording: Recording) -> None:
-    """Refuse a recording without the signals that everything here is made of.
-
-    Raises:
-        RecordingError: With the name of the first that is missing.
-    """
-    for name in NEEDED:
-        if name not in recording:
-            why = f"the signal '{name}' is not in the recording, as in one from outside a simulation"
-            raise RecordingError("no truth to compare with", why=why, file=recording.path)
 
 
 def finite_rows(recording: Recording, layout: Layout) -> Array:

@@ -33,20 +33,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import RecordingError
+from ...errors import InputError, RecordingError
 from ...model.tree.body import parameters
+from ...settings import finite
 from ...signals import Array, IntArray
 from ...torque.adaptive import Adaptation
-from ...torque.adaptive_composite import LARGEST, Prediction
-from ...torque.controller import CompiledController, ControllerState
-from ...torque.pseudo_inertia import BODY, Bodies, pseudo_inertias, to_matrix, vector_of
+from ...torque.controller import ControllerState
+from ...torque.pseudo_inertia import BODY, LARGEST, Bodies, pseudo_inertias, to_matrix, vector_of
 from .learner import Learner, Stepper
 from .subject import Subject
-from .weights_part import WITHOUT, Missed, WeightsPart, part_of
+from .weights_part import WITHOUT, Progress, WeightsPart, part_of, step_again
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +68,12 @@ class Truth:
     distance: Array
     parts: dict[str, Array]
 
+    def to_dict(self) -> dict[str, Any]:
+        """The parameters and the estimate's distance from them, for JSON."""
+        parts = {name: {"start": finite(v[0]), "end": finite(v[1])} for name, v in self.parts.items()}
+        eps = [finite(value) for value in self.eps]
+        return {"parameters": {"theta": self.theta.tolist(), "known": self.known, "eps": eps, "distance": parts}}
+
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
@@ -75,7 +82,7 @@ class Estimates:
     Attributes:
         theta: (N, k) its estimate before the update of every row.
         Y: (k', p, k) its regressor at the rows that were asked for.
-        missed: How far it was from the recorded Psi_hat, as of `Missed.share`.
+        missed: How far it was from the recorded Psi_hat, as `step_again` returns it.
     """
 
     theta: Array
@@ -95,78 +102,69 @@ def true_parameters(subject: Subject, learner: Learner) -> Truth:
     bodies = controller.regressor.bodies
     for name, P in zip(bodies, pseudo_inertias(theta[: controller.regressor.inertial]), strict=True):
         if np.linalg.eigvalsh(P)[0] <= 1e-12 * np.trace(P):
-            why = f"the body at '{name}' has no density: flat, a point, or with impossible inertias"
-            raise RecordingError("no true parameters", why=why, file=subject.recording.path)
+            raise RecordingError(
+                "no true parameters",
+                why=f"the body at '{name}' has no density: flat, a point, or with impossible inertias",
+                file=subject.recording.path,
+            )
     some = np.unique(np.linspace(0, len(subject.rows) - 1, 500).astype(int))
-    eps = subject.signal("psi")[some] - regressors(learner, subject.rows[some]) @ theta
-    ends = np.array([learner.start["theta"], learner.end["theta"]])
-    first = controller.regressor.inertial
-    parts = {
-        "bodies": distances(metric, theta, ends, slice(0, first)),
-        "friction": distances(metric, theta, ends, slice(first, None)),
-    }
-    known = controller.unit.shape[1]
-    return Truth(theta, known, np.abs(eps).max(axis=0), parts["bodies"] + parts["friction"], parts)
+    eps = np.abs(subject.signal("psi")[some] - regressors(learner, subject.rows[some]) @ theta).max(axis=0)
+    ends, first = np.array([learner.start["theta"], learner.end["theta"]]), controller.regressor.inertial
+    which = {"bodies": slice(0, first), "friction": slice(first, None)}
+    parts = {name: distances(metric, theta, ends, part) for name, part in which.items()}
+    return Truth(theta, controller.unit.shape[1], eps, parts["bodies"] + parts["friction"], parts)
 
 
-def numbers_of(learner: Learner) -> tuple[Adaptation, Prediction | None]:
+def numbers_of(learner: Learner) -> tuple[Adaptation, Any]:
     """The numbers of an adaptive law, and of its prediction error where it has one."""
     return parts_of(learner.controller.law(learner.context).learner)
 
 
-def parts_of(numbers: Adaptation | Prediction) -> tuple[Adaptation, Prediction | None]:
+def parts_of(numbers: Any) -> tuple[Adaptation, Any]:
     """The numbers of an adaptive law out of those of a law with or without a prediction error."""
-    return (numbers.adaptation, numbers) if isinstance(numbers, Prediction) else (numbers, None)
+    return (numbers.adaptation, numbers) if hasattr(numbers, "adaptation") else (numbers, None)
 
 
 def regressors(learner: Learner, rows: Array) -> Array:
     """Y of an adaptive controller at rows (N, width), (N, p, k), which no estimate changes."""
-    stepper = Stepper(learner, learner.start.snapshot(), learning=False)
-    known = parts_of(stepper.torque.learner)[0].known
-    Y = np.zeros((len(rows), *known.Y.shape))
-    for n, row in enumerate(rows):
+    stepper, Y = Stepper(learner, learner.start.snapshot(), learning=False), list[Array]()
+    for row in rows:
         stepper.step(row)
-        Y[n] = known.Y
-    return Y
+        Y.append(parts_of(stepper.torque.learner)[0].known.Y.copy())
+    return np.array(Y)
 
 
 def stepped(
     learner: Learner,
     rows: Array,
     at: IntArray,
-    progress: Callable[[float], None] | None = None,
+    progress: Progress = None,
     visit: Callable[[int, ControllerState], None] = lambda n, state: None,
 ) -> Estimates:
     """Estimates along rows (N, width) from the start of a run, and regressors at some of them, ascending.
 
     `visit` is called after every row with its number and the state.
     """
-    stepper = Stepper(learner, learner.start.snapshot())
-    known = parts_of(stepper.torque.learner)[0].known
-    theta, Y = np.zeros((len(rows), stepper.state["theta"].size)), np.zeros((len(at), *known.Y.shape))
-    missed, wanted = Missed(rows[:, learner.context.layout.where("psi_hat")]), {n: i for i, n in enumerate(at)}
-    for n, row in enumerate(rows):
+    theta, Y, wanted = np.zeros((len(rows), learner.start["theta"].size)), dict[int, Array](), set(at.tolist())
+
+    def before(n: int, row: Array, stepper: Stepper) -> None:
         theta[n] = stepper.state["theta"]
-        if missed.lost(n, stepper.step(row)):
-            break
+
+    def after(n: int, row: Array, stepper: Stepper, kept: None) -> None:
         if n in wanted:
-            Y[wanted[n]] = known.Y
+            Y[n] = parts_of(stepper.torque.learner)[0].known.Y.copy()
         visit(n, stepper.state)
-        if progress is not None and n % 500 == 0:
-            progress(n / len(rows))
-    return Estimates(theta, Y, missed.share)
+
+    missed, none = step_again(learner, rows, before, after, progress), np.zeros_like(regressors(learner, rows[:1])[0])
+    return Estimates(theta, np.array([Y.get(n, none) for n in at.tolist()]), missed)
 
 
 def true_weights(subject: Subject, learner: Learner) -> Array | None:
-    """The weights (k,) of a learner with a regressor that say the robot's parameters; None for another learner.
-
-    Raises:
-        RobotError: A joint that cannot be flattened.
-    """
-    controller = learner.controller
-    if not isinstance(controller, CompiledController):
+    """The weights (k,) of a learner with a regressor that say the robot's parameters; None where there are none."""
+    try:
+        return learner.controller.true_weights(parameters(subject.robot), learner.start)
+    except InputError:  # such as a joint that cannot be flattened
         return None
-    return controller.true_weights(parameters(subject.robot), learner.start)
 
 
 def distances(a: Bodies, theta: Array, estimates: Array, part: slice = slice(None)) -> Array:
@@ -198,12 +196,11 @@ def matrix(numbers: Array, side: float = 1.0) -> Array:
 
 def matrices(numbers: Array, side: float = 1.0) -> Array:
     """The same of many, (N, 10) to (N, 4, 4)."""
-    basis = np.array([matrix(e, side) for e in np.eye(BODY)])
-    return np.asarray(np.einsum("nk,kij->nij", numbers, basis))
+    return np.asarray(np.einsum("nk,kij->nij", numbers, np.array([matrix(e, side) for e in np.eye(BODY)])))
 
 
 def estimate_part(
-    subject: Subject, learner: Learner, truth: Truth, at: IntArray, progress: Callable[[float], None] | None = None
+    subject: Subject, learner: Learner, truth: Truth, at: IntArray, progress: Progress = None
 ) -> WeightsPart:
     """`V_theta / a` at some rows of a run, (k,) ascending, and what learning leaves of its derivative.
 
@@ -214,8 +211,7 @@ def estimate_part(
     if not a.tracking > 0:
         raise RecordingError(WITHOUT, why="the estimate does not follow s: tracking is 0")
     m = a.bodies
-    first = BODY * len(m.roots)
-    learned = np.concatenate((np.full(first, m.gamma > 0), m.rates > 0)) & a.learning
+    learned = np.concatenate((np.full(BODY * len(m.roots), m.gamma > 0), m.rates > 0)) & a.learning
     before, steps = learner.start["theta"].copy(), np.zeros((2, len(rows)))
 
     def visit(n: int, state: ControllerState) -> None:
@@ -224,7 +220,7 @@ def estimate_part(
         before[:] = state["theta"]
 
     found = stepped(learner, rows, at, progress, visit)
-    estimate, s = found.theta[at], np.hstack((subject.signal("z"), subject.signal("r")))[at]
+    estimate, s = found.theta[at], subject.s[at]
     g = np.einsum("npk,np->nk", found.Y, s)
     pull = (g * (theta - estimate))[:, learned].sum(axis=1)  # s' Y theta_tilde of what is learned
     eta = shares_of_update(a, estimate, g, (s**2 @ a.gain), h)
@@ -236,7 +232,7 @@ def estimate_part(
 
 
 def prediction_step(
-    a: Bodies, p: Prediction, estimate: Array, theta: Array, learned: NDArray[np.bool_], state: ControllerState
+    a: Bodies, p: Any, estimate: Array, theta: Array, learned: NDArray[np.bool_], state: ControllerState
 ) -> tuple[float, float]:
     """What a step down the prediction error does to V_theta, to first order: prediction and noise.
 
@@ -258,9 +254,7 @@ def prediction_step(
 
 def metric(a: Bodies, estimate: Array) -> Array:
     """Gamma, (k, k): where a gradient takes the estimate, `gamma P L P` of a body and `gamma_j` of the rest."""
-    first = BODY * len(a.roots)
-    Gamma = np.diag(np.concatenate((np.zeros(first), a.rates)))
-    L = matrices(np.eye(BODY), 0.5)
+    Gamma, L = np.diag(np.concatenate((np.zeros(BODY * len(a.roots)), a.rates))), matrices(np.eye(BODY), 0.5)
     for here in bodies(a):
         P = matrix(estimate[here])
         Gamma[here, here] = a.gamma * np.array([vector_of(one) for one in P @ L @ P]).T

@@ -5,7 +5,7 @@
 
     s' (Psi - Psi_hat) + d/dt (weights' part) = s' w + what else moves the weights
 
-Every kind of learner has a part of its own and says what else moves its weights: `parts` has the list. The learner is
+Every kind of weights has a part of its own and says what else moves them: `networks`, `linear`, `truth`. The learner is
 stepped again over the recorded rows, which gives its weights at every sample; what a change of the part has beyond its
 terms is `step`, so that all add up exactly.
 """
@@ -14,17 +14,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ...signals import Array, IntArray
-from ...torque.controller import ControllerState
-from ...torque.learning_law import LearningLaw
 from .learner import Learner, Stepper
 from .subject import Subject
 
 WITHOUT = "V is without the weights' part"
 LOST = 1e-3  # relative difference of Psi_hat beyond which stepping again makes no sense
+Progress = Callable[[float], None] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,35 +35,13 @@ class WeightsPart:
         value: The part itself.
         terms: Name in `lyapunov.TERMS` to that term over the period that begins at the row [W].
         arrived: The same over the period that led to the row.
-        missed: As of `Missed.share`; one beyond `LOST` ends the steps, and the rest is 0.
+        missed: As `step_again` returns it; one beyond `LOST` ends the steps, and the rest is 0.
     """
 
     value: Array
     terms: dict[str, Array]
     arrived: dict[str, Array]
     missed: float
-
-
-class Missed:
-    """How far a learner that is stepped again is from what it said in its run.
-
-    Args:
-        recorded: (N, p) Psi_hat of the run.
-    """
-
-    def __init__(self, recorded: Array) -> None:
-        self._recorded, self._most = recorded, 0.0
-        self._largest = float(np.abs(recorded).max()) or 1.0
-
-    def lost(self, n: int, psi_hat: Array) -> bool:
-        """Whether its weights, that say psi_hat (p,) at row n, are no longer those of the run."""
-        self._most = float(np.maximum(self._most, np.abs(psi_hat - self._recorded[n]).max()))
-        return not self._most <= LOST * self._largest
-
-    @property
-    def share(self) -> float:
-        """Largest difference so far, relative to the largest Psi_hat of the run; inf where one is no number."""
-        return (self._most if np.isfinite(self._most) else np.inf) / self._largest
 
 
 def part_of(
@@ -79,75 +57,41 @@ def part_of(
         terms: Name to (k,): what the update of the row does to the part beyond taking the pull out [W].
         missed: As of `WeightsPart`.
     """
-    rows, where = subject.rows[at], subject.layout.where
-    s = np.hstack((rows[:, where("z")], rows[:, where("r")]))
-    error = (s * (rows[:, where("psi")] - rows[:, where("psi_hat")])).sum(axis=1)
+    error = (subject.s * (subject.signal("psi") - subject.signal("psi_hat"))).sum(axis=1)[at]
     rate = np.sum(list(terms.values()), axis=0) - pull
     step, follows = np.zeros(len(at)), np.flatnonzero(np.diff(at) == 1)
     step[follows + 1] = (value[follows + 1] - value[follows]) / subject.timing.control_period - rate[follows]
     return WeightsPart(value, {**terms, "remainder": error - pull}, {"step": step}, missed)
 
 
-@dataclass(frozen=True, eq=False)
-class Row:
-    """One sample of a learner.
-
-    Attributes:
-        number: Which.
-        values: (width,) the recorded row.
-        s: (p,) the error that it was told.
-        Phi: (rows, k) features at it, with the state before.
-        before: What was kept of the state before.
-        state: The state after.
-    """
-
-    number: int
-    values: Array
-    s: Array
-    Phi: Array
-    before: dict[str, Array]
-    state: ControllerState
-
-
 def step_again(
     learner: Learner,
     rows: Array,
-    keep: Callable[[ControllerState], dict[str, Array]],
-    visit: Callable[[Row], None],
-    progress: Callable[[float], None] | None = None,
+    before: Callable[[int, Array, Stepper], Any],
+    after: Callable[[int, Array, Stepper, Any], None],
+    progress: Progress = None,
 ) -> float:
-    """Step a learner over the rows (N, width) of its run.
+    """Step a learner over the rows of its run, from its start on, as long as it says what it said in the run.
 
     Args:
-        learner: The learner; one that tells its features.
-        rows: All rows of the run.
-        keep: What is kept of its state before each, copies by name.
-        visit: Called with every row.
+        learner: The learner.
+        rows: (N, width) all rows of the run.
+        before: Called before every step with the number of the row and the row; gives what is kept of the state.
+        after: Called after every step with the same and what was kept.
         progress: Called now and then with the fraction done.
 
     Returns:
-        How far it was from the recorded Psi_hat, as of `Missed.share`.
+        Largest difference of its Psi_hat from the recorded one, relative to the largest of the run; inf where one is no
+        number.
     """
-    stepper = Stepper(learner, learner.start.snapshot())
-    still = Stepper(learner, learner.start.snapshot(), learning=False)
-    where, own = learner.context.layout.where, isinstance(learner.controller, LearningLaw)
-    missed = Missed(rows[:, where("psi_hat")])
+    stepper, recorded = Stepper(learner, learner.start.snapshot()), rows[:, learner.context.layout.where("psi_hat")]
+    missed, largest = np.zeros(()), float(np.abs(recorded).max()) or 1.0
     for n, row in enumerate(rows):
-        if own:  # features of a user's law may be learned
-            still.state.values[:] = stepper.state.values
-        still.step(row)
-        Phi = still.features()
-        assert Phi is not None
-        before = keep(stepper.state)
-        if missed.lost(n, stepper.step(row)):
+        kept = before(n, row, stepper)
+        missed = np.maximum(missed, np.abs(stepper.step(row) - recorded[n]).max())
+        if not missed <= LOST * largest:
             break
-        s = np.concatenate((row[where("z")], row[where("r")]))
-        visit(Row(n, row, s, Phi, before, stepper.state))
+        after(n, row, stepper, kept)
         if progress is not None and n % 500 == 0:
             progress(n / len(rows))
-    return missed.share
-
-
-def copies(state: ControllerState, *parts: str) -> dict[str, Array]:
-    """Parts of a state, by name."""
-    return {name: state[name].copy() for name in parts}
+    return float(missed if np.isfinite(missed) else np.inf) / largest

@@ -13,6 +13,7 @@ Time is the run's own and starts at 0. Config, URDF and facts are attached.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -65,17 +66,13 @@ def frames_of(recording: Recording, robot: Robot) -> list[Frame]:
 
 
 def world_names(document: Document) -> tuple[str, str]:
-    """Names of the world's and of the base's control frame that no link has."""
+    """Names of the world's and of the base's control frame that no link has: with underscores as needed."""
     links = {document.root_link, *(joint.child for joint in document.joints.values())}
-    world, control = (next(n for n in endless(name) if n not in links) for name in ("world", "control_frame"))
+    world, control = (
+        next(name for k in itertools.count() if (name := stem + "_" * k) not in links)
+        for stem in ("world", "control_frame")
+    )
     return world, control
-
-
-def endless(name: str) -> Iterator[str]:
-    """A name, and that name with more and more underscores."""
-    while True:
-        yield name
-        name += "_"
 
 
 def base_frames(document: Document, robot: Robot, position: dict[str, Array]) -> list[Frame]:
@@ -166,10 +163,8 @@ def field_names(labels: Sequence[str]) -> list[str]:
     for label in labels:
         name = re.sub(r"[^a-z0-9]+", "_", label.lower()).strip("_")
         name = name if name[:1].isalpha() else f"joint_{name}".rstrip("_")
-        same, number = name, 2
-        while name in names:
-            name, number = f"{same}_{number}", number + 1
-        names.append(name)
+        numbered = itertools.chain([name], (f"{name}_{number}" for number in itertools.count(2)))
+        names.append(next(each for each in numbered if each not in names))
     return names
 
 
@@ -179,16 +174,18 @@ Topic = tuple[str, tuple[str, str], At]
 
 
 def write_bag(recording: Recording, path: Path, about: dict[str, Any]) -> None:
-    """Write a recording as MCAP, with what there is to say about it (`export.about`).
+    """Write a recording as MCAP, with what there is to know of it (`export.about`).
 
     Raises:
-        RecordingError: It does not tell its robot.
+        RecordingError: It does not hold its robot.
     """
     robot = recorded_robot(recording)
     frames = frames_of(recording, robot)
+    still = [transform(frame, 0, stamp(0)) for frame in frames if not frame.moves]
+    once = (("/robot_description", TEXT, {"data": recording.urdf}), ("/tf_static", TRANSFORMS, {"transforms": still}))
     nanoseconds = np.rint(1e9 * recording.time).astype(np.int64).tolist()
     with path.open("wb") as file, Writer(file) as writer:
-        for topic, schema, message in once(recording, frames):
+        for topic, schema, message in once:
             writer.write_message(topic, writer.register_msgdef(*schema), message, 0)
         topics = [
             (name, writer.register_msgdef(*schema), at) for name, schema, at in topics_of(recording, robot, frames)
@@ -209,15 +206,8 @@ def attach(writer: Writer, about: dict[str, Any]) -> None:
     writer.add_metadata("mmnn_pin", {k: v if isinstance(v, str) else json.dumps(v) for k, v in facts.items()})
 
 
-def once(recording: Recording, frames: Sequence[Frame]) -> Iterator[tuple[str, tuple[str, str], Message]]:
-    """What is told once: the URDF and the frames that stand still."""
-    yield "/robot_description", TEXT, {"data": recording.urdf}
-    still = [transform(frame, 0, stamp(0)) for frame in frames if not frame.moves]
-    yield "/tf_static", TRANSFORMS, {"transforms": still}
-
-
 def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> Iterator[Topic]:
-    """What is told at every row."""
+    """What is written at every row."""
     moving = [frame for frame in frames if frame.moves]
     yield "/tf", TRANSFORMS, lambda row, at: {"transforms": [transform(frame, row, at) for frame in moving]}
     yield "/joint_states", JOINT_STATE, joint_states(recording, robot)
@@ -228,7 +218,9 @@ def topics_of(recording: Recording, robot: Robot, frames: Sequence[Frame]) -> It
     if "pose" in recording:
         names = frames[0].parent, frames[0].name
         for topic, suffix in (("/odom", ""), ("/odom_reference", "_ref")):
-            velocity = planar(as_columns(recording[f"velocity{suffix}"]))
+            velocity = as_columns(recording[f"velocity{suffix}"])
+            if velocity.shape[1] != 3:  # a differential drive has no vy
+                velocity = np.insert(velocity, 1, 0.0, axis=1)
             child = f"{names[1]}_reference" if suffix else names[1]
             yield topic, ODOMETRY, partial(odometry, (names[0], child), recording[f"pose{suffix}"], velocity)
     for signal in recording.names[1:]:  # all but the time
@@ -258,35 +250,28 @@ def joint_states(recording: Recording, robot: Robot) -> At:
 
 def joint_state(names: list[str], tables: Mapping[str, Array], row: int, at: Message) -> Message:
     """A `sensor_msgs/JointState`."""
-    told = {key: table[row].tolist() for key, table in tables.items()}
-    return {"header": header("", at), "name": names, "velocity": [], "effort": [], **told}
+    known = {key: table[row].tolist() for key, table in tables.items()}
+    return {"header": {"stamp": at, "frame_id": ""}, "name": names, "velocity": [], "effort": [], **known}
 
 
 def odometry(frames: tuple[str, str], pose: Array, velocity: Array, row: int, at: Message) -> Message:
     """A `nav_msgs/Odometry`: pose of the second frame in the first, velocity in the second; covariances unknown."""
     x, y, phi = pose[row].tolist()
     vx, vy, w = velocity[row].tolist()
-    placed = {"position": vector(x, y, 0.0), "orientation": quaternion(0.0, 0.0, np.sin(phi / 2), np.cos(phi / 2))}
-    twist = {"linear": vector(vx, vy, 0.0), "angular": vector(0.0, 0.0, w)}
+    placed = {"position": xyzw(x, y, 0.0), "orientation": xyzw(0.0, 0.0, np.sin(phi / 2), np.cos(phi / 2))}
     unknown = [0.0] * 36
     return {
-        "header": header(frames[0], at),
+        "header": {"stamp": at, "frame_id": frames[0]},
         "child_frame_id": frames[1],
         "pose": {"pose": placed, "covariance": unknown},
-        "twist": {"twist": twist, "covariance": unknown},
+        "twist": {"twist": {"linear": xyzw(vx, vy, 0.0), "angular": xyzw(0.0, 0.0, w)}, "covariance": unknown},
     }
-
-
-def planar(velocity: Array) -> Array:
-    """Base velocities as (N, 3) `vx, vy, w`; a differential drive has no vy."""
-    return velocity if velocity.shape[1] == 3 else np.insert(velocity, 1, 0.0, axis=1)
 
 
 def transform(frame: Frame, row: int, at: Message) -> Message:
     """A `geometry_msgs/TransformStamped`."""
-    translation, rotation = frame.translation[row].tolist(), frame.rotation[row].tolist()
-    placed = {"translation": vector(*translation), "rotation": quaternion(*rotation)}
-    return {"header": header(frame.parent, at), "child_frame_id": frame.name, "transform": placed}
+    placed = {"translation": xyzw(*frame.translation[row].tolist()), "rotation": xyzw(*frame.rotation[row].tolist())}
+    return {"header": {"stamp": at, "frame_id": frame.parent}, "child_frame_id": frame.name, "transform": placed}
 
 
 def numbers(fields: Sequence[str], table: Array, row: int, at: Message) -> Message:
@@ -294,21 +279,11 @@ def numbers(fields: Sequence[str], table: Array, row: int, at: Message) -> Messa
     return dict(zip(fields, table[row].tolist(), strict=True))
 
 
-def header(frame: str, at: Message) -> Message:
-    """A `std_msgs/Header`."""
-    return {"stamp": at, "frame_id": frame}
-
-
 def stamp(nanoseconds: int) -> Message:
     """A `builtin_interfaces/Time`."""
-    return {"sec": nanoseconds // 1_000_000_000, "nanosec": nanoseconds % 1_000_000_000}
+    return dict(zip(("sec", "nanosec"), divmod(nanoseconds, 1_000_000_000), strict=True))
 
 
-def vector(x: float, y: float, z: float) -> Message:
-    """A `geometry_msgs/Vector3` or `Point`."""
-    return {"x": x, "y": y, "z": z}
-
-
-def quaternion(x: float, y: float, z: float, w: float) -> Message:
-    """A `geometry_msgs/Quaternion`."""
-    return {"x": x, "y": y, "z": z, "w": w}
+def xyzw(*numbers: float) -> Message:
+    """A `geometry_msgs/Vector3` or `Point` of three numbers, a `Quaternion` of four."""
+    return dict(zip("xyzw", numbers, strict=False))

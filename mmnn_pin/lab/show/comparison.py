@@ -106,16 +106,12 @@ def error_rows(result: Result) -> Iterator[Row]:
     """Peak and RMS of every error; the best value of a row is marked."""
     recording = next(iter(result.recordings.values()))
     statistics = {"peak": "peak"} | {f"rms_{a:g}_{b:g}": f"RMS {a:g}-{b:g} s" for a, b in result.experiment.windows}
-    for name in ERRORS:
-        if name not in recording:
-            continue
+    for name in (name for name in ERRORS if name in recording):
         for label, unit in zip(recording.labels(name), column_units(recording, name), strict=True):
-            first = f"{TITLES[name]} {label} [{milli(unit)}]"
             for key, words in statistics.items():
-                yield row_of(
-                    first, words, *marked({c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()})
-                )
-                first = ""
+                first = f"{TITLES[name]} {label} [{milli(unit)}]" if key == "peak" else ""
+                values = {c: 1e3 * m[f"{name}.{label}.{key}"] for c, m in result.metrics.items()}
+                yield row_of(first, words, *marked(values))
 
 
 def marked(values: dict[str, float]) -> list[Cell]:
@@ -157,13 +153,11 @@ def exceeded(row: dict[str, Any]) -> bool:
 def torque_rows(result: Result) -> Iterator[Row]:
     """Peak torques of motors with an effort limit: all if the experiment asks for it, else of those that exceed it."""
     for row in limited(result):
-        limit, cells = row["limit"], []
-        for controller in result.recordings:
-            peak = row["peak"].get(controller)
-            value = math.inf if peak is None else peak
-            cells.append(Cell(number(value), *(("bad", "!") if value > limit else ())))
+        peaks = (row["peak"].get(controller) for controller in result.recordings)
+        values = [math.inf if peak is None else peak for peak in peaks]
+        cells = (Cell(number(value), *(("bad", "!") if value > row["limit"] else ())) for value in values)
         if result.experiment.torque_limits or exceeded(row):
-            yield row_of(f"peak torque {row['actuator']}", f"of {number(limit)}", *cells)
+            yield row_of(f"peak torque {row['actuator']}", f"of {number(row['limit'])}", *cells)
 
 
 def other_rows(result: Result) -> Iterator[Row]:
@@ -175,15 +169,12 @@ def other_rows(result: Result) -> Iterator[Row]:
         yield row_of("learned share", part, *(f"({s})" if c in ORACLES else s for c, s in shares.items()))
     for part in halves(recording):
         yield row_of("mean effective gain", part, *(number(m[f"effective_gain.{part}"]) for m in metrics.values()))
-    yield row_of("outcome", "", *map(outcome_cell, result.recordings.values()))
-
-
-def outcome_cell(recording: Recording) -> Cell:
-    """How a run ended; bad unless it was completed."""
-    status = recording.outcome.status
-    if status == "completed":
-        return Cell("done", "good")
-    return Cell(f"{status}\nat {recording.outcome.time:.3g} s", "bad")
+    ends = (recording.outcome for recording in result.recordings.values())
+    done = Cell("done", "good")
+    yield row_of(
+        *("outcome", ""),
+        *(done if e.status == "completed" else Cell(f"{e.status}\nat {e.time:.3g} s", "bad") for e in ends),
+    )
 
 
 def notes(result: Result) -> list[str]:
@@ -270,44 +261,37 @@ def range_cells(row: dict[str, Any]) -> tuple[Cell, Cell]:
 
 def render_cases(matrix: Matrix, colour: bool = False, width: int = CASES_WIDTH) -> str:
     """The verdicts on all cases and what they add up to, as text of at most `width` columns."""
-    head = Line(f"{matrix.experiment.title or matrix.name} ({matrix.experiment.robot})", "bold")
-    counts = {kind: matrix.count(kind) for kind in ("tracked", "stopped", "failed")}
-    total = f"{sum(counts.values())} runs: " + ", ".join(f"{count} {kind}" for kind, count in counts.items())
-    table = cases_table(matrix)
-    return terminal_text([head, table, total, Line(table.caption, "italic")], colour, width)
-
-
-def cases_table(matrix: Matrix) -> Table:
-    """A row per case, a column per controller, a verdict in every cell."""
     controllers, t = matrix.experiment.controllers, matrix.experiment.tolerance
     heads = (Column(head, text=True, fold=True) for head in ("case", *controllers))
     rows = (
         row_of(matrix.experiment.cases[case].title, *(verdict_cell(row.get(name)) for name in controllers))
         for case, row in matrix.verdicts.items()
     )
-    tracked = (
+    about = (
         f"tracked: largest true distance of the base and joint error after {t.settle:g} s, within the case's tolerance "
-        f"({1000 * t.pose:g} mm, {1000 * t.joint:g} mrad unless it says otherwise)."
-    )
-    stopped = (
+        f"({1000 * t.pose:g} mm, {1000 * t.joint:g} mrad unless it says otherwise). "
         f"stopped: by the supervisor, at rest at the end, less than {t.runaway:g} m away when it tripped and driven "
-        "after it."
+        "after it. FAILED: neither."
     )
-    return Table("Cases", tuple(heads), tuple(rows), (tracked, stopped, "FAILED: neither."), gap=1)
+    head = Line(f"{matrix.experiment.title or matrix.name} ({matrix.experiment.robot})", "bold")
+    counts = {kind: matrix.count(kind) for kind in ("tracked", "stopped", "failed")}
+    total = f"{sum(counts.values())} runs: " + ", ".join(f"{count} {kind}" for kind, count in counts.items())
+    return terminal_text(
+        [head, Table("Cases", tuple(heads), tuple(rows), gap=1), total, Line(about, "italic")], colour, width
+    )
 
 
 def verdict_cell(verdict: Verdict | None) -> Cell:
     """A verdict in a few words: how far off the run tracked, or when and why it stopped."""
     if verdict is None:
         return Cell("-")
+    words = f"{verdict.kind.upper()}: {verdict.text}"
     if verdict.kind == "tracked":
         sizes = ((verdict.pose, "mm"), (verdict.joint, "mrad"))
         words = "tracked " + ", ".join(f"{1000 * v:.3g} {unit}" for v, unit in sizes if not math.isnan(v))
     elif verdict.kind == "stopped":
-        found = re.match(r"tripped at t = (\S+) s: (.*?)(,|;|$)", verdict.text)
-        words = f"stopped {found[1]} s: {found[2]}" if found else f"stopped: {verdict.text}"
-    else:
-        words = f"{verdict.kind.upper()}: {verdict.text}"
+        trip = re.match(r"tripped at t = (\S+) s: (.*?)(,|;|$)", verdict.text)
+        words = f"stopped {trip[1]} s: {trip[2]}" if trip else f"stopped: {verdict.text}"
     return Cell(words, VERDICT_KINDS[verdict.kind])
 
 
@@ -315,13 +299,13 @@ def verdict_cell(verdict: Verdict | None) -> Cell:
 
 
 def render_readings(title: str, rows: list[dict[str, Any]], width: int = WIDTH) -> str:
-    """What each reading does to the learners, as text; rows as `experiments.readings` gives them."""
-    table = readings_table(rows)
-    return terminal_text([Line(title, "bold"), table, table.caption], width=width)
+    """What each reading does to the learners, as text: a line for each, with its RMS errors and learned shares.
 
-
-def readings_table(rows: list[dict[str, Any]]) -> Table:
-    """Per reading a line for each learner: its RMS errors and learned shares."""
+    Args:
+        title: Heads it.
+        rows: As `experiments.readings` gives them.
+        width: Columns of the terminal.
+    """
     learners = [name for name, value in rows[0].items() if isinstance(value, dict)]
     first = rows[0][learners[0]]
     heads = [Column(key.partition(".")[2].removesuffix("_joint")) for key in reading_errors(first)]
@@ -333,7 +317,8 @@ def readings_table(rows: list[dict[str, Any]]) -> Table:
             shares = ("-" if v is None else f"{v:.2f}" for v in row[learner]["learned_share"].values())
             cells = (*reading_errors(row[learner]).values(), *shares, met if row["of"] else "")
             made.append(row_of(head, learner, *cells))
-    return Table("Readings", (Column(text=True), Column(text=True), *heads), tuple(made), (ABOUT_READINGS,))
+    table = Table("Readings", (Column(text=True), Column(text=True), *heads), tuple(made))
+    return terminal_text([Line(title, "bold"), table, ABOUT_READINGS], width=width)
 
 
 def reading_errors(learner: dict[str, Any]) -> dict[str, str]:

@@ -1,22 +1,45 @@
-"""A contest in tables and on a page: every task, medians over the seeds with their spread, and the targets."""
+"""A contest in tables, in figures and on a page: every task, medians over the seeds and their spread, the targets."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
+from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..contest.result import Number, TrialResult, arm_of, base_of, nan
-from ..contest.standing import Standing, Target
-from .contest_figures import finished, over_all, tasks_run
-from .figure import FIGURES, svg
+import numpy as np
+
+from ...signals import Array
+from ..contest.standing import BASELINE, Standing, Target
+from ..contest.trial import Number, TrialResult, arm_of, base_of, nan
+from ..experiments.controllers import ORACLES
+from .figure import (
+    FIGURES,
+    Look,
+    add_legend,
+    axes_grid,
+    figure,
+    log_ticks,
+    new_figure,
+    pictures,
+    plain,
+    save,
+    styles_of_controllers,
+)
 from .files import HtmlPage, fill_template
 from .table import Cell, Column, Line, Table, number, row_of, terminal_text
 
+if TYPE_CHECKING:
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
+
 Values = Callable[[Standing, str, str], list[float]]
+MARKERS = "os^DvPX<>*hd"
+POINTS = 25  # of a learning curve, at most: more of them are a thicket of lines
 
 
 @dataclass(frozen=True)
@@ -40,20 +63,35 @@ class Quantity:
     limit: float = math.inf
 
 
-def per_row(number: Callable[[TrialResult], float]) -> Values:
+def per_row(number: Callable[..., float], **options: str) -> Values:
     """Values of a column that is read off single rows."""
-    return lambda standing, task, controller: [number(row) for row in standing.of(task, controller)]
+    return lambda standing, task, controller: [number(row, **options) for row in standing.of(task, controller)]
 
 
-def held_out(how: str, of_axes: Callable[[dict[str, Number]], float]) -> Values:
-    """Values of a column of errors on the held-out trajectories, in thousandths."""
-    return per_row(lambda row: 1e3 * over_all(row, how, of_axes))
+def over_all(row: TrialResult, how: str, of_axes: Callable[[dict[str, Number]], float]) -> float:
+    """Root of the mean square error over all held-out trajectories; inf where one was lost, nan where none was run."""
+    tracked = [ways[how] for ways in row.held_out.values() if how in ways]
+    if any(one.outcome != "completed" for one in tracked):
+        return math.inf
+    return math.sqrt(sum(of_axes(one.rms) ** 2 for one in tracked) / len(tracked)) if tracked else math.nan
 
 
+ERRORS: Mapping[str, Callable[..., float]] = {
+    "base [mm]": lambda row: 1e3 * base_of(row.rms),
+    "heading [mrad]": lambda row: 1e3 * nan(row.rms.get("phi")),
+    "arm [mrad]": lambda row: 1e3 * arm_of(row.rms),
+}
+HELD_OUT: Mapping[str, Callable[..., float]] = {
+    "base, held out [mm]": lambda row, how: 1e3 * over_all(row, how, base_of),
+    "arm, held out [mrad]": lambda row, how: 1e3 * over_all(row, how, arm_of),
+}
+
+
+HELD_BASE, HELD_ARM = HELD_OUT.values()
 TRAINING: Sequence[Quantity] = (
-    Quantity("base", "base\n", "mm", per_row(lambda row: 1e3 * base_of(row.rms))),
-    Quantity("heading", "heading\n", "mrad", per_row(lambda row: 1e3 * nan(row.rms.get("phi")))),
-    Quantity("arm", "arm\n", "mrad", per_row(lambda row: 1e3 * arm_of(row.rms))),
+    Quantity("base", "base\n", "mm", per_row(ERRORS["base [mm]"])),
+    Quantity("heading", "heading\n", "mrad", per_row(ERRORS["heading [mrad]"])),
+    Quantity("arm", "arm\n", "mrad", per_row(ERRORS["arm [mrad]"])),
     Quantity("peak_base", "peak base\n", "mm", per_row(lambda row: 1e3 * base_of(row.peak))),
     Quantity("peak_arm", "peak arm\n", "mrad", per_row(lambda row: 1e3 * arm_of(row.peak))),
     Quantity("effort", "effort\n", "N²m²s", per_row(lambda row: nan(row.effort))),
@@ -64,10 +102,10 @@ TRAINING: Sequence[Quantity] = (
 KNOWLEDGE: Sequence[Quantity] = (
     Quantity("online_fvu", "FVU\nonline", "", per_row(lambda row: nan(row.online_fvu))),
     Quantity("frozen_fvu", "FVU\nfrozen", "", per_row(lambda row: nan(row.frozen_fvu))),
-    Quantity("held_base", "base held\nout", "mm", held_out("learning", base_of), "lost"),
-    Quantity("held_arm", "arm held\nout", "mrad", held_out("learning", arm_of), "lost"),
-    Quantity("frozen_base", "the same,\nfrozen", "", held_out("frozen", base_of), "lost"),
-    Quantity("frozen_arm", "the same,\nfrozen", "", held_out("frozen", arm_of), "lost"),
+    Quantity("held_base", "base held\nout", "mm", per_row(HELD_BASE, how="learning"), "lost"),
+    Quantity("held_arm", "arm held\nout", "mrad", per_row(HELD_ARM, how="learning"), "lost"),
+    Quantity("frozen_base", "the same,\nfrozen", "", per_row(HELD_BASE, how="frozen"), "lost"),
+    Quantity("frozen_arm", "the same,\nfrozen", "", per_row(HELD_ARM, how="frozen"), "lost"),
     Quantity("step", "step\n/ pd", "", lambda standing, task, name: [standing.step_ratio(task, name)]),
 )
 WIDTH = 120
@@ -126,16 +164,12 @@ def task_table(standing: Standing, task: str, quantities: Sequence[Quantity]) ->
     made = []
     for controller in standing.controllers:
         rows = standing.of(task, controller)
-        lost = [row for row in rows if not row.completed]
-        if lost:
+        if lost := [row for row in rows if not row.completed]:
             words = f"{len(lost)} of {len(rows)} lost\n{lost[0].outcome} at {lost[0].ended:.3g} s"
-            made.append(row_of(controller, Cell(words, "bad")))
-        elif rows:
-            made.append(
-                row_of(
-                    controller, *(cell(q.values(standing, task, controller), q.infinite, q.limit) for q in quantities)
-                )
-            )
+            cells = [Cell(words, "bad")]
+        else:
+            cells = [cell(q.values(standing, task, controller), q.infinite, q.limit) for q in quantities]
+        made += [row_of(controller, *cells)] if rows else []
     return Table(task, (Column(text=True), *(Column(q.heading, q.unit) for q in quantities)), tuple(made))
 
 
@@ -169,6 +203,9 @@ def targets_table(targets: Sequence[Target]) -> Table:
     return Table("Targets", heads, tuple(rows), gap=1)
 
 
+# -- the page ----------------------------------------------------------------------------------------------------------
+
+
 def page(standing: Standing, command: str = "") -> HtmlPage:
     """The page of a contest.
 
@@ -176,18 +213,23 @@ def page(standing: Standing, command: str = "") -> HtmlPage:
         standing: What it gave.
         command: The command that makes this page, to be shown in it.
     """
-    targets = judged_targets(standing)
+    targets, missing = judged_targets(standing), ", ".join(standing.missing)
+    unfinished = [f"rows are missing: {missing}; the command that runs the contest goes on with them"] * bool(missing)
     text = fill_template(
         "contest.html",
         title=standing.experiment.title or standing.name,
         subject=subject(standing),
         met=sum(target.met for target in targets),
         targets=targets_table(targets) if targets else None,
-        notes=[*unfinished(standing), *standing.notes],
+        notes=[*unfinished, *standing.notes],
         findings=findings(standing),
-        tasks=list(tasks_of(standing)),
+        tasks=[
+            {"name": task, "title": standing.tasks[task], "demand": demands(standing, task), "tables": tables}
+            for task in tasks_run(standing)
+            if (tables := [task_table(standing, task, quantities) for quantities in (TRAINING, KNOWLEDGE)])
+        ],
         caption=caption(standing).replace("below them", "beside them"),
-        pictures=pictures(standing),
+        pictures=pictures("contest", standing),
         folder=str(standing.folder or ""),
         command=command,
         settings=json.dumps(json.loads(standing.experiment.to_json()), indent=2, ensure_ascii=False),
@@ -202,26 +244,155 @@ def subject(standing: Standing) -> str:
     return f"{standing.name} \u00b7 {counts} \u00b7 {seeds} seed{'s' if seeds > 1 else ''} from {seed}"
 
 
-def unfinished(standing: Standing) -> list[str]:
-    """What is still to be run."""
-    if not standing.missing:
-        return []
-    return [f"rows are missing: {', '.join(standing.missing)}; the command that runs the contest goes on with them"]
+# -- the figures -------------------------------------------------------------------------------------------------------
 
 
-def tasks_of(standing: Standing) -> Iterator[dict[str, Any]]:
-    """Every task: its name, title, demand and two tables."""
-    for task in tasks_run(standing):
-        yield {
-            "name": task,
-            "title": standing.tasks[task],
-            "demand": demands(standing, task),
-            "tables": [task_table(standing, task, quantities) for quantities in (TRAINING, KNOWLEDGE)],
-        }
+def write_figures(standing: Standing, folder: Path) -> dict[str, Path]:
+    """Write all figures, if there are rows for them, as PNG; name to file.
 
-
-def pictures(standing: Standing) -> list[dict[str, str]]:
-    """The figures as SVG, each with a caption; none where no run reached its end."""
+    Raises:
+        RecordingError: A file that cannot be written.
+    """
     if finished(standing):
-        return []
-    return [{"svg": svg(entry.make(standing)), "caption": entry.caption} for entry in FIGURES["contest"].values()]
+        return {}
+    return {name: save(entry.make(standing), folder / f"{name}.png") for name, entry in FIGURES["contest"].items()}
+
+
+def finished(standing: Standing) -> str:
+    """Why there is nothing to draw: no run reached its end."""
+    return "" if any(row.completed for row in standing.results) else "no run reached its end"
+
+
+def tasks_run(standing: Standing) -> list[str]:
+    """Tasks with rows."""
+    return [task for task in standing.tasks if any(standing.of(task, name) for name in standing.controllers)]
+
+
+@figure(
+    "contest-errors",
+    of="contest",
+    needs=finished,
+    caption="RMS errors in the last window of the training: a dot per seed, a bar at the median.",
+)
+def errors(standing: Standing) -> Figure:
+    """RMS errors of the training's last window: a dot per seed, a bar at the median, a row of axes per task."""
+    return dots(standing, "Contest: RMS error in the last window, every seed", [(k, v, {}) for k, v in ERRORS.items()])
+
+
+def dots(standing: Standing, title: str, columns: Sequence[tuple[str, Callable[..., float], dict[str, str]]]) -> Figure:
+    """A row of axes per task, a column per quantity, a line per controller: seeds as dots, their median as a bar."""
+    tasks, names, style = tasks_run(standing), standing.controllers, styles_of_controllers(standing.controllers)
+    picture = new_figure(3.1 * len(columns) + 1.2, 0.7 + len(tasks) * (0.55 + 0.19 * len(names)))
+    grid: Any = picture.subplots(len(tasks), len(columns), squeeze=False)
+    for (i, j), axes in np.ndenumerate(grid):
+        task, (label, of, options) = tasks[i], columns[j]
+        for k, name in enumerate(names):
+            values = [of(row, **options) for row in standing.of(task, name) if row.completed]
+            values = [value for value in values if math.isfinite(value) and value > 0]
+            if values:
+                axes.plot(values, [-k] * len(values), "o", ms=4, color=style[name].color, alpha=0.6, mew=0)
+                axes.plot([float(np.median(values))], [-k], "|", ms=11, mew=2, color=style[name].color)
+        if axes.lines:
+            axes.set_xscale("log")
+            number_axes(axes.xaxis)
+        else:
+            axes.set_xticks([])
+            axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", va="center", color="0.5")
+        axes.set_yticks([-k for k in range(len(names))], [plain(name) for name in names] if j == 0 else [])
+        axes.set_ylim(0.6 - len(names), 0.6)
+        axes.set_title(f"{task}: " * (j == 0) + label + "".join(f", {how}" for how in options.values()))
+    picture.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    return picture
+
+
+def number_axes(*every: Axis) -> None:
+    """Numbers of logarithmic axes at powers of ten, between them too where one is so short that it has room."""
+    for axis in every:
+        low, high = axis.get_view_interval()
+        between = (1.0, 2.0, 5.0) if high > 5 * low else (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+        log_ticks(axis, between if high <= 100 * low else (1.0,))
+
+
+@figure(
+    "contest-fvu",
+    of="contest",
+    needs=finished,
+    caption="What is known (frozen) against what is followed (online); on the diagonal both are one.",
+)
+def known(standing: Standing) -> Figure:
+    """Frozen against online FVU: what a learner knows against what it follows; on the diagonal both are one."""
+    tasks, style = tasks_run(standing), styles_of_controllers(standing.controllers)
+    learners = [name for name in standing.controllers if name not in (BASELINE, *ORACLES)]
+    picture, panels = axes_grid(len(tasks), 4, 3.2, 3.1, 0.9)
+    shown: dict[str, Look] = {}
+    for axes, task in zip(panels, tasks, strict=True):
+        for name, marker in zip(learners, cycle(MARKERS), strict=False):
+            pairs = [(nan(row.online_fvu), nan(row.frozen_fvu)) for row in standing.of(task, name)]
+            if pairs := [pair for pair in pairs if all(value > 0 for value in pair)]:
+                shown[plain(name)] = {"marker": marker, "color": style[name].color, "ls": "", "ms": 5.5, "mew": 0}
+                axes.plot(*zip(*pairs, strict=True), alpha=0.75, **shown[plain(name)])
+        axes.set(xscale="log", yscale="log", xlabel="FVU online", ylabel="FVU frozen, worst held out", title=task)
+        low, high = min(axes.get_xlim()[0], axes.get_ylim()[0]), max(axes.get_xlim()[1], axes.get_ylim()[1])
+        axes.plot([low, high], [low, high], color="0.7", lw=0.8, zorder=1)
+        axes.axhline(1.0, color="0.7", lw=0.8, ls=":", zorder=1)
+        number_axes(axes.xaxis, axes.yaxis)
+    add_legend(picture, "Contest: what is followed and what is known", list(shown.items()))
+    return picture
+
+
+@figure(
+    "contest-learning",
+    of="contest",
+    needs=finished,
+    caption="Error over PD's along the training, median over the seeds; dotted where it counts as learned.",
+)
+def learning(standing: Standing) -> Figure:
+    """Error over that of PD along the training, median over the seeds; dotted where it counts as learned.
+
+    Windows are joined until a curve has at most `POINTS`.
+    """
+    tasks, style, contest = tasks_run(standing), styles_of_controllers(standing.controllers), standing.contest
+    picture, panels = axes_grid(len(tasks), 3, 4.2, 2.6, 0.9)
+    for axes, task in zip(panels, tasks, strict=True):
+        step = contest.window
+        for name in standing.controllers:
+            curves = relative_curves(standing, task, name)
+            if curves and len(curves[0]):
+                joined = -(-len(curves[0]) // POINTS)  # windows in a point
+                middle = np.median([thinned(curve, joined) for curve in curves], axis=0)
+                step = contest.window * joined
+                axes.plot(step * (np.arange(len(middle)) + 0.5), middle, **style[name].line)
+        axes.set(yscale="log", xlabel=f"time [s], in steps of {step:g} s", ylabel="error / PD's", title=task)
+        axes.axhline(contest.learned, color="0.5", lw=0.8, ls=":")
+    add_legend(picture, "Contest: learning curves", [(plain(name), one.line) for name, one in style.items()])
+    return picture
+
+
+@figure(
+    "contest-held-out",
+    of="contest",
+    needs=finished,
+    caption="RMS errors on the held-out trajectories, while learning and with fixed weights.",
+)
+def held_out(standing: Standing) -> Figure:
+    """RMS errors on the held-out trajectories: filled while learning, open with frozen weights."""
+    columns = [(label, of, {"how": how}) for label, of in HELD_OUT.items() for how in ("learning", "frozen")]
+    return dots(standing, "Contest: RMS error on the held-out trajectories, every seed", columns)
+
+
+def thinned(curve: Sequence[float], k: int) -> Array:
+    """A curve with k windows joined to one, as root of the mean square; without those of an unfinished end."""
+    joined = np.asarray(curve)[: len(curve) // k * k].reshape(-1, k)
+    return np.sqrt((joined**2).mean(axis=1))
+
+
+def relative_curves(standing: Standing, task: str, controller: str) -> list[list[float]]:
+    """Error over PD's per window, one curve per seed that was completed; see `learning_time`."""
+    pd = {row.seed: row for row in standing.of(task, BASELINE)}
+    curves = []
+    for row in standing.of(task, controller):
+        scale = [nan(value) ** 2 for value in pd[row.seed].rms.values()] if row.seed in pd else []
+        if row.completed and scale and all(value > 0 for value in scale):
+            squares = [sum(a / b for a, b in zip(mean, scale, strict=True)) / len(scale) for mean in row.curve]
+            curves.append([math.sqrt(value) for value in squares])
+    return curves

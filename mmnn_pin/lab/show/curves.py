@@ -1,7 +1,7 @@
 """The curves of recorded runs, in the units that people read: one source for the pictures and for the report's plots.
 
 A chart is a function from runs to panels; `chart` names it and says what to know of it. `plots` draws the panels with
-matplotlib, `report.charts` packs them for the page's script.
+matplotlib, `report` packs them for the page's script.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...errors import RecordingError
 from ...recording.metrics import TRUE
 from ...recording.recording import Recording
 from ...signals import Array
@@ -167,8 +168,8 @@ def weights(recordings: Recordings) -> Iterator[Panel]:
     """Norm of the weights of every network, of the runs that have some."""
     for column, network in enumerate(NETWORKS):
         norms = {n: (r.time, r["weight_norm"][:, column]) for n, r in recordings.items() if "weight_norm" in r}
-        if found := {name: curve for name, curve in norms.items() if curve[1].any()}:
-            yield Panel(f"\u2016Z\u2016 of the {network}'s network", "", found)
+        if shown := {name: curve for name, curve in norms.items() if curve[1].any()}:
+            yield Panel(f"\u2016Z\u2016 of the {network}'s network", "", shown)
 
 
 @chart(
@@ -201,6 +202,22 @@ def signal_panels(recordings: Recordings, signal: str) -> list[Panel]:
             more = {} if table is None else {name: (recording.time, scale * table[:, i])}
             panels[label] = replace(panel, curves={**panel.curves, **more})
     return list(panels.values())
+
+
+def require_comparable(recordings: Iterable[Recording]) -> None:
+    """Refuse runs that cannot be shown over each other.
+
+    Raises:
+        RecordingError: One holds no rows, or they are of robots with different velocities.
+    """
+    every = list(recordings)
+    for recording in every:
+        if not len(recording):
+            raise RecordingError("holds no rows", why="the run ended before its first sample", file=recording.path)
+        if recording.labels("torque") != every[0].labels("torque"):
+            here, there = (", ".join(r.labels("torque")) for r in (recording, every[0]))
+            why = f"it moves in {here}; {every[0].path or 'the first'} in {there}"
+            raise RecordingError("a recording of another robot", why=why, fix="show them apart", file=recording.path)
 
 
 def base_labels(recordings: Recordings) -> set[str]:
@@ -247,9 +264,11 @@ def distinct(references: Sequence[Array]) -> list[Array]:
 
 def column_units(recording: Recording, name: str) -> list[str]:
     """Unit of every column of a signal: those of the base, then those of the arm by the types of its joints."""
-    labels = recording.labels(name)
-    if name in ("position", "motor_torque", "applied"):
-        return [joint_unit(name, label, prismatic_joints(recording.urdf)) for label in labels]
+    labels, slides = recording.labels(name), prismatic_joints(recording.urdf)
+    if name in ("position", "motor_torque", "applied"):  # the base is pushed along x and y and turned
+        along = slides | ({"x", "y"} if name == "position" else {"base_x", "base_y"})
+        turning, sliding = ("rad", "m") if name == "position" else ("N m", "N")
+        return [sliding if label in along else turning for label in labels]
     base, _, arm = recording.unit(name).partition("; ")
     if " or " in base:
         base, arm = "", base
@@ -258,14 +277,7 @@ def column_units(recording: Recording, name: str) -> list[str]:
     if len(units) < count:  # vx and vy share the first unit
         units = [units[0]] * (count - len(units)) + units
     turning, _, sliding = arm.partition(" or ")
-    slides = prismatic_joints(recording.urdf)
     return units + [sliding if label in slides else turning for label in labels[count:]]
-
-
-def joint_unit(name: str, label: str, slides: set[str]) -> str:
-    """Unit of one joint's position, or of one motor's torque; the base is pushed along x and y and turned."""
-    sliding = label in slides or label in (("x", "y") if name == "position" else ("base_x", "base_y"))
-    return (("rad", "m") if name == "position" else ("N m", "N"))[sliding]
 
 
 def milli(unit: str) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -19,7 +19,6 @@ from ...errors import RecordingError, UnknownName
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
 from ..study.results import Results
-from ..study.store import Stored
 from .curves import column_units
 from .files import atomic_file, require_free
 
@@ -59,10 +58,13 @@ def columns_of(recording: Recording) -> Iterator[Column]:
 
 def about(recording: Recording) -> dict[str, Any]:
     """What a recording holds beside its signals, as JSON has it: facts, outcome, config, URDF."""
-    end = recording.outcome
-    outcome = {"status": end.status, "time": end.time, "signal": end.signal, "message": end.message}
     facts = json.loads(json.dumps(recording.meta, default=lambda array: np.asarray(array).tolist()))
-    return {"meta": facts, "outcome": outcome, "config": recording.config_text, "urdf": recording.urdf}
+    return {
+        "meta": facts,
+        "outcome": asdict(recording.outcome),
+        "config": recording.config_text,
+        "urdf": recording.urdf,
+    }
 
 
 def write_csv(recording: Recording, path: Path) -> None:
@@ -110,7 +112,7 @@ def write_columns(path: Path, columns: Iterable[Column], facts: Mapping[str, Any
 
 
 def write_mcap(recording: Recording, path: Path) -> None:
-    """Write MCAP, see `bag.write_bag`."""
+    """Messages of ROS 2, see `bag.write_bag`."""
     from .bag import write_bag
 
     write_bag(recording, path, about(recording))
@@ -136,7 +138,7 @@ def export(recording: Recording, path: str | Path, to: str = "", *, force: bool 
     Raises:
         UnknownName: No such format.
         RecordingError: The file exists or cannot be written; a package is missing; for MCAP a recording that does not
-            tell its robot.
+            hold its robot.
     """
     path = Path(path)
     return write_as(FORMATS, "format", recording, path, to or path.suffix[1:].lower(), force)
@@ -153,14 +155,9 @@ def write_as(
         try:
             formats[to](content, part)
         except ModuleNotFoundError as error:
-            raise missing(to, error) from error
+            why = f"the package {(error.name or '').partition('.')[0]} is not installed"
+            raise RecordingError(f"cannot export to {to}", why=why, fix="pip install 'mmnn_pin[export]'") from error
     return path
-
-
-def missing(to: str, error: ModuleNotFoundError) -> RecordingError:
-    """What to say where a package is not installed."""
-    package, install = (error.name or "").partition(".")[0], "pip install 'mmnn_pin[export]'"
-    return RecordingError(f"cannot export to {to}", why=f"the package {package} is not installed", fix=install)
 
 
 # -- the rows of a study -----------------------------------------------------------------------------------------------
@@ -168,19 +165,12 @@ def missing(to: str, error: ModuleNotFoundError) -> RecordingError:
 
 def study_columns(results: Results) -> dict[str, list[Any]]:
     """Column to its values, a row per run: facts, `factor NAME`, metrics by name."""
-    rows: list[Stored] = [*results.rows, *results.failed]
-    rows.sort(key=lambda row: row.id)
+    rows = sorted([*results.rows, *results.failed], key=lambda row: row.id)
     table: dict[str, list[Any]] = {name: [getattr(row, name) for row in rows] for name in STUDY_FACTS}
     for name in results.settings.factors:
-        table[f"factor {name}"] = [simple(row.parameters.get(name)) for row in rows]
-    for name in results.units:
-        table[name] = [row.metrics.get(name) for row in rows]
-    return table
-
-
-def simple(value: Any) -> Any:
-    """A value that a cell can hold: lists as JSON."""
-    return json.dumps(value) if isinstance(value, list | tuple) else value
+        values = (row.parameters.get(name) for row in rows)
+        table[f"factor {name}"] = [json.dumps(v) if isinstance(v, list | tuple) else v for v in values]
+    return table | {name: [row.metrics.get(name) for row in rows] for name in results.units}
 
 
 def write_study_csv(results: Results, path: Path) -> None:

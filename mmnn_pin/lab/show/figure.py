@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 P = ParamSpec("P")
-Subject = Literal["runs", "contest", "study"]
+Subject = Literal["runs", "proof", "contest", "study"]
 Dash = tuple[float, tuple[float, ...] | None]
 Look = Mapping[str, Any]  # keywords of matplotlib's `plot`
 
@@ -90,7 +90,7 @@ class Entry:
     caption: str
 
 
-FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "contest": {}, "study": {}}
+FIGURES: dict[Subject, dict[str, Entry]] = {"runs": {}, "proof": {}, "contest": {}, "study": {}}
 
 
 def figure(
@@ -100,11 +100,11 @@ def figure(
 
     Args:
         name: By which it is asked for.
-        of: What it shows: runs by name, a contest, or a study.
+        of: What it shows: runs by name, their proofs, a contest, or a study.
         needs: Tells why it cannot be drawn of these, nothing where it can; see `signals`.
         caption: What to know of it, for a page.
     """
-    lacks: Callable[[Any], str] = needs or (signals() if of == "runs" else lambda shown: "")
+    lacks: Callable[[Any], str] = needs or (signals() if of in ("runs", "proof") else lambda shown: "")
 
     def register(make: Callable[P, Figure]) -> Callable[P, Figure]:
         drawn = styled(make)
@@ -133,24 +133,34 @@ def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
     return lacks
 
 
-def style_of(controller: str) -> Style | None:
-    """The style that a controller has everywhere; None for one of the user's."""
-    return STYLES.get(controller)
+def write_figures(entries: Mapping[str, Entry], recordings: Mapping[str, Recording], folder: Path) -> dict[str, Path]:
+    """Draw the figures that these recordings have something for, then write them as PNG; name to file.
+
+    Raises:
+        RecordingError: A file that cannot be written.
+    """
+    figures = {}
+    for name, entry in entries.items():
+        try:
+            figures[name] = entry.make(recordings)
+        except RecordingError:  # such as a figure of two learners where only one was run
+            continue
+    return {name: save(figure, folder / f"{name}.png") for name, figure in figures.items()}
 
 
 def styles_of_controllers(controllers: Iterable[str]) -> dict[str, Style]:
     """Style of every controller: its own, else the next that is free."""
     others = cycle(OTHERS)
-    return {name: style_of(name) or next(others) for name in controllers}
+    return {name: STYLES.get(name) or next(others) for name in controllers}
 
 
 def styles_of(recordings: Mapping[str, Recording]) -> dict[str, Style]:
     """Style of every recording: by its key, else by its controller, else the next that is free."""
-    styles = {name: style for name in recordings if (style := style_of(name))}
+    styles = {name: STYLES[name] for name in recordings if name in STYLES}
     others = cycle(OTHERS)
     for name, recording in recordings.items():
+        own = STYLES.get(str(recording.meta.get("controller")))
         if name not in styles:
-            own = style_of(str(recording.meta.get("controller")))
             styles[name] = own if own is not None and own not in styles.values() else next(others)
     return styles
 
@@ -207,8 +217,6 @@ def require_found(recordings: Mapping[str, Recording], found: Collection[object]
     Raises:
         RecordingError: Nothing was found.
     """
-    if not recordings:
-        raise RecordingError("nothing to plot", why="no recording was given")
     if not found:
         why = f"its signals are not in {', '.join(recordings)}"
         raise RecordingError(f"nothing to plot for {what}", why=why, fix="choose another figure or recording")
@@ -218,13 +226,13 @@ def add_legend(figure: Figure, title: str, looks: Sequence[tuple[str, Look]]) ->
     """Title of a figure and its one legend, above the axes, from labels and looks."""
     from matplotlib.lines import Line2D
 
-    longest = max(len(label) for label, _ in looks)
-    rows = -(-len(looks) // max(1, int(figure.get_figwidth() / (0.065 * longest + 0.65))))
+    longest = max((len(label) for label, _ in looks), default=0)
+    rows = max(1, -(-len(looks) // max(1, int(figure.get_figwidth() / (0.065 * longest + 0.65)))))
     legend = figure.legend(
         [Line2D([], [], **look) for _, look in looks],
         [label for label, _ in looks],
         loc="outside upper left",
-        ncols=-(-len(looks) // rows),
+        ncols=max(1, -(-len(looks) // rows)),
         frameon=False,
         handlelength=3.6,
         title=title,
@@ -310,6 +318,12 @@ def svg(figure: Figure) -> str:
     figure.savefig(file, format="svg", metadata={"Date": None})
     text = file.getvalue()
     return text[text.index("<svg") :]
+
+
+def pictures(of: Subject, shown: Any) -> list[dict[str, str]]:
+    """The figures of a page that there is something for, as SVG, each with its caption."""
+    entries = (entry for entry in FIGURES[of].values() if not entry.lacks(shown))
+    return [{"svg": svg(entry.make(shown)), "caption": entry.caption} for entry in entries]
 
 
 def thin(path: Path) -> None:

@@ -51,14 +51,14 @@ def atomic_file(path: Path, what: str) -> Iterator[Path]:
             part.unlink()
 
 
-def require_free(path: Path, force: bool) -> None:
-    """Refuse to replace a file unasked.
+def require_free(path: Path, force: bool, what: str = "file") -> None:
+    """Refuse to replace a file unasked; `what` names it in the error.
 
     Raises:
         RecordingError: It exists, and `force` is off.
     """
     if path.exists() and not force:
-        raise RecordingError("the file exists", fix="choose another, or replace it with --force", file=path)
+        raise RecordingError(f"the {what} exists", fix="choose another, or replace it with --force", file=path)
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,11 @@ class HtmlPage:
 
     Attributes:
         html: The whole page.
+        warnings: What could not be shown, one line each.
     """
 
     html: str = field(repr=False)
+    warnings: tuple[str, ...] = ()
 
     what: ClassVar[str] = "page"
 
@@ -118,8 +120,7 @@ class Blob:
     """Arrays for the page, little endian."""
 
     def __init__(self) -> None:
-        self._parts: list[bytes] = []
-        self._size = 0
+        self._data = bytearray()
 
     def add(self, array: NDArray[Any], kind: str) -> dict[str, Any]:
         """Store an array, flattened.
@@ -132,17 +133,15 @@ class Blob:
             Where it is: what the JSON holds in its place.
         """
         data = np.ascontiguousarray(array, dtype=np.dtype(TYPES[kind]).newbyteorder("<")).tobytes()
-        reference = {"type": kind, "at": self._size, "size": int(array.size)}
-        padded = data + bytes(-len(data) % ALIGNMENT)
-        self._parts.append(padded)
-        self._size += len(padded)
+        reference = {"type": kind, "at": len(self._data), "size": int(array.size)}
+        self._data += data + bytes(-len(data) % ALIGNMENT)
         return reference
 
     def pack(self, header: dict[str, Any]) -> str:
         """Header and arrays as text: the header's length (4 bytes), the header as JSON, the arrays; compressed."""
         text = json.dumps(header, allow_nan=False, separators=(",", ":")).encode()
         text += b" " * (-len(text) % ALIGNMENT)
-        return compressed(len(text).to_bytes(4, "little") + text + b"".join(self._parts))
+        return compressed(len(text).to_bytes(4, "little") + text + self._data)
 
 
 def compressed(data: bytes) -> str:

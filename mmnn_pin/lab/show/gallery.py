@@ -12,21 +12,21 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...errors import InputError, RecordingError
+from ...errors import InputError, UnknownName
 from ...recording.recording import Recording
-from . import contest_figures, plots, thesis_figures
-from .figure import FIGURES, RC, save
-from .proof.figures import PROOF_FIGURES
+from . import contest, plots, thesis_figures
+from .figure import FIGURES, RC, write_figures
+from .proof import figures
 from .replay import page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-MODULES = (plots, thesis_figures, contest_figures)
+MODULES = (plots, thesis_figures, contest, figures)
 PICTURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {
-    **{name: entry.make for name, entry in FIGURES["runs"].items()},
-    **PROOF_FIGURES,
+    name: entry.make for name, entry in (FIGURES["runs"] | FIGURES["proof"]).items()
 }
+CONTEST = {name: entry.make for name, entry in FIGURES["contest"].items()}
 NOTEBOOK = ("errors", "path", "torque")
 MOST = 5_000_000  # bytes of a replay that goes into a notebook
 
@@ -38,13 +38,19 @@ def write_pictures(recordings: Mapping[str, Recording], names: Iterable[str], fo
         RecordingError: A file that cannot be written.
     """
     runs = {name: recording for name, recording in recordings.items() if len(recording)}
-    figures = {}
+    entries = FIGURES["runs"] | FIGURES["proof"]
+    return write_figures({name: entries[name] for name in names}, runs, folder)
+
+
+def require_plots(names: Iterable[str]) -> None:
+    """Refuse names of pictures that there are not.
+
+    Raises:
+        UnknownName: With the first, as a key of an experiment.
+    """
     for name in names:
-        try:
-            figures[name] = PICTURES[name](runs)
-        except RecordingError:  # such as a figure of two learners where only one was run
-            continue
-    return {name: save(figure, folder / f"{name}.png") for name, figure in figures.items()}
+        if name not in PICTURES:
+            raise UnknownName("plot", name, PICTURES, key="plots")
 
 
 def notebook_html(recording: Recording) -> str:

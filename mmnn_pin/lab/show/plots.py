@@ -6,6 +6,7 @@ comes from `curves`, as in the report.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -66,7 +67,9 @@ def torque_figure(recordings: Recordings) -> Figure:
     """
     groups = {"base": "Force on the base", "arm": "Arm", "motors": "Motors"}
     columns = columns_of(groups, curves.torques(recordings))
-    imperfect = {name: recording for name, recording in recordings.items() if gives_other(recording)}
+    imperfect = {
+        n: r for n, r in recordings.items() if "applied" in r and not np.array_equal(r["applied"], r["motor_torque"])
+    }
     more = [("given by the motors", {"color": "0.3", **GIVEN})] if imperfect else []
     picture = overlay("Torques", recordings, columns, more)
     styles = styles_of(recordings)
@@ -80,11 +83,6 @@ def torque_figure(recordings: Recordings) -> Figure:
         if np.isfinite(panel.limit):
             draw_effort_limit(axes, panel.limit, panel.unit)
     return picture
-
-
-def gives_other(recording: Recording) -> bool:
-    """Whether motors gave something else than what was commanded."""
-    return "applied" in recording and not np.array_equal(recording["applied"], recording["motor_torque"])
 
 
 def draw_effort_limit(axes: Axes, limit: float, unit: str) -> None:
@@ -179,8 +177,8 @@ def draw_path(axes: Axes, pose: Array, look: Look) -> None:
     """Path with ten arrows along the heading, evenly spaced in time."""
     axes.plot(pose[:, 0], pose[:, 1], **look)
     x, y, phi = pose[np.unique(np.linspace(0, len(pose) - 1, 10).astype(int))].T
-    look = {"color": look["color"], "zorder": look.get("zorder", 3), "scale": 30, "width": 0.003, "headwidth": 4}
-    axes.quiver(x, y, np.cos(phi), np.sin(phi), angles="xy", **look)
+    arrows = {"color": look["color"], "zorder": look.get("zorder", 3), "scale": 30, "width": 0.003, "headwidth": 4}
+    axes.quiver(x, y, np.cos(phi), np.sin(phi), angles="xy", **arrows)
 
 
 def frame_paths(axes: Axes, scale: Sequence[tuple[Recording, slice]]) -> None:
@@ -241,12 +239,12 @@ def step_times_figure(recordings: Recordings) -> Figure:
 
 def columns_of(groups: Mapping[str, str], panels: Iterable[Panel]) -> list[tuple[str, list[Panel]]]:
     """Panels in columns by group, each with its heading; a group takes as few columns as possible, nearly equal."""
-    every = list(panels)
-    columns = []
+    every, columns = list(panels), []
     for group, heading in groups.items():
         members = [panel for panel in every if panel.group == group]
-        parts = np.array_split(np.arange(len(members)), max(-(-len(members) // PANELS_PER_COLUMN), 1))
-        columns += [(" " if i else heading, [members[k] for k in part]) for i, part in enumerate(parts) if len(part)]
+        count = -(-len(members) // PANELS_PER_COLUMN)
+        parts = np.array_split(np.arange(len(members)), count) if count else []
+        columns += [(" " if i else heading, [members[k] for k in part]) for i, part in enumerate(parts)]
     return columns
 
 
@@ -317,7 +315,6 @@ def shade_stops(every: Sequence[Axes], recordings: Recordings) -> list[tuple[str
     """Shade the time in which a supervisor stops a run; the entry of a legend for that, if there is any."""
     supervised = [recording for recording in recordings.values() if "safety" in recording]
     stops = [times for r in supervised if len(times := r.time[r["safety"] >= STOPPING])]
-    for times in stops:
-        for axes in every:
-            axes.axvspan(times[0], times[-1], linewidth=0, zorder=0, **STOP)
+    for times, axes in itertools.product(stops, every):
+        axes.axvspan(times[0], times[-1], linewidth=0, zorder=0, **STOP)
     return [("stopped by the supervisor", {"linewidth": 7, **STOP})] if stops else []

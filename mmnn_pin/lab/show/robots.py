@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from ...model.checks.nonholonomy import RANK_TOLERANCE, Closure
+from ...model.checks.nonholonomy import RANK_TOLERANCE
 from ...model.checks.properties import Report, check_properties
 from ...model.inspection import inspection_of
 from ...recording.recording import Recording, recorded_robot
@@ -21,13 +21,9 @@ CHECK_SEED = 0
 
 
 def inspection_text(content: dict[str, Any]) -> str:
-    """The tables and the findings, as text.
-
-    Args:
-        content: What `model.inspection.inspection_of` gives.
-    """
-    findings = [f"  {finding['text']}" for finding in content["findings"]]
-    last = "\n".join([f"findings ({len(findings)})", *findings]) if findings else "no findings"
+    """The tables and the findings of what `model.inspection.inspection_of` gives, as text."""
+    findings = "".join(f"\n  {finding['text']}" for finding in content["findings"])
+    last = f"findings ({len(content['findings'])}){findings}" if findings else "no findings"
     return f"{understood_text(content)}\n\n{last}"
 
 
@@ -39,11 +35,7 @@ def understood_text(content: dict[str, Any]) -> str:
 
 
 def refusal_text(content: dict[str, Any]) -> str:
-    """What there is to say of a robot that was refused, beside the errors: what its base could be, and the rest.
-
-    Args:
-        content: What `model.inspection.refusal_of` says.
-    """
+    """A refused robot (`model.inspection.refusal_of`) beside its errors: what its base could be, and the rest."""
     lines = []
     for candidate in (content["base"] or {}).get("candidates", ()):
         lines.append(f"candidate: {candidate['kind'].replace('_', ' ')}")
@@ -74,10 +66,9 @@ def wheels(base: dict[str, Any]) -> str:
     if not base["wheels"]:
         return ""
     rows = [("drive wheel", "radius [m]", "sign", "x [m]", "y [m]", "roller [deg]")]
-    for wheel in base["wheels"]:
-        roller = "-" if wheel["roller"] is None else f"{math.degrees(wheel['roller']):.4g}"
-        numbers = (f"{wheel['radius']:.4g}", f"{wheel['sign']:+d}", f"{wheel['x']:.4g}", f"{wheel['y']:.4g}", roller)
-        rows.append((wheel["joint"], *numbers))
+    for w in base["wheels"]:
+        roller = "-" if w["roller"] is None else f"{math.degrees(w['roller']):.4g}"
+        rows.append((w["joint"], f"{w['radius']:.4g}", f"{w['sign']:+d}", f"{w['x']:.4g}", f"{w['y']:.4g}", roller))
     return underlined(rows)
 
 
@@ -87,8 +78,7 @@ def arm(content: dict[str, Any]) -> str:
         return "no arm"
     rows = [("arm joint", "lower", "upper", "effort")]
     for name in content["joints"]:
-        limits = content["limits"][name]
-        numbers = (limits[key] for key in ("lower", "upper", "effort"))
+        numbers = (content["limits"][name][key] for key in ("lower", "upper", "effort"))
         rows.append((name, *("-" if limit is None else f"{limit:.4g}" for limit in numbers)))
     slaves = [
         f"{name} follows: {slave['multiplier']:.4g} {slave['master']} {slave['offset']:+.4g}"
@@ -171,6 +161,7 @@ def matrix(title: str, values: Any, rows: Sequence[str], columns: Sequence[str])
 def properties_dict(report: Report) -> dict[str, Any]:
     """The report as the command line's JSON object; what is not finite is null."""
     tested, b = report.nonholonomic, report.bounds
+    wheels = tested.with_wheels
     return {
         "robot": report.robot,
         "samples": report.samples,
@@ -193,16 +184,11 @@ def properties_dict(report: Report) -> dict[str, Any]:
             "closure": tested.pose.closure if tested.pose else 0,
             "verdict": tested.verdict,
             "growth": list(tested.pose.growth) if tested.pose else [],
-            "with_wheel_angles": None if tested.with_wheels is None else closure_dict(tested.with_wheels),
+            "with_wheel_angles": wheels
+            and asdict(wheels) | {"distribution": wheels.distribution, "closure": wheels.closure},
             "rank_tolerance": RANK_TOLERANCE,
         },
     }
-
-
-def closure_dict(closure: Closure) -> dict[str, Any]:
-    """A closure for JSON."""
-    names = ("coordinates", "distribution", "closure")
-    return {name: getattr(closure, name) for name in names} | {"growth": list(closure.growth)}
 
 
 def json_number(value: float) -> float | None:
@@ -267,13 +253,9 @@ def robots_of(recordings: Mapping[str, Recording]) -> list[RobotShown]:
     Raises:
         InputError: The robot of a run cannot be built.
     """
-    found: dict[str, RobotShown] = {}
-    for recording in recordings.values():
-        facts = (recording.meta.get(key) for key in ("urdf_sha256", "overrides", "mass_factors", "viscous"))
-        key = repr(list(facts))
-        if key not in found:
-            found[key] = about_robot(recording)
-    return list(found.values())
+    keys = ("urdf_sha256", "overrides", "mass_factors", "viscous")
+    different = {repr([recording.meta.get(key) for key in keys]): recording for recording in recordings.values()}
+    return [about_robot(recording) for recording in different.values()]
 
 
 def about_robot(recording: Recording, samples: int = CHECK_SAMPLES) -> RobotShown:

@@ -120,12 +120,11 @@ def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, wid
 
     console = Console(width=width, force_terminal=colour, color_system="standard" if colour else None)
     with console.capture() as capture:
-        for part in parts:
+        for part in (Line(part) if isinstance(part, str) else part for part in parts):
             if isinstance(part, Table):
                 console.print(terminal_table(part))
             else:
-                line = Line(part) if isinstance(part, str) else part
-                console.print(Text(line.text), style=line.style or None)
+                console.print(Text(part.text), style=part.style or None)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
 
 

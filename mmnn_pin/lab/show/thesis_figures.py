@@ -143,10 +143,7 @@ def compare_learners(
     """A plot per component, both learners in each."""
     learners = learners_of(recordings, signal, names)
     styles = styles_of_controllers(learners)
-    panels = {
-        label: [(name, recording, column, styles[name].line) for name, recording in learners.items()]
-        for column, label in enumerate(labels)
-    }
+    panels = {label: [(n, r, k, styles[n].line) for n, r in learners.items()] for k, label in enumerate(labels)}
     return arrange(number, what, learners, signal, panels, style_looks(learners, styles))
 
 
@@ -154,10 +151,7 @@ def show_angles(number: str, what: str, recordings: Recordings, names: Sequence[
     """A plot per joint, its measured angle over its reference."""
     learners = learners_of(recordings, "q", names)
     styles = styles_of_controllers(learners)
-    panels = {
-        f"joint {column + 1} [deg]": [(name, rec, column, styles[name].line) for name, rec in learners.items()]
-        for column in range(2)
-    }
+    panels = {f"joint {k + 1} [deg]": [(n, r, k, styles[n].line) for n, r in learners.items()] for k in range(2)}
     legend = [("reference", TRUTH), *style_looks(learners, styles)]
     return arrange(number, what, learners, "q", panels, legend, "q_ref")
 
@@ -178,7 +172,9 @@ def arrange(
     for axes, place, (label, curves) in zip(stack, ("top", "bottom"), panels.items(), strict=True):
         ranges = [known for known in figure_intervals(int(number[0])) if known.figure == f"{number} {place}"]
         axes.set_ylabel(label)
-        draw_bands(axes, ranges)
+        axes.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
+        for known in ranges:
+            axes.axhspan(*shown(np.array([known.lower, known.upper]) / known.scale, ranges), **BAND)
         for _, recording, column, _ in curves if reference else ():
             axes.plot(recording.time, shown(recording[reference][:, column], ranges), **TRUTH)
         draw_curves(axes, signal, curves, ranges)
@@ -187,13 +183,6 @@ def arrange(
     title = f"Figure {number}: {what}{variant_of(learners)}"
     add_legend(picture, title, [*legend, ("thesis's extremes", band)])
     return picture
-
-
-def draw_bands(axes: Axes, ranges: Sequence[FigureRange]) -> None:
-    """The intervals of an axes, and its zero."""
-    for known in ranges:
-        axes.axhspan(*(shown(np.array([known.lower, known.upper]) / known.scale, ranges)), **BAND)
-    axes.axhline(0.0, color="0.55", linewidth=0.8, zorder=1)
 
 
 def draw_curves(axes: Axes, signal: str, curves: Sequence[Curve], ranges: Sequence[FigureRange]) -> None:

@@ -1,1 +1,1 @@
-"""Studies: many runs of an experiment under drawn and chosen settings, stored as they finish, tuned, told."""
+"""Studies: many runs of an experiment under drawn and chosen settings, stored as they finish, tuned, judged."""

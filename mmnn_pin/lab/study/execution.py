@@ -1,120 +1,163 @@
-"""Makes a study's missing runs in a pool and stores each row as it comes.
-
-A pool is threads of this process, processes of this machine, or the workers of a cluster (`cluster.py`).
-"""
+"""A study is carried out: judged before anything is written, its missing runs made and stored, a row run again."""
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
-import os
+import hashlib
+import itertools
+import math
 import queue
-import signal
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import CancelledError, Future
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
-from ...compiled import libraries
-from ...errors import ConfigError, MmnnError, StudyError
-from . import worker
-from .plan import Plan, Row
-from .store import Store
-from .worker import Bundle, JobResult, run
+import msgspec
+
+from ... import __version__
+from ...errors import InputError, MmnnError, StudyError
+from ...loop.batch import needed_bytes
+from ...loop.compiled import CompiledLoop
+from ...recording.metrics import Reducer, metrics
+from ...recording.recorder import versions
+from ..experiments.controllers import EFFECTIVE
+from .plan import Plan, short
+from .pools import Pool, root_of
+from .results import DEFAULT, require_patterns, units_of, value_of
+from .settings import StudySettings, placing
+from .store import NAME, Store, Stored, reading
+from .worker import JobResult, Row, loop_of, robots_of, run
 
 AGAIN = ("failed", "interrupted")  # statuses of rows that the next session runs again
 LOST = "the same command goes on with what is missing"
+COSMETIC = ("title", "metrics", "success", "tune")  # settings that change no row
+
+
+# -- before the first run ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Pool:
-    """Takes runs.
+class Probe:
+    """What is known of a study before it runs.
 
     Attributes:
-        executor: Runs them.
-        place: What it is, for people.
-        window: How many runs it is given at a time; asked again and again.
-        share: Hands a robot's files to it; gives what stands for them in a call, None where they are there already.
-        check: Asked about once a second.
-        stop: Tells runs in this process to end; None where they know by themselves.
-        first_alone: Whether the first run must have ended before others start: it compiles.
-        crew: Who is there at the start, for people.
+        compiled: Whether the compiled engine runs all controllers.
+        units: Metric to its unit.
+        bytes_per_run: Memory that a run takes while it runs.
     """
 
-    executor: Executor
-    place: str
-    window: Callable[[], int]
-    share: Callable[[Bundle], Any] = lambda bundle: None
-    check: Callable[[], None] = lambda: None
-    stop: Callable[[], bool] | None = None
-    first_alone: bool = False
-    crew: str = ""
+    compiled: bool
+    units: dict[str, str]
+    bytes_per_run: int
 
 
-@contextmanager
-def threads(workers: int | None = None) -> Iterator[Pool]:
-    """Threads, for runs of the compiled engine: they share the compiled code and run without the interpreter lock.
+def probe(plan: Plan) -> Probe:
+    """Make the loop of the first run of every controller, without running it, and judge what is asked of its metrics.
 
     Raises:
-        ConfigError: Less than one.
+        InputError: One cannot be made, or a metric does not exist.
     """
-    count = number_of(workers)
-    stop = threading.Event()
-    with ThreadPoolExecutor(count) as executor, libraries().limit(limits=1, user_api="blas"):
+    loops = []
+    for number in range(len(plan.controllers)):
+        row = plan.row(number)
+        name = EFFECTIVE.get(row.controller, row.controller)
+        experiment = msgspec.structs.replace(row.experiment, controllers=(name,))
         try:
-            name = f"{count} thread{'s' * (count > 1)}"
-            yield Pool(executor, name, lambda: 2 * count, stop=stop.is_set, first_alone=True)
-        finally:
-            stop.set()
-            executor.shutdown(wait=True, cancel_futures=True)
+            loop = loop_of(replace(row, experiment=experiment))
+            loops.append((loop, loop.engine_at(), row))
+        except InputError as error:
+            raise plan.blamed(error) from None
+    loop, engine, row = loops[0]
+    facts = loop.facts() | {"loop": engine.name}
+    names = list(Reducer.of(loop.layout, facts, row.experiment.windows).result())
+    settings = plan.study.settings
+    wanted = {"metrics": settings.metrics or (), "success.at_most": tuple(settings.success.at_most)}
+    wanted |= {"tune.objective": (settings.tune.objective,)} if settings.tune is not None else {}
+    with placing(plan.study.path):
+        for key, patterns in wanted.items():
+            require_patterns(patterns, names, key)
+    units = units_of(names, robots_of(row, None)[0])
+    size = max(needed_bytes([loop], False, 1) for loop, _, _ in loops)
+    return Probe(all(isinstance(engine, CompiledLoop) for _, engine, _ in loops), units, size)
 
 
-@contextmanager
-def processes(workers: int | None = None) -> Iterator[Pool]:
-    """Processes, for runs with Python in their steps.
-
-    Raises:
-        ConfigError: Less than one.
-    """
-    count = number_of(workers)
-    context = multiprocessing.get_context("spawn")  # a fork would copy threads' locks
-    stop = context.Event()
-    with ProcessPoolExecutor(count, context, begin, (stop,)) as executor:
-        try:
-            yield Pool(executor, f"{count} process{'es' * (count > 1)}", lambda: 2 * count)
-        finally:
-            stop.set()
-            executor.shutdown(wait=True, cancel_futures=True)
+def shown(settings: StudySettings, names: Sequence[str]) -> tuple[str, ...]:
+    """Metrics that tables and pictures show."""
+    if settings.metrics is not None:
+        return settings.metrics
+    return tuple(pattern for pattern in DEFAULT if value_of(dict.fromkeys(names, 0.0), pattern) == 0.0)
 
 
-def begin(stop: Any) -> None:
-    """In a new process: Ctrl-C is the parent's, and so is the event that ends the runs."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    worker.STOP = stop
+def missing_rows(store: Store, plan: Plan, found: Probe, force: bool) -> list[int]:
+    """Rows that are still to be run, after the database has agreed to the study's settings.
 
-
-def number_of(workers: int | None) -> int:
-    """How many workers.
+    Args:
+        store: The database.
+        plan: The study's runs.
+        found: What is known of them.
+        force: Give up rows that the settings no longer have; the others stay.
 
     Raises:
-        ConfigError: Less than one.
+        StudyError: It holds rows of other settings, and `force` is off.
     """
-    count = available() if workers is None else workers
-    if count < 1:
-        raise ConfigError(f"{count} workers", fix="use at least one", key="--workers")
-    return count
+    fingerprints = list(plan.fingerprints())
+    digest = hashlib.sha256(" ".join(fingerprints).encode()).hexdigest()
+    before, rows = store.meta(), store.fingerprints()
+    kept = [print_ for print_ in fingerprints if print_ in rows]
+    if rows and (before.get("plan"), before.get("mmnn_pin")) != (digest, __version__):
+        if not force:
+            raise changed_settings(store.path, before, plan, len(rows), len(kept))
+        same_code = before.get("mmnn_pin") == __version__
+        store.renumber({p: i for i, p in enumerate(fingerprints)} if same_code else {})
+        rows = store.fingerprints()
+    store.set_meta(facts(plan, found, digest))
+    return [i for i, p in enumerate(fingerprints) if p not in rows or rows[p][1] in AGAIN]
 
 
-def available() -> int:
-    """Cores that this process may use."""
-    with contextlib.suppress(AttributeError):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+def facts(plan: Plan, found: Probe, digest: str) -> dict[str, Any]:
+    """What the database holds of its study."""
+    study = plan.study
+    return {
+        "mmnn_pin": __version__,
+        "versions": versions(),
+        "plan": digest,
+        "rows": len(plan),
+        "name": study.name,
+        "file": str(study.path),
+        "settings": msgspec.to_builtins(study.settings),
+        "experiment": plan.table,
+        "controllers": plan.controllers,
+        "metrics": shown(study.settings, list(found.units)),
+        "units": found.units,
+        "robots": [bundle.digest for bundle in plan.bundles.values()],
+    }
+
+
+def changed_settings(path: Path, before: dict[str, Any], plan: Plan, rows: int, kept: int) -> StudyError:
+    """The complaint about a database of other settings."""
+    if before.get("mmnn_pin") != __version__:
+        why = f"mmnn_pin {before.get('mmnn_pin')} wrote its {rows} rows, this is {__version__}"
+        fix = "--force drops them and starts anew; or choose another folder with --out"
+        return StudyError("the rows are of another version", why=why, fix=fix, file=path)
+    settings = {k: v for k, v in msgspec.to_builtins(plan.study.settings).items() if k not in COSMETIC}
+    old = {k: v for k, v in before.get("settings", {}).items() if k not in COSMETIC}
+    different = [*differences(old, settings), *differences(before.get("experiment", {}), plan.table, "experiment.")]
+    what = ", ".join(different[:4]) + (f" and {len(different) - 4} more" if len(different) > 4 else "")
+    why = f"changed: {what or 'a file of the robot'}; {kept} of {rows} stored rows are also in the new study"
+    fix = "--force keeps these and drops the others; or choose another folder with --out"
+    return StudyError("the study has other settings than its database", why=why, fix=fix, file=path)
+
+
+def differences(one: Any, other: Any, prefix: str = "") -> list[str]:
+    """Key paths at which two tables differ."""
+    if not (isinstance(one, dict) and isinstance(other, dict)):
+        return [] if msgspec.json.encode(one) == msgspec.json.encode(other) else [prefix.rstrip(".")]
+    keys = dict.fromkeys([*one, *other])
+    return [path for key in keys for path in differences(one.get(key), other.get(key), f"{prefix}{key}.")]
+
+
+# -- the missing runs --------------------------------------------------------------------------------------------------
 
 
 def fill(
@@ -160,8 +203,11 @@ def execute(
     try:
         while True:
             room = (1 if alone else pool.window()) - len(pending)
-            for row in take(left, room):
-                future = pool.executor.submit(run, row.job, files_of(row, pool, plan, files), pool.stop)
+            for row in itertools.islice(left, max(room, 0)):
+                bundle = plan.bundle(row.experiment)
+                if bundle.digest not in files:  # the pool gets the files of a robot once
+                    files[bundle.digest] = pool.share(bundle)
+                future = pool.executor.submit(run, row, files[bundle.digest], pool.stop)
                 pending[future] = row
                 future.add_done_callback(finished.put)
             if not pending:
@@ -177,23 +223,6 @@ def execute(
     finally:
         for future in pending:
             future.cancel()
-
-
-def files_of(row: Row, pool: Pool, plan: Plan, handed: dict[str, Any]) -> Any:
-    """What stands for the files of a row's robot in the pool, which gets them once."""
-    bundle = plan.bundle(row.experiment)
-    if bundle.digest not in handed:
-        handed[bundle.digest] = pool.share(bundle)
-    return handed[bundle.digest]
-
-
-def take(rows: Iterator[Row], count: int) -> Iterator[Row]:
-    """The next few."""
-    for _ in range(count):
-        row = next(rows, None)
-        if row is None:
-            return
-        yield row
 
 
 def result_of(future: Future[JobResult], row: Row, pool: Pool) -> JobResult:
@@ -220,6 +249,93 @@ def result_of(future: Future[JobResult], row: Row, pool: Pool) -> JobResult:
         raise MmnnError(f"a worker failed: {type(error).__name__}: {error}; {LOST}") from error
 
 
-def root_of(error: ModuleNotFoundError) -> str:
-    """Name of the package that is missing."""
-    return str(error.name).partition(".")[0]
+# -- a row again -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """A row that was run again.
+
+    Attributes:
+        row: The row.
+        file: Its recording.
+        status: How it ended.
+        message: One line for people.
+        metrics: Its numbers.
+        stored: The row in the database; None if it is not there, or there with other settings.
+    """
+
+    row: Row
+    file: Path
+    status: str
+    message: str
+    metrics: dict[str, float]
+    stored: Stored | None
+
+    @property
+    def different(self) -> list[str]:
+        """Metrics that are not the stored ones bit for bit; "outcome" where it ended otherwise."""
+        if self.stored is None:
+            return []
+        ended = [] if self.stored.status == self.status else ["outcome"]
+        names = dict.fromkeys([*self.stored.metrics, *self.metrics])
+        return ended + [n for n in names if not same(self.stored.metrics.get(n), self.metrics.get(n))]
+
+    @property
+    def same(self) -> bool | None:
+        """Whether all its numbers are the stored ones; None where none are stored."""
+        return None if self.stored is None else not self.different
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same for JSON."""
+        numbers = {name: value if math.isfinite(value) else None for name, value in self.metrics.items()}
+        about = {"row": self.row.id, "controller": self.row.controller, "seed": self.row.seed}
+        about |= {"parameters": self.row.parameters, "file": str(self.file), "outcome": self.status}
+        return about | {"message": self.message, "metrics": numbers, "same": self.same, "different": self.different}
+
+    def describe(self) -> str:
+        """The same for people."""
+        values = ", ".join(f"{name} = {short(value)}" for name, value in self.row.parameters.items())
+        if self.stored is None:
+            compared = "not in the database with these settings, so nothing to compare"
+        elif self.different:
+            names = ", ".join(self.different[:6])
+            compared = f"OTHER numbers than the stored ones (made on {self.stored.host}): {names}"
+        else:
+            compared = f"the same numbers as stored, bit for bit: all {len(self.metrics)}"
+        who = f"row {self.row.id}: {self.row.controller}, seed {self.row.seed}"
+        end = f"{self.status}: {self.message}" if self.message else self.status
+        return f"{who}\n  {values}\n  {end}\n  {compared}\nwrote {self.file}"
+
+
+def rerun(plan: Plan, number: int, folder: Path, force: bool = False) -> Rerun:
+    """Run a row alone and record all its signals in `folder/rows/NUMBER.h5`.
+
+    Args:
+        plan: The study's runs.
+        number: The row's.
+        folder: Of the database.
+        force: Replace the recording.
+
+    Raises:
+        ConfigError: No such row.
+        RecordingError: The recording exists.
+        InputError: The run cannot be made.
+    """
+    row = plan.row(number)
+    file = folder / "rows" / f"{number}.h5"
+    loop = loop_of(row)
+    about = {"experiment": f"{plan.study.name} row {number}", "config": row.experiment.to_json()}
+    recording = loop.run(file, force=force, meta=about | {"study_parameters": row.parameters})
+    stored = None
+    if (folder / NAME).exists():
+        with reading(folder / NAME) as store:
+            stored = store.row(number)
+    stored = stored if stored is not None and stored.fingerprint == row.fingerprint else None
+    outcome = recording.outcome
+    return Rerun(row, file, outcome.status, outcome.message, metrics(recording, row.experiment.windows), stored)
+
+
+def same(one: float | None, other: float | None) -> bool:
+    """Whether two numbers are the same, nan too."""
+    return one == other or (one is not None and other is not None and math.isnan(one) and math.isnan(other))

@@ -84,6 +84,10 @@ class Factor(Settings, frozen=True):
         """Name of its distribution, or "grid"."""
         return next(kind for kind in KINDS if getattr(self, kind) is not None)
 
+    def paths(self, name: str) -> tuple[str, ...]:
+        """Key paths of the experiment that get the value of a factor of this name."""
+        return self.keys or (name,)
+
     @property
     def drawn(self) -> bool:
         """Whether it is drawn, not gone through."""
@@ -93,9 +97,7 @@ class Factor(Settings, frozen=True):
     def numeric(self) -> bool:
         """Whether its values are numbers that have an order, more than two of them."""
         values = self.grid or self.choice
-        if values is None:
-            return True
-        return len(values) > 2 and all(is_number(value) for value in values)
+        return values is None or (len(values) > 2 and all(map(is_number, values)))
 
     @property
     def on_log_scale(self) -> bool:
@@ -109,14 +111,10 @@ class Factor(Settings, frozen=True):
         if self.integer is not None:
             lower, upper = self.integer
             return min(lower + int(u * (upper - lower + 1)), upper)
-        return float(QUANTILES[self.kind](getattr(self, self.kind), self._inside(u)))
-
-    def _inside(self, u: float) -> float:
-        """The probability within the bounds, as one of the whole distribution; never 0 or 1 of an endless one."""
-        if self.kind not in ("normal", "log_normal"):
-            return u
-        lower, upper = self._cut()
-        return min(max(lower + u * (upper - lower), 1e-300), 1.0 - 2.0**-53)
+        if self.kind in ("normal", "log_normal"):  # within the bounds, and never at 0 or 1 of an endless distribution
+            low, high = self._cut()
+            u = min(max(low + u * (high - low), 1e-300), 1.0 - 2.0**-53)
+        return float(QUANTILES[self.kind](getattr(self, self.kind), u))
 
     def _cut(self) -> tuple[float, float]:
         """Probabilities below the bounds."""
@@ -132,17 +130,20 @@ class Factor(Settings, frozen=True):
 
 def impossible(kind: str, numbers: tuple[float, ...]) -> str:
     """Why these numbers make no distribution of a kind; empty if they do."""
-    if kind in ("uniform", "log_uniform", "triangular") and not numbers[0] < numbers[-1]:
-        return "the lower end must be below the upper one"
-    if kind == "integer" and not numbers[0] <= numbers[1]:
-        return "the lower end must not be above the upper one"
-    if kind == "triangular" and not numbers[0] <= numbers[1] <= numbers[2]:
-        return "the mode must lie between the ends"
-    if kind in ("log_uniform", "log_normal") and not numbers[0] > 0:
-        return "a logarithm needs numbers > 0"
-    if kind in ("normal", "log_normal") and not numbers[1] > 0:
-        return "the standard deviation must be > 0"
-    return ""
+    return next((why for kinds, holds, why in RULES if kind in kinds and not holds(numbers)), "")
+
+
+RULES: tuple[tuple[tuple[str, ...], Callable[[tuple[float, ...]], bool], str], ...] = (
+    (
+        ("uniform", "log_uniform", "triangular"),
+        lambda numbers: numbers[0] < numbers[-1],
+        "the lower end must be below the upper one",
+    ),
+    (("integer",), lambda numbers: numbers[0] <= numbers[1], "the lower end must not be above the upper one"),
+    (("triangular",), lambda numbers: numbers[0] <= numbers[1] <= numbers[2], "the mode must lie between the ends"),
+    (("log_uniform", "log_normal"), lambda numbers: numbers[0] > 0, "a logarithm needs numbers > 0"),
+    (("normal", "log_normal"), lambda numbers: numbers[1] > 0, "the standard deviation must be > 0"),
+)
 
 
 def require_values(kind: str, values: tuple[Any, ...], relative: bool) -> None:
@@ -170,11 +171,6 @@ def is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
-def log_normal(numbers: tuple[float, float], u: float) -> float:
-    """Quantile of the log-normal distribution of a median and a standard deviation of the logarithm."""
-    return float(numbers[0] * np.exp(numbers[1] * ndtri(u)))
-
-
 def triangular(numbers: tuple[float, float, float], u: float) -> float:
     """Quantile of the triangular distribution of a lower end, a mode and an upper end."""
     lower, mode, upper = numbers
@@ -188,7 +184,7 @@ QUANTILES: dict[str, Callable[[Any, float], float]] = {
     "uniform": lambda ends, u: ends[0] + u * (ends[1] - ends[0]),
     "log_uniform": lambda ends, u: ends[0] * math.exp(u * math.log(ends[1] / ends[0])),
     "normal": lambda numbers, u: numbers[0] + numbers[1] * float(ndtri(u)),
-    "log_normal": log_normal,
+    "log_normal": lambda numbers, u: numbers[0] * np.exp(numbers[1] * ndtri(u)),
     "triangular": triangular,
 }
 

@@ -24,17 +24,17 @@ def line_of(text: str, key: str) -> int | None:
         text: The file.
         key: Key path; quotes around its parts are left out, as in the errors of a config.
     """
-    best, found, table = 0, None, ""
-    for number, line in enumerate(text.splitlines(), start=1):
-        if header := HEADER.match(line):
+    best, line, table = 0, None, ""
+    for number, text_line in enumerate(text.splitlines(), start=1):
+        if header := HEADER.match(text_line):
             table = path = plain(header[1])
-        elif entry := ENTRY.match(line):
+        elif entry := ENTRY.match(text_line):
             path = f"{table}.{plain(entry[1])}" if table else plain(entry[1])
         else:
             continue
         if f"{key}.".startswith(f"{path}.") and len(path) > best:
-            best, found = len(path), number
-    return found
+            best, line = len(path), number
+    return line
 
 
 def plain(path: str) -> str:
@@ -120,21 +120,15 @@ def changed(table: dict[str, Any], path: str, value: Any, relative: bool = False
     try:
         if relative:
             value = times(value_at(table, path), value)
-        open_tables(table, path)
+        parts = path.split(".")
+        for above in (".".join(parts[:i]) for i in range(1, len(parts))):
+            if value_at(table, above) is None and known_keys(above):  # a table that the experiment leaves out
+                put(table, above, {})
         put(table, path, value)
     except ConfigError as error:
         error.key = path
         raise
     return value
-
-
-def open_tables(table: dict[str, Any], path: str) -> None:
-    """Tables on a path that the experiment leaves out, empty."""
-    parts = path.split(".")
-    for i in range(1, len(parts)):
-        above = ".".join(parts[:i])
-        if value_at(table, above) is None and known_keys(above):
-            put(table, above, {})
 
 
 def times(old: Any, factor: float) -> Any:

@@ -24,8 +24,8 @@ from ..experiments.experiment import Experiment
 from ..experiments.laws import LAW, digest_of, name_of
 from .factors import Factor, unit_cube
 from .keys import changed, deep, flat, require_path
-from .settings import MOST, StudyFile
-from .worker import Bundle, Job, code_digest, load_once
+from .settings import MOST, StudyFile, placing
+from .worker import Bundle, Row, code_digest, load_once
 
 # Keys that change no number of a run; a study does not vary them. Its rows are judged by its own `success`.
 COSMETIC = (
@@ -33,36 +33,6 @@ COSMETIC = (
     *("cases", "tolerance", "contest"),
 )
 TRUTH = ("masses", "friction")  # of the true robot only, where the model is nominal
-
-
-@dataclass(frozen=True)
-class Row:
-    """One run of a study.
-
-    Attributes:
-        id: Its number, from 0.
-        point: Number of its point of the factors.
-        controller: Its controller.
-        seed: Its seed.
-        parameters: Factor to its value.
-        experiment: The experiment, of this controller alone.
-        nominal: The experiment whose robot the controller is made for; None for the true one.
-        fingerprint: Hash of all that decides its numbers, but for the software.
-    """
-
-    id: int
-    point: int
-    controller: str
-    seed: int
-    parameters: dict[str, Any]
-    experiment: Experiment
-    nominal: Experiment | None
-    fingerprint: str
-
-    @property
-    def job(self) -> Job:
-        """The run as a worker gets it."""
-        return Job(self.id, self.experiment, self.nominal, code_digest())
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +46,7 @@ class Plan:
         points: Factor to value, of every point.
         controllers: Of every point.
         seeds: Of every point; None where the seed is a factor.
+        bundles: Files of the robots met so far.
     """
 
     study: StudyFile
@@ -84,6 +55,7 @@ class Plan:
     points: tuple[dict[str, Any], ...] = field(repr=False)
     controllers: tuple[str, ...]
     seeds: tuple[int | None, ...]
+    bundles: dict[Any, Bundle] = field(default_factory=dict, init=False, repr=False)
 
     def __len__(self) -> int:
         return len(self.points) * len(self.seeds) * len(self.controllers)
@@ -104,8 +76,8 @@ class Plan:
         if not 0 <= i < len(self):
             fix = f"use one from 0 to {len(self) - 1}"
             raise ConfigError(f"there is no row {i}", fix=fix, file=self.study.path, key="--row")
-        point, rest = divmod(i, len(self.seeds) * len(self.controllers))
-        which_seed, which_controller = divmod(rest, len(self.controllers))
+        shape = len(self.points), len(self.seeds), len(self.controllers)
+        point, which_seed, which_controller = map(int, np.unravel_index(i, shape))
         controller, parameters = self.controllers[which_controller], self.points[point]
         common, settings = self.experiment(parameters, self.seeds[which_seed])
         experiment = msgspec.structs.replace(common, controllers=(controller,))
@@ -118,6 +90,7 @@ class Plan:
             experiment=experiment,
             nominal=self.nominal(experiment),
             fingerprint=self.fingerprint(common, settings, controller),
+            code=code_digest(),
         )
 
     def experiment(self, parameters: dict[str, Any], seed: int | None) -> tuple[Experiment, dict[str, Any]]:
@@ -131,7 +104,7 @@ class Plan:
         try:
             for name, value in parameters.items():
                 factor = self.study.settings.factors[name]
-                for path in factor.keys or (name,):
+                for path in factor.paths(name):
                     settings[path] = changed(table, path, value, factor.relative)
             if seed is not None:
                 table["seed"] = seed
@@ -145,7 +118,7 @@ class Plan:
         """Why values of the factors make no experiment, at the key of the factor that is nearest to it."""
         what, why, fix, key = parts_of(error, table)
         factors = self.study.settings.factors
-        blamed = [n for n in parameters for path in factors[n].keys or (n,) if touches(path, key)]
+        blamed = [n for n in parameters for path in factors[n].paths(n) if touches(path, key)]
         values = ", ".join(f"{name} = {short(value)}" for name, value in parameters.items())
         found = ConfigError(
             f"{key}: {what}" if key else what,
@@ -158,7 +131,7 @@ class Plan:
     def blamed(self, error: InputError) -> InputError:
         """An error of a run, at the key of the factor or change of the study that it is about, if it is about one."""
         if error.file is None and error.key:
-            names = [n for n, f in self.study.settings.factors.items() for p in f.keys or (n,) if touches(p, error.key)]
+            names = [n for n, f in self.study.settings.factors.items() for p in f.paths(n) if touches(p, error.key)]
             changes = [path for path, _ in flat(self.study.settings.set) if touches(path, error.key)]
             error.key = [*(f"factors.{n}" for n in names), *(f"set.{path}" for path in changes), error.key][0]
             return self.study.placed(error) if names or changes else error
@@ -181,18 +154,9 @@ class Plan:
     def bundle(self, experiment: Experiment) -> Bundle:
         """Files of an experiment's robot."""
         key = (experiment.robot, experiment.overrides)
-        if key not in self._bundles:
-            self._bundles[key] = Bundle.of(*key)
-        return self._bundles[key]
-
-    @property
-    def bundles(self) -> tuple[Bundle, ...]:
-        """Files of the robots met so far."""
-        return tuple(self._bundles.values())
-
-    @cached_property
-    def _bundles(self) -> dict[Any, Bundle]:
-        return {}
+        if key not in self.bundles:
+            self.bundles[key] = Bundle.of(*key)
+        return self.bundles[key]
 
     @cached_property
     def _base_digest(self) -> str:
@@ -215,10 +179,9 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
     table, base = changed_base(study)
     known = {key: value for key, value in table.items() if key not in COSMETIC}
     for name, factor in settings.factors.items():
-        for i, path in enumerate(factor.keys or (name,)):
-            key = f"factors.{name}.keys.{i}" if factor.keys else f"factors.{name}"
-            with study.placing():
-                require_path(known, path, key)
+        for i, path in enumerate(factor.paths(name)):
+            with placing(study.path):
+                require_path(known, path, f"factors.{name}.keys.{i}" if factor.keys else f"factors.{name}")
     method, seed = settings.sampling.method, settings.sampling.seed if sampling_seed is None else sampling_seed
     count = settings.sampling.points if points is None or not settings.sampling.points else points
     plan = Plan(
@@ -241,14 +204,12 @@ def points_of(factors: dict[str, Factor], method: str, count: int, seed: int) ->
     """Values of all factors at all points: every draw with every cell of the grid."""
     drawn = [name for name, factor in factors.items() if factor.drawn]
     grid = [name for name in factors if name not in drawn]
-    cells = list(itertools.product(*(factors[name].grid or () for name in grid)))
     draws = unit_cube(method, max(count, 1), len(drawn), seed) if drawn else np.zeros((1, 0))
     points = []
-    for draw in draws:
+    for draw, cell in itertools.product(draws, list(itertools.product(*(factors[name].grid or () for name in grid)))):
         values = {name: factors[name].value(float(u)) for name, u in zip(drawn, draw, strict=True)}
-        for cell in cells:
-            both = values | dict(zip(grid, cell, strict=True))
-            points.append({name: both[name] for name in factors})
+        values |= zip(grid, cell, strict=True)
+        points.append({name: values[name] for name in factors})
     return tuple(points)
 
 
@@ -265,7 +226,7 @@ def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
     expand_masses(table, [*(path for path, _ in flat(study.settings.set)), *paths_of(study.settings.factors)], study)
     known = {key: value for key, value in table.items() if key not in COSMETIC}
     for path, value in flat(study.settings.set):
-        with study.placing():
+        with placing(study.path):
             require_path(known, path, f"set.{path}")
             changed(table, path, value)
     try:
@@ -277,8 +238,8 @@ def changed_base(study: StudyFile) -> tuple[dict[str, Any], Experiment]:
 
 def parts_of(error: InputError | msgspec.ValidationError, table: dict[str, Any]) -> tuple[str, str, str, str]:
     """What, why, fix and key of an error about an experiment."""
-    found = error if isinstance(error, InputError) else config_error(error, None, table)
-    return found.what, found.why, found.fix, found.key or ""
+    ours = error if isinstance(error, InputError) else config_error(error, None, table)
+    return ours.what, ours.why, ours.fix, ours.key or ""
 
 
 def expand_masses(table: dict[str, Any], paths: list[str], study: StudyFile) -> None:
@@ -295,7 +256,7 @@ def expand_masses(table: dict[str, Any], paths: list[str], study: StudyFile) -> 
 
 def paths_of(factors: dict[str, Factor]) -> list[str]:
     """Key paths that factors change."""
-    return [path for name, factor in factors.items() for path in factor.keys or (name,)]
+    return [path for name, factor in factors.items() for path in factor.paths(name)]
 
 
 def short(value: Any) -> str:

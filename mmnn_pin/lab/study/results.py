@@ -71,7 +71,7 @@ class Results:
     @property
     def factors(self) -> dict[str, Factor]:
         """Factors that a user can do something about: all but the seed."""
-        return {n: f for n, f in self.settings.factors.items() if (f.keys or (n,)) != ("seed",)}
+        return {n: f for n, f in self.settings.factors.items() if f.paths(n) != ("seed",)}
 
     def outcomes(self, controller: str) -> Counter[str]:
         """How many runs ended how."""
@@ -83,12 +83,9 @@ class Results:
 
     def succeeded(self, controller: str) -> NDArray[np.bool_]:
         """Which runs of a controller are a success, (n,)."""
-        bounds = self.settings.success.at_most
-
-        def is_good(row: Stored) -> bool:
-            return row.completed and all(value_of(row.metrics, name) <= bound for name, bound in bounds.items())
-
-        return np.array([is_good(row) for row in self.of[controller]], dtype=bool)
+        bounds = self.settings.success.at_most.items()
+        good = (row.completed and all(value_of(row.metrics, n) <= b for n, b in bounds) for row in self.of[controller])
+        return np.fromiter(good, bool)
 
     def values(self, controller: str, factor: str) -> list[Any]:
         """Value of a factor in every run of a controller."""
@@ -103,7 +100,8 @@ class Results:
 
     def unit(self, pattern: str) -> str:
         """Unit of a metric; empty for a pure number, or where a pattern mixes them."""
-        return common_unit(self.units, pattern)
+        units = {unit for name, unit in self.units.items() if fnmatchcase(name, pattern)}
+        return units.pop() if len(units) == 1 else ""
 
 
 def worth(status: str, metrics: Mapping[str, float], pattern: str) -> float:
@@ -177,16 +175,6 @@ def unit_of(name: str, slides: set[str]) -> str:
     """
     signal, _, rest = name.partition(".")
     label = rest.rpartition(".")[0]
-    if signal == "pose_error":
-        return "rad" if label == "phi" else "m"
-    if signal == "z":
-        return "rad/s" if label == "w" else "m/s"
-    if signal == "e":
-        return "m" if label in slides else "rad"
-    return {"effort": "N^2 m^2 s", "slip": "m/s", "constraint_residual": "m/s", "energy_residual": "J"}.get(signal, "")
-
-
-def common_unit(units: Mapping[str, str], pattern: str) -> str:
-    """Unit of all metrics that a pattern names; empty where they have several."""
-    found = {unit for name, unit in units.items() if fnmatchcase(name, pattern)}
-    return found.pop() if len(found) == 1 else ""
+    units = {"effort": "N^2 m^2 s", "slip": "m/s", "constraint_residual": "m/s", "energy_residual": "J"}
+    units |= {"pose_error": "rad" if label == "phi" else "m", "z": "rad/s" if label == "w" else "m/s"}
+    return (units | {"e": "m" if label in slides else "rad"}).get(signal, "")

@@ -137,8 +137,18 @@ class StudySettings(Settings, frozen=True):
     tune: Tune | None = None
 
     def __post_init__(self) -> None:
-        self._require_controllers()
-        self._require_seeds()
+        if self.controllers == ():
+            fix = f"choose from: {', '.join(CONTROLLERS)}"
+            raise ConfigError("no controllers, so no runs", fix=fix, key="controllers")
+        if len(set(self.controllers or ())) < len(self.controllers or ()):
+            raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
+        count = self.seeds if isinstance(self.seeds, int) else len(self.seeds)
+        if count < 1:
+            raise ConfigError("no seeds, so no runs", fix="give at least one", key="seeds")
+        if isinstance(self.seeds, tuple) and len(set(self.seeds)) < count:
+            raise ConfigError("a seed appears twice", fix="name each once", key="seeds")
+        if self.seeds != 1 and any("seed" in factor.paths(name) for name, factor in self.factors.items()):
+            raise ConfigError("the seed is a factor, too", fix="leave one of them out", key="seeds")
         drawn = [name for name, factor in self.factors.items() if factor.drawn]
         if drawn and not self.sampling.points:
             what = "no points, so no runs"
@@ -147,26 +157,6 @@ class StudySettings(Settings, frozen=True):
             what = f"{self.sampling.points} points of nothing"
             fix = "leave them out, or give a factor a distribution"
             raise ConfigError(what, why="no factor is drawn", fix=fix, key="sampling.points")
-
-    def _require_controllers(self) -> None:
-        if self.controllers is None:
-            return
-        if not self.controllers:
-            fix = f"choose from: {', '.join(CONTROLLERS)}"
-            raise ConfigError("no controllers, so no runs", fix=fix, key="controllers")
-        if len(set(self.controllers)) < len(self.controllers):
-            raise ConfigError("a controller appears twice", fix="name each once", key="controllers")
-
-    def _require_seeds(self) -> None:
-        count = self.seeds if isinstance(self.seeds, int) else len(self.seeds)
-        if count < 1:
-            raise ConfigError("no seeds, so no runs", fix="give at least one", key="seeds")
-        if isinstance(self.seeds, tuple) and len(set(self.seeds)) < count:
-            raise ConfigError("a seed appears twice", fix="name each once", key="seeds")
-        for keys in ((factor.keys or (name,)) for name, factor in self.factors.items()):
-            if "seed" in keys and self.seeds != 1:
-                fix = "leave one of them out"
-                raise ConfigError("the seed is a factor, too", fix=fix, key="seeds")
 
 
 PARTS: dict[str, type[Settings]] = {"sampling": Sampling, "success": Success, "tune": Tune}
@@ -196,14 +186,6 @@ class StudyFile:
         """An error about a key of this study, with file and line."""
         return placed(error, self.path)
 
-    @contextmanager
-    def placing(self) -> Iterator[None]:
-        """Errors within are about keys of this study."""
-        try:
-            yield
-        except InputError as error:
-            raise self.placed(error) from None
-
 
 def load_study(path: str | Path, overrides: Iterable[str] = ()) -> StudyFile:
     """Study of a TOML file.
@@ -220,13 +202,11 @@ def load_study(path: str | Path, overrides: Iterable[str] = ()) -> StudyFile:
     if not path.is_file():
         raise ConfigError("no such file", fix="name the TOML file of a study", file=path)
     table = read_toml(path)
-    try:
+    with placing(path):
         for text in overrides:
             override(table, text)
         settings = settings_of(table)
-    except InputError as error:
-        raise placed(error, path) from None
-    return StudyFile(settings, base_of(settings, path), path)
+        return StudyFile(settings, base_of(settings, path), path)
 
 
 def settings_of(table: dict[str, Any]) -> StudySettings:
@@ -235,16 +215,18 @@ def settings_of(table: dict[str, Any]) -> StudySettings:
     Raises:
         InputError: With the key path, without the file.
     """
-    factors = table.get("factors", {})
     tune = table.get("tune", {})
-    gains = tune.get("gains", {}) if isinstance(tune, dict) else {}
-    for prefix, group in (("factors", factors), ("tune.gains", gains)):
-        for name, factor in group.items() if isinstance(group, dict) else ():
-            if isinstance(factor, dict):
-                part(factor, Factor, f"{prefix}.{name}")
-    for name, kind in PARTS.items():
-        if isinstance(table.get(name), dict):
-            part(table[name], kind, name)
+    groups = {
+        "factors": table.get("factors", {}),
+        "tune.gains": tune.get("gains", {}) if isinstance(tune, dict) else {},
+    }
+    parts: list[tuple[str, Any, type[Settings]]] = []
+    for prefix, group in groups.items():
+        parts += [(f"{prefix}.{n}", factor, Factor) for n, factor in (group.items() if isinstance(group, dict) else ())]
+    parts += [(name, table.get(name), kind) for name, kind in PARTS.items()]  # after the factors in them
+    for prefix, content, kind in parts:
+        if isinstance(content, dict):
+            part(content, kind, prefix)
     return part(table, StudySettings, "")
 
 
@@ -279,6 +261,15 @@ def placed(error: InputError, path: Path) -> InputError:
     return error
 
 
+@contextmanager
+def placing(path: Path) -> Iterator[None]:
+    """Errors within are about keys of a study's file."""
+    try:
+        yield
+    except InputError as error:
+        raise placed(error, path) from None
+
+
 def base_of(settings: StudySettings, path: Path) -> Experiment:
     """The experiment that a study varies, with the study's controllers: bundled, or a file in the study's folder.
 
@@ -290,14 +281,11 @@ def base_of(settings: StudySettings, path: Path) -> Experiment:
         beside = path.parent / settings.experiment
         if not beside.is_file():
             fix = f"name a file from the study's folder, or one of: {', '.join(bundled())}"
-            raise placed(ConfigError(f"no experiment '{settings.experiment}'", fix=fix, key="experiment"), path)
+            raise ConfigError(f"no experiment '{settings.experiment}'", fix=fix, key="experiment")
         name = beside
-    found = load_experiment(name, (), settings.variant)
-    try:
-        if settings.controllers is not None:
-            found = msgspec.structs.replace(found, controllers=settings.controllers)
-        if settings.tune is not None and settings.tune.controller not in (there := {**CONTROLLERS, **found.laws}):
-            raise UnknownName("controller", settings.tune.controller, there, key="tune.controller")
-    except InputError as error:
-        raise placed(error, path) from None
-    return found
+    experiment = load_experiment(name, (), settings.variant)
+    if settings.controllers is not None:
+        experiment = msgspec.structs.replace(experiment, controllers=settings.controllers)
+    if settings.tune is not None and settings.tune.controller not in (there := {**CONTROLLERS, **experiment.laws}):
+        raise UnknownName("controller", settings.tune.controller, there, key="tune.controller")
+    return experiment

@@ -15,7 +15,7 @@ import socket
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -25,43 +25,35 @@ from .worker import JobResult
 
 FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
 NAME = "study.sqlite"
-SCHEMA = """
+SCHEMA = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE rows (
     id INTEGER PRIMARY KEY, fingerprint TEXT NOT NULL, point INTEGER NOT NULL, controller TEXT NOT NULL,
     seed INTEGER NOT NULL, parameters TEXT NOT NULL, status TEXT NOT NULL, time REAL NOT NULL, signal TEXT NOT NULL,
     message TEXT NOT NULL, metrics TEXT NOT NULL, seconds REAL NOT NULL, host TEXT NOT NULL, finished TEXT NOT NULL
 );
+INSERT INTO meta VALUES ('format', '"{FORMAT}"'), ('format_version', '{FORMAT_VERSION}');
 """
-COLUMNS = (
-    *("id", "fingerprint", "point", "controller", "seed", "parameters", "status", "time", "signal", "message"),
-    *("metrics", "seconds", "host", "finished"),
-)
 
 
-@dataclass(frozen=True)
-class Stored:
-    """A row of the database; see `plan.Row` and `worker.Done`."""
+@dataclass(frozen=True, kw_only=True)
+class Stored(JobResult):
+    """A row of the database: the result of a run, and of which run; see `worker.Row`."""
 
-    id: int
     fingerprint: str
     point: int
     controller: str
     seed: int
     parameters: dict[str, Any]
-    status: str
-    time: float
-    signal: str
-    message: str
-    metrics: dict[str, float]
-    seconds: float
-    host: str
     finished: str
 
     @property
     def completed(self) -> bool:
         """Whether the run reached its end."""
         return self.status == "completed"
+
+
+COLUMNS = ", ".join(field.name for field in fields(Stored))
 
 
 class Store:
@@ -77,32 +69,32 @@ class Store:
 
     def meta(self) -> dict[str, Any]:
         """Facts about the study: format, versions, settings, experiment."""
-        with self._guarded("read"):
+        with sqlite_errors(self.path, "read"):
             found = self._db.execute("SELECT key, value FROM meta").fetchall()
         return {key: json.loads(value) for key, value in found}
 
     def set_meta(self, facts: Mapping[str, Any]) -> None:
         """Write facts, all or none."""
         texts = [(key, json.dumps(value)) for key, value in facts.items()]
-        with self._guarded("write"), self._db:
+        with sqlite_errors(self.path, "write"), self._db:
             self._db.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", texts)
 
     def fingerprints(self) -> dict[str, tuple[int, str]]:
         """Fingerprint of every row to its number and status."""
-        with self._guarded("read"):
+        with sqlite_errors(self.path, "read"):
             found = self._db.execute("SELECT fingerprint, id, status FROM rows").fetchall()
         return {fingerprint: (number, status) for fingerprint, number, status in found}
 
     def rows(self) -> list[Stored]:
         """All rows in order."""
-        with self._guarded("read"):
-            found = self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM rows ORDER BY id").fetchall()
+        with sqlite_errors(self.path, "read"):
+            found = self._db.execute(f"SELECT {COLUMNS} FROM rows ORDER BY id").fetchall()
         return [stored(row) for row in found]
 
     def row(self, number: int) -> Stored | None:
         """One row; None if it is not there."""
-        with self._guarded("read"):
-            found = self._db.execute(f"SELECT {', '.join(COLUMNS)} FROM rows WHERE id = ?", (number,)).fetchone()
+        with sqlite_errors(self.path, "read"):
+            found = self._db.execute(f"SELECT {COLUMNS} FROM rows WHERE id = ?", (number,)).fetchone()
         return None if found is None else stored(found)
 
     def add(self, fingerprint: str, point: int, controller: str, seed: int, parameters: Any, done: JobResult) -> None:
@@ -111,14 +103,12 @@ class Store:
         Raises:
             StudyError: It cannot be written, for example on a full disk.
         """
-        values = (
-            *(done.id, fingerprint, point, controller, seed, json.dumps(parameters), done.status, done.time),
-            *(done.signal, done.message, encoded(done.metrics), done.seconds, done.host),
-            datetime.now(UTC).isoformat(timespec="seconds"),
-        )
-        marks = ", ".join("?" * len(values))
-        with self._guarded("write"), self._db:
-            self._db.execute(f"INSERT OR REPLACE INTO rows VALUES ({marks})", values)
+        values = vars(done) | {"metrics": encoded(done.metrics), "parameters": json.dumps(parameters)}
+        values |= {"fingerprint": fingerprint, "point": point, "controller": controller, "seed": seed}
+        values["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
+        marks = ", ".join(f":{name}" for name in values)
+        with sqlite_errors(self.path, "write"), self._db:
+            self._db.execute(f"INSERT OR REPLACE INTO rows ({', '.join(values)}) VALUES ({marks})", values)
 
     def renumber(self, numbers: Mapping[str, int]) -> None:
         """Give rows the numbers that they have in another plan, and drop those that are not in it.
@@ -127,7 +117,7 @@ class Store:
             numbers: Fingerprint to number.
         """
         kept = [(row, numbers[row.fingerprint]) for row in self.rows() if row.fingerprint in numbers]
-        with self._guarded("write"), self._db:
+        with sqlite_errors(self.path, "write"), self._db:
             self._db.execute("UPDATE rows SET id = -1 - id")
             for row, number in kept:
                 self._db.execute("UPDATE rows SET id = ? WHERE id = ?", (number, -1 - row.id))
@@ -137,11 +127,6 @@ class Store:
         """Close it, its log merged into it."""
         with contextlib.suppress(sqlite3.Error):
             self._db.close()
-
-    @contextmanager
-    def _guarded(self, verb: str) -> Iterator[None]:
-        with sqlite_errors(self.path, verb):
-            yield
 
 
 @contextmanager
@@ -156,8 +141,9 @@ def writing(path: Path) -> Iterator[Store]:
         store = Store(path, connect(path, "rwc"))
         try:
             with sqlite_errors(path, "write"):
-                if is_new:
-                    create(store._db)
+                if is_new:  # its tables, all or none
+                    store._db.execute("PRAGMA journal_mode = WAL")
+                    store._db.executescript(f"BEGIN;{SCHEMA}COMMIT;")
             require_ours(store)
             yield store
         finally:
@@ -185,16 +171,6 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     """A connection to a file."""
     with sqlite_errors(path, "open"):
         return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=30.0)
-
-
-def create(db: sqlite3.Connection) -> None:
-    """Make the tables of an empty database, all or none."""
-    db.execute("PRAGMA journal_mode = WAL")
-    facts = {"format": FORMAT, "format_version": FORMAT_VERSION}
-    db.executescript(
-        "BEGIN;" + SCHEMA + "".join(f"INSERT INTO meta VALUES ('{k}', '{json.dumps(v)}');" for k, v in facts.items())
-        + "COMMIT;"
-    )  # fmt: skip
 
 
 def require_ours(store: Store) -> None:
@@ -261,17 +237,13 @@ def sqlite_errors(path: Path, verb: str) -> Iterator[None]:
 
 def encoded(metrics: Mapping[str, float]) -> str:
     """Metrics as JSON that every reader of JSON takes: null for nan, 1e999 for inf; finite numbers keep their bits."""
-    parts = []
-    for name, value in metrics.items():
-        number = "null" if math.isnan(value) else repr(float(value)).replace("inf", "1e999")
-        parts.append(f"{json.dumps(name)}: {number}")
-    return "{" + ", ".join(parts) + "}"
+    texts = {k: "null" if math.isnan(v) else repr(float(v)).replace("inf", "1e999") for k, v in metrics.items()}
+    return "{" + ", ".join(f"{json.dumps(name)}: {text}" for name, text in texts.items()) + "}"
 
 
 def stored(row: tuple[Any, ...]) -> Stored:
     """A row of SQL as ours."""
-    fields = dict(zip(COLUMNS, row, strict=True))
-    fields["parameters"] = json.loads(fields["parameters"])
-    metrics = json.loads(fields["metrics"])
-    fields["metrics"] = {name: math.nan if value is None else float(value) for name, value in metrics.items()}
-    return Stored(**fields)
+    values = dict(zip(COLUMNS.split(", "), row, strict=True))
+    metrics = json.loads(values["metrics"])
+    values["metrics"] = {name: math.nan if value is None else float(value) for name, value in metrics.items()}
+    return Stored(**values | {"parameters": json.loads(values["parameters"])})

@@ -1,32 +1,203 @@
-"""Looks for gains with Optuna; every trial is stored, so that the search goes on where it was stopped."""
+"""Looks for gains with Optuna; every trial is stored, so that the search goes on where it was stopped.
+
+What tuning makes small is a quantile of a metric over all of a study's draws, for one set of gains. Gains must satisfy
+constraints before runs are made with them. A constraint takes the loop of a run and raises `ConfigError` where its
+gains break it.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
+import shlex
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from ... import __version__
-from ...errors import ConfigError, StudyError
+from ...actuator import Actuator
+from ...errors import ConfigError, MmnnError, StudyError
+from ...loop.loop import Loop
+from ...sensing import Sensor
+from ...signals import Array
+from ...torque.neural import Neural
 from ..experiments.config import value_at
-from .execution import Pool
+from ..proof.rate import rate_of
+from ..proof.subject import Subject
+from .execution import execute
 from .factors import Factor
-from .keys import require_path
-from .objective import Score, Scorer, settings_of
-from .plan import changed_base
-from .settings import StudyFile, Tune
+from .keys import require_path, times
+from .plan import Plan, changed_base, plan_of
+from .pools import Pool
+from .results import worth
+from .settings import StudyFile, Tune, placing
 from .store import locked
+from .verdict import Interval, quantile
+from .worker import loop_of, optional
 
 NAME = "tune.sqlite"
 FRESH = 7919  # added to the seed of the draws for those that judge the result
+LOST = 1e12  # value of gains with which too many runs did not complete, times 1 + the share of those
+REFUSED = 1e15  # value of gains that break a constraint, times 1 + the share of runs that do
+LOOK = 1.0  # of a run, to see where the weights go before the learning rates are judged [s]
+
+
+@dataclass(frozen=True)
+class Score:
+    """What a set of gains is worth.
+
+    Attributes:
+        metric: (n,) the metric of every run, inf where it did not complete.
+        quantile: Which quantile counts.
+        refused: Share of runs on which the gains break a constraint; nothing was run then.
+        complaint: One of these complaints.
+    """
+
+    metric: Array
+    quantile: float
+    refused: float = 0.0
+    complaint: str = ""
+
+    @property
+    def interval(self) -> Interval:
+        """The quantile with its confidence interval."""
+        return quantile(self.metric, self.quantile)
+
+    @property
+    def lost(self) -> float:
+        """Share of runs that did not complete."""
+        return float(np.mean(~np.isfinite(self.metric))) if len(self.metric) else 0.0
+
+    @property
+    def value(self) -> float:
+        """The quantile as a number that an optimiser can take: finite, and worse the more runs are lost."""
+        if self.refused:
+            return REFUSED * (1.0 + self.refused)
+        found = self.interval.value
+        return found if math.isfinite(found) else LOST * (1.0 + self.lost)
+
+
+@dataclass
+class Scorer:
+    """Tries gains on a study's draws.
+
+    Args:
+        study: The study.
+        tune: What to look for.
+        pool: Makes the runs.
+        points: Number of draws; None for the study's.
+        sampling_seed: Of the draws; None for the study's.
+    """
+
+    study: StudyFile
+    tune: Tune
+    pool: Pool
+    points: int | None = None
+    sampling_seed: int | None = None
+
+    def __post_init__(self) -> None:
+        self.handed: dict[str, Any] = {}
+
+    def score(self, gains: Mapping[str, Any]) -> Score:
+        """Run all draws with a set of gains.
+
+        Raises:
+            MmnnError: The pool is lost, or a run failed for a fault.
+        """
+        plan = self.plan(gains)
+        complaints = list(violations(plan))
+        if complaints:
+            share = len(complaints) / len(judged(plan))
+            return Score(np.zeros(0), self.tune.quantile, share, complaints[0])
+        metric = np.full(len(plan), math.inf)
+        for row, done in execute(self.pool, plan, map(plan.row, range(len(plan))), self.handed):
+            if done.status == "failed":
+                raise MmnnError(f"a run failed: {done.message}")
+            metric[row.id] = worth(done.status, done.metrics, self.tune.objective)
+        self.pool = replace(self.pool, first_alone=False)
+        return Score(metric, self.tune.quantile)
+
+    def plan(self, gains: Mapping[str, Any]) -> Plan:
+        """The runs of one set of gains."""
+        settings = msgspec.structs.replace(
+            self.study.settings,
+            controllers=(self.tune.controller,),
+            tune=None,
+            set=self.study.settings.set | dict(gains),
+        )
+        study = replace(self.study, settings=settings)
+        return plan_of(study, sampling_seed=self.sampling_seed, points=self.points)
+
+
+def settings_of(drawn: Mapping[str, Any], gains: Mapping[str, Factor], table: Mapping[str, Any]) -> dict[str, Any]:
+    """Key path to value of a set of gains.
+
+    Args:
+        drawn: Name of a gain to its number.
+        gains: Name of a gain to what it changes.
+        table: The experiment, for gains that multiply what it has.
+    """
+    paths = [(path, name) for name in drawn for path in gains[name].paths(name)]
+    return {p: times(value_at(table, p), drawn[n]) if gains[n].relative else drawn[n] for p, n in paths}
+
+
+def stable_when_sampled(loop: Loop) -> None:
+    """The PD loop alone is stable at the control period, on the true robot; see `loop/before_run.py`."""
+    replace(loop, check_gains=True).require_stable_gains()
+
+
+def learns_slowly_enough(loop: Loop) -> None:
+    """The loop with its network, linearised, does not grow at the first second's weights; see `lab/proof/rate.py`.
+
+    Sensors, motors and the world are left out: this is about rates, sample time and gains.
+    """
+    controller = loop.controller
+    if not isinstance(controller, Neural) or not controller.learning:
+        return
+    h, timing = loop.timing.control_period, loop.timing
+    short = msgspec.structs.replace(timing, duration=h * max(2, round(min(LOOK, timing.duration) / h)))
+    ideal = replace(loop, timing=short, plant="ideal", sensor=Sensor(), actuator=Actuator(), safety=None)
+    recording = replace(ideal, disturbances=(), check_gains=False).run()
+    if recording.outcome.status != "completed":
+        return  # its runs will show it
+    rate = rate_of(Subject.of(recording))
+    if not rate.stable:
+        ratio = 1.0 / rate.limit.min()
+        what = f"learning at {ratio:.3g} times its largest rate" if ratio > 1 else "the leakage turns the weights over"
+        raise ConfigError(what, why=f"spectral radius {rate.radius.max():.4g}", fix="lower F, G or beta")
+
+
+# Constraints, and on how many runs of a study, evenly spread, each is judged.
+CONSTRAINTS: tuple[tuple[Callable[[Loop], None], int], ...] = ((stable_when_sampled, 64), (learns_slowly_enough, 4))
+
+
+def violations(plan: Plan) -> Iterator[str]:
+    """Complaints about the gains of a study, one per run that breaks a constraint."""
+    refused: set[int] = set()
+    for constraint, most in CONSTRAINTS:
+        for number in judged(plan, most):
+            try:
+                if number not in refused:
+                    constraint(loop_of(plan.row(number)))
+            except ConfigError as error:
+                refused.add(number)
+                yield f"row {number}: {error.what}"
+
+
+def judged(plan: Plan, most: int = CONSTRAINTS[0][1]) -> list[int]:
+    """Runs on which gains are judged."""
+    return sorted({int(i) for i in np.linspace(0, len(plan) - 1, min(most, len(plan)))})
+
+
+# -- the search --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -51,9 +222,46 @@ class Tuned:
     value: float
     fresh: tuple[Score, Score] | None
 
+    def describe(self) -> str:
+        """The result for people."""
+        t = self.tune
+        lines = [
+            f"{t.controller}: {self.trials} trials, {self.refused} of them refused by a constraint",
+            f"quantile {t.quantile:g} of {t.objective} over the study's draws: {value_words(self.value)}"
+            f" (the experiment's own gains: {value_words(self.own)})",
+        ]
+        if self.fresh is not None:
+            lines.append(f"on {len(self.fresh[1].metric) or t.check} runs with fresh draws:")
+            for name, score in zip(("own gains", "best gains"), self.fresh, strict=True):
+                span = "" if score.refused else f" [{score.interval.low:.4g}, {score.interval.high:.4g}]"
+                lines.append(
+                    f"  {name}: {value_words(score.value)}{span}, {100 * score.lost:.1f} % of runs not completed"
+                )
+        settings = (shlex.quote(f"{path}={json.dumps(value)}") for path, value in self.best.items())
+        return "\n".join([*lines, "best gains:", *(f"  --set {setting}" for setting in settings)])
 
-def tuned_part(study: StudyFile) -> Tune:
-    """What a study says about tuning, its keys judged.
+    def to_dict(self) -> dict[str, Any]:
+        """The result for JSON."""
+        fresh = self.fresh and {
+            name: {"quantile": score.interval.to_dict(), "lost": score.lost, "refused": score.refused}
+            for name, score in zip(("own", "best"), self.fresh, strict=True)
+        }
+        about = {"controller": self.tune.controller, "objective": self.tune.objective, "quantile": self.tune.quantile}
+        counts = {"trials": self.trials, "refused": self.refused, "own": self.own}
+        return about | counts | {"best": self.value, "gains": self.best, "fresh": fresh}
+
+
+def value_words(value: float | None) -> str:
+    """A value in words: also that too many runs were lost, or that the gains are refused."""
+    if value is None:
+        return "outside the bounds"
+    if value >= REFUSED:
+        return "refused by a constraint"
+    return f"{100 * (value / LOST - 1):.0f} % of runs not completed" if value >= LOST else f"{value:.4g}"
+
+
+def tuned_part(study: StudyFile) -> tuple[Tune, dict[str, Any]]:
+    """What a study states about tuning, its keys judged, and its experiment as a table.
 
     Raises:
         InputError: It says nothing, or names a gain that does not exist; with the line.
@@ -63,16 +271,16 @@ def tuned_part(study: StudyFile) -> Tune:
         fix = "add [tune] and [tune.gains], see docs/studies.md"
         raise study.placed(ConfigError("nothing to tune", fix=fix, key="tune"))
     table, _ = changed_base(study)
-    with study.placing():
+    with placing(study.path):
         for name, gain in tune.gains.items():
-            for path in gain.keys or (name,):
+            for path in gain.paths(name):
                 require_path(table, path, f"tune.gains.{name}")
             try:
                 settings_of({name: gain.value(0.5)}, tune.gains, table)
             except ConfigError as error:
                 error.key = f"tune.gains.{name}"
                 raise
-    return tune
+    return tune, table
 
 
 def search(
@@ -96,14 +304,12 @@ def search(
         StudyError: Optuna is not installed, another process searches, or the trials are of other settings.
         MmnnError: The pool is lost.
     """
-    optuna, tune = imported(), tuned_part(study)
-    scorer = Scorer(study, tune, pool)
+    optuna, (tune, table) = imported(), tuned_part(study)
+    scorer, own = Scorer(study, tune, pool), own_gains(tune.gains, table)
     with locked(folder / NAME), opened(optuna, study, folder / NAME, force) as trials:
-        table, _ = changed_base(study)
         for trial in trials.get_trials(states=(optuna.trial.TrialState.RUNNING,)):  # of a process that was killed
             trials.tell(trial.number, state=optuna.trial.TrialState.FAIL)
         while (done := len(finished(optuna, trials))) < tune.trials:
-            own = own_gains(tune.gains, table)
             if not done and own is not None:
                 trials.enqueue_trial(own)
             trials.sampler = sampler(optuna, tune, done)
@@ -132,13 +338,12 @@ def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:
     Raises:
         StudyError: There are no trials.
     """
-    optuna, tune = imported(), tuned_part(study)
+    optuna, (tune, table) = imported(), tuned_part(study)
     with opened(optuna, study, folder / NAME, False) as trials:
         done = finished(optuna, trials)
         if not done:
             raise StudyError("no trial has finished", file=folder / NAME)
         best = min(done, key=lambda trial: trial.value)
-    table, _ = changed_base(study)
     gains = settings_of(best.params, tune.gains, table)
     own = next((trial.value for trial in done if trial.user_attrs.get("own")), None)
     fresh = None
@@ -158,11 +363,8 @@ def finished(optuna: ModuleType, trials: Any) -> list[Any]:
 def sampler(optuna: ModuleType, tune: Tune, done: int) -> Any:
     """A sampler whose next draw depends on the trials so far and on nothing else, so that a search can be resumed."""
     seed = (tune.seed + done) % 2**32
-    if tune.sampler == "tpe":
-        return optuna.samplers.TPESampler(seed=seed, multivariate=True)
-    if tune.sampler == "cmaes":
-        return optuna.samplers.CmaEsSampler(seed=seed)
-    return optuna.samplers.RandomSampler(seed=seed)
+    kind = {"tpe": "TPESampler", "cmaes": "CmaEsSampler", "random": "RandomSampler"}[tune.sampler]
+    return getattr(optuna.samplers, kind)(seed=seed, **({"multivariate": True} if tune.sampler == "tpe" else {}))
 
 
 def suggested(trial: Any, name: str, gain: Factor) -> Any:
@@ -177,18 +379,13 @@ def suggested(trial: Any, name: str, gain: Factor) -> Any:
 
 def own_gains(gains: dict[str, Factor], table: dict[str, Any]) -> dict[str, Any] | None:
     """The experiment's own gains as a trial; None where one is outside its bounds or no single number."""
-    found = {}
+    trial = {name: 1.0 if gain.relative else value_at(table, gain.paths(name)[0]) for name, gain in gains.items()}
     for name, gain in gains.items():
-        old = 1.0 if gain.relative else value_at(table, (gain.keys or (name,))[0])
-        if gain.choice is not None:
-            inside = old in gain.choice
-        else:
-            lower, upper = gain.uniform or gain.log_uniform or gain.integer or (0.0, 0.0)
-            inside = isinstance(old, (int, float)) and lower <= old <= upper
-        if not inside:
+        lower, upper = gain.uniform or gain.log_uniform or gain.integer or (0.0, 0.0)
+        within = isinstance(trial[name], (int, float)) and lower <= trial[name] <= upper
+        if not (within if gain.choice is None else trial[name] in gain.choice):
             return None
-        found[name] = old
-    return found
+    return trial
 
 
 @contextmanager
@@ -226,7 +423,7 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
 
 
 def fingerprint(study: StudyFile) -> str:
-    """What decides the values of trials, as a text: the study without the number of trials and what is only shown."""
+    """Hash of what decides the values of trials: the study without the number of trials and what is only shown."""
     settings = msgspec.to_builtins(study.settings)
     kept = {k: v for k, v in settings.items() if k not in ("title", "metrics", "success", "controllers")}
     kept["tune"] = {k: v for k, v in kept["tune"].items() if k not in ("trials", "check")}
@@ -235,15 +432,5 @@ def fingerprint(study: StudyFile) -> str:
 
 
 def imported() -> ModuleType:
-    """The module `optuna`.
-
-    Raises:
-        StudyError: It is not installed.
-    """
-    try:
-        import cmaes  # noqa: F401
-        import optuna
-    except ModuleNotFoundError as error:
-        fix = "pip install 'mmnn_pin[tune]'"
-        raise StudyError("cannot tune without Optuna", why=f"no {error.name}", fix=fix) from None
-    return optuna
+    """The module `optuna`; errors as in `optional`."""
+    return optional("cannot tune without Optuna", "tune", "optuna", "cmaes")

@@ -1,6 +1,6 @@
 """One run of a study, made wherever it is sent: in a thread, in a process, on another machine.
 
-A `Job` goes out and a `JobResult` comes back. The robot's files travel beside it as a `Bundle`: the URDF, its meshes,
+A `Row` goes out and a `JobResult` comes back. The robot's files travel beside it as a `Bundle`: the URDF, its meshes,
 and what is declared about it. On the other side the meshes lie beside the URDF under names of their own, so that no
 folder of the first machine needs to exist there.
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import atexit
 import copy
 import hashlib
+import importlib
 import importlib.util
 import shutil
 import socket
@@ -20,6 +21,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, lru_cache
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import msgspec
 from lxml import etree
@@ -44,19 +47,29 @@ STOP = threading.Event()  # set in a process whose runs are to end
 
 
 @dataclass(frozen=True)
-class Job:
-    """What a worker gets of a run.
+class Row:
+    """One run of a study, as a worker gets it.
 
     Attributes:
-        id: The row's number.
-        experiment: Its experiment, of one controller.
+        id: Its number, from 0.
+        point: Number of its point of the factors.
+        controller: Its controller.
+        seed: Its seed.
+        parameters: Factor to its value.
+        experiment: The experiment, of this controller alone.
         nominal: The experiment whose robot the controller is made for; None for the true one.
+        fingerprint: Hash of all that decides its numbers, but for the software.
         code: Digest of the sources that made the study.
     """
 
     id: int
+    point: int
+    controller: str
+    seed: int
+    parameters: dict[str, Any]
     experiment: Experiment
     nominal: Experiment | None
+    fingerprint: str
     code: str
 
 
@@ -85,62 +98,57 @@ class JobResult:
     host: str = ""
 
 
-def run(job: Job, bundle: Bundle | None = None, stop: Callable[[], bool] | None = None) -> JobResult:
+def run(row: Row, bundle: Bundle | None = None, stop: Callable[[], bool] | None = None) -> JobResult:
     """Make a run; whatever is wrong with it is part of the result.
 
     Args:
-        job: The run.
+        row: The run.
         bundle: Files of its robot; None where they are on this machine.
         stop: Asked now and then; true ends the run as interrupted.
 
     Raises:
         StudyError: This worker has other sources, or lacks a package that the run needs.
     """
-    require_worker(job)
+    require_worker(row)
     start = time.perf_counter()
     host = socket.gethostname()
     stop = stop or STOP.is_set
     try:
-        found = simulate(loop_of(job, bundle, stop), None, job.experiment.windows, False, stop)
+        result = simulate(loop_of(row, bundle, stop), None, row.experiment.windows, False, stop)
     except Exception as error:
         if stop():
-            return JobResult(job.id, "interrupted", host=host)
+            return JobResult(row.id, "interrupted", host=host)
         refused = isinstance(error, InputError)
         message = str(error) if refused else f"{type(error).__name__}: {error}"
-        return JobResult(job.id, "refused" if refused else "failed", message=" ".join(message.split()), host=host)
-    took, end = time.perf_counter() - start, found.outcome
-    return JobResult(job.id, end.status, end.time, end.signal, end.message, found.metrics, took, host)
+        return JobResult(row.id, "refused" if refused else "failed", message=" ".join(message.split()), host=host)
+    took, end = time.perf_counter() - start, result.outcome
+    return JobResult(row.id, end.status, end.time, end.signal, end.message, result.metrics, took, host)
 
 
-def loop_of(job: Job, bundle: Bundle | None = None, stop: Callable[[], bool] = STOP.is_set) -> Loop:
+def loop_of(row: Row, bundle: Bundle | None = None, stop: Callable[[], bool] = STOP.is_set) -> Loop:
     """The closed loop of a run. Its gains are not judged: a loop that is unstable when sampled diverges, and counts.
 
     Raises:
         InputError: It cannot be made.
     """
-    experiment = job.experiment
+    experiment = row.experiment
     (name,) = experiment.controllers
-    robot, nominal = robots_of(job, bundle)
-    gains = None
+    robot, nominal = robots_of(row, bundle)
+    gains: Array | None = None
     if name in EFFECTIVE:  # PD at a learner's gain needs the learner's run
-        learner = msgspec.structs.replace(experiment, controllers=(EFFECTIVE[name],))
-        gains = effective_gain(replace(job, experiment=learner), bundle, stop)
+        learner = replace(row, experiment=msgspec.structs.replace(experiment, controllers=(EFFECTIVE[name],)))
+        result = simulate(loop_of(learner, bundle, stop), None, experiment.windows, True, stop)
+        assert result.recording is not None
+        gains = as_columns(result.recording["effective_gain"])
     loop = experiment.loop(robot, experiment.controller(name, gains, nominal or robot))
     return replace(loop, nominal=nominal, check_gains=False)
 
 
-def effective_gain(job: Job, bundle: Bundle | None, stop: Callable[[], bool]) -> Array:
-    """The effective gain of a learner over its run, (samples, p)."""
-    found = simulate(loop_of(job, bundle, stop), None, job.experiment.windows, True, stop)
-    assert found.recording is not None
-    return as_columns(found.recording["effective_gain"])
-
-
-def robots_of(job: Job, bundle: Bundle | None) -> tuple[Robot, Robot | None]:
+def robots_of(row: Row, bundle: Bundle | None) -> tuple[Robot, Robot | None]:
     """The true robot of a run, and the one that its controller is made for where it is another."""
-    experiment = job.experiment
+    experiment = row.experiment
     robot = load_once(experiment.robot, experiment.overrides) if bundle is None else bundle.load()
-    return experiment.made_true(robot), None if job.nominal is None else job.nominal.made_true(robot)
+    return experiment.made_true(robot), None if row.nominal is None else row.nominal.made_true(robot)
 
 
 @dataclass(frozen=True)
@@ -187,15 +195,10 @@ class Bundle:
     @cached_property
     def digest(self) -> str:
         """Hash of all of it."""
-        found = hashlib.sha256(msgspec.json.encode(self.overrides))
+        digest = hashlib.sha256(msgspec.json.encode(self.overrides))
         for name, content in sorted(self.files.items()):
-            found.update(f"\0{name}\0{len(content)}\0".encode() + content)
-        return found.hexdigest()
-
-    @property
-    def size(self) -> int:
-        """Bytes of its files."""
-        return sum(map(len, self.files.values()))
+            digest.update(f"\0{name}\0{len(content)}\0".encode() + content)
+        return digest.hexdigest()
 
     def load(self) -> Robot:
         """The robot, loaded from a temporary folder of this process, once."""
@@ -215,37 +218,49 @@ _folders: dict[str, Path] = {}
 
 
 @lru_cache(maxsize=16)
-def load_once(robot: str, said: Overrides) -> Robot:
+def load_once(robot: str, overrides: Overrides) -> Robot:
     """`load_with`, remembered: a study makes thousands of robots from one file."""
-    return load_with(robot, said)
+    return load_with(robot, overrides)
 
 
-def require_worker(job: Job) -> None:
+def require_worker(row: Row) -> None:
     """Refuse to run with other sources than the study's, or without a package that the run needs.
 
     Raises:
         StudyError: With the worker's machine.
     """
     here = socket.gethostname()
-    if job.code != code_digest():
+    if row.code != code_digest():
         fix = "install the same version of mmnn_pin on all machines"
         raise StudyError(f"the worker on {here} runs other code of mmnn_pin than this machine", fix=fix)
-    if job.experiment.plant == "contact" and not has("mujoco"):
+    if row.experiment.plant == "contact" and importlib.util.find_spec("mujoco") is None:
         what, fix = f"the worker on {here} has no mujoco", "pip install 'mmnn_pin[contact]' there"
         raise StudyError(what, why="the contact plant needs it", fix=fix)
 
 
-@cache
-def has(module: str) -> bool:
-    """Whether a module is installed here."""
-    return importlib.util.find_spec(module) is not None
+def optional(what: str, extra: str, *modules: str) -> ModuleType:
+    """The first of some modules, which all have to be installed.
+
+    Args:
+        what: What cannot be done without them.
+        extra: The extra of this package that installs them.
+        modules: Their names.
+
+    Raises:
+        StudyError: One is not installed.
+    """
+    try:
+        found = [importlib.import_module(name) for name in modules]
+    except ModuleNotFoundError as error:
+        raise StudyError(what, why=f"no {error.name}", fix=f"pip install 'mmnn_pin[{extra}]'") from None
+    return found[0]
 
 
 @cache
 def code_digest() -> str:
     """Hash of the package's sources."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     package = Path(mmnn_pin.__file__).parent
     for source in sorted(package.rglob("*.py")):
-        found.update(str(source.relative_to(package)).encode() + b"\0" + source.read_bytes())
-    return found.hexdigest()[:16]
+        digest.update(str(source.relative_to(package)).encode() + b"\0" + source.read_bytes())
+    return digest.hexdigest()[:16]

@@ -17,10 +17,19 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.lab.contest import contest as running
 from mmnn_pin.lab.contest.contest import Store, run_contest
-from mmnn_pin.lab.contest.result import Tracking, TrialResult, arm_of, base_of
 from mmnn_pin.lab.contest.standing import learning_time, targets
 from mmnn_pin.lab.contest.task import frozen, tasks_of
-from mmnn_pin.lab.contest.trial import Stopped, psi_hat_along, run_trial, state_after, train
+from mmnn_pin.lab.contest.trial import (
+    Stopped,
+    Tracking,
+    TrialResult,
+    arm_of,
+    base_of,
+    psi_hat_along,
+    run_trial,
+    state_after,
+    train,
+)
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.experiments.config import load_experiment, recorded_experiment
 from mmnn_pin.lab.experiments.contest import Contest, Targets

@@ -15,11 +15,11 @@ from test_contest import NAMES, SET, quick
 from mmnn_pin.cli import main
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.contest.contest import opened, run_contest
-from mmnn_pin.lab.contest.result import Trial
 from mmnn_pin.lab.contest.task import demand, tasks_of
+from mmnn_pin.lab.contest.trial import Trial
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
-from mmnn_pin.lab.show import contest_figures as figures
+from mmnn_pin.lab.show import contest as figures
 from mmnn_pin.lab.show.contest import render
 from mmnn_pin.lab.show.table import number
 
@@ -119,7 +119,7 @@ def test_numbers_of_a_logarithmic_axis_do_not_touch(span):
         figure, (axes,) = figures.axes_grid(1, 4, 3.2, 3.1, 0.9)
         axes.plot([low, low * span], [low, low * span])
         axes.set(xscale="log", yscale="log", xlim=(low, low * span), ylim=(low, low * span))
-        figures.number_short(axes)
+        figures.number_axes(axes.xaxis, axes.yaxis)
         figure.canvas.draw()
         for axis, part in ((axes.xaxis, "intervalx"), (axes.yaxis, "intervaly")):
             inside, labels = getattr(axes.bbox, part), axis.get_ticklabels(which="both")

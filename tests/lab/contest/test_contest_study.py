@@ -157,6 +157,7 @@ def test_a_search_is_the_same_again_and_starts_from_its_own(bench):
     assert bench.score("adaptive", first["settings"]) == first["score"]
 
 
+@pytest.mark.long
 def test_the_command_makes_a_document(tmp_path):
     main(["--quick", "--out", str(tmp_path)])
     text = (tmp_path / "contest.md").read_text(encoding="utf-8")

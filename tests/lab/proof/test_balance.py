@@ -37,6 +37,24 @@ def test_the_equality_holds_over_every_period(run: tuple[str, Subject]) -> None:
     np.testing.assert_array_equal(found.time, subject.recording.time[:-1])
 
 
+def test_a_trial_step_that_overflows_is_made_shorter(run: tuple[str, Subject], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stiff arm leaves all numbers within one trial step: the solver has to take a shorter one, not to stop."""
+    _, subject = run
+    as_it_is, flow = balance(subject, budget=0), module.Motion._flow
+    broken: list[float] = []
+
+    def overflows(self: module.Motion, t: float, y: np.ndarray) -> float:
+        if t > 0 and len(broken) < 5:
+            broken.append(t)
+            return 1e200
+        return flow(self, t, y)
+
+    monkeypatch.setattr(module.Motion, "_flow", overflows)
+    found = balance(subject, budget=0)
+    assert len(broken) == 5 and found.holds
+    np.testing.assert_allclose(found.work, as_it_is.work, rtol=1e-9)
+
+
 def test_it_holds_whatever_the_torque_and_the_sensors_are() -> None:
     """With a learner, noise, and measurements between which the torque is held: alpha is that of the true state."""
     sensor = Sensor(noise=1e-3, velocity_noise=1e-2, velocity="true", delay=1)

@@ -17,10 +17,10 @@ from robots import feedback
 
 from mmnn_pin import ControllerState, LearningLaw, load_experiment
 from mmnn_pin.errors import RecordingError
-from mmnn_pin.lab.proof.learner import Networks, Stepper, said
-from mmnn_pin.lab.proof.linear_parts import covariance_part, stack_part
+from mmnn_pin.lab.proof.learner import Networks, Stepper, frozen_psi_hat
+from mmnn_pin.lab.proof.linear import covariance_part, stack_part
 from mmnn_pin.lab.proof.lyapunov import TERMS
-from mmnn_pin.lab.proof.network_part import network_part
+from mmnn_pin.lab.proof.networks import network_part
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.truth import distances, metric, numbers_of, prediction_step, true_weights
 from mmnn_pin.model.tree.body import parameters
@@ -207,8 +207,8 @@ def test_true_weights_say_the_true_psi_on_any_motion(name: str) -> None:
         rng = np.random.default_rng(seed)
         motion = rng.standard_normal((3, subject.layout.dof))
         Y = controller.regressor.matrix(controller.regressor.random_position(rng), *motion)
-        said = Y @ w if name != "concurrent" else Y @ (controller.start() + controller.basis @ w)
-        np.testing.assert_allclose(said, Y @ theta, rtol=1e-6, atol=1e-6 * np.abs(Y @ theta).max())
+        frozen_psi_hat = Y @ w if name != "concurrent" else Y @ (controller.start() + controller.basis @ w)
+        np.testing.assert_allclose(frozen_psi_hat, Y @ theta, rtol=1e-6, atol=1e-6 * np.abs(Y @ theta).max())
     if name == "kalman_regressor":  # none that say the same are nearer in the metric of the prior
         prior = learner.start["prior"]
         lets, blind = (
@@ -288,7 +288,7 @@ def test_a_networks_part_changes_exactly_as_its_terms_say(name: str) -> None:
     subject, one = proof.subject, proof.subject.learner
     assert isinstance(one, Networks) and subject.networks is None  # the certificate is for networks alone
     every = np.arange(len(subject.rows))
-    found = network_part(one, proof.ideal, subject.rows, every)
+    found = network_part(subject, one, proof.ideal, every)
     change = np.diff(found.value) / subject.timing.control_period
     expected = (found.terms["leakage"] + found.terms["remainder"] - errors_of(proof)[1])[:-1]
     expected = expected + found.arrived["step"][1:] + found.arrived["prediction"][1:]
@@ -312,7 +312,7 @@ def test_ideal_weights_put_into_the_learner_say_psi_up_to_eps(name: str) -> None
     state = learner.start.snapshot()
     for i, ideal in proof.ideal.items():
         state[f"W{i}"], state[f"V{i}"] = ideal.W, ideal.V
-    wrong = np.abs(subject.signal("psi") - said(learner, state, subject.rows)).max(axis=0)
+    wrong = np.abs(subject.signal("psi") - frozen_psi_hat(learner, state, subject.rows)).max(axis=0)
     for i, part in learner.networks:
         np.testing.assert_allclose(wrong[part], proof.ideal[i].eps, rtol=1e-6)
         assert (proof.ideal[i].unexplained < 0.5).all()

@@ -16,11 +16,12 @@ from scipy.special import expit
 from mmnn_pin import Dynamics, Timing, load, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.proof import held_out as held
-from mmnn_pin.lab.proof import ideal as ideal_module
+from mmnn_pin.lab.proof import networks as ideal_module
 from mmnn_pin.lab.proof.excitation import effective_rank, excitation
 from mmnn_pin.lab.proof.held_out import held_out, loaded, recorded_under_computed_torque, tip, usual_payload
-from mmnn_pin.lab.proof.ideal import PENALTY, hidden_weights, ideal_weights, output_weights, variances
 from mmnn_pin.lab.proof.learner import seen
+from mmnn_pin.lab.proof.linear import PENALTY, variances
+from mmnn_pin.lab.proof.networks import hidden_weights, ideal_weights, output_weights
 from mmnn_pin.lab.proof.psi import error_in, fvu, fvu_in, psi_along, psi_of, shares, sizes, windows, worst
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.signals import Layout

@@ -15,9 +15,8 @@ from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Push
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
-from mmnn_pin.lab.proof.ideal import ideal_weights
 from mmnn_pin.lab.proof.lyapunov import PREDICTED, TERMS, Lyapunov, growth, lyapunov, pose_part
-from mmnn_pin.lab.proof.network_part import network_part
+from mmnn_pin.lab.proof.networks import ideal_weights, network_part
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.sensing import Sensor
@@ -83,8 +82,8 @@ def test_the_weights_part_changes_exactly_as_its_terms_say(which: str, what: str
     subject = Subject.of(loop_of("differential", learner("differential", which, **more), duration=DURATION).run())
     one = subject.networks
     assert one is not None
-    rows, every = subject.rows, np.arange(len(subject.rows))
-    found = network_part(one, ideal_weights(subject, one), rows, every)
+    every = np.arange(len(subject.rows))
+    found = network_part(subject, one, ideal_weights(subject, one), every)
     s = subject.signal("nu_ref") - subject.signal("nu")
     error = (s * (subject.signal("psi") - subject.signal("psi_hat"))).sum(axis=1)
     change = np.diff(found.value) / PERIOD
@@ -103,7 +102,7 @@ def test_the_remainder_is_what_the_thesis_calls_w() -> None:
     one = subject.networks
     assert one is not None
     (ideal,) = ideal_weights(subject, one).values()
-    found = network_part(one, {2: ideal}, subject.rows, np.array([0]))
+    found = network_part(subject, one, {2: ideal}, np.array([0]))
     W, V = one.start["W2"], one.start["V2"]
     names = one.controller.inputs.signals
     x = np.concatenate([subject.signal(name)[0] for name in names])
@@ -127,9 +126,9 @@ def test_appendix_b_updates_before_the_output(projection: float | None) -> None:
     one = subject.networks
     assert one is not None
     ideal = ideal_weights(subject, one)
-    v = lyapunov(subject, partial(network_part, one, ideal, subject.rows), most=10**6)
+    v = lyapunov(subject, partial(network_part, subject, one, ideal), most=10**6)
     end = sum(weigh(one, ideal[i], i) for i, _ in one.networks)
-    found = network_part(one, ideal, subject.rows, np.array([len(subject.rows) - 1]))
+    found = network_part(subject, one, ideal, np.array([len(subject.rows) - 1]))
     assert found.value[0] == pytest.approx(end) and v.missed == 0.0
     np.testing.assert_allclose(np.sum(list(v.terms.values()), axis=0), v.measured, rtol=1e-9, atol=1e-9)
     assert v.terms["projection"].any() == (projection is not None)
@@ -146,7 +145,7 @@ def test_a_projection_never_raises_v_for_ideal_weights_within_it(update: str) ->
     for i, found in ideal.items():
         W, V = (0.9 * rng.uniform() * A / np.linalg.norm(A) for A in (found.W, found.V))
         ideal[i] = replace(found, W=W, V=V)
-    term = network_part(one, ideal, subject.rows, np.arange(len(subject.rows))).arrived["projection"]
+    term = network_part(subject, one, ideal, np.arange(len(subject.rows))).arrived["projection"]
     assert (term <= 1e-12 * np.abs(term).max()).all() and (term < 0).sum() > 5
 
 
@@ -175,7 +174,7 @@ def test_few_samples_tell_the_same_at_their_places() -> None:
     subject = Subject.of(loop_of("differential", learner("differential"), duration=DURATION).run())
     assert subject.networks is not None
     ideal = ideal_weights(subject, subject.networks)
-    part = partial(network_part, subject.networks, ideal, subject.rows)
+    part = partial(network_part, subject, subject.networks, ideal)
     every, some = lyapunov(subject, part, most=10**6), lyapunov(subject, part, most=7)
     places = np.searchsorted(every.time, some.time)
     assert 1 < len(some.time) <= 7

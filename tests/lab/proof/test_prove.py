@@ -25,9 +25,9 @@ from mmnn_pin.lab.proof import proof as cache
 from mmnn_pin.lab.proof.lyapunov import TERMS
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.psi import worst
+from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.proof.figures import (
     COLOURS,
-    PROOF_FIGURES,
     equality_figure,
     frozen_figure,
     fvu_figure,
@@ -275,7 +275,7 @@ def test_figures_draw_the_parts(runs: dict[str, Recording], proof: Proof) -> Non
 def test_figures_of_what_learns_nothing_say_why(runs: dict[str, Recording]) -> None:
     for name in ("fvu", "frozen", "shares", "ranks"):
         with pytest.raises(RecordingError, match="nothing to plot"):
-            PROOF_FIGURES[name]({"pd": runs["pd"]})
+            PICTURES[name]({"pd": runs["pd"]})
 
 
 def test_every_term_of_the_derivative_has_a_colour_of_its_own() -> None:

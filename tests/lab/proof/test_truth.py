@@ -33,9 +33,9 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.proof import learner as learners
 from mmnn_pin.lab.proof import truth
-from mmnn_pin.lab.proof.features import features_of
-from mmnn_pin.lab.proof.ideal import linear_fit
-from mmnn_pin.lab.proof.learner import said
+from mmnn_pin.lab.proof.excitation import features_of
+from mmnn_pin.lab.proof.learner import frozen_psi_hat
+from mmnn_pin.lab.proof.linear import linear_fit
 from mmnn_pin.lab.proof.lyapunov import lyapunov
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject
@@ -99,8 +99,10 @@ def test_it_is_built_again_and_says_y_theta(kind: str) -> None:
     np.testing.assert_array_equal(learner.end["theta"], theta)
     assert np.abs(theta - own.start()).max() > 1e-6
     expected = np.array([own.regressor.matrix(*state) @ theta for state in states(subject)])
-    np.testing.assert_allclose(said(learner, learner.end, subject.rows), expected, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(said(learner, learner.end, subject.rows, every=7), expected[::7], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(frozen_psi_hat(learner, learner.end, subject.rows), expected, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        frozen_psi_hat(learner, learner.end, subject.rows, every=7), expected[::7], rtol=1e-9, atol=1e-9
+    )
     found = stepped(learner, subject.rows, np.array([0, 5]))
     assert found.missed < 1e-12
 

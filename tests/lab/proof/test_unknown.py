@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 from proofs import SLOW, learner, loop_of
 
 from mmnn_pin import ControllerState, LearningLaw, load_experiment
-from mmnn_pin.lab.contest.result import KEPT
 from mmnn_pin.lab.contest.task import tasks_of
-from mmnn_pin.lab.contest.trial import findings_after
+from mmnn_pin.lab.contest.trial import KEPT, findings_after
 from mmnn_pin.lab.experiments.cases import chosen_cases
 from mmnn_pin.lab.proof.excitation import (
     NOISE,
@@ -68,7 +67,7 @@ def test_tangents_are_finite_differences(kind, still):
                 ]
                 columns.append(np.sqrt(rate) * (ends[0] - ends[1]) / 2e-6)
         expected = np.array(columns).T
-        J = found[i].J[0]
+        J = found[i][0][0]
         assert J.shape[0] == m
         np.testing.assert_allclose(J @ J.T, expected @ expected.T, rtol=1e-5, atol=1e-7)  # whatever their order
         assert (not still and kind == "two_layer") == bool(np.abs(J[:, W.size :]).max(initial=0.0) > 0)

@@ -208,7 +208,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert sorted(map(Path, files.values())) == [out / "pd.npz", out / "two_layer.npz"]
     with np.load(out / "two_layer.npz") as read:
         np.testing.assert_array_equal(read["z"], Recording.open(tmp_path / "a/two_layer.h5")["z"])
-        assert {"weights/V1", "final/state"} <= set(read)
+        assert {"weights/V1", "final/controller_state"} <= set(read)
     assert main(["export", str(tmp_path / "a"), "--to", "npz", "--out", str(out)]) == 2
     assert "--force" in capsys.readouterr().err
     assert main(["export", str(tmp_path / "a"), "--to", "csv", "--out", str(tmp_path / "one.csv")]) == 2

@@ -24,12 +24,12 @@ from places import ROOT
 from study_files import SHORT, numbers, planned, run_here, stored, written
 
 from mmnn_pin.cli import main
+from mmnn_pin.compiled import cache_folder
 from mmnn_pin.errors import MmnnError, StudyError
-from mmnn_pin.lab.study import cluster as dask
+from mmnn_pin.lab.study import pools as dask
 from mmnn_pin.lab.study import worker
-from mmnn_pin.lab.study.cluster import carriers
-from mmnn_pin.lab.study.execution import execute, fill
-from mmnn_pin.lab.study.session import missing_rows, probe
+from mmnn_pin.lab.study.execution import execute, fill, missing_rows, probe
+from mmnn_pin.lab.study.pools import carriers
 from mmnn_pin.lab.study.store import NAME, writing
 from mmnn_pin.lab.study.worker import Bundle, code_digest
 from mmnn_pin.model.robots import bundled
@@ -46,12 +46,15 @@ QUIET = {"DASK_DISTRIBUTED__ADMIN__TICK__LIMIT": "60s", "OMP_NUM_THREADS": "1", 
 
 
 def started(folder: Path, *command: str, within: str | None) -> subprocess.Popen[str]:
-    """A process of the cluster, in a network and an empty folder of its own."""
+    """A process of the cluster, in a network and a folder of its own that holds compiled code and nothing else."""
     folder.mkdir()
+    if (kept := cache_folder()) is not None:
+        shutil.copytree(kept, folder / "cache" / kept.name)
     inside = ["ip", "netns", "exec", within] if within else []
     program = [sys.executable, "-m", *command]
     paths = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | QUIET | {"PYTHONPATH": paths, "HOME": str(folder), "TMPDIR": str(folder)}
+    environment["NUMBA_CACHE_DIR"] = str(folder / "cache")
     log = (folder / "log").open("w")
     return subprocess.Popen([*inside, *program], cwd=folder, env=environment, stdout=log, stderr=log, text=True)
 
@@ -125,7 +128,9 @@ class Cluster:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    """A scheduler in a network of its own, one worker beside it, two outside."""
+    """A scheduler in a network of its own, one worker beside it, two outside; what they run was compiled before."""
+    first = tmp_path_factory.mktemp("first")
+    run_here(planned(first), first)
     with network() as within:
         made = Cluster(tmp_path_factory.mktemp("cluster"), within)
         try:
@@ -243,7 +248,7 @@ def test_a_worker_without_the_package_or_with_other_code_is_told() -> None:
 
 
 def test_a_worker_that_joins_later_judges_itself(tmp_path: Path, monkeypatch) -> None:
-    task = planned(tmp_path).row(0).job
+    task = planned(tmp_path).row(0)
     with pytest.raises(StudyError, match="runs other code of mmnn_pin than this machine"):
         worker.run(replace(task, code="other"))
     monkeypatch.setattr(worker, "has", lambda module: False)

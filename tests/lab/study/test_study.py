@@ -24,10 +24,10 @@ from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.study import worker
-from mmnn_pin.lab.study.execution import fill, processes, threads
+from mmnn_pin.lab.study.execution import fill, missing_rows, probe
 from mmnn_pin.lab.study.plan import Plan
+from mmnn_pin.lab.study.pools import processes, threads
 from mmnn_pin.lab.study.results import load_results
-from mmnn_pin.lab.study.session import missing_rows, probe
 from mmnn_pin.lab.study.store import NAME, Stored, reading, writing
 from mmnn_pin.lab.study.worker import loop_of
 from mmnn_pin.loop.batch import simulate
@@ -86,7 +86,7 @@ def test_the_model_is_the_nominal_one_or_the_true_one(done, tmp_path: Path) -> N
     true = run_here(planned(tmp_path, 'model = "true"\n' + SHORT), tmp_path)
     for here, there in zip(rows, true, strict=True):
         assert (told(here.metrics) == told(there.metrics)) == (here.controller != "computed_torque")
-    assert loop_of(plan.row(2).job).nominal.masses == {"root": 1.0, **dict.fromkeys(plan.table["masses"], 1.0)}
+    assert loop_of(plan.row(2)).nominal.masses == {"root": 1.0, **dict.fromkeys(plan.table["masses"], 1.0)}
 
 
 @compiled_only
@@ -219,7 +219,7 @@ def test_a_killed_study_has_lost_nothing_and_goes_on(tmp_path: Path) -> None:
     assert [row.id for row in after] == list(range(len(plan)))
     assert all(after[i] == row for i, row in before.items()), "rows that were done are not run again"
     sample = plan.row(next(iter(set(range(len(plan))) - set(before))))
-    assert told(worker.run(sample.job).metrics) == told(after[sample.id].metrics)
+    assert told(worker.run(sample).metrics) == told(after[sample.id].metrics)
 
 
 @compiled_only

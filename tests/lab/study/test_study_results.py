@@ -20,15 +20,22 @@ from study_files import SHORT, planned, run_here
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
-from mmnn_pin.lab.show import study as page
-from mmnn_pin.lab.show import study_figures as plots
-from mmnn_pin.lab.show.study import render
+from mmnn_pin.lab.show import study as plots
+from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
 from mmnn_pin.lab.study.settings import Sampling, StudySettings, Success
-from mmnn_pin.lab.study.statistics import bins_of, differ, quantile, rate, share_of
 from mmnn_pin.lab.study.store import NAME, Stored, writing
-from mmnn_pin.lab.study.verdict import region_of, sentences, verdict
+from mmnn_pin.lab.study.verdict import (
+    bins_of,
+    differ,
+    quantile,
+    rate,
+    region_of,
+    sentences,
+    share_of,
+    verdict,
+)
 
 # -- intervals --------------------------------------------------------------------------------------------------------
 
@@ -149,7 +156,8 @@ def made(good: dict[str, np.ndarray], error: dict[str, np.ndarray], factors: dic
         for i, success in enumerate(successes):
             metrics = {"e.joint.peak": float(error[name][i]) if success else 2.0}
             values = {factor: column[i] for factor, column in factors.items()}
-            rows.append(Stored(len(rows), "", i, name, 1, values, "completed", 1.0, "", "", metrics, 0.1, "here", ""))
+            row = {"point": i, "controller": name, "seed": 1, "parameters": values, "fingerprint": "", "finished": ""}
+            rows.append(Stored(len(rows), "completed", 1.0, "", "", metrics, 0.1, "here", **row))
     settings = StudySettings(
         experiment="chapter4",
         factors={name: Factor(uniform=(0.0, 1.0)) for name in factors},
@@ -223,6 +231,13 @@ def test_the_table_tells_outcomes_rates_and_quantiles(done: Path, capsys) -> Non
     assert np.isinf(ordered[8:]).all() and np.isfinite(ordered[:8]).all()
 
 
+def test_the_caption_says_what_inf_is_of_runs_that_completed() -> None:
+    """Of three runs that completed, no interval of the 95 % quantile is bounded above."""
+    results = made({"pd": np.ones(3, bool)}, {"pd": np.array([0.1, 0.2, 0.3])}, {"x": np.linspace(0, 1, 3)})
+    text = " ".join(render(results).split())
+    assert "inf]" in text and "inf: too few runs to bound it" in text and "so many did not complete" not in text
+
+
 def test_json_holds_the_same_numbers(done: Path, capsys) -> None:
     assert main(["study", str(done / "short.toml"), "--out", str(done), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -263,7 +278,7 @@ def test_the_page_is_whole_and_tells_the_answer(done: Path, tmp_path: Path, caps
 def test_a_page_shows_names_as_text(done: Path) -> None:
     results = load_results(done)
     titled = msgspec.structs.replace(results.settings, title="<script>alert(1)</script>")
-    assert "<script" not in page(replace(results, settings=titled)).html
+    assert "<script" not in page.page(replace(results, settings=titled)).html
 
 
 def test_pictures_show_what_was_counted(done: Path) -> None:

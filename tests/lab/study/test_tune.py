@@ -14,11 +14,10 @@ from places import ROOT
 from study_files import SHORT, planned, run_here, written
 
 from mmnn_pin.cli import main
-from mmnn_pin.lab.study.execution import threads
-from mmnn_pin.lab.study.objective import LOST, REFUSED, Score, Scorer, violations
+from mmnn_pin.lab.study.pools import threads
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.settings import load_study
-from mmnn_pin.lab.study.tuning import NAME
+from mmnn_pin.lab.study.tuning import LOST, NAME, REFUSED, Score, Scorer, violations
 
 optuna = pytest.importorskip("optuna")
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="slow in plain Python")

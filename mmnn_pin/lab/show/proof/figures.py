@@ -1,13 +1,13 @@
 """Figures of a proof: what was learned of Psi, the Lyapunov function and its terms, the equality behind it.
 
-A figure is one function of recordings by name, and one line of `PROOF_FIGURES`.
+A figure is one function of recordings by name, with the line `@figure(NAME, of="proof")` above it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,17 +21,17 @@ from ...proof.proof import Proof, keep, proofs_with
 from ...proof.psi import error_in, windows
 from ..curves import column_units
 from ..figure import (
+    FIGURES,
     TRUTH,
     Look,
-    Style,
     add_legend,
+    figure,
     legend_label,
     limits,
     new_figure,
     plain,
-    save,
-    styled,
     styles_of,
+    write_figures,
 )
 from ..files import require_free
 from ..plots import Curves, stacked
@@ -51,7 +51,7 @@ FLOOR = 1e-17
 OF = {"base": "base's network", "arm": "arm's network", "all": "all velocities"}
 
 
-@styled
+@figure("fvu", of="proof")
 def fvu_figure(recordings: Recordings) -> Figure:
     """FVU of every component: its course online, and with frozen weights at the right.
 
@@ -62,8 +62,8 @@ def fvu_figure(recordings: Recordings) -> Figure:
     """
     proofs = estimating(recordings, "FVU")
     labels = next(iter(proofs.values())).psi.labels
-    figure = new_figure(7.5, 1.35 * len(labels) + 1.3)
-    grid = figure.subplots(len(labels), 2, sharex="col", sharey="row", squeeze=False, width_ratios=(4, 1))
+    picture = new_figure(7.5, 1.35 * len(labels) + 1.3)
+    grid = picture.subplots(len(labels), 2, sharex="col", sharey="row", squeeze=False, width_ratios=(4, 1))
     styles = styles_of(recordings)
     for i, ((axes, right), label) in enumerate(zip(grid, labels, strict=True)):
         for which in (axes, right):
@@ -72,7 +72,7 @@ def fvu_figure(recordings: Recordings) -> Figure:
         for place, (name, proof) in enumerate(proofs.items()):
             edges, values = sliced(proof)
             if edges.size:
-                axes.stairs(values[:, i], edges, baseline=None, **line_of(styles[name]))
+                axes.stairs(values[:, i], edges, baseline=None, **styles[name].line)
             for x, (kind, frozen) in enumerate(proof.psi.frozen.items()):
                 right.plot(x + 0.15 * place, frozen.fvu[i], MARKERS[kind], color=styles[name].color, markersize=5)
     grid[-1, 0].set_xlabel("time [s]")
@@ -80,14 +80,14 @@ def fvu_figure(recordings: Recordings) -> Figure:
     grid[0, 1].set_title("frozen")
     grid[-1, 1].set_xticks(range(3), ["own", "held\nout", "pay-\nload"])
     grid[-1, 1].set_xlim(-0.5, 2.5 + 0.15 * len(proofs))
-    figure.align_ylabels(list(grid[:, 0]))
+    picture.align_ylabels(list(grid[:, 0]))
     looks = [(legend_label(name, recordings[name]), styles[name].line) for name in proofs]
     constant: Look = {"color": "0.35", "linewidth": 0.9, "linestyle": (0, (4, 3))}
-    add_legend(figure, r"What is left unexplained of $\Psi$ (FVU)", [*looks, ("best constant", constant)])
-    return figure
+    add_legend(picture, r"What is left unexplained of $\Psi$ (FVU)", [*looks, ("best constant", constant)])
+    return picture
 
 
-@styled
+@figure("frozen", of="proof")
 def frozen_figure(recordings: Recordings) -> Figure:
     """Psi and what the final weights, held fixed, say of it: on the run's own trajectory and on the held-out one.
 
@@ -100,8 +100,8 @@ def frozen_figure(recordings: Recordings) -> Figure:
     first = next(iter(proofs.values()))
     kinds = [kind for kind in ("same", "held_out") if any(kind in proof.psi.frozen for proof in proofs.values())]
     labels, units = first.psi.labels, column_units(next(iter(recordings.values())), "psi")
-    figure = new_figure(4.0 * len(kinds) + 0.8, 1.5 * len(labels) + 1.3)
-    grid = figure.subplots(len(labels), len(kinds), sharex="col", squeeze=False)
+    picture = new_figure(4.0 * len(kinds) + 0.8, 1.5 * len(labels) + 1.3)
+    grid = picture.subplots(len(labels), len(kinds), sharex="col", squeeze=False)
     styles = styles_of(recordings)
     for column, kind in zip(grid.T, kinds, strict=True):
         column[0].set_title(f"trajectory: {FROZEN[kind]}")
@@ -119,11 +119,11 @@ def frozen_figure(recordings: Recordings) -> Figure:
             if kind == kinds[0]:
                 axes.set_ylabel(plain(f"{labels[i].removesuffix('_joint')} [{units[i]}]"))
     looks = [(rf"$\hat\Psi$ of {plain(name)}, frozen", styles[name].line) for name in proofs]
-    add_legend(figure, r"$\Psi$ and what the final weights know of it", [(r"true $\Psi$", TRUTH), *looks])
-    return figure
+    add_legend(picture, r"$\Psi$ and what the final weights know of it", [(r"true $\Psi$", TRUTH), *looks])
+    return picture
 
 
-@styled
+@figure("shares", of="proof")
 def shares_figure(recordings: Recordings) -> Figure:
     """Share of the torque that came from feedback, network and robust term, per component; they add up to 1.
 
@@ -132,15 +132,14 @@ def shares_figure(recordings: Recordings) -> Figure:
     """
     proofs = estimating(recordings, "shares of the torque")
     labels = next(iter(proofs.values())).psi.labels
-    figure = new_figure(7.5, 0.32 * len(labels) * len(proofs) + 0.4 * len(proofs) + 1.3)
-    stack = figure.subplots(len(proofs), 1, sharex=True, squeeze=False)[:, 0]
+    picture = new_figure(7.5, 0.32 * len(labels) * len(proofs) + 0.4 * len(proofs) + 1.3)
+    stack = picture.subplots(len(proofs), 1, sharex=True, squeeze=False)[:, 0]
     for axes, (name, proof) in zip(stack, proofs.items(), strict=True):
         names = [label.removesuffix("_joint") for label in labels]
         right, left = np.zeros(len(labels)), np.zeros(len(labels))
         for part, values in proof.psi.shares.items():
             values = np.nan_to_num(values)
-            start = np.where(values >= 0, right, left)
-            axes.barh(names, values, left=start, color=SHADES[part], height=0.7)
+            axes.barh(names, values, left=np.where(values >= 0, right, left), color=SHADES[part], height=0.7)
             right, left = right + np.maximum(values, 0), left + np.minimum(values, 0)
         axes.invert_yaxis()
         axes.axvline(0.0, color="0.3", linewidth=0.8)
@@ -149,11 +148,11 @@ def shares_figure(recordings: Recordings) -> Figure:
     looks: list[tuple[str, Look]] = [
         (PARTS[part], {"color": color, "linewidth": 7, "solid_capstyle": "butt"}) for part, color in SHADES.items()
     ]
-    add_legend(figure, "Where the torque came from", looks)
-    return figure
+    add_legend(picture, "Where the torque came from", looks)
+    return picture
 
 
-@styled
+@figure("ranks", of="proof")
 def ranks_figure(recordings: Recordings) -> Figure:
     """Singular values of W, V and the activations of every network, relative to the largest, from large to small.
 
@@ -166,8 +165,8 @@ def ranks_figure(recordings: Recordings) -> Figure:
     names = list(dict.fromkeys(network.name for proof in proofs.values() for network in proof.psi.networks))
     kinds = sorted({kind for proof in proofs.values() for n in proof.psi.networks for kind in n.singular}, reverse=True)
     whats = list(dict.fromkeys(network.what for proof in proofs.values() for network in proof.psi.networks))
-    figure = new_figure(max(5.4, 3.0 * (len(kinds) + len(whats)) + 0.6), 2.2 * len(names) + 1.2)
-    grid = figure.subplots(len(names), len(kinds) + len(whats), sharey=True, squeeze=False)
+    picture = new_figure(max(5.4, 3.0 * (len(kinds) + len(whats)) + 0.6), 2.2 * len(names) + 1.2)
+    grid = picture.subplots(len(names), len(kinds) + len(whats), sharey=True, squeeze=False)
     styles = styles_of(recordings)
     for name, proof in proofs.items():
         for network in proof.psi.networks:
@@ -176,7 +175,7 @@ def ranks_figure(recordings: Recordings) -> Figure:
             for axes, kind in zip(row, [*kinds, *whats], strict=True):
                 if kind in spectra and spectra[kind].any():
                     values = np.maximum(spectra[kind] / spectra[kind][0], FLOOR)
-                    look = {**line_of(styles[name]), "marker": ".", "linewidth": 1.0}
+                    look = {**styles[name].line, "marker": ".", "linewidth": 1.0}
                     axes.plot(np.arange(1, len(values) + 1), values, **look)
                 axes.set_yscale("log")
     for row, which in zip(grid, names, strict=True):
@@ -188,8 +187,8 @@ def ranks_figure(recordings: Recordings) -> Figure:
     for axes in grid[-1]:
         axes.set_xlabel("number")
     looks = [(legend_label(name, recordings[name]), styles[name].line) for name in proofs]
-    add_legend(figure, "Singular values: how many units count", looks)
-    return figure
+    add_legend(picture, "Singular values: how many units count", looks)
+    return picture
 
 
 def estimating(recordings: Recordings, what: str) -> dict[str, Proof]:
@@ -217,11 +216,6 @@ def sliced(proof: Proof) -> tuple[Array, Array]:
     return edges, error_in(edges, time, proof.subject.signal("psi"), proof.subject.signal("psi_hat"))
 
 
-def line_of(style: Style) -> dict[str, Any]:
-    """A style's line, changeable."""
-    return dict(style.line)
-
-
 COLOURS = (
     "#009E73",
     "#56B4E9",
@@ -246,7 +240,7 @@ SHOWN = 1e-3  # terms that add less than this share of the largest are left out
 DEEPEST = 1e-10  # part of the largest value below which nothing is shown: a start on the reference has none
 
 
-@styled
+@figure("lyapunov", of="proof")
 def lyapunov_figure(recordings: Recordings) -> Figure:
     """V, with the weights' part where the ideal weights are known, and its measured change.
 
@@ -261,17 +255,16 @@ def lyapunov_figure(recordings: Recordings) -> Figure:
     }
     if not any(v.weights.any() for v in result.values()):
         del panels["errors' part [SI]"]
-    figure = stacked("Lyapunov function", recordings, panels)
-    *values, rates = figure.axes
+    picture = stacked("Lyapunov function", recordings, panels)
+    *values, rates = picture.axes
     for axes in values:
         axes.set_yscale("log")
         axes.autoscale(axis="y")
-        top = axes.get_ylim()[1]
-        axes.set_ylim(bottom=max(axes.get_ylim()[0], DEEPEST * top))
+        axes.set_ylim(bottom=max(axes.get_ylim()[0], DEEPEST * axes.get_ylim()[1]))
     largest = max((float(np.abs(v.measured).max(initial=0.0)) for v in result.values()), default=1.0)
     rates.set_yscale("symlog", linthresh=power_of_ten(1e-5 * largest))
     rates.autoscale(axis="y")
-    return figure
+    return picture
 
 
 def power_of_ten(size: float) -> float:
@@ -279,7 +272,7 @@ def power_of_ten(size: float) -> float:
     return float(10.0 ** np.round(np.log10(size))) if size > 1e-300 else 1.0
 
 
-@styled
+@figure("lyapunov-terms", of="proof")
 def terms_figure(recordings: Recordings) -> Figure:
     """What every term of the derivative has added to V so far, and V itself; one panel per run.
 
@@ -287,8 +280,8 @@ def terms_figure(recordings: Recordings) -> Figure:
         RecordingError: As for `lyapunov_figure`.
     """
     result = {name: proof.lyapunov for name, proof in having(recordings, "lyapunov", "the Lyapunov function").items()}
-    figure = new_figure(7.5, 2.4 * len(result) + 1.4)
-    stack = figure.subplots(len(result), 1, sharex=True, squeeze=False)[:, 0]
+    picture = new_figure(7.5, 2.4 * len(result) + 1.4)
+    stack = picture.subplots(len(result), 1, sharex=True, squeeze=False)[:, 0]
     shown: set[str] = set()
     looks: dict[str, Look] = {
         term: {"color": color, "linewidth": 1.6} for term, color in zip(TERMS, COLOURS, strict=True)
@@ -309,11 +302,11 @@ def terms_figure(recordings: Recordings) -> Figure:
         axes.set_title(plain(name), loc="left")
     stack[-1].set_xlabel("time [s]")
     kept = [(term, look) for term, look in looks.items() if term in shown]
-    add_legend(figure, "What makes V fall and grow", [*kept, ("V - V(0)", change)])
-    return figure
+    add_legend(picture, "What makes V fall and grow", [*kept, ("V - V(0)", change)])
+    return picture
 
 
-@styled
+@figure("equality", of="proof")
 def equality_figure(recordings: Recordings) -> Figure:
     """Relative errors of `d/dt (s' M s / 2) = s' (Psi - tau + d)` over the control periods that were looked at.
 
@@ -325,8 +318,8 @@ def equality_figure(recordings: Recordings) -> Figure:
     """
     result = {name: proof.balance for name, proof in having(recordings, "balance", "the equality").items()}
     styles = styles_of(recordings)
-    figure = new_figure(7.5, 6.5)
-    upper, middle, lower = figure.subplots(3, 1, sharex=True, sharey=True)
+    picture = new_figure(7.5, 6.5)
+    upper, middle, lower = picture.subplots(3, 1, sharex=True, sharey=True)
     for axes, words in ((upper, "model"), (middle, "plant's steps"), (lower, "recorded\nstates")):
         axes.axhline(TOLERANCE, color="0.35", linewidth=0.9, linestyle=(0, (4, 3)))
         axes.set(yscale="log", ylabel=words)
@@ -341,19 +334,8 @@ def equality_figure(recordings: Recordings) -> Figure:
     ]
     limit: Look = {"color": "0.35", "linewidth": 0.9, "linestyle": (0, (4, 3))}
     title = r"Equality $\frac{d}{dt}\,\frac{1}{2}s^T M s = s^T(\Psi - \tau + d)$"
-    add_legend(figure, title, [*dots, (f"tolerance {TOLERANCE:g}", limit)])
-    return figure
-
-
-PROOF_FIGURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {
-    "fvu": fvu_figure,
-    "frozen": frozen_figure,
-    "shares": shares_figure,
-    "ranks": ranks_figure,
-    "lyapunov": lyapunov_figure,
-    "lyapunov-terms": terms_figure,
-    "equality": equality_figure,
-}
+    add_legend(picture, title, [*dots, (f"tolerance {TOLERANCE:g}", limit)])
+    return picture
 
 
 def write_proof(proof: Proof, folder: Path, force: bool = False) -> dict[str, Path]:
@@ -363,12 +345,6 @@ def write_proof(proof: Proof, folder: Path, force: bool = False) -> dict[str, Pa
         RecordingError: A file exists and `force` is off, or cannot be written; before any is.
     """
     keep(proof)
-    runs, figures = {proof.subject.controller: proof.subject.recording}, {}
-    for name in PROOF_FIGURES:
+    for name in FIGURES["proof"]:
         require_free(folder / f"{name}.png", force)
-    for name, make in PROOF_FIGURES.items():
-        try:
-            figures[name] = make(runs)
-        except RecordingError:  # such as the ranks of a controller without networks
-            continue
-    return {name: save(figure, folder / f"{name}.png") for name, figure in figures.items()}
+    return write_figures(FIGURES["proof"], {proof.subject.controller: proof.subject.recording}, folder)

@@ -50,12 +50,12 @@ class Body:
 
     def for_page(self, robot: Robot) -> dict[str, Any]:
         """What the page needs to move it: `column` is the joint's place in a position."""
+        placed = {"parent": self.parent, "origin": columns(self.origin)}
         if self.joint is None:
-            return {"parent": -1, "origin": columns(np.eye(4)), "kind": "root"}
+            return placed | {"kind": "root"}
         kind = "prismatic" if self.joint.type == "prismatic" else "revolute"
         column = robot.position_names.index(self.joint.name)
-        moved = {"kind": kind, "axis": self.joint.axis.tolist(), "column": column}
-        return {"parent": self.parent, "origin": columns(self.origin), **moved}
+        return placed | {"kind": kind, "axis": self.joint.axis.tolist(), "column": column}
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +90,9 @@ class Tree:
 
     def tips(self, robot: Robot) -> list[dict[str, Any]]:
         """The tips of a robot's arms, as the page reads them: a body and a point on it [m]."""
-        named = robot.overrides.arm_tip
-        links = [named] if named else [self.end_of(joint) for joint in self.last_joints(robot)]
+        last = (self.document.body(self.document.joints[joint].child) for joint in self.last_joints(robot))
+        ends = [max(links, key=lambda link: math.hypot(*self.places[link][1][:3, 3])) for links in last]
+        links = [robot.overrides.arm_tip] if robot.overrides.arm_tip else ends
         return [{"body": self.places[link][0], "point": self.places[link][1][:3, 3].tolist()} for link in links]
 
     def last_joints(self, robot: Robot) -> list[str]:
@@ -100,13 +101,6 @@ class Tree:
         before = {name: arm & {j.name for j in self.document.moving_ancestors(joints[name].parent)} for name in arm}
         ends = [name for name in robot.joint_names if not any(name in others for others in before.values())]
         return ends if len(ends) <= MOST_TIPS else [max(ends, key=lambda name: len(before[name]))]
-
-    def end_of(self, joint: str) -> str:
-        """The link that is farthest from a joint, of those on the body that it carries."""
-        return max(
-            self.document.body(self.document.joints[joint].child),
-            key=lambda link: math.hypot(*self.places[link][1][:3, 3]),
-        )
 
 
 def columns(transform: Array) -> list[float]:
@@ -259,5 +253,4 @@ SOURCES: tuple[Callable[[Recording], Iterator[Event]], ...] = (early_end, superv
 
 def events_of(recording: Recording) -> list[Event]:
     """All events of a run, as they began."""
-    found = [event for source in SOURCES for event in source(recording)]
-    return sorted(found, key=lambda event: event.start)
+    return sorted((event for source in SOURCES for event in source(recording)), key=lambda event: event.start)

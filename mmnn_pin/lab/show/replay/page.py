@@ -1,21 +1,27 @@
-"""The page: scene, viewer and controls in one HTML text that opens anywhere, also from a file.
+"""The page: scene, viewer and controls in one HTML text that opens anywhere, also from a file, and how it is served.
 
 The viewer is meshcat's bundle, compressed to a quarter and unpacked by the browser itself. A content security policy in
-the page forbids every request.
+the page forbids every request. The server is a thread of this process, so nothing is left behind whatever ends it, a
+kill included.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Mapping, Sequence
+import os
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ....errors import RecordingError
+from ....errors import ConfigError, RecordingError
 from ....model.robot import Robot
 from ....model.urdf.reading import parse
 from ....recording.recording import Recording, recorded_robot
@@ -26,6 +32,9 @@ from .shapes import Shapes
 
 FPS = 60.0
 LARGE = 50_000_000  # bytes of a page that the user is warned of
+HOST = "127.0.0.1"
+PORTS_TRIED = 50
+LOOK = 0.5  # how often it is looked whether the parent lives [s]
 SCRIPTS = ("unpack.js", "geometry.js", "robot.js", "stage.js", "run.js", "player.js", "main.js")
 
 
@@ -44,24 +53,9 @@ class Scene:
     def __init__(self, package_dirs: Sequence[str | Path] = ()) -> None:
         self.blob, self.frames, self.samples = Blob(), 0, 0
         self._shapes = Shapes(self.blob, package_dirs)
-        self._robots: dict[str, tuple[int, Robot, Tree]] = {}
+        self._robots: dict[str, tuple[int, Tree]] = {}
         self._for_page: list[dict[str, Any]] = []
         self._runs: list[dict[str, Any]] = []
-
-    @classmethod
-    def of(cls, recordings: Mapping[str, Recording], fps: float, package_dirs: Sequence[str | Path] = ()) -> Scene:
-        """Scene of runs by name; each has the colour that it has in the plots.
-
-        Raises:
-            RecordingError: No run, one without anything to show, or one that does not tell its robot.
-            InputError: The robot of a run cannot be built.
-        """
-        if not recordings:
-            raise RecordingError("no recording to replay")
-        scene, styles = cls(package_dirs), styles_of(recordings)
-        for name, recording in recordings.items():
-            scene.add(name, recording, styles[name].color, fps)
-        return scene
 
     def add(self, name: str, recording: Recording, color: str, fps: float) -> None:
         """Add a run.
@@ -73,7 +67,7 @@ class Scene:
             fps: Frames per second that are kept.
 
         Raises:
-            RecordingError: It has nothing to show, or does not tell its robot.
+            RecordingError: It has nothing to show, or does not hold its robot.
             InputError: Its robot cannot be built.
         """
         rows = frames_of(recording, fps)
@@ -100,7 +94,7 @@ class Scene:
         key = f"{robot.frame.tolist()} {robot.urdf}"
         if key not in self._robots:
             tree = Tree.of(parse(robot.urdf.encode(), robot.path))
-            self._robots[key] = len(self._robots), robot, tree
+            self._robots[key] = len(self._robots), tree
             self._for_page.append(
                 {
                     "name": robot.name,
@@ -111,7 +105,7 @@ class Scene:
                     "tips": tree.tips(robot),
                 }
             )
-        index, _, tree = self._robots[key]
+        index, tree = self._robots[key]
         return index, robot, tree
 
 
@@ -134,12 +128,11 @@ class Page(HtmlPage):
         html: The whole page.
         frames: Frames shown, of all runs.
         samples: Samples recorded, of all runs.
-        warnings: What is not shown as the URDF says, one line each; the last one tells of a page that is large.
+        warnings: What is not shown as the URDF says, one line each; the last one of a page that is large.
     """
 
-    frames: int
-    samples: int
-    warnings: tuple[str, ...]
+    frames: int = 0
+    samples: int = 0
 
     what: ClassVar[str] = "replay"
 
@@ -150,6 +143,26 @@ class Page(HtmlPage):
             height: In CSS pixels.
         """
         return self.within(f"{height}px")
+
+    @contextmanager
+    def served(self, port: int) -> Iterator[str]:
+        """Serve the page on this machine; gives its address.
+
+        Args:
+            port: Port to listen on; when it is busy, the next one that is free. 0 takes any.
+
+        Raises:
+            ConfigError: None of the next ports is free.
+        """
+        server = first_free(port, self.html.encode())
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        try:
+            yield f"http://{HOST}:{server.server_address[1]}/"
+        finally:
+            server.shutdown()
+            server.server_close()
+            thread.join()
 
 
 def page(
@@ -164,10 +177,14 @@ def page(
         package_dirs: Folders to look for meshes in before those that the recordings know.
 
     Raises:
-        RecordingError: No run, one without anything to show, or one that does not tell its robot.
+        RecordingError: No run, one without anything to show, or one that does not hold its robot.
         InputError: The robot of a run cannot be built.
     """
-    scene = Scene.of(recordings, fps, package_dirs)
+    if not recordings:
+        raise RecordingError("no recording to replay")
+    scene, styles = Scene(package_dirs), styles_of(recordings)
+    for name, recording in recordings.items():
+        scene.add(name, recording, styles[name].color, fps)
     text = fill_template(
         "page.html",
         __package__,
@@ -181,7 +198,7 @@ def page(
     if len(text) > LARGE:
         fix = "show fewer runs, keep fewer frames per second (--fps), or use simpler meshes"
         warnings += (f"the page is large, {len(text) / 1e6:.0f} MB: {fix}",)
-    return Page(text, scene.frames, scene.samples, warnings)
+    return Page(text, warnings, scene.frames, scene.samples)
 
 
 def title_of(recordings: Mapping[str, Recording]) -> str:
@@ -206,3 +223,64 @@ def viewer() -> str:
     except OSError as error:
         raise RecordingError("no viewer", why=f"meshcat's is not at {folder}", fix="pip install meshcat") from error
     return compressed(f"/*\n{licences[0]}*/\n{licences[1]}\n{code}".encode())
+
+
+# -- the server --------------------------------------------------------------------------------------------------------
+
+
+class Server(ThreadingHTTPServer):
+    """A silent server of one page."""
+
+    daemon_threads = True
+    data: bytes
+
+    def handle_error(self, request: object, client_address: object) -> None:
+        """A browser that leaves in the middle of a page is no error."""
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers `/` with the page, anything else with 404."""
+
+    server: Server
+
+    def do_GET(self) -> None:
+        """Answer."""
+        data = self.server.data if self.path.partition("?")[0] == "/" else b""
+        self.send_response(200 if data else 404)
+        self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+    def log_message(self, format: str, *arguments: object) -> None:
+        """Say nothing."""
+
+
+def first_free(port: int, data: bytes) -> Server:
+    """Server of a page on a port or on the next that is free.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    for candidate in range(port, min(port + PORTS_TRIED, 65536)):
+        try:
+            server = Server((HOST, candidate), Handler)
+            server.data = data
+            return server
+        except OSError as error:
+            why = error.strerror or str(error)
+    fix = "choose another with --port, or write the page with --html"
+    raise ConfigError(f"no free port in the {PORTS_TRIED} from {port}", why=why, fix=fix, key="--port")
+
+
+def wait_until_left(parent: int) -> None:
+    """Return on Ctrl-C, and when the process that started this one is gone.
+
+    Args:
+        parent: What `os.getppid()` gave when this process started.
+    """
+    try:
+        while os.getppid() == parent:
+            time.sleep(LOOK)
+    except KeyboardInterrupt:
+        return

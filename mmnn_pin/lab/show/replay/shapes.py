@@ -79,8 +79,13 @@ class Shapes:
             for holder in element.iterchildren(tag) if tag else ():
                 color = color_of(holder, colors)
                 for at, (geometry, own) in self._solids(robot, holder):
-                    found.append(visual(body, place @ at, geometry, color or own or PLAIN))
-        return found or [visual(body, np.eye(4), self._box(STAND_IN), MISSING) for body in range(len(tree.bodies))]
+                    found.append((body, place @ at, geometry, color or own or PLAIN))
+        box = self._box(STAND_IN) if not found else 0
+        found = found or [(body, np.eye(4), box, MISSING) for body in range(len(tree.bodies))]
+        return [
+            {"body": body, "place": columns(place), "geometry": geometry, "color": [round(part, 4) for part in color]}
+            for body, place, geometry, color in found
+        ]
 
     def _solids(self, robot: Robot, holder: etree._Element) -> Iterator[tuple[Array, Placed]]:
         """Placement on the link, geometry and own colour of what is in a `<visual>` or `<collision>`."""
@@ -114,13 +119,9 @@ class Shapes:
 
     def _packed(self, part: Part) -> dict[str, Any]:
         indices = "u2" if len(part.grid) <= np.iinfo(np.uint16).max else "u4"
+        points, triangles = self._blob.add(part.grid, "u2"), self._blob.add(part.triangles, indices)
         grid = {"corner": part.corner.tolist(), "step": part.step.tolist()}
-        return {
-            "kind": "mesh",
-            "points": self._blob.add(part.grid, "u2"),
-            "triangles": self._blob.add(part.triangles, indices),
-            **grid,
-        }
+        return {"kind": "mesh", "points": points, "triangles": triangles, **grid}
 
     def _box(self, *edges: float) -> int:
         return self._index({"kind": "box", "size": list(edges * 3)[:3]})
@@ -129,11 +130,6 @@ class Shapes:
         if geometry not in self.geometries:
             self.geometries.append(geometry)
         return self.geometries.index(geometry)
-
-
-def visual(body: int, place: Array, geometry: int, color: Color) -> dict[str, Any]:
-    """A shape on a body, as the page reads it."""
-    return {"body": body, "place": columns(place), "geometry": geometry, "color": [round(c, 4) for c in color]}
 
 
 def color_of(holder: etree._Element, named: dict[str, Color | None]) -> Color | None:
@@ -232,9 +228,7 @@ def unit_of(mesh: Any) -> float:
 
 def mesh_color(mesh: Any) -> Color | None:
     """The main colour that a file gives a mesh; one without any opacity is an exporter's slip and counts as full."""
-    if not mesh.visual.defined:
-        return None
-    rgba = getattr(getattr(mesh.visual, "material", mesh.visual), "main_color", None)
+    rgba = getattr(getattr(mesh.visual, "material", mesh.visual), "main_color", None) if mesh.visual.defined else None
     if rgba is None:
         return None
     red, green, blue, opacity = (float(value) / 255 for value in rgba)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -65,20 +66,14 @@ def headline(result: Result) -> str:
 
 def alone(result: Result, name: str) -> str:
     """How well a run tracks that has none to compete with."""
-    if (end := result.recordings[name].outcome).status != "completed":
+    recording, rms = result.recordings[name], []
+    if (end := recording.outcome).status != "completed":
         return f"{name}: {end.status} at {end.time:.3g} s."
-    rms = [f"{what} {number(1e3 * value)} {unit}" for what, unit, value in errors_of(result, name)]
-    return f"{name}: RMS errors in {when(result)} are {', '.join(rms)}."
-
-
-def errors_of(result: Result, name: str) -> Iterator[tuple[str, str, float]]:
-    """Label, unit in thousandths and RMS [SI] of the pose's and the joints' errors of a run."""
-    recording = result.recordings[name]
-    for signal in ("pose_error", "e"):
-        if signal not in recording:
-            continue
+    for signal in (name for name in ("pose_error", "e") if name in recording):
         for column, unit in zip(recording.labels(signal), column_units(recording, signal), strict=True):
-            yield column, milli(unit), result.metrics[name][f"{signal}.{column}{window(result)}"]
+            value = 1e3 * result.metrics[name][f"{signal}.{column}{window(result)}"]
+            rms.append(f"{column} {number(value)} {milli(unit)}")
+    return f"{name}: RMS errors in {when(result)} are {', '.join(rms)}."
 
 
 def ranking(result: Result) -> tuple[dict[str, float], list[str]]:
@@ -91,8 +86,8 @@ def ranking(result: Result) -> tuple[dict[str, float], list[str]]:
     base = result.metrics[compared_with(result) or next(iter(result.metrics))]
     scores = {}
     for name, numbers in result.metrics.items():
-        ratios = [numbers[row] / base[row] for row in rows if numbers[row] > 0 and base[row] > 0]
-        scores[name] = math.exp(math.fsum(map(math.log, ratios)) / len(ratios)) if ratios else math.nan
+        logs = [math.log(numbers[row] / base[row]) for row in rows if numbers[row] > 0 and base[row] > 0]
+        scores[name] = math.exp(math.fsum(logs) / len(logs)) if logs else math.nan
     judged = [
         name
         for name, recording in result.recordings.items()
@@ -105,10 +100,8 @@ def ranking(result: Result) -> tuple[dict[str, float], list[str]]:
 
 def compared_with(result: Result) -> str:
     """The run of plain feedback that the others are measured against, if it reached its end; empty without."""
-    for name, recording in result.recordings.items():
-        if controller_of(name, recording) == "pd" and recording.outcome.status == "completed":
-            return name
-    return ""
+    runs = result.recordings.items()
+    return next((n for n, r in runs if controller_of(n, r) == "pd" and r.outcome.status == "completed"), "")
 
 
 def window(result: Result) -> str:
@@ -196,12 +189,8 @@ def torques(result: Result) -> Iterator[str]:
 def unlike(result: Result) -> Iterator[str]:
     """What the runs do not have in common though a comparison needs it."""
     runs = list(result.recordings.values())
-    for key, words in (
-        ("urdf_sha256", "robot files"),
-        ("seed", "seeds"),
-        ("plant", "plants"),
-        ("versions", "versions"),
-    ):
+    shared = {"urdf_sha256": "robot files", "seed": "seeds", "plant": "plants", "versions": "versions"}
+    for key, words in shared.items():
         if len({str(recording.meta.get(key)) for recording in runs}) > 1:
             yield f"The runs have different {words}."
     if len({recording.config_text for recording in runs}) > 1:
@@ -211,21 +200,8 @@ def unlike(result: Result) -> Iterator[str]:
 # -- what the runs prove -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Proved:
-    """What the page says of it.
-
-    Attributes:
-        sentences: One per network.
-        table: A column per run.
-    """
-
-    sentences: tuple[str, ...]
-    table: Table
-
-
-def proved(recordings: Mapping[str, Recording]) -> Proved | None:
-    """What some runs prove; None where nothing can be told of any."""
+def proved(recordings: Mapping[str, Recording]) -> dict[str, Any] | None:
+    """What some runs prove: `sentences`, one per network, and a `table`; None where nothing is known of any."""
     proofs, _ = proofs_with(recordings, "subject")
     rows = tuple(proof_rows(proofs))
     if not rows:
@@ -233,26 +209,27 @@ def proved(recordings: Mapping[str, Recording]) -> Proved | None:
     learners = {name: proof for name, proof in proofs.items() if proof.has("psi") and proof.psi.frozen}
     sentences = tuple(f"{name}, {text}" for name, proof in learners.items() for text in verdicts(proof.psi))
     heads = (Column(text=True), Column(text=True), *map(Column, proofs))
-    return Proved(sentences, Table("Proof", heads, rows, (ABOUT_PROOF,)))
+    return {"sentences": sentences, "table": Table("Proof", heads, rows, (ABOUT_PROOF,))}
 
 
 def proof_rows(proofs: Mapping[str, Proof]) -> Iterator[Row]:
     """Rows of the table; those that no run has a number for are left out."""
     halves = {half: None for proof in proofs.values() if proof.has("psi") for half in proof.psi.halves}
 
-    def online(half: str) -> Callable[[Proof], Cell]:
-        return lambda proof: fvu_cell(worst(proof.psi.online[proof.psi.halves[half]])) if proof.has("psi") else Cell("")
+    def fvu(half: str, kind: str = "") -> Callable[[Proof], Cell]:
+        """Cell of a run's FVU: online, or frozen on a kind of trajectory; one no better than a constant is bad."""
 
-    def frozen(kind: str, half: str) -> Callable[[Proof], Cell]:
         def cell(proof: Proof) -> Cell:
-            if not (proof.has("psi") and kind in proof.psi.frozen):
+            if not proof.has("psi") or (kind and kind not in proof.psi.frozen):
                 return Cell("")
-            return fvu_cell(worst(proof.psi.frozen[kind].fvu[proof.psi.halves[half]]))
+            every = proof.psi.frozen[kind].fvu if kind else proof.psi.online
+            value = worst(every[proof.psi.halves[half]])
+            return Cell(number(value), "bad" if value >= 1 else "")
 
         return cell
 
-    wanted = [("FVU online", half, online(half)) for half in halves]
-    wanted += [(f"FVU frozen, {words}", half, frozen(kind, half)) for kind, words in FROZEN.items() for half in halves]
+    wanted = [("FVU online", half, fvu(half)) for half in halves]
+    wanted += [(f"FVU frozen, {words}", half, fvu(half, kind)) for kind, words in FROZEN.items() for half in halves]
     wanted += [("V grows in", "% of the periods", growing), ("equality", "worst error", equality)]
     before = ""
     for title, second, make in wanted:
@@ -260,11 +237,6 @@ def proof_rows(proofs: Mapping[str, Proof]) -> Iterator[Row]:
         if any(cell.text for cell in cells):
             yield row_of("" if title == before else title, second, *cells)
             before = title
-
-
-def fvu_cell(value: float) -> Cell:
-    """An FVU; one that is no better than a constant is bad."""
-    return Cell(number(value), "bad" if value >= 1 else "")
 
 
 def growing(proof: Proof) -> Cell:

@@ -1,34 +1,124 @@
-"""An existing Dask cluster as a pool: workers join and leave, lost runs are made again, no folder is shared.
+"""Where the runs of a study are made: threads of this process, processes of this machine, or a Dask cluster.
 
-The scheduler, and some workers, may not have this package. Dask takes a task apart on its way, so what it meets there
-is bytes, and functions that exist only inside others: those travel by value, and fail where the package is missing,
-not where they are unpacked.
+Workers of a cluster join and leave, lost runs are made again, no folder is shared. The scheduler, and some workers, may
+not have this package. Dask takes a task apart on its way, so what it meets there is bytes, and functions that exist
+only inside others: those travel by value, and fail where the package is missing, not where they are unpacked.
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
+import multiprocessing
+import os
 import pickle
+import signal
+import threading
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache, lru_cache
 from types import ModuleType
 from typing import Any
 
 from ...compiled import libraries
-from ...errors import MmnnError, StudyError
-from .execution import Pool, root_of
-from .worker import Bundle, Job, JobResult, code_digest, run
+from ...errors import ConfigError, MmnnError, StudyError
+from . import worker
+from .worker import Bundle, JobResult, code_digest, optional, run
 
 RETRIES = 2  # of a run whose worker raised; a run whose worker died is made again by the scheduler itself
 LEAST = 64  # runs handed out at a time, at least
 ASKED_EVERY = 5.0  # how often the number of workers is asked for [s]
 TIMEOUT = 10.0  # to connect [s]
 SAME = ("python", "distributed")  # versions that must agree: what travels between them is pickled
+
+
+@dataclass(frozen=True)
+class Pool:
+    """Takes runs.
+
+    Attributes:
+        executor: Runs them.
+        place: What it is, for people.
+        window: How many runs it is given at a time; asked again and again.
+        share: Hands a robot's files to it; gives what stands for them in a call, None where they are there already.
+        check: Asked about once a second.
+        stop: Tells runs in this process to end; None where they know by themselves.
+        first_alone: Whether the first run must have ended before others start: it compiles.
+        crew: Who is there at the start, for people.
+    """
+
+    executor: Executor
+    place: str
+    window: Callable[[], int]
+    share: Callable[[Bundle], Any] = lambda bundle: None
+    check: Callable[[], None] = lambda: None
+    stop: Callable[[], bool] | None = None
+    first_alone: bool = False
+    crew: str = ""
+
+
+@contextmanager
+def threads(workers: int | None = None) -> Iterator[Pool]:
+    """Threads, for runs of the compiled engine: they share the compiled code and run without the interpreter lock.
+
+    Raises:
+        ConfigError: Less than one.
+    """
+    count = number_of(workers)
+    stop = threading.Event()
+    with ThreadPoolExecutor(count) as executor, libraries().limit(limits=1, user_api="blas"):
+        try:
+            name = f"{count} thread{'s' * (count > 1)}"
+            yield Pool(executor, name, lambda: 2 * count, stop=stop.is_set, first_alone=True)
+        finally:
+            stop.set()
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def processes(workers: int | None = None) -> Iterator[Pool]:
+    """Processes, for runs with Python in their steps.
+
+    Raises:
+        ConfigError: Less than one.
+    """
+    count = number_of(workers)
+    context = multiprocessing.get_context("spawn")  # a fork would copy threads' locks
+    stop = context.Event()
+    with ProcessPoolExecutor(count, context, begin, (stop,)) as executor:
+        try:
+            yield Pool(executor, f"{count} process{'es' * (count > 1)}", lambda: 2 * count)
+        finally:
+            stop.set()
+            executor.shutdown(wait=True, cancel_futures=True)
+
+
+def begin(stop: Any) -> None:
+    """In a new process: Ctrl-C is the parent's, and so is the event that ends the runs."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    worker.STOP = stop
+
+
+def number_of(workers: int | None) -> int:
+    """How many workers.
+
+    Raises:
+        ConfigError: Less than one.
+    """
+    if workers is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if workers < 1:
+        raise ConfigError(f"{workers} workers", fix="use at least one", key="--workers")
+    return workers
+
+
+# -- a Dask cluster ----------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -42,7 +132,7 @@ def cluster(address: str) -> Iterator[Pool]:
         StudyError: `distributed` is not installed; the scheduler cannot be reached, or it or a worker is of another
             version.
     """
-    distributed = imported()
+    distributed = optional("no cluster without dask.distributed", "cluster", "distributed")
     with quiet():
         client = connected(distributed, address)
         try:
@@ -50,14 +140,9 @@ def cluster(address: str) -> Iterator[Pool]:
             require_same_code(client.run(carriers()["code"], on_error="return"))
             state, executor = State(client, address), client.get_executor(pure=False, retries=RETRIES)
             try:
-                yield Pool(
-                    Packed(executor),
-                    f"the cluster at {address}",
-                    state.window,
-                    state.share,
-                    state.check,
-                    crew=state.crew(),
-                )
+                place, count = f"the cluster at {address}", len(state.workers())
+                crew = f"{count} worker{'s' * (count > 1)}" if count else "no workers yet: waiting for some"
+                yield Pool(Packed(executor), place, state.window, state.share, state.check, crew=crew)
             finally:
                 executor.shutdown(wait=False)
         finally:
@@ -75,11 +160,6 @@ class State:
     def __init__(self, client: Any, address: str) -> None:
         self.client, self.address = client, address
         self.threads, self.asked = 0, -ASKED_EVERY
-
-    def crew(self) -> str:
-        """How many workers there are now."""
-        count = len(self.workers())
-        return f"{count} worker{'s' if count > 1 else ''}" if count else "no workers yet: waiting for some"
 
     def workers(self) -> dict[str, int]:
         """Address of every worker to its number of threads.
@@ -129,7 +209,7 @@ class Packed(Executor):
         self.call = carriers()["call"]
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Make a run: `fn` is `worker.run`, the arguments are its job and the packed files of its robot."""
+        """Make a run: `fn` is `worker.run`, the arguments are its row and the packed files of its robot."""
         assert fn is run and not kwargs
         return self.inner.submit(self.call, pickle.dumps(args[0]), args[1])
 
@@ -137,10 +217,10 @@ class Packed(Executor):
 def carriers() -> dict[str, Callable[..., Any]]:
     """Functions that travel by value: `call` makes a run, `keep` holds bytes, `code` hashes a worker's sources."""
 
-    def call(job: bytes, bundle: bytes) -> JobResult:
-        from .cluster import run_packed
+    def call(row: bytes, bundle: bytes) -> JobResult:
+        from .pools import run_packed
 
-        return run_packed(job, bundle)
+        return run_packed(row, bundle)
 
     def keep(packed: bytes) -> bytes:
         return packed
@@ -153,11 +233,10 @@ def carriers() -> dict[str, Callable[..., Any]]:
     return {"call": call, "keep": keep, "code": code}
 
 
-def run_packed(job: bytes, bundle: bytes) -> JobResult:
+def run_packed(row: bytes, bundle: bytes) -> JobResult:
     """Make a run on a worker; see `worker.run`."""
     on_one_thread()
-    made: Job = pickle.loads(job)
-    return run(made, unpacked(bundle))
+    return run(pickle.loads(row), unpacked(bundle))
 
 
 @cache
@@ -166,25 +245,7 @@ def on_one_thread() -> None:
     libraries().limit(limits=1, user_api="blas")
 
 
-@lru_cache(maxsize=4)
-def unpacked(bundle: bytes) -> Bundle:
-    """A robot's files, unpacked once."""
-    found: Bundle = pickle.loads(bundle)
-    return found
-
-
-def imported() -> ModuleType:
-    """The module `distributed`.
-
-    Raises:
-        StudyError: It is not installed.
-    """
-    try:
-        import distributed
-    except ModuleNotFoundError as error:
-        fix = "pip install 'mmnn_pin[cluster]'"
-        raise StudyError("no cluster without dask.distributed", why=f"no {error.name}", fix=fix) from None
-    return distributed
+unpacked: Callable[[bytes], Bundle] = lru_cache(maxsize=4)(pickle.loads)
 
 
 def connected(distributed: ModuleType, address: str) -> Any:
@@ -293,11 +354,8 @@ def require_same_code(found: Mapping[str, Any]) -> None:
 
 def packages(of: Mapping[str, Any] | None) -> dict[str, str]:
     """Package to version, of one machine."""
-    if not of:
-        return {}
-    host = dict(of.get("host", {}))
-    found = {name: str(version) for name, version in dict(of["packages"]).items()}
-    return found | ({"python": str(host["python"])} if "python" in host else {})
+    python = {key: value for key, value in dict((of or {}).get("host", {})).items() if key == "python"}
+    return {name: str(version) for name, version in (dict((of or {}).get("packages", {})) | python).items()}
 
 
 def major(version: str, package: str) -> tuple[str, ...]:
@@ -307,7 +365,7 @@ def major(version: str, package: str) -> tuple[str, ...]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Dask's own log lines and warnings kept to itself: what matters is told in one line of ours."""
+    """Dask's own log lines and warnings kept to itself: what matters stands in one line of ours."""
     names = [name for name in logging.root.manager.loggerDict if name.partition(".")[0] in ("distributed", "tornado")]
     loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application", *names)]
     before = [logger.disabled for logger in loggers]
@@ -320,3 +378,8 @@ def quiet() -> Iterator[None]:
     finally:
         for logger, was in zip(loggers, before, strict=True):
             logger.disabled = was
+
+
+def root_of(error: ModuleNotFoundError) -> str:
+    """Name of the package that is missing."""
+    return str(error.name).partition(".")[0]
