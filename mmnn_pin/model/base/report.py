@@ -256,7 +256,7 @@ class Unsupported(RobotError):
     """The machine is understood, and it is none that this package can drive.
 
     Attributes:
-        machine: What it is: `skid-steer`, `car-like`, `legged machine`, `humanoid`, `drone`, ...
+        machine: What it is: `car-like base`, `tracked machine`, `legged machine`, `humanoid`, `drone`, ...
     """
 
     machine: str = ""

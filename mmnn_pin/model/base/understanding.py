@@ -73,7 +73,7 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
 
     Raises:
         Undecided: It may be one thing or another; the candidates are listed with the reasons for and against.
-        Unsupported: It is a machine of another kind, e.g. a skid-steer, car-like or legged one.
+        Unsupported: It is a machine of another kind, e.g. a car-like, tracked or legged one.
         UnknownName: A wheel that the robot does not have.
         ConfigError: Wheels that do not suit the base.
     """
