@@ -15,6 +15,7 @@ from mmnn_pin.model.urdf.reading import parse
 
 UP = np.array([0.0, 0.0, 1.0])
 SPHERE = '<sphere radius="{r!r}"/>'
+LYING_CYLINDER = '<origin xyz="0 0 0" rpy="1.5707963267948966 0 0"/>'
 CYLINDER = '<cylinder radius="{r!r}" length="0.03"/>'
 
 

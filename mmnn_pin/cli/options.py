@@ -86,17 +86,37 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     CHANGES,
     click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),
 )
-OVERRIDES = ("base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "strict")
+OVERRIDES = (
+    "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",
+    "controllers_file", "mu", "strict",
+)  # fmt: skip
 ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
-    click.option("--base", metavar="KIND", help="What the base is: differential_drive, holonomic or fixed."),
+    click.option(
+        "--base", metavar="KIND", help="What the base is: differential_drive, skid_steer, holonomic or fixed."
+    ),
     click.option("--wheels", metavar="LEFT,RIGHT", help="Joints of the drive wheels, separated by commas."),
     click.option("--radius", type=float, metavar="M", help="Radius of the drive wheels."),
-    click.option("--track", type=float, metavar="M", help="Lateral distance of the drive wheels."),
+    click.option(
+        "--track",
+        type=float,
+        metavar="M",
+        help="Distance of left and right wheels; of a skid-steer base the effective one.",
+    ),
     click.option("--roller", type=float, metavar="RAD", help="Angle of a holonomic base's rollers: 0 for omni wheels."),
     click.option("--lock", metavar="JOINT[=AT]", multiple=True, help="A joint that stands still; repeatable."),
     click.option("--free", metavar="JOINT", multiple=True, help="A head or finger that moves, or 'all'; repeatable."),
     click.option("--arm-tip", metavar="LINK", help="End of the arm; joints that do not lead to it are locked."),
     PACKAGE_DIRS,
+    click.option("--xacro", metavar="NAME:=VALUE", multiple=True, help="Argument of a xacro file; repeatable."),
+    click.option(
+        "--controllers",
+        "controllers_file",
+        metavar="FILE",
+        help="YAML file of its controllers: evidence, radius and track.",
+    ),
+    click.option(
+        "--mu", type=float, metavar="MU", help="Friction under the wheels of a skid-steer base.  [default: 1]"
+    ),
     click.option("--strict", is_flag=True, help="Refuse impossible inertias and implausible sizes."),
 )
 

@@ -82,7 +82,7 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
             locked.setdefault(name, slave.at(at))
             reasons.setdefault(name, f"follows '{slave.master}', which stands still")
     arm = tuple(name for name in own if name not in locked)
-    following = {name: slave for name, slave in slaves.items() if name not in locked}
+    following = {name: slave for name, slave in slaves.items() if name not in locked and name not in wheels}
     in_file = [name for name in document.joints if name in locked]
     return Arm(arm, {name: locked[name] for name in in_file}, {name: reasons[name] for name in in_file}, following)
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from lxml import etree
 
 from ..errors import ConfigError, InputError, RobotError, UnknownName
 from ..settings import Settings, wrong_type
@@ -33,6 +34,7 @@ def inspection_of(robot: Robot) -> dict[str, Any]:
         "findings": [as_dict(finding) for finding in robot.findings],
         "base": base_of(robot.base),
         "arm": arm_of(robot),
+        **interfaces_of(robot),
         "locked": list(robot.arm.locked),
         "locked_at": {name: {"position": at, "why": robot.arm.reasons[name]} for name, at in robot.arm.locked.items()},
         "mass": float(sum(body.mass for body in robot.model.inertias)),
@@ -75,7 +77,7 @@ def hash_of(path: Path) -> str | None:
 def audited(path: Path, overrides: Overrides) -> list[Finding]:
     """What there is to say about a file that the audit accepts, beside what the robot was refused for."""
     overrides, notes = with_file(path, overrides)
-    return [*audit_file(path, overrides.strict, folders_of(path, overrides))[1], *notes]
+    return [*audit_file(path, overrides.strict, folders_of(path, overrides), overrides.xacro)[1], *notes]
 
 
 def as_dict(finding: Finding) -> dict[str, Any]:
@@ -123,6 +125,27 @@ def arm_of(robot: Robot) -> dict[str, Any]:
         for name, slave in robot.arm.slaves.items()
     }
     return {"joints": list(robot.joint_names), "limits": limits, "slaves": slaves}
+
+
+INTERFACES = ("effort", "velocity", "position")  # the first that a joint offers is used
+
+
+def interfaces_of(robot: Robot) -> dict[str, Any]:
+    """What commands every motor's joint takes, by `ros2_control` and transmission tags, and the one that is used.
+
+    A torque where it is offered, or where nothing is stated; else a velocity, else a position.
+    """
+    root = etree.fromstring(robot.urdf.encode())
+    offered: dict[str, set[str]] = {name: set() for name in robot.actuator_names}
+    for joint in root.iterfind("ros2_control/joint"):
+        found = {tag.get("name", "").rpartition("/")[2] for tag in joint.iterfind("command_interface")}
+        offered.get(joint.get("name", ""), set()).update(found.intersection(INTERFACES))
+    for joint in root.iterfind("transmission/joint"):
+        words = " ".join(tag.text or "" for tag in joint.iter("hardwareInterface")).lower()
+        offered.get(joint.get("name", ""), set()).update(name for name in INTERFACES if f"{name}joint" in words)
+    listed = {name: [one for one in INTERFACES if one in some] for name, some in offered.items()}
+    used = {name: (some or ["effort"])[0] for name, some in listed.items()}
+    return {"interfaces": used, "interfaces_offered": listed}
 
 
 def finite_or_none(value: float) -> float | None:

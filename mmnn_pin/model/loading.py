@@ -13,15 +13,16 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 from lxml import etree
-from numpy.typing import NDArray
 
 from ..elementary.matrices import product
 from ..errors import RobotError
@@ -31,9 +32,11 @@ from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
 from .base.report import arm_notes, printed_notes, settle, weld_notes
 from .base.understanding import find_base
+from .maps import configuration_indices, constraint_rows, motion_map, motor_map
 from .robot import Robot, read_only
 from .robots import find
 from .urdf.document import Document, Joint
+from .urdf.finding import excused
 from .urdf.mechanism import Part
 from .urdf.reading import read
 from .urdf.shapes import AtRest
@@ -62,22 +65,28 @@ def load(
     free: Sequence[str] = (),
     arm_tip: str | None = None,
     package_dirs: Sequence[str | Path] = (),
+    xacro: Sequence[str] = (),
     strict: bool = False,
+    controllers_file: str | Path | None = None,
+    mu: float | None = None,
 ) -> Robot:
     """Load a robot. What is not said is found in the file, after `NAME.mmnn.toml` beside it (see docs/robots.md).
 
     Args:
-        robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF file.
-        base: `differential_drive`, `holonomic` or `fixed`.
+        robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF or xacro file.
+        base: `differential_drive`, `skid_steer`, `holonomic` or `fixed`.
         wheels: Joints of the drive wheels; left, right for a differential drive.
         radius: Radius of the drive wheels [m].
-        track: Lateral distance of the drive wheels [m].
+        track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
         roller: Angle of the rollers of a holonomic base [rad], see `Overrides`.
         lock: Joints that stand still: `joint` where it rests, or `joint=position` [rad or m].
         free: Joints that are not locked though heads and fingers are by default; `all` for all.
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
-        package_dirs: Folders that hold the packages of `package://` meshes.
+        package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
+        xacro: Arguments of a xacro file, `NAME:=VALUE`.
         strict: Whether impossible inertias and implausible sizes are errors.
+        controllers_file: YAML file of the robot's controllers, see `Overrides`.
+        mu: Friction coefficient between the floor and the wheels of a skid-steer base, 1 by default.
 
     Raises:
         UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
@@ -94,7 +103,10 @@ def load(
         free=tuple(free),
         arm_tip=arm_tip,
         package_dirs=tuple(map(str, package_dirs)),
+        xacro=tuple(xacro),
         strict=strict,
+        controllers_file=None if controllers_file is None else str(controllers_file),
+        mu=mu,
     )
     return load_with(robot, overrides)
 
@@ -103,7 +115,7 @@ def load_with(robot: str | Path, overrides: Overrides) -> Robot:
     """`load` with all that is said in one; arguments and errors as there."""
     path = find(robot)
     overrides, notes = with_file(path, overrides)
-    built = build(read(path, overrides.strict, folders_of(path, overrides)), overrides)
+    built = build(read(path, overrides.strict, folders_of(path, overrides), overrides.xacro), overrides)
     return replace(built, findings=(*built.findings, *notes))
 
 
@@ -125,12 +137,25 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     found = find_base(rest, overrides)
     arm = choose_arm(rest, found.base, overrides)
     model, printed = pinocchio_model(document, mobile=found.base.root_size > 0)
-    require_sane(document, model)
+    audited = excused(document.findings, arm.locked)
+    require_sane(document, model, set(arm.locked))
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
-    findings = (*settle(document.findings, found.findings, overrides.strict), *notes)
-    robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=overrides)
+    findings = (*settle(audited, found.findings, overrides.strict), *notes)
+    said = settled(overrides, found.base)
+    robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=said)
     require_finite(document, robot)
     return robot
+
+
+def settled(overrides: Overrides, base: Base) -> Overrides:
+    """What is said with a controllers' file replaced by what it led to: a recording stands alone."""
+    if overrides.controllers_file is None:
+        return overrides
+    found: dict[str, Any] = {"base": base.kind, "controllers_file": None}
+    if base.wheels:
+        found |= {"wheels": tuple(wheel.joint for wheel in base.wheels), "track": base.track}
+        found["radius"] = base.wheels[0].radius if len({wheel.radius for wheel in base.wheels}) == 1 else None
+    return msgspec.structs.replace(overrides, **found)
 
 
 # -- Pinocchio's model -------------------------------------------------------------------------------------------------
@@ -234,7 +259,8 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
     joints = [document.joints[name] for name in model.names[2 if root else 1 :]]
     names = [joint.name for joint in joints]
     arm = replace(arm, joints=tuple(name for name in names if name in arm.joints))
-    motors = (*(wheel.joint for wheel in base.wheels), *arm.joints)
+    driven = (w.joint for w in base.wheels if document.joints[w.joint].mimics is None)
+    motors = (*driven, *arm.joints)
     pushes, rows = PUSHES if base.is_pushed else (), {name: i for i, name in enumerate(names, root)}
     T, E_full = motion_map(base, rows, arm), motor_map(base, rows, motors)
     q_index, is_continuous = configuration_indices(model, root)
@@ -265,7 +291,7 @@ def assemble(document: Document, base: Base, arm: Arm, model: pin.Model) -> Robo
         upper=of_joints(joints, root, "upper", np.inf),
         effort_limits=read_only(np.array([np.inf] * len(pushes) + [document.joints[n].effort for n in motors], float)),
         damping=of_joints(joints, root, "damping", 0.0),
-        coulomb=of_joints(joints, root, "friction", 0.0),
+        coulomb=with_turning(of_joints(joints, root, "friction", 0.0), base),
         viscous=read_only(np.zeros(T.shape[1])),
         rest=np.array(at_rest, dtype=float),
     )
@@ -278,99 +304,39 @@ def of_joints(joints: list[Joint], root: int, attribute: str, of_root: float) ->
     return read_only(np.array([of_root] * root + [getattr(joint, attribute) for joint in joints]))
 
 
-def configuration_indices(model: pin.Model, root: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
-    """Where each velocity's joint starts in q, and whether q holds its cosine and sine; the root fills the first 3."""
-    first = 2 if root else 1
-    q_index = np.array([*range(root), *list(model.idx_qs)[first:]], dtype=np.int64)
-    doubled = [0, 0, 1][:root] + [int(size == 2) for size in list(model.nqs)[first:]]
-    is_continuous = np.array(doubled, dtype=np.uint8)
-    q_index.flags.writeable = is_continuous.flags.writeable = False
-    return q_index, is_continuous
-
-
-def motion_map(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
-    """T, (nv, p): the root moves with the base, wheels roll, the arm moves freely, slaves follow, the rest stands.
-
-    Args:
-        base: The mobile base.
-        rows: Velocity index of every joint in the full model.
-        arm: The manipulator.
-    """
-    nb, root = len(base.velocity_names), base.root_size
-    T = np.zeros((root + len(rows), nb + len(arm.joints)))
-    T[:root, :nb] = base.root_map[:root]
-    for wheel, rates in zip(base.wheels, base.wheel_map, strict=True):
-        T[rows[wheel.joint], :nb] = rates
-    for i, name in enumerate(arm.joints):
-        T[rows[name], nb + i] = 1.0
-    for name, slave in arm.slaves.items():
-        T[rows[name]] = slave.multiplier * T[rows[slave.master]]
-    return T
-
-
-def constraint_rows(base: Base, rows: Mapping[str, int], arm: Arm) -> Array:
-    """A, (nc, nv): no lateral slip of the control frame (2.6), no slip under each wheel, slaves follow, locks hold.
-
-    Args:
-        base: The mobile base.
-        rows: Velocity index of every joint in the full model.
-        arm: The manipulator.
-    """
-    root = base.root_size
-    slip = np.zeros((len(base.slip_rows), root + len(rows)))
-    slip[:, :root] = base.slip_rows[:, :root]
-    rolling = np.zeros((len(base.wheels), root + len(rows)))
-    for row, wheel, rim in zip(rolling, base.wheels, base.rolling_rows, strict=True):
-        row[:root] = rim
-        row[rows[wheel.joint]] = -wheel.sign * wheel.radius
-    still = np.zeros((len(arm.locked), root + len(rows)))
-    for row, name in zip(still, arm.locked, strict=True):
-        row[rows[name]] = 1.0
-    following = np.zeros((len(arm.slaves), root + len(rows)))
-    for row, (name, slave) in zip(following, arm.slaves.items(), strict=True):
-        row[rows[slave.master]] = -slave.multiplier
-        row[rows[name]] = 1.0
-    return np.vstack((slip, rolling, still, following))
-
-
-def motor_map(base: Base, rows: Mapping[str, int], motors: tuple[str, ...]) -> Array:
-    """E_full, (nv, n_u): a motor on every wheel and arm joint; a base without wheels is pushed along its own axes.
-
-    Args:
-        base: The mobile base.
-        rows: Velocity index of every joint in the full model.
-        motors: Joints with a motor.
-    """
-    root = base.root_size
-    nv = root + len(rows)
-    on_joints = np.eye(nv)[:, [rows[name] for name in motors]]
-    if not base.is_pushed:
-        return on_joints
-    pushes = np.zeros((nv, 3))
-    pushes[:root] = base.to_control.T
-    return np.hstack((pushes, on_joints))
+def with_turning(coulomb: Array, base: Base) -> Array:
+    """Coulomb friction of every joint, (nv,), with the base's friction against turning on the root's yaw rate."""
+    if not base.turning:
+        return coulomb
+    full = coulomb.copy()
+    full[2] += base.turning
+    return read_only(full)
 
 
 # -- is it fit to be driven --------------------------------------------------------------------------------------------
 
 
-def require_sane(document: Document, model: pin.Model) -> None:
+def require_sane(document: Document, model: pin.Model, still: set[str]) -> None:
     """Hold M and the forward dynamics against non-finite numbers and singularity at rest and random states.
 
     Args:
         document: The URDF, for the line of the body to blame.
         model: Its full model.
+        still: Joints that stand still: what they alone would feel is no matter.
 
     Raises:
         RobotError: M or the acceleration is not finite, or M is not positive definite; names the body.
     """
     data, rng = model.createData(), np.random.default_rng(0)
-    q0, still = pin.neutral(model), np.zeros(model.nv)
+    q0, rest = pin.neutral(model), np.zeros(model.nv)
+    held = [j.idx_v + k for n, j in zip(model.names, model.joints, strict=True) if n in still for k in range(j.nv)]
     for k in range(STATES):
         q = pin.integrate(model, q0, rng.uniform(-np.pi, np.pi, model.nv)) if k else q0
-        velocity = rng.uniform(-1.0, 1.0, model.nv) if k else still
+        velocity = rng.uniform(-1.0, 1.0, model.nv) if k else rest
         M = pin.crba(model, data, q)
         M = np.triu(M) + np.triu(M, 1).T
+        M[held], M[:, held] = 0.0, 0.0
+        M[held, held] = np.abs(M).max(initial=0.0) or 1.0
         if not np.isfinite(M).all():
             raise blame(document, model, ~np.isfinite(M).all(axis=1), "the mass matrix is not finite")
         for matrix, least in ((scaled(M), SINGULAR), (M, INDISTINCT * np.abs(M).max(initial=0.0))):
@@ -378,7 +344,9 @@ def require_sane(document: Document, model: pin.Model) -> None:
             if values.min(initial=np.inf) <= least:
                 what = f"the mass matrix is singular or not positive definite (smallest eigenvalue {values[0]:.3g})"
                 raise blame(document, model, np.abs(vectors[:, 0]), what)
-        acceleration = pin.aba(model, data, q, velocity, still)
+        forces = pin.nonLinearEffects(model, data, q, velocity)
+        with np.errstate(all="ignore"):
+            acceleration = -np.linalg.solve(M, np.where(np.isin(range(model.nv), held), 0.0, forces))
         if not np.isfinite(acceleration).all():
             raise blame(document, model, ~np.isfinite(acceleration), "the forward dynamics are not finite")
 

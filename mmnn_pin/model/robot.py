@@ -60,7 +60,8 @@ class Robot:
         upper: (nv,) upper position limits [rad or m], inf when unlimited.
         effort_limits: (n_u,) largest motor torques [N m or N]; inf when the file states none or 0.
         damping: (nv,) viscous friction of the joints [N m s or N s/m].
-        coulomb: (nv,) Coulomb friction of the joints [N m or N].
+        coulomb: (nv,) Coulomb friction of the joints [N m or N]; on the root's yaw rate that of a skid-steer base's
+            turning.
         viscous: (p,) further viscous friction, on nu, declared by the user.
         rest: (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits.
         findings: What the audit and the understanding have to say, warnings and notes.

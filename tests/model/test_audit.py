@@ -18,8 +18,9 @@ from mmnn_pin.model.base.report import CODES as UNDERSTOOD
 from mmnn_pin.model.loading import require_sane
 from mmnn_pin.model.urdf.finding import CODES, Finding
 from mmnn_pin.model.urdf.mechanism import lumped, parts_of
+from mmnn_pin.model.urdf.packages import locate
 from mmnn_pin.model.urdf.reading import audit_file, parse
-from mmnn_pin.model.urdf.shapes import damage_of, locate
+from mmnn_pin.model.urdf.shapes import damage_of
 
 DOCUMENT = ROOT / "docs" / "urdf-audit.md"
 TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"
@@ -27,6 +28,10 @@ TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"
 # What is replaced by what, then the severity, the line, the code and the words.
 SUSPECT = {
     "zero effort": ('effort="5"', 'effort="0"', "warning", 16, "zero-effort", "assumed: no limit"),
+    "transposed": ('ixy="0"', 'iyx="0"', "warning", 8, "transposed-inertia", "'iyx' of <inertia> is taken as 'ixy'"),
+    "no effort of a wheel": (HINGE, HINGE.replace("revolute", "continuous").replace('effort="5" ', ""), "warning", 16,
+                             "no-effort", "effort of <limit> is missing: assumed: no limit"),
+    "empty scale": (SHAPE, '<mesh filename="a.stl" scale=""/>', "warning", 10, "mesh-scale", "taken as 1 1 1"),
     "long axis": ('"0 1 0"', '"0 2 0"', "warning", 15, "axis-not-unit", "length 2: assumed: its direction alone"),
     "no axis": ('<axis xyz="0 1 0"/>', "", "note", 12, "no-axis", "assumed 1 0 0"),
     "no room": ('lower="-2" upper="2" ', "", "warning", 16, "limit-empty", "both 0: taken as it is: the joint cannot"),
@@ -92,7 +97,7 @@ def test_every_code_is_documented_with_its_severity():
 
 def test_every_code_has_a_file_that_shows_it():
     shown = {row[3] for row in BAD.values()} | {row[4] for row in SUSPECT.values()}
-    elsewhere = {"file", "encoding", "too-many", "mesh-corrupt"}  # tests of their own
+    elsewhere = {"file", "encoding", "too-many", "mesh-corrupt", "expanded", "xacro-package"}  # tests of their own
     assert set(CODES) - elsewhere == shown - elsewhere
     assert len(BAD) + len(SUSPECT) >= 60
 
@@ -133,7 +138,7 @@ NEXT_TO_NOTHING = 'ixx="1e-210" ixy="0" ixz="0" iyy="1e-210" iyz="0" izz="1e-210
 def test_models_that_a_double_cannot_hold_are_refused_with_the_body(text):
     document = parse(text.encode(), "robot.urdf")
     with pytest.raises(RobotError, match="link 'rod', moved by joint 'hinge': the mass matrix is") as error:
-        require_sane(document, pin.buildModelFromXML(document.text))
+        require_sane(document, pin.buildModelFromXML(document.text), set())
     assert error.value.line == 4
 
 
@@ -179,10 +184,10 @@ def test_a_singular_chain_of_sound_bodies_is_refused():
     text = GOOD.replace(*end(LINK + joint("j", "rod", "tip")))
     document = parse(text.encode(), "robot.urdf")
     model = pin.buildModelFromXML(document.text)
-    require_sane(document, model)
+    require_sane(document, model, set())
     model.inertias[2] = pin.Inertia(0.0, np.zeros(3), np.zeros((3, 3)))
     with pytest.raises(RobotError, match="link 'tip', moved by joint 'j': the mass matrix is singular"):
-        require_sane(document, model)
+        require_sane(document, model, set())
 
 
 # -- meshes -----------------------------------------------------------------------------------------------------------

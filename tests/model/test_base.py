@@ -148,17 +148,20 @@ def test_evidence_for_mecanum_wheels_is_cited(more, words):
 @pytest.mark.parametrize("more", [
     '<gazebo><plugin name="p" filename="libgazebo_ros_diff_drive.so"/></gazebo>', friction(1, 1), commanded("fl", "fr"),
 ])  # fmt: skip
-def test_evidence_for_a_skid_steer_is_cited_and_it_is_refused_by_name(more):
-    with pytest.raises(Unsupported, match="this is a skid-steer base") as error:
-        robot_of(four(more=more))
-    assert error.value.machine == "skid-steer base" and "line " in str(error.value)
+def test_evidence_for_a_skid_steer_is_cited(more):
+    robot = robot_of(four(more=more))
+    cited = next(f.message for f in robot.findings if f.code == "base-evidence")
+    assert robot.base.kind == "skid_steer" and cited.startswith("taken as skid_steer") and "line " in cited
 
 
 @pytest.mark.parametrize("more", ["", MOVE + friction(1, 1), commanded(*CORNERS)])
 def test_without_evidence_or_with_two_minds_it_asks(more):
-    with pytest.raises(Undecided, match="--base holonomic") as error:
+    with pytest.raises(Undecided, match="--base skid_steer for plain wheels, --base holonomic for mecanum") as error:
         robot_of(four(more=more))
-    assert [r.kind for r in error.value.readings] == ["holonomic", "skid-steer", "differential_drive"]
+    assert [robot_of(four(more=more), base=kind).base.kind for kind in ("skid_steer", "holonomic")] == [
+        "skid_steer", "holonomic"
+    ]  # fmt: skip
+    assert [r.kind for r in error.value.readings] == ["holonomic", "skid_steer", "differential_drive"]
     assert len(error.value.candidates) == 4
     if more.startswith("<gazebo>"):
         rolls, skids, _ = error.value.readings

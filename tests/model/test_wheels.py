@@ -215,8 +215,11 @@ def swerve(trail: float) -> str:
 def test_a_swerve_drive_without_limits_is_refused_by_name():
     with pytest.raises(Unsupported, match="this is a swerve drive"):
         robot_of(swerve(0.0))
-    with pytest.raises(Undecided):  # four casters, and nothing that drives
+    with pytest.raises(Unsupported, match=r"base on powered casters: .*--base holonomic drives it"):
         robot_of(swerve(0.03))
+    robot = robot_of(swerve(0.0), base="holonomic")  # as both are told
+    assert robot.base.is_pushed and robot.base.kind == robot_of(swerve(0.03), base="holonomic").base.kind == "holonomic"
+    assert robot.joint_names == ("shoulder", "elbow")
 
 
 # --- Wheels that follow others, have limits or are welded -------------------------------------------------------------
@@ -234,8 +237,15 @@ SIDES = {"rl": "fl", "rr": "fr"}
 
 @pytest.mark.parametrize("more", ["", PLUGIN.format("gazebo_ros_skid_steer_drive")])
 def test_wheels_that_turn_with_the_one_in_front_are_a_skid_steers(more):
-    with pytest.raises(Unsupported, match=r"skid-steer base: .*'rl' follows 'fl' \(<mimic>\)"):
-        robot_of(following(four(more=more), SIDES))
+    skids = robot_of(following(four(more=more), SIDES))
+    assert (
+        skids.base.kind == "skid_steer"
+        and skids.actuator_names[:2] == ("fl", "fr")
+        and "rl" not in skids.actuator_names
+    )
+    cited = next(f.message for f in skids.findings if f.code == "base-evidence")
+    assert "'rl' follows 'fl' (<mimic>, line " in cited and not skids.arm.slaves
+    assert np.abs(skids.A @ skids.T).max() < 1e-12 and np.linalg.matrix_rank(skids.A) == len(skids.A)
     assert robot_of(following(four(more=more), SIDES), base="fixed").dimensions.base == 0
     robot = robot_of(following(four(more=more), SIDES), wheels=("fl", "fr"))
     assert robot.base.casters == ("rl", "rr")
@@ -356,15 +366,16 @@ def test_rollers_that_leave_a_direction_undriven_are_refused():
 def test_controllers_that_leave_wheels_out_speak_for_a_skid_steer():
     entry = '<joint name="{}"><command_interface name="velocity"/></joint>'
     control = f'<ros2_control name="c" type="system">{entry.format("fl")}{entry.format("fr")}</ros2_control>'
-    with pytest.raises(Unsupported, match="commands only fl, fr"):
-        robot_of(four(more=control))
+    robot = robot_of(four(more=control))
+    cited = next(f.message for f in robot.findings if f.code == "base-evidence")
+    assert robot.base.kind == "skid_steer" and "commands only fl, fr" in cited
 
 
 def test_transmissions_confirm_and_do_not_decide():
     parts = "".join(f'<transmission name="t_{n}"><joint name="{n}"/></transmission>' for n in ("fl", "fr"))
     with pytest.raises(Undecided) as error:
         robot_of(four(more=parts))
-    skids = next(r for r in error.value.readings if r.kind == "skid-steer")
+    skids = next(r for r in error.value.readings if r.kind == "skid_steer")
     assert any("transmissions only of fl, fr (line" in text for text in skids.reasons)
     assert robot_of(four(more=parts + MOVE)).base.kind == "holonomic"
 

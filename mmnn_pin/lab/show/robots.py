@@ -29,7 +29,8 @@ def inspection_text(content: dict[str, Any]) -> str:
 
 def understood_text(content: dict[str, Any]) -> str:
     """Base, wheels, arm and what is locked."""
-    parts = (head(content), wheels(content["base"]), arm(content["arm"]), *locked(content["locked_at"]))
+    told = (head(content), wheels(content["base"]), arm(content["arm"]), interfaces(content))
+    parts = (*told, *locked(content["locked_at"]))
     return "\n\n".join(part for part in parts if part)
 
 
@@ -84,6 +85,21 @@ def arm(content: dict[str, Any]) -> str:
         for name, slave in content["slaves"].items()
     ]
     return "\n".join([underlined(rows), "angles in rad, travels in m, efforts in N m or N; - for no limit", *slaves])
+
+
+def interfaces(content: dict[str, Any]) -> str:
+    """Which command interfaces joints offer and which one is used; empty where the file states none."""
+    offered = content["interfaces_offered"]
+    if not any(offered.values()):
+        return ""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name, used in content["interfaces"].items():
+        groups.setdefault((used, ", ".join(offered[name]) or "none stated"), []).append(name)
+    rows = [
+        ("interface", "offered", "joints"),
+        *((used, some, ", ".join(names)) for (used, some), names in groups.items()),
+    ]
+    return underlined(rows)
 
 
 def locked(content: dict[str, Any]) -> Iterator[str]:
@@ -156,6 +172,7 @@ def properties_dict(report: Report) -> dict[str, Any]:
             for name, p in report.properties.items()
         },
         "skipped": dict(report.skipped),
+        "notes": list(report.notes),
         "bounds": {
             "M_min": json_number(b.M_min),
             "M_max": json_number(b.M_max),
@@ -188,6 +205,7 @@ def properties_text(report: Report) -> str:
         allowed = f"{'>' if p.at_least else '<='} {p.tolerance:.0e}"
         lines.append(f"{name:<{width}}  {p.worst:>9.1e}  {allowed:>9}  {'ok  ' if p.passed else 'FAIL'}  {p.means}")
     lines += [f"{name:<{width}}  skipped: {why}" for name, why in report.skipped.items()]
+    lines += report.notes
     b = report.bounds
     lines += ["", f"reduced M: {b.M_min:.4g} I <= M <= {b.M_max:.4g} I (SI units);  ||C|| <= {b.C_b:.4g} ||nu||"]
     lines += [f"  sampling: {SAMPLING}", "", f"base: {report.nonholonomic.verdict}"]

@@ -36,8 +36,8 @@ from ...model.base.overrides import Overrides, folders_of, with_file
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...model.robots import find
+from ...model.urdf.packages import locate
 from ...model.urdf.reading import read
-from ...model.urdf.shapes import locate
 from ...recording.recording import as_columns
 from ...signals import Array
 from ..experiments.controllers import EFFECTIVE
@@ -175,7 +175,9 @@ class Bundle:
         path = find(robot)
         overrides, _ = with_file(path, overrides)
         folders = folders_of(path, overrides)
-        root = copy.deepcopy(read(path, overrides.strict, folders).root)
+        if overrides.controllers_file is not None:  # what it led to travels, not the file
+            overrides = load_with(path, overrides).overrides
+        root = copy.deepcopy(read(path, overrides.strict, folders, overrides.xacro).root)
         files: dict[str, bytes] = {}
         places: dict[str, str] = {}
         for element in root.iterfind("link/*/geometry/mesh"):
@@ -186,8 +188,9 @@ class Bundle:
                 if mesh is not None:
                     files[places[name]] = mesh.read_bytes()
             element.set("filename", places[name])
-        files[path.name] = etree.tostring(root, encoding="utf-8", xml_declaration=True)
-        return cls(path.name, files, msgspec.structs.replace(overrides, package_dirs=()))
+        urdf = f"{path.stem}.urdf"  # of a xacro file what it expands to
+        files[urdf] = etree.tostring(root, encoding="utf-8", xml_declaration=True)
+        return cls(urdf, files, msgspec.structs.replace(overrides, package_dirs=(), xacro=()))
 
     @cached_property
     def digest(self) -> str:

@@ -11,9 +11,10 @@ from ...signals import Array
 from .base import Base, Fixed
 from .differential import DifferentialDrive, kanayama
 from .holonomic import Holonomic, holonomic_command, moves_sideways
+from .skid_steer import SkidSteer
 
-KINDS: dict[str, type[Base]] = {kind.kind: kind for kind in (DifferentialDrive, Holonomic, Fixed)}
-BY_SIZE = {len(kind.velocity_names): kind for kind in KINDS.values()}
+KINDS: dict[str, type[Base]] = {kind.kind: kind for kind in (DifferentialDrive, SkidSteer, Holonomic, Fixed)}
+BY_SIZE: dict[int, type[Base]] = {len(kind.velocity_names): kind for kind in reversed(KINDS.values())}
 
 
 @compiled

@@ -99,12 +99,14 @@ class Base:
         columns: Which of the control frame's `(vx, vy, w)` the base velocities are.
         gain_names: Fields of `Kinematic` with the gains of its law.
         wheels: Drive wheels, left before right. A holonomic base without any is driven by forces on its frame.
-        track: Lateral distance between the contact points of the drive wheels [m]; 0 for a fixed arm.
+        track: Lateral distance between the contact points of the drive wheels [m]; 0 for a fixed arm. Of a skid-steer
+            base the effective one.
         frame: (3,) control frame `(x, y, heading)` in the root link's frame [m, m, rad].
         floor: Height of the floor in the root link's frame [m].
         casters: Joints of casters, locked at rest.
         suspensions: Joints that hold the drive wheels, locked at rest.
         parked: Other joints of wheels (rollers, wheels of a base that is taken as fixed), locked at rest.
+        turning: Dry friction of its wheels against turning [N m].
     """
 
     kind: ClassVar[str]
@@ -120,6 +122,7 @@ class Base:
     casters: tuple[str, ...] = ()
     suspensions: tuple[str, ...] = ()
     parked: tuple[str, ...] = ()
+    turning: float = 0.0
 
     # -- the law that drives it -------------------------------------------------------------------------------------
 
@@ -191,10 +194,15 @@ class Base:
         c, s = cos_sin(psi)
         return np.array([[c, -s, y], [s, c, -x], [0.0, 0.0, 1.0]])[:, self.columns]
 
+    @property
+    def rolling(self) -> tuple[Wheel, ...]:
+        """The drive wheels where they would have to be to roll as they do: where they are, unless they skid."""
+        return self.wheels
+
     @cached_property
     def wheel_map(self) -> Array:
         """(number of wheels, nb) map from the base velocity to the wheels' joint velocities."""
-        rows = [w.sign / w.radius * w.grip[self.columns] for w in self.wheels]
+        rows = [w.sign / w.radius * w.grip[self.columns] for w in self.rolling]
         return np.array(rows).reshape(len(self.wheels), len(self.velocity_names))
 
     @cached_property
@@ -205,7 +213,7 @@ class Base:
     @cached_property
     def rolling_rows(self) -> Array:
         """(number of wheels, 3) speed of each wheel's rim from the root's planar velocity."""
-        return np.array([product(w.grip, self.to_control) for w in self.wheels]).reshape(-1, 3)
+        return np.array([product(w.grip, self.to_control) for w in self.rolling]).reshape(-1, 3)
 
 
 class Fixed(Base):

@@ -1,21 +1,24 @@
 """What a file says about its base beside its geometry: rollers, contact friction, plugins, controllers, names.
 
 Geometry cannot tell mecanum wheels from plain ones: both are four parallel cylinders. Each piece of evidence speaks
-for one of `holonomic` and `skid-steer`, and says where it stands. Names and transmissions only confirm what another
-piece says.
+for one of `holonomic` and `skid_steer`, and says where it stands. Names and transmissions only confirm what another
+piece says. Plugins and a controllers' file also state a radius and a track: second opinions on what was measured.
 """
 
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 from lxml import etree
 
+from mmnn_pin.errors import ConfigError
 from mmnn_pin.signals import Array
 
 from ...elementary import atan2
@@ -23,11 +26,12 @@ from ..urdf.shapes import HORIZONTAL, AtRest
 from ..urdf.xml import number_problem
 from .wheels import Candidate
 
-Meaning = Literal["holonomic", "skid-steer"]
+Meaning = Literal["holonomic", "skid_steer"]
 WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
-    ("skid-steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
+    ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
+LONGEST = 1_000_000  # bytes of a controllers' file
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
 
 
@@ -52,12 +56,23 @@ class Evidence:
     roller: float = math.nan
 
 
-def evidence(rest: AtRest, wheels: list[Candidate]) -> list[Evidence]:
-    """All evidence about parallel wheels, in the order of its weight."""
+def evidence(rest: AtRest, wheels: list[Candidate], controllers: str | None = None) -> list[Evidence]:
+    """All evidence about parallel wheels, in the order of its weight.
+
+    Args:
+        rest: The robot at rest.
+        wheels: Its wheels.
+        controllers: File of the robot's controllers, None without one.
+
+    Raises:
+        ConfigError: The controllers' file cannot be read.
+    """
     return [
         *rollers(rest, wheels),
         *plugins(rest),
+        *controllers_in(controllers),
         *commands(rest, wheels),
+        *followers(wheels),
         *contact(rest, wheels),
         *transmissions(rest, wheels),
         *names(rest, wheels),
@@ -109,6 +124,33 @@ def plugins(rest: AtRest) -> Iterator[Evidence]:
                         yield Evidence(meaning, text, element.sourceline)
 
 
+def controllers_in(file: str | None) -> Iterator[Evidence]:
+    """Controllers of a YAML file that say how they move the base."""
+    for number, line in lines_of(file):
+        for meaning, pattern in WORDS:
+            if "type" in line and (hit := pattern.search(line)):
+                yield Evidence(meaning, f"{Path(file or '').name} names '{hit[0]}' (line {number})", 1)
+
+
+def lines_of(file: str | None) -> list[tuple[int, str]]:
+    """Lines of a controllers' file without comments, numbered from 1; none without a file.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    if file is None:
+        return []
+    try:
+        if os.path.getsize(file) > LONGEST:
+            raise ValueError(f"it has more than {LONGEST // 1000} kB")
+        text = Path(file).read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        fix = "name the YAML file of the robot's controllers"
+        why = getattr(error, "strerror", None) or str(error)
+        raise ConfigError("cannot be read", why=why, fix=fix, file=file, key="controllers_file") from None
+    return [(number, line.partition("#")[0]) for number, line in enumerate(text.splitlines(), 1)]
+
+
 def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     """Wheels of which `ros2_control` commands some and only reads others: those roll along, so they must skid."""
     states: dict[str, bool] = {}
@@ -120,7 +162,24 @@ def commands(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     driven = [name for name, commanded in told.items() if commanded]
     if 0 < len(driven) < len(wheels):
         text = f"<ros2_control> commands only {', '.join(driven)} (line {lines[driven[0]]})"
-        yield Evidence("skid-steer", text, lines[driven[0]])
+        yield Evidence("skid_steer", text, lines[driven[0]])
+
+
+def followers(wheels: list[Candidate]) -> Iterator[Evidence]:
+    """Wheels that follow the one in front of them or behind it: side chains, whose wheels must skid."""
+    for wheel in wheels:
+        if wheel.joint.mimics is not None and follows_on_its_side(wheel, wheels):
+            text = f"wheel '{wheel.joint.name}' follows '{wheel.joint.mimics}' (<mimic>, line {wheel.joint.line})"
+            yield Evidence("skid_steer", text, wheel.joint.line, wheel=wheel.joint.name)
+
+
+def follows_on_its_side(slave: Candidate, drives: list[Candidate]) -> bool:
+    """Whether a wheel follows one in front of or behind it, on the same side."""
+    master = next((c for c in drives if c.joint.name == slave.joint.mimics), None)
+    if master is None:
+        return False
+    between = slave.centre - master.centre
+    return bool(abs(between @ master.axis) < master.radius < float((between @ between) ** 0.5))
 
 
 def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -141,13 +200,13 @@ def contact(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
             yield Evidence("holonomic", f"contact friction is 0 {where}", block.sourceline)
         elif mu1 > GRIP and mu2 > GRIP:
             text = f"contact friction {mu1:g}, {mu2:g} holds in all directions {where}"
-            yield Evidence("skid-steer", text, block.sourceline)
+            yield Evidence("skid_steer", text, block.sourceline)
 
 
 def coefficient(block: etree._Element, tag: str) -> float:
     """A friction coefficient, nan when it is not stated as a number."""
     element = block.find(f".//{tag}")
-    text = None if element is None else element.text
+    text = None if element is None else element.get("value", element.text)
     return math.nan if number_problem(text or "", 1) else float(text or "nan")
 
 
@@ -157,7 +216,7 @@ def friction_direction(rest: AtRest, block: etree._Element) -> Array:
     It is in the frame of the link, or of the link that an attribute `expressed_in` names.
     """
     element = block.find(".//fdir1")
-    text = None if element is None else element.text
+    text = None if element is None else element.get("value", element.text)
     if element is None or number_problem(text or "", 3):
         return np.zeros(3)
     named = [value for key, value in element.attrib.items() if key.endswith("expressed_in")]
@@ -177,7 +236,7 @@ def transmissions(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
     driven = [wheel.joint.name for wheel in wheels if wheel.joint.name in named]
     if 0 < len(driven) < len(wheels):
         line = named[driven[0]]
-        yield Evidence("skid-steer", f"transmissions only of {', '.join(driven)} (line {line})", line, decides=False)
+        yield Evidence("skid_steer", f"transmissions only of {', '.join(driven)} (line {line})", line, decides=False)
 
 
 def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
@@ -191,3 +250,56 @@ def names(rest: AtRest, wheels: list[Candidate]) -> Iterator[Evidence]:
                     text = f"'{hit[0]}' in the names of wheel '{wheel.joint.name}' (line {wheel.joint.line})"
                     yield Evidence(meaning, text, wheel.joint.line, decides=False)
                     break
+
+
+# -- what is stated beside the geometry --------------------------------------------------------------------------------
+
+
+class Stated(NamedTuple):
+    """A length of the base that a file states.
+
+    Attributes:
+        value: [m].
+        text: Where it stands.
+    """
+
+    value: float
+    text: str
+
+
+# Names of plugins and controllers for a length, and the factor to it.
+TRACKS = {"wheel_separation": 1.0, "wheelSeparation": 1.0, "track_width": 1.0, "wheel_separation_y": 1.0}
+RADII = {"wheel_radius": 1.0, "wheelRadius": 1.0, "wheel_diameter": 0.5, "wheelDiameter": 0.5}
+
+
+def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> list[Stated]:
+    """What the file's plugins and the controllers' file state under some names, each value once.
+
+    Raises:
+        ConfigError: The controllers' file cannot be read.
+    """
+    found: list[Stated] = []
+    for element in rest.document.root.iterfind("gazebo//*"):
+        if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
+            value = float(text) * names[element.tag]
+            found.append(Stated(value, f"<{element.tag}> (line {element.sourceline})"))
+    for number, line in lines_of(controllers):
+        key, colon, text = (part.strip().strip("'\"") for part in line.partition(":"))
+        if colon and key in names and text and not number_problem(text, 1):
+            found.append(Stated(float(text) * names[key], f"{key} ({Path(controllers or '').name}, line {number})"))
+    return list({round(one.value, 9): one for one in reversed(found) if one.value > 0}.values())[::-1]
+
+
+def motors_named(rest: AtRest) -> dict[str, str]:
+    """Joints that plugins, `ros2_control` commands or transmissions drive, each with where it stands."""
+    root, found = rest.document.root, {}
+    for element in root.iterfind("transmission/joint"):
+        found[element.get("name", "")] = f"<transmission> (line {element.sourceline})"
+    for element in root.iterfind("ros2_control/joint"):
+        if element.find("command_interface") is not None:
+            found[element.get("name", "")] = f"<ros2_control> (line {element.sourceline})"
+    for element in root.iterfind("gazebo//*"):
+        text = (element.text or "").strip()
+        if text in rest.document.joints and "joint" in str(element.tag).lower():
+            found[text] = f"<{element.tag}> (line {element.sourceline})"
+    return {name: where for name, where in found.items() if name in rest.document.joints}

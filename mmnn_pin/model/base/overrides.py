@@ -29,6 +29,7 @@ from ..robots import package_dirs_of
 from ..urdf.finding import Finding
 from . import KINDS
 
+LARGEST_MU = 10.0
 SMALLEST, LARGEST = 1e-4, 1e3  # [m] what a radius and a track can be
 
 
@@ -39,14 +40,17 @@ class Overrides(Settings, frozen=True):
         base: Kind of the base, one of `KINDS`.
         wheels: Joints of the drive wheels; left, right for a differential drive.
         radius: Radius of the drive wheels [m].
-        track: Lateral distance of the drive wheels [m].
+        track: Lateral distance of the drive wheels [m]; of a skid-steer base the effective one.
         roller: Angle of the rollers from the rolling direction [rad]: 0 for omni wheels; for mecanum wheels that of
             the front right one on the floor, pi/4 by default, negative for wheels mounted the other way round.
         lock: Joints that stand still, `joint` where it rests or `joint=position` [rad or m].
         free: Joints that are not locked though they would be by default; `all` for all.
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
-        package_dirs: Folders that hold the packages of `package://` meshes.
+        package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
+        xacro: Arguments of a xacro file, `NAME:=VALUE`.
         strict: Whether impossible inertias and implausible sizes are errors.
+        controllers_file: YAML file of the robot's controllers: evidence of its kind, and opinions on radius and track.
+        mu: Friction coefficient between the floor and the wheels of a skid-steer base.
     """
 
     base: str | None = None
@@ -58,7 +62,10 @@ class Overrides(Settings, frozen=True):
     free: tuple[str, ...] = ()
     arm_tip: str | None = None
     package_dirs: tuple[str, ...] = ()
+    xacro: tuple[str, ...] = ()
     strict: bool = False
+    controllers_file: str | None = None
+    mu: float | None = None
 
     def __post_init__(self) -> None:
         if self.base is not None and self.base not in KINDS:
@@ -68,6 +75,10 @@ class Overrides(Settings, frozen=True):
             if value is not None and not SMALLEST <= value <= LARGEST:
                 fix = f"give metres, from {SMALLEST:g} to {LARGEST:g}"
                 raise ConfigError(f"{value} cannot be a {key}", fix=fix, key=key)
+        if self.mu is not None and not 0 < self.mu <= LARGEST_MU:
+            raise ConfigError(
+                f"{self.mu} cannot be a friction coefficient", fix="give one above 0, such as 0.6", key="mu"
+            )
         if self.roller is not None and not abs(self.roller) < 1.4:
             raise ConfigError(f"{self.roller} cannot be a roller angle", fix="give radians within +-1.4", key="roller")
         if self.wheels is not None and len(set(self.wheels)) < max(len(self.wheels), 1):
@@ -150,7 +161,7 @@ def beside(urdf: Path) -> Path:
 
 
 def read_overrides(path: Path) -> Overrides:
-    """Overrides of a TOML file; its package folders start from its own folder.
+    """Overrides of a TOML file; its package folders and controllers' file start from its own folder.
 
     Raises:
         ConfigError: The file cannot be read, is not TOML, or a value is of the wrong type or out of range.
@@ -159,7 +170,8 @@ def read_overrides(path: Path) -> Overrides:
     try:
         found = msgspec.toml.decode(path.read_bytes(), type=Overrides)
         folders = tuple(str(path.parent / folder) for folder in found.package_dirs)
-        return msgspec.structs.replace(found, package_dirs=folders)
+        file = None if found.controllers_file is None else str(path.parent / found.controllers_file)
+        return msgspec.structs.replace(found, package_dirs=folders, controllers_file=file)
     except OSError as error:
         raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from None
     except msgspec.ValidationError as error:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...elementary import atan2, hypot
+from ...elementary import atan2, cos_sin, hypot
 from ...elementary.matrices import product
 from ...errors import ConfigError, UnknownName
 from ...signals import Array
@@ -18,11 +18,15 @@ from .base import Base, Wheel
 from .differential import DifferentialDrive
 from .evidence import evidence, stated_rollers
 from .holonomic import Holonomic
+from .machines import MOST_PER_SIDE
 from .overrides import Overrides
 from .report import BaseResult, Reading, note, undecided
-from .wheels import HUB, Candidate, Candidates, bare_swivels, coaxial, parallel, wheel_of
+from .skid_steer import SkidSteer, loads, rotation_centre, turning_friction, turning_track
+from .wheels import HUB, Candidate, Candidates, alike_on_root, bare_swivels, coaxial, is_low, parallel, wheel_of
 
 ROLLERS = "--roller RADIANS says how they lie, --wheels which of the wheels drive"
+
+OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half the wheelbase is told
 
 MECANUM = math.pi / 4  # roller angle that is assumed where nothing states one
 
@@ -33,23 +37,33 @@ def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], 
     Raises:
         ConfigError: Wheels that do not suit the base.
     """
+    if overrides.base == "skid_steer":
+        return skidding(rest, drives, wheels, overrides)
     if overrides.base == "holonomic" or (overrides.base is None and len(drives) > 2):
         if len(drives) < 3:
             raise ConfigError(f"{len(drives)} wheel(s) for a holonomic base", fix="name at least three", key="wheels")
         if not all(parallel(drives[0], c) for c in drives[1:]):
             return crossed(rest, drives, wheels, overrides)
-        base, findings = mecanum(rest, drives, wheels, overrides, stated_rollers(evidence(rest, drives)))
+        base, findings = mecanum(
+            rest, drives, wheels, overrides, stated_rollers(evidence(rest, drives, overrides.controllers_file))
+        )
         return BaseResult(base, tuple(findings))
     if len(drives) != 2 or not coaxial(*drives):
         what = "not two wheels on one axle" if len(drives) == 2 else f"{len(drives)} wheel(s) for a differential drive"
         raise ConfigError(what, fix="name the left and the right one", key="wheels", file=rest.document.path)
     base = frame_of(rest, drives, wheels, DifferentialDrive, overrides)
-    left = base.wheels[0].joint
+    left, findings = base.wheels[0].joint, []
     if overrides.wheels and left != overrides.wheels[0]:
         text = f"'{left}' is the left wheel, not '{overrides.wheels[0]}'"
-        sides = note(rest, "base-sides", drives[0].joint.name, text, "seen along the rolling direction")
-        return BaseResult(base, (sides,))
-    return BaseResult(base)
+        findings.append(note(rest, "base-sides", drives[0].joint.name, text, "seen along the rolling direction"))
+    behind = [
+        c for c in wheels if c.mount == "" and c.joint not in [d.joint for d in drives] and parallel(c, drives[0])
+    ]
+    if behind and any(abs(c.radius - drives[0].radius) < 0.1 * drives[0].radius for c in behind):
+        text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
+        why, fix = "they are taken as free, and the axle as where the base turns", "--base skid_steer without --wheels"
+        findings.append(note(rest, "base-pair", behind[0].joint.name, text, why, fix))
+    return BaseResult(base, tuple(findings))
 
 
 def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: Overrides) -> Candidate:
@@ -67,8 +81,8 @@ def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: O
         why = f"it is {joint.type}" if not joint.turns_freely else "its axis is not horizontal"
         fix = "make it continuous about a horizontal axis" if not joint.turns_freely else "name another joint"
         raise ConfigError(f"joint '{name}' cannot be a wheel", why=why, fix=fix, key="wheels", file=rest.document.path)
-    if joint.mimics is not None:
-        why, fix = f"it follows '{joint.mimics}' (<mimic>)", "name wheels that turn by themselves"
+    if joint.mimics is not None and overrides.base != "skid_steer":
+        why, fix = f"it follows '{joint.mimics}' (<mimic>)", "name wheels that turn by themselves, or --base skid_steer"
         raise ConfigError(f"joint '{name}' cannot be a drive wheel", why=why, fix=fix, key="wheels")
     found = next((c for c in candidates.wheels if c.joint.name == name), None)
     candidate = found or wheel_of(rest, joint)
@@ -88,6 +102,7 @@ def require_used(overrides: Overrides, base: Base) -> None:
         ConfigError: It would be ignored.
     """
     unused = {"radius": not base.wheels, "track": len(base.wheels) < 2, "roller": base.kind != "holonomic"}
+    unused["mu"] = base.kind != "skid_steer"
     unused["roller"] |= not base.wheels
     for key, ignored in unused.items():
         if ignored and getattr(overrides, key) is not None:
@@ -109,10 +124,10 @@ def frame_of(
     left = np.array([-forward[1], forward[0]])
     middle = np.mean([c.centre[:2] for c in drives], axis=0)
     placed = [placed_wheel(c, c.centre[:2] - middle, forward, left, alike, overrides) for c in drives]
-    in_rows = kind is Holonomic
+    in_rows = kind is not DifferentialDrive
     placed.sort(key=lambda w: (-round(w.x, 6) * in_rows, -w.y))  # front to rear, left before right
     track = max(w.y for w in placed) - min(w.y for w in placed)
-    if overrides.track is not None and track > 0:
+    if overrides.track is not None and track > 0 and kind is not SkidSteer:
         placed = [replace(w, y=w.y * overrides.track / track) for w in placed]
         track = overrides.track
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
@@ -149,6 +164,49 @@ def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bo
 def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:
     """Joints once each, in the order of the file."""
     return tuple(name for name in rest.document.joints if name in set(names))
+
+
+# -- skid-steer bases --------------------------------------------------------------------------------------------------
+
+
+def skidding(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
+    """Base on wheels that skid when it turns: a virtual axle in their middle, an effective track, turning friction.
+
+    Raises:
+        ConfigError: Not two or three parallel wheels on either side.
+    """
+    base = frame_of(rest, drives, wheels, SkidSteer, overrides)
+    left, right = sum(w.y > 0 for w in base.wheels), sum(w.y < 0 for w in base.wheels)
+    alike = all(parallel(drives[0], c) for c in drives[1:])
+    if not (alike and left == right and 2 <= left <= MOST_PER_SIDE):
+        what = f"{len(drives)} wheel(s), {left} of them on the left, for a skid-steer base"
+        fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
+        raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
+    mass, centre = weight_in(rest, base)
+    load, mu = loads(base.wheels, mass, centre), overrides.mu or 1.0
+    track = overrides.track or base.track
+    base = replace(base, track=track, turning=turning_friction(base.wheels, track, load, mu))
+    first, rolls = drives[0].joint.name, turning_track(base.wheels)
+    text = f"effective track {track:.4g} m, turning friction {base.turning:.3g} N m (mu {mu:g}, {mass:.4g} kg)"
+    why = f"of wheels that skid the turn on the spot on a hard floor has about {rolls:.3g} m"
+    if overrides.track is None:
+        text = f"the effective track is taken as the geometric one: {text}"
+    findings = [note(rest, "base-skid", first, text, why, f"--track {rolls:.3g}, or as you measured it; --mu")]
+    ahead = rotation_centre(base.wheels, load)
+    if abs(ahead) > OFF_CENTRE * max(abs(w.x) for w in base.wheels):
+        text = f"the base turns about a place {abs(ahead):.3g} m {'ahead of' if ahead > 0 else 'behind'} its middle"
+        why = f"its weight is there; the middle slides sideways by {abs(ahead):.3g} m times the yaw rate, not in T"
+        findings.append(note(rest, "base-skid", first, text, why, "the contact plant shows it: --plant contact"))
+    return BaseResult(base, tuple(findings))
+
+
+def weight_in(rest: AtRest, base: Base) -> tuple[float, Array]:
+    """Mass of the robot at rest [kg], and its centre (2,) in the control frame [m]."""
+    links = [name for name in rest.document.links if rest.mass(name) > 0]
+    mass = math.fsum(rest.mass(name) for name in links)
+    centre = sum((rest.mass(name) * rest.centre(name)[:2] for name in links), np.zeros(2)) / (mass or 1.0)
+    c, s = cos_sin(base.frame[2])
+    return mass, product([[c, s], [-s, c]], centre - base.frame[:2])
 
 
 # -- holonomic bases ---------------------------------------------------------------------------------------------------
@@ -211,11 +269,10 @@ def checked(rest: AtRest, base: Base, drives: list[Candidate]) -> Base:
 
 def pushed(rest: AtRest, candidates: Candidates) -> BaseResult:
     """A holonomic base whose wheels are not modelled: forces on its frame drive it."""
-    names = tuple(
-        j.name
-        for c in [*candidates.wheels, *candidates.near_misses, *candidates.limited]
-        for j in rest.document.moving_ancestors(c.joint.child)
-    )
+    found = [c.joint for c in (*candidates.wheels, *candidates.near_misses, *candidates.limited)]
+    found += [joint for joint in rest.document.joints.values() if is_low(rest, joint)]
+    found += alike_on_root(rest)
+    names = tuple(j.name for joint in found for j in rest.document.moving_ancestors(joint.child))
     floor = candidates.floor if math.isfinite(candidates.floor) else 0.0
     text = "the base has no drive wheels: forces and a torque on the root link drive it, without limits"
     base = Holonomic(floor=floor, casters=in_order(rest, names))

@@ -6,9 +6,12 @@ A refusal lists what the base could be, each with the reasons for and against, o
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from ...elementary import cos, sin
 from ...errors import RobotError
 from ..arm import Arm
 from ..urdf.document import Joint
@@ -17,14 +20,17 @@ from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base
 from .differential import DifferentialDrive
-from .evidence import Evidence, evidence
-from .wheels import HUB, LUMPY, Candidate, Candidates, coaxial
+from .evidence import RADII, TRACKS, Evidence, evidence, stated
+from .overrides import Overrides
+from .wheels import HUB, LUMPY, PARTIAL, STATED, Candidate, Candidates, coaxial
 
 GO_ON = "name the drive wheels with --wheels LEFT,RIGHT, or say what it is with --base"
 
 LARGE = 2.0  # [m]; no wheel of a robot is larger
 
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
+
+OPINION = 0.01  # lengths that differ by more than this fraction are told
 
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
 
@@ -43,6 +49,12 @@ CODES = {
     "base-radius": "warning",
     "base-hub-height": "warning",
     "base-size": "strict",
+    "base-joints": "note",
+    "base-stated": "warning",
+    "base-driven": "note",
+    "base-stray": "warning",
+    "base-pair": "warning",
+    "base-skid": "note",
     "base-floor": "warning",
     "base-welded": "warning",
     # the arm and the rest
@@ -126,6 +138,47 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Fi
     return notes
 
 
+def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
+    """What the distance of the joints, plugins and controllers say of track and radius where geometry says otherwise.
+
+    Args:
+        rest: The robot at rest.
+        base: Its base.
+        wheels: Its drive wheels, and maybe others.
+        overrides: What the user says; that is not questioned.
+
+    Raises:
+        ConfigError: The controllers' file cannot be read.
+    """
+    if not base.wheels or any(abs(sin(w.heading)) > HORIZONTAL for w in base.wheels):
+        return
+    own = [c for c in wheels if c.joint.name in {w.joint for w in base.wheels}]
+    first, radius = base.wheels[0].joint, float(np.median([w.radius for w in base.wheels]))
+    left = np.array([-sin(base.frame[2]), cos(base.frame[2])])
+    across = [float(rest.hub(c.joint)[:2] @ left) for c in own]
+    joints, contacts = max(across) - min(across), max(w.y for w in base.wheels) - min(w.y for w in base.wheels)
+    if overrides.track is None and apart(joints, contacts):
+        text = f"the wheels touch the floor {contacts:.4g} m apart, their joints are {joints:.4g} m apart"
+        yield note(rest, "base-joints", first, text, "the track is that of the contacts", "--track for another")
+    blind = [c.joint.name for c in own if c.shape == STATED and overrides.radius is None]
+    questions = [("track", base.track, stated(rest, overrides.controllers_file, TRACKS)), ("radius", radius, [])]
+    questions[1] = ("radius", radius, stated(rest, overrides.controllers_file, RADII))
+    for name, used, opinions in questions:
+        for opinion in opinions if getattr(overrides, name) is None else ():
+            if blind and name == "radius":
+                text = f"the radius {used:.4g} m of {', '.join(blind)} is what the file states: {opinion.text}"
+                why, fix = "no shape of them can be read whole", "--radius, or --package-dir where their meshes are"
+                yield note(rest, "base-stated", first, text, why, fix)
+            elif apart(opinion.value, used):
+                text = f"{opinion.text} states a {name} of {opinion.value:.4g} m, its geometry {used:.4g} m"
+                yield note(rest, "base-stated", first, text, "taken is the geometry", f"--{name} {opinion.value:.6g}")
+
+
+def apart(one: float, other: float) -> bool:
+    """Whether two lengths differ by more than is told."""
+    return abs(one - other) > OPINION * max(abs(one), abs(other))
+
+
 def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
     """Wheels beside the drive wheels that are welded on."""
     text = f"wheels on the floor are welded on: {', '.join(joint.name for joint in welded)}"
@@ -133,11 +186,11 @@ def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
     return [note(rest, "base-welded", welded[0].name, text, why, fix)] if welded else []
 
 
-def evidence_note(rest: AtRest, cited: list[Evidence]) -> Finding:
-    """What made four parallel wheels mecanum wheels."""
+def evidence_note(rest: AtRest, meaning: str, cited: list[Evidence]) -> Finding:
+    """What made four parallel wheels mecanum wheels, or wheels that skid."""
     texts = list(dict.fromkeys(piece.text for piece in cited))
     more = f" and {len(texts) - 4} more" if len(texts) > 4 else ""
-    text = f"taken as holonomic: {'; '.join(texts[:4])}{more}"
+    text = f"taken as {meaning}: {'; '.join(texts[:4])}{more}"
     return replace(note(rest, "base-evidence", "", text), line=cited[0].line)
 
 
@@ -204,7 +257,7 @@ class Unsupported(RobotError):
     """The machine is understood, and it is none that this package can drive.
 
     Attributes:
-        machine: What it is: `skid-steer`, `car-like`, `legged machine`, `humanoid`, `drone`, ...
+        machine: What it is: `car-like base`, `tracked machine`, `legged machine`, `humanoid`, `drone`, ...
     """
 
     machine: str = ""
@@ -214,7 +267,7 @@ def readings(rest: AtRest, drives: list[Candidate]) -> list[Reading]:
     """What a base on these wheels could be, with the reasons for and against."""
     pieces = evidence(rest, drives)
     speaks = {
-        kind: tuple(dict.fromkeys(p.text for p in pieces if p.meaning == kind)) for kind in ("holonomic", "skid-steer")
+        kind: tuple(dict.fromkeys(p.text for p in pieces if p.meaning == kind)) for kind in ("holonomic", "skid_steer")
     }
     many = len(drives) >= 4
     pairs = sum(coaxial(a, b) for i, a in enumerate(drives) for b in drives[:i])
@@ -225,8 +278,8 @@ def readings(rest: AtRest, drives: list[Candidate]) -> list[Reading]:
     )
     if not many:
         return [two]
-    rolls = Reading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid-steer"])
-    skids = Reading("skid-steer", ("four or more parallel wheels", *speaks["skid-steer"]), speaks["holonomic"])
+    rolls = Reading("holonomic", ("four or more parallel wheels", *speaks["holonomic"]), speaks["skid_steer"])
+    skids = Reading("skid_steer", ("four or more parallel wheels", *speaks["skid_steer"]), speaks["holonomic"])
     return [rolls, skids, two]
 
 
@@ -263,22 +316,33 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
     elif any(abs(c.axis[2]) > HORIZONTAL for c in near_misses):
         why = "wheels roll about a horizontal axis here, not with camber"
     elif any(c.shape == LUMPY for c in near_misses):
-        why = "what turns on them is not round about the axle"
+        why, fix = "what turns on them is not round about the axle", blind_fix(near_misses)
     elif any(math.isnan(c.radius) for c in near_misses):
         why = "no shape of them can be read, and nothing tells where the floor is"
+        if any(c.shape == PARTIAL for c in near_misses):
+            why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
         fix = "give --radius (and --package-dir, where their meshes are); --base fixed parks them"
     else:
         why = f"they end {min(c.bottom for c in near_misses) - candidates.floor:.3g} m above the robot's lowest point"
     return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
 
 
-def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = ()) -> Unsupported:
+def blind_fix(wheels: Sequence[Candidate]) -> str:
+    """The way out for wheels that cannot be measured."""
+    names = ",".join(c.joint.name for c in wheels)
+    missing = any(c.shape == PARTIAL for c in wheels)
+    first = "--package-dir FOLDER with the package of their meshes, or " if missing else ""
+    return f"{first}--wheels {names} --radius METRES, of these those that drive; --base fixed parks them"
+
+
+def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = (), fix: str = "") -> Unsupported:
     """The refusal of a machine by its name."""
+    drives = ", ".join(kind.words for kind in KINDS.values())
     line: int | None = wheels[0].joint.line if wheels else rest.document.root.sourceline
     error = Unsupported(
         f"this is a {name}",
         why=why,
-        fix=f"this package drives {', '.join(kind.words for kind in KINDS.values())}; --base fixed takes it as an arm",
+        fix=fix or f"this package drives {drives}; --base fixed takes it as an arm",
         file=rest.document.path,
         line=line,
     )

@@ -1,12 +1,7 @@
 """What carries the arm: a differential drive, a holonomic base, nothing that moves; or a question to the user.
 
 Geometry at rest decides first (`wheels`), what else the file says next (`evidence`). What the user says (`overrides`)
-is taken as it is. A machine that is none of these is refused by its name, as the shape of the whole tells it:
-
-A leg is a chain of joints from the root's body down to the lowest place of the robot, with no other support under the
-root; two or more make a legged machine, two with arms above them a humanoid. A drone has rotors: three or more equal
-bodies that turn, or are welded, about vertical axes around its middle. Where a machine hides its rotors in a mesh
-only its names are left; they make the loader ask, never accept.
+is taken as it is. A machine that is none of these is refused by its name (`machines`).
 """
 
 from __future__ import annotations
@@ -19,35 +14,54 @@ from dataclasses import replace
 import numpy as np
 
 from ..urdf.document import Joint
+from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Fixed
-from .evidence import evidence, stated_rollers, verdict
+from .evidence import RADII, evidence, follows_on_its_side, motors_named, stated, stated_rollers, verdict
+from .machines import machine, steering_named, tracks
 from .overrides import Overrides
-from .placing import crossed, declared_wheel, mecanum, pushed, require_used, with_wheels
+from .placing import crossed, declared_wheel, in_order, mecanum, pushed, require_used, skidding, with_wheels
 from .report import (
     GO_ON,
     BaseResult,
     Reading,
     Undecided,
     base_notes,
+    blind_fix,
     evidence_note,
     not_on_floor,
+    note,
     readings,
+    second_opinions,
     undecided,
     unsupported,
     welded_note,
 )
-from .wheels import TRAIL, Candidate, Candidates, coaxial, parallel, welded_cylinders, welded_wheels, wheel_candidates
+from .wheels import (
+    ROUND_ABOUT,
+    TOUCHING,
+    TRAIL,
+    Candidate,
+    Candidates,
+    alike_on_root,
+    coaxial,
+    is_low,
+    parallel,
+    welded_cylinders,
+    welded_wheels,
+    wheel_candidates,
+    wheel_of,
+)
 
 STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like", re.IGNORECASE)
 
+UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
+
+Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
+
+SAME_SIZE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
+
 ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
-
-LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
-
-SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
-
-DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|uav|flying", re.IGNORECASE)
 
 
 def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
@@ -59,25 +73,77 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
 
     Raises:
         Undecided: It may be one thing or another; the candidates are listed with the reasons for and against.
-        Unsupported: It is a machine of another kind, e.g. a skid-steer, car-like or legged one.
+        Unsupported: It is a machine of another kind, e.g. a car-like, tracked or legged one.
         UnknownName: A wheel that the robot does not have.
         ConfigError: Wheels that do not suit the base.
     """
     overrides = overrides or Overrides()
-    candidates = wheel_candidates(rest, overrides.radius)
+    radii = stated(rest, overrides.controllers_file, RADII)
+    candidates = wheel_candidates(rest, overrides.radius or (radii[0].value if len(radii) == 1 else None))
     drives = candidates.wheels
     if overrides.base == "fixed":
         found = BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
     elif overrides.wheels is not None:
         drives = [declared_wheel(rest, name, candidates, overrides) for name in overrides.wheels]
-        found = with_wheels(rest, drives, [*candidates.wheels, *candidates.limited], overrides)
+        found = declared(rest, drives, [*candidates.wheels, *candidates.limited], overrides)
     elif overrides.base == "holonomic" and not plain(candidates.wheels):
         found = pushed(rest, candidates)
     else:
         found = decide(rest, candidates, overrides)
+    found = with_strays(rest, found, overrides)
     require_used(overrides, found.base)
     welds = welded_note(rest, welded_cylinders(rest, candidates.floor)) if found.base.wheels else []
-    return replace(found, findings=(*found.findings, *base_notes(rest, found.base, drives), *welds))
+    notes = [*base_notes(rest, found.base, drives), *second_opinions(rest, found.base, drives, overrides)]
+    return replace(found, findings=(*found.findings, *notes, *welds))
+
+
+def declared(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
+    """The base on wheels that the user names; four or more of no stated kind are weighed as if they were found."""
+    alike = all(parallel(drives[0], c) for c in drives[1:])
+    if overrides.base is None and overrides.roller is None and len(drives) >= 4 and alike:
+        return many_parallel(rest, drives, wheels, overrides)
+    return with_wheels(rest, drives, wheels, overrides)
+
+
+def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseResult:
+    """The base, and what else low on it turns without end: that is no arm, it stands still.
+
+    Raises:
+        Undecided: Nothing says what base they make, or they stand as high as the drive wheels.
+    """
+    base = found.base
+    used = {*base.locked, *(wheel.joint for wheel in base.wheels)}
+    alike = alike_on_root(rest)
+    strays = [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
+    few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
+    if not strays or (not base.columns and overrides.base is None and few):
+        return found
+    level = [j for j in strays if any(abs(rest.hub(j)[2] - hub) < TOUCHING * r for hub, r in hubs_of(rest, base))]
+    if overrides.base is None and overrides.wheels is None and (not base.columns or len(level) >= 2):
+        near = [j for j in rest.document.joints.values() if is_low(rest, j) or j in strays]
+        wheels = [wheel_of(rest, j) for j in near if not rest.is_vertical(j)]
+        why = f"{len(strays)} joints turn without end low on the base, and what is on them cannot be measured"
+        if not wheels:
+            wheels, why = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in near], UPRIGHT
+        raise undecided(rest, wheels, readings(rest, wheels), why, blind_fix(wheels) if why != UPRIGHT else Z_UP)
+    base = replace(base, casters=in_order(rest, {*base.casters, *(j.name for j in strays)}))
+    names = ", ".join(f"'{j.name}'" for j in strays)
+    why, fix = "low on the base and endless: no joints of an arm", "name them in --wheels if they drive"
+    told = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
+    return BaseResult(base, (*found.findings, told))
+
+
+def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
+    """Whether two joints stand at the same place on either side."""
+    if len(joints) != 2:
+        return False
+    one, other = rest.hub(joints[0]), rest.hub(joints[1]) * (1.0, -1.0, 1.0)
+    return bool(np.linalg.norm(one - other) < 0.02 * abs(one[1]))
+
+
+def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
+    """Height of the hub and radius of every drive wheel [m]."""
+    return [(float(rest.hub(rest.document.joints[w.joint])[2]), w.radius) for w in base.wheels]
 
 
 def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
@@ -99,16 +165,62 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
         drives = [c for c in drives if c not in balls]
     refuse_steered(rest, wheels)
     refuse_mimic_wheels(rest, wheels, drives)
+    drives, told = driven_pair(rest, drives)
+    if told:
+        found = with_wheels(rest, drives, wheels, overrides)
+        return replace(found, findings=(*told, *found.findings))
     if len(drives) == 2 and coaxial(*drives) and overrides.base != "holonomic":
         refuse_steered_pair(rest, drives, wheels)
         return with_wheels(rest, drives, wheels, overrides)
+    if overrides.base == "holonomic" and not in_pairs(drives):
+        return pushed(rest, candidates)
     if len(drives) >= 3 and overrides.base != "differential_drive":
         if not all(parallel(drives[0], c) for c in drives[1:]):
             return crossed(rest, drives, wheels, overrides)
         if len(drives) >= 4:
-            return four_parallel(rest, drives, wheels, overrides)
+            return many_parallel(rest, drives, wheels, overrides)
+    raise no_base(rest, wheels, drives)
+
+
+def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> Undecided:
+    """The error for wheels that make no base by themselves, with the options that would."""
+    known = {c.joint.name for c in wheels}
+    low = [j for j in rest.document.joints.values() if is_low(rest, j)]
+    if any(j.name not in known for j in low):
+        everything = [*wheels, *(wheel_of(rest, j) for j in low if j.name not in known)]
+        why = "what turns on some of them cannot be measured, or does not reach the floor"
+        return undecided(rest, everything, readings(rest, drives), why, blind_fix(everything))
     why = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls"
-    raise undecided(rest, wheels, readings(rest, drives), why)
+    pairs = [(a, b) for i, a in enumerate(drives) for b in drives[i + 1 :] if coaxial(a, b)]
+    pairs.sort(key=lambda pair: -pair[0].radius)  # those that drive are hardly the smaller ones
+    ways = [f"--wheels {a.joint.name},{b.joint.name}" for a, b in pairs]
+    if len(drives) >= 3:
+        ways.append("--base holonomic to drive it by forces on its frame")
+    return undecided(rest, wheels, readings(rest, drives), why, ", or ".join(ways) or GO_ON)
+
+
+def in_pairs(drives: list[Candidate]) -> bool:
+    """Whether wheels could be mecanum wheels or omni wheels: two and two on one line, or not all parallel."""
+    alike = all(parallel(drives[0], c) for c in drives[1:])
+    return not alike or all(any(coaxial(c, o) for o in drives if o is not c) for c in drives)
+
+
+def driven_pair(rest: AtRest, drives: list[Candidate]) -> tuple[list[Candidate], list[Finding]]:
+    """The two coaxial wheels that alone have motors, and a note; all of them where the file names none or others.
+
+    Wheels of the same size beside them may be those of a skid-steer base that turn with them.
+    """
+    motors = motors_named(rest)
+    own = [c for c in drives if c.joint.name in motors]
+    others = [c for c in drives if c not in own]
+    if len(drives) < 3 or len(own) != 2 or not coaxial(*own):
+        return drives, []
+    same = [c for c in others if abs(c.radius - own[0].radius) <= SAME_SIZE * own[0].radius]
+    if len(others) > 1 and same:
+        return drives, []
+    text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in own)}"
+    why = f"taken as free casters: {', '.join(c.joint.name for c in others)}"
+    return own, [note(rest, "base-driven", own[0].joint.name, text, why)]
 
 
 def parked(wheels: list[Candidate]) -> Base:
@@ -130,6 +242,8 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         raise unsupported(rest, name, why)
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
     welded = welded_wheels(rest, floor)
+    if welded and (why := steering_named(rest)):
+        raise unsupported(rest, "car-like base", f"{why}, and its wheels are welded on")
     if welded:
         names = ", ".join(f"'{joint.name}'" for joint in welded)
         rolls = Reading("holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",))
@@ -148,21 +262,25 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
     return BaseResult(Fixed())
 
 
-def four_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
+def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
     """Four or more wheels that roll in one direction: mecanum wheels or a skid-steer, as the evidence has it."""
-    told = evidence(rest, drives)
-    meaning = "holonomic" if overrides.base == "holonomic" else verdict(told)
+    told = evidence(rest, drives, overrides.controllers_file)
+    if overrides.wheels is None and (why := tracks(rest)):
+        raise unsupported(rest, "tracked machine", why, drives)
+    meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(told)
+    if meaning is None and (why := steering_named(rest)):
+        raise unsupported(rest, "car-like base", why, drives)
     if meaning is None:
         why = "four parallel wheels roll the same whether they have rollers (mecanum) or skid"
         if told:
             why += ", and the evidence does not decide"
-        fix = "--base holonomic for mecanum wheels, or --wheels LEFT,RIGHT for two drive wheels with the others free"
+        fix = "--base skid_steer for plain wheels, --base holonomic for mecanum wheels"
         raise undecided(rest, wheels, readings(rest, drives), why, fix)
-    if meaning == "skid-steer":
-        why = "; ".join(dict.fromkeys(piece.text for piece in told if piece.meaning == meaning and piece.decides))
-        raise unsupported(rest, "skid-steer base", f"{len(drives)} parallel wheels, and {why}", drives)
-    cited = [piece for piece in told if piece.meaning == "holonomic"]
-    findings = [evidence_note(rest, cited)] if cited else []
+    cited = [piece for piece in told if piece.meaning == meaning]
+    findings = [evidence_note(rest, meaning, cited)] if cited else []
+    if meaning == "skid_steer":
+        found = skidding(rest, drives, wheels, overrides)
+        return replace(found, findings=(*findings, *found.findings))
     base, assumed = mecanum(rest, drives, wheels, overrides, stated_rollers(cited))
     return BaseResult(base, (*findings, *assumed))
 
@@ -181,53 +299,62 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
 
 
 def refuse_steered(rest: AtRest, wheels: list[Candidate]) -> None:
-    """Refuse wheels that steer, and wheels at the ends of legs.
+    """Refuse wheels that steer, wheels on casters that have motors, and wheels at the ends of legs.
 
     Raises:
         Unsupported: By name.
+        Undecided: What drives beside casters cannot be measured.
     """
     steered, drives = [c for c in wheels if c.mount == "steering"], plain(wheels)
-    if not drives and not steered:  # nothing else drives, and what does not trail is no caster
-        steered = [c for c in wheels if c.mount == "swivel" and c.trail <= TRAIL]
+    swivels = [c for c in wheels if c.mount == "swivel"]
     legged = [c for c in wheels if c.mount == "leg"]
     if len(legged) >= 2:
         raise unsupported(
             rest, "legged machine", f"its wheels hang on legs: {'; '.join(c.text for c in legged)}", legged
         )
-    if steered:
-        name = "car-like base" if drives else "swerve drive"
-        raise unsupported(rest, name, f"wheels are steered: {'; '.join(c.text for c in steered)}", steered)
+    known = {c.joint.name for c in wheels}
+    blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
+    if not drives and len(blind) >= 2:
+        why = "what would drive them cannot be measured"
+        raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(blind))
+    if not drives and not steered and swivels and all(c.trail <= TRAIL for c in swivels):
+        steered = swivels  # what does not trail is no caster
+    if steered and drives:
+        raise unsupported(rest, "car-like base", f"wheels are steered: {'; '.join(c.text for c in steered)}", steered)
+    if steered or (swivels and not drives):
+        name = "swerve drive" if steered else "base on powered casters"
+        why = f"all its wheels {'are steered' if steered else 'hang on swivels'}: {'; '.join(c.text for c in wheels)}"
+        raise unsupported(rest, name, why, wheels, turned_fix(wheels))
+
+
+def turned_fix(wheels: list[Candidate]) -> str:
+    """The way out for a base all of whose wheels can be turned about the vertical."""
+    fix = "--base holonomic drives it by forces on its frame, its wheels standing still"
+    corners = {(c.centre[0] > np.mean([o.centre[0] for o in wheels]), c.centre[1] > 0) for c in wheels}
+    if len(wheels) == 4 and len(corners) == 4 and all(parallel(wheels[0], c) for c in wheels):
+        names = ",".join(c.joint.name for c in wheels)
+        fix += f"; --base holonomic --wheels {names} takes them as mecanum wheels that do not steer"
+    return fix + "; --base fixed takes it as an arm"
 
 
 def refuse_mimic_wheels(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> None:
-    """Refuse drive wheels that follow others (<mimic>): nothing that this package drives has them.
+    """Refuse drive wheels that follow others (<mimic>), but for those of a skid-steer: its sides turn alike.
 
     Raises:
-        Unsupported: Wheels behind each other that turn together must slip: a skid-steer.
-        Undecided: Other slaves.
+        Undecided: Slaves on another side.
     """
     slaves = [c for c in drives if c.joint.mimics is not None]
     if not slaves:
         return
+    if steers := steering_named(rest):
+        raise unsupported(rest, "car-like base", steers, drives)
     why = "; ".join(f"wheel '{c.joint.name}' follows '{c.joint.mimics}' (<mimic>)" for c in slaves)
     aligned = all(parallel(drives[0], c) for c in drives[1:])
-    if (
-        aligned
-        and all(follows_on_its_side(c, drives) for c in slaves)
-        and verdict(evidence(rest, drives)) != "holonomic"
-    ):
-        raise unsupported(rest, "skid-steer base", why, drives)
+    turning_alike = aligned and all(follows_on_its_side(c, drives) for c in slaves)
+    if turning_alike and verdict(evidence(rest, drives)) == "skid_steer":
+        return
     two = Reading("differential_drive", (), ("a drive wheel turns by itself",))
     raise undecided(rest, wheels, [two], why, GO_ON + ", or take out their <mimic>")
-
-
-def follows_on_its_side(slave: Candidate, drives: list[Candidate]) -> bool:
-    """Whether a wheel follows one in front of or behind it, on the same side."""
-    master = next((c for c in drives if c.joint.name == slave.joint.mimics), None)
-    if master is None:
-        return False
-    between = slave.centre - master.centre
-    return bool(abs(between @ master.axis) < master.radius < float((between @ between) ** 0.5))
 
 
 def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> None:
@@ -271,105 +398,3 @@ def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Ite
             if lines.keys() & own and not lines.keys() & others:
                 name = sorted(lines.keys() & own)[0]
                 yield kind, f"{what} drives '{name}' (line {lines[name]})"
-
-
-# -- other machines ----------------------------------------------------------------------------------------------------
-
-
-def machine(rest: AtRest) -> tuple[str, str] | None:
-    """Name of the machine and what tells; None for what may stand on a table."""
-    if feet := legs(rest):
-        names = ", ".join(f"'{joint.name}'" for joint in feet)
-        above = [j for j in trunk_joints(rest) if j not in feet and len(chain(rest, j)) >= LEG_JOINTS]
-        if len(feet) == 2 and any(len(chain(rest, j)) > 2 for j in above):
-            return "humanoid", f"it stands on two legs ({names}) and has limbs above them"
-        return "legged machine", f"it stands on {len(feet)} legs ({names})"
-    if feet := upright_along_y(rest):
-        names = ", ".join(f"'{joint.name}'" for joint in feet)
-        return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
-    if told := list(rotors(rest)):
-        return "drone", f"{len(told)} equal rotors turn about vertical axes ({', '.join(told)})"
-    files = [mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh")]
-    meshes = [name.rpartition("/")[2] for name in files]
-    if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *rest.document.links, *meshes])):
-        return "drone", f"'{hit[0]}' in its names, and nothing that carries it"
-    return None
-
-
-def trunk_joints(rest: AtRest) -> list[Joint]:
-    """Joints on the root's body."""
-    return rest.document.moving_children(rest.document.root_link)
-
-
-def chain(rest: AtRest, joint: Joint) -> list[Joint]:
-    """The longest chain of joints that starts with this one."""
-    below = [chain(rest, j) for j in rest.document.moving_children(joint.child)]
-    return [joint, *max(below, key=len, default=[])]
-
-
-def height(rest: AtRest, joint: Joint) -> float:
-    """Height of the lowest frame or primitive that a joint carries [m]."""
-    links = rest.document.body(joint.child)
-    own = min(min(float(rest.placements[link][2, 3]), lowest(rest, link)) for link in links)
-    return min([own, *(height(rest, j) for j in rest.document.moving_children(joint.child))])
-
-
-def lowest(rest: AtRest, link: str) -> float:
-    """Height of a link's lowest primitive, inf without any [m]."""
-    return min((shape.lowest for shape in rest.primitives[link]), default=math.inf)
-
-
-def legs(rest: AtRest) -> list[Joint]:
-    """First joints of the legs, empty when there are fewer than two."""
-    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) >= LEG_JOINTS]
-    feet = {j.name: height(rest, j) for j in limbs}
-    ground = min(feet.values(), default=math.inf)
-    hips = {j.name: float(rest.hub(j)[2]) for j in limbs}
-    body = [link for link in rest.document.body(rest.document.root_link) if rest.mass(link) > 0]
-    root = min((min(lowest(rest, link), rest.bottom(link)) for link in body), default=0.0)
-    found = []
-    for joint in limbs:
-        drop = hips[joint.name] - feet[joint.name]
-        on_ground = feet[joint.name] - ground < SAME_HEIGHT * max(drop, 1e-9) + 1e-3
-        if drop > 0 and on_ground and root - feet[joint.name] > 0.1 * drop:
-            found.append(joint)
-    return found if len(found) >= 2 else []
-
-
-def upright_along_y(rest: AtRest) -> list[Joint]:
-    """First joints of the two legs of a humanoid drawn with y up, as body models are; by frames only."""
-
-    def reach(joint: Joint) -> float:
-        own = float(rest.placements[joint.child][1, 3])
-        return min([own, *(reach(j) for j in rest.document.moving_children(joint.child))])
-
-    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
-    drops = {j.name: float(rest.hub(j)[1]) - reach(j) for j in limbs}
-    longest = max(drops.values(), default=0.0)
-    found = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
-    rest_of = [j for j in limbs if j not in found and drops[j.name] < 0.5 * longest]
-    return found if len(found) == 2 and rest_of and len(limbs) == len(found) + len(rest_of) else []
-
-
-def rotors(rest: AtRest) -> Iterator[str]:
-    """Names of equal light bodies on vertical axes around the centre of mass, none when there are fewer than three."""
-    document = rest.document
-    turning = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_vertical(j)]
-    turning = [j for j in turning if not document.moving_children(j.child)]
-    if len(turning) < ROTORS:
-        turning = [j for j in document.joints.values() if not j.moves and is_propeller(rest, j)]
-    if len(turning) < ROTORS or any(document.moving_children(j.child) for j in turning):
-        return
-    hubs = np.array([rest.hub(j) for j in turning])
-    masses = np.array([rest.mass(j.child) for j in turning])
-    level = np.ptp(hubs[:, 2]) < 0.1 * np.ptp(hubs[:, :2], axis=0).max()
-    around = np.linalg.norm(hubs[:, :2].mean(axis=0)) < 0.3 * np.linalg.norm(hubs[:, :2], axis=1).max()
-    if level and around and np.ptp(masses) <= 0.1 * masses.max():
-        yield from (joint.name for joint in turning)
-
-
-def is_propeller(rest: AtRest, joint: Joint) -> bool:
-    """Whether a joint carries a flat upright cylinder beside the root's middle."""
-    flat = [s for s in rest.primitives[joint.child] if s.kind == "cylinder" and s.half[2] < 0.25 * s.radius]
-    beside = [s for s in flat if abs(s.pose[2, 2]) > 0.9 and math.hypot(*rest.hub(joint)[:2]) > 0.5 * s.radius]
-    return bool(beside)

@@ -1,13 +1,16 @@
 """Wheels, found on the geometry of a robot at rest; names decide nothing.
 
 A wheel is a joint that turns freely about a horizontal axis, carries a round body around that axis and touches the
-floor. Its body is a cylinder, a sphere or a mesh; where nothing can be read, two joints that share an axis at the
-same height are wheels whose radius is the height of their hub.
+floor, with its tread. Its body is a cylinder, a sphere or a mesh, and where rollers turn on it, what they reach. Where
+a mesh is missing nothing is measured from what is left. Joints that cannot be measured are wheels all the same where
+two share an axis, or three are low on the root's body: their radius is what is stated, else the height of their hub
+above a frame that stands for the floor.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -17,14 +20,19 @@ import numpy as np
 from mmnn_pin.signals import Array
 
 from ..urdf.document import Joint
-from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, round_about
+from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, reach_about, round_about
 
 TOUCHING = 0.2  # a wheel's lowest point may be off the floor by this fraction of the radius
 COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
 TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
 LUMPY = "not round"
-HUB, STATED = "hub height", "radius as you said"  # shapes of wheels whose body cannot be read
+PARTIAL = "mesh missing"  # a shape that is not measured, since a mesh of it cannot be read
+HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body cannot be read
+FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE)  # of frames that stand for the floor
+WHEEL_NAMES, STEER_NAMES = re.compile(r"wheel", re.IGNORECASE), re.compile(r"steer", re.IGNORECASE)
+LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
+ROUND_ABOUT = 3  # so many low joints are wheels though no two share an axis
 ROLLERS = 4  # so many bodies that turn freely on a wheel are its rollers
 
 Mount = Literal["", "swivel", "steering", "leg"]
@@ -39,7 +47,7 @@ class Candidate:
         axis: (3,) its axis.
         centre: (3,) middle of the round body on the axis [m].
         radius: [m], nan while unknown.
-        shape: `cylinder`, `sphere`, `mesh`, `unknown`, or where the radius is from instead, `HUB` or `STATED`.
+        shape: `cylinder`, `sphere`, `mesh`, `unknown`, `PARTIAL`, or where the radius is from, `HUB` or `STATED`.
         mount: What it hangs on: a free `swivel`, a `steering` joint, a `leg`, or nothing that turns.
         trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
@@ -96,7 +104,7 @@ def wheel_candidates(rest: AtRest, radius: float | None = None) -> Candidates:
 
     Args:
         rest: The robot at rest.
-        radius: What the user says of their radius [m].
+        radius: What is stated of their radius, for those that cannot be measured [m].
     """
     found = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
     rollers = {name for c in found for name in c.rollers}
@@ -104,11 +112,12 @@ def wheel_candidates(rest: AtRest, radius: float | None = None) -> Candidates:
     upright = [c for c in found if rest.is_vertical(c.joint)]
     tilted = [c for c in found if not rest.is_horizontal(c.joint) and c not in upright]
     found = [c for c in found if rest.is_horizontal(c.joint)]
-    unknown, lumpy = ([c for c in found if c.shape == shape] for shape in ("unknown", LUMPY))
+    unknown, lumpy = [c for c in found if c.shape in ("unknown", PARTIAL)], [c for c in found if c.shape == LUMPY]
     known = [c for c in found if c not in unknown and c not in lumpy]
-    shapes = [shape for link in rest.document.links for shape in rest.primitives[link]]
+    blind = {link for c in unknown for link in rest.document.body(c.joint.child)}  # what is left of them tells nothing
+    shapes = [shape for link in rest.document.links if link not in blind for shape in rest.primitives[link]]
     footing = footing_of(rest, known, shapes)
-    known += on_floor(unknown, known, footing, radius)
+    known += on_floor(rest, unknown, known, footing, radius)
     lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
     floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
     touching = [c for c in known if c.shape == STATED or abs(c.bottom - floor) <= TOUCHING * c.radius]
@@ -117,9 +126,9 @@ def wheel_candidates(rest: AtRest, radius: float | None = None) -> Candidates:
         return Candidates(touching, [], floor, footing, limited)
     known, upright, lumpy = ([c for c in some if c.joint.mimics is None] for some in (known, upright, lumpy))
     standing = [c for c in tilted if abs(c.bottom - floor) <= TOUCHING * c.radius and not moving_above(rest, c)]
-    hanging = [c for c in known if is_axle(rest, c, known)]
-    lying = [c for c in upright if c.shape not in ("unknown", LUMPY) and is_axle(rest, c, upright)]
-    turning = [c for c in lumpy if is_axle(rest, c, lumpy)]
+    hanging = [c for c in known if is_axle(rest, c, known) or is_round_about(rest, c, known)]
+    lying = [c for c in upright if c.shape not in ("unknown", PARTIAL, LUMPY) and is_axle(rest, c, upright)]
+    turning = [c for c in lumpy if is_axle(rest, c, lumpy) or is_round_about(rest, c, lumpy)]
     return Candidates([], hanging or standing or lying or turning, floor, footing, limited)
 
 
@@ -136,11 +145,14 @@ def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[C
 def footing_of(rest: AtRest, known: list[Candidate], shapes: list[Shape]) -> float:
     """Height of the floor, as wheels, casters or a footprint frame tell it; nan where nothing does [m].
 
-    A chassis is above the floor, nobody knows how far: the lowest shape must be a ball or a lying cylinder.
+    A frame counts by its name (REP 105, REP 120), since many a massless root link is in the middle of the chassis. A
+    chassis is above the floor, nobody knows how far: the lowest shape must be a ball or a lying cylinder.
     """
     lowest = min([shape.lowest for shape in shapes] + [c.bottom for c in known], default=math.inf)
-    if rest.is_footprint:
-        return min(0.0, lowest)
+    root = rest.document.body(rest.document.root_link)
+    frames = [name for name in root if rest.mass(name) == 0 and FLOOR_NAMES.search(name)]
+    if frames:
+        return min([lowest, *(float(rest.placements[name][2, 3]) for name in frames)])
     rolling = [shape.lowest for shape in shapes if shape.rolls] + [c.bottom for c in known]
     return lowest if rolling and min(rolling) <= lowest else math.nan
 
@@ -153,23 +165,38 @@ def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
     rollers = tuple(j.name for j in carried if is_roller(rest, j))
     if len(rollers) != len(carried) or 0 < len(rollers) < ROLLERS:
         return None
-    candidate = wheel_of(rest, joint)
+    candidate = wheel_of(rest, joint, rollers)
     mount, trail = hangs_on(rest, joint, candidate)
     return replace(candidate, mount=mount, trail=trail, rollers=rollers)
 
 
-def wheel_of(rest: AtRest, joint: Joint) -> Candidate:
-    """The joint with its round body, of shape `unknown` when no body can be read, `LUMPY` when it is not round."""
+def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candidate:
+    """The joint with its round body, of shape `unknown` where none can be read, `PARTIAL` where a mesh of it cannot.
+
+    Its shape is `LUMPY` when its body is not round. Rollers reach out further than the rim that carries them.
+    """
     axis, hub, links = rest.axis(joint), rest.hub(joint), rest.document.body(joint.child)
-    seen = False
+    seen = blind = False
     for tag in ("collision", "visual"):
-        bodies = [s for link in links for s in rest.shapes(link, tag) if s.kind != "mesh" or len(s.points)]
-        seen = seen or bool(bodies)
+        bodies, gone = readable(rest, links, tag)
+        rims, rims_gone = readable(rest, [rest.document.joints[name].child for name in rollers], tag)
         rounds = [(*fit, s.kind) for s in bodies if (fit := round_about(s, hub, axis))]
-        if rounds:
+        if rims:
+            reaches = [reach_about(s, hub, axis) for s in rims]
+            middle = (min(low for _, low, _ in reaches) + max(high for _, _, high in reaches)) / 2
+            rounds.append((max(out for out, _, _ in reaches), middle, "mesh" if rims[0].kind == "mesh" else "cylinder"))
+        seen, blind = seen or bool(bodies), blind or gone or rims_gone
+        if rounds and not gone and not rims_gone:
             radius, travel, kind = max(rounds)
             return Candidate(joint, axis, hub + travel * axis, radius, kind)
-    return Candidate(joint, axis, hub, math.nan, LUMPY if seen else "unknown")
+    return Candidate(joint, axis, hub, math.nan, PARTIAL if blind else LUMPY if seen else "unknown")
+
+
+def readable(rest: AtRest, links: list[str], tag: str) -> tuple[list[Shape], bool]:
+    """Shapes of some links that can be read, and whether there are others."""
+    shapes = [s for link in links for s in rest.shapes(link, tag)]
+    bodies = [s for s in shapes if s.kind != "mesh" or len(s.points)]
+    return bodies, len(bodies) < len(shapes)
 
 
 def is_roller(rest: AtRest, joint: Joint) -> bool:
@@ -183,25 +210,74 @@ def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool
     return alike and not moving_above(rest, candidate)
 
 
+def is_round_about(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
+    """Whether it is one of three or more low on the root's body, whatever their axes."""
+    low = [o for o in others if is_low(rest, o.joint)]
+    return candidate in low and len(low) >= ROUND_ABOUT
+
+
 def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
     """Joints that carry a wheel, but for slides."""
     above = rest.document.moving_ancestors(candidate.joint.child)[1:]
     return [joint for joint in above if joint.type != "prismatic"]
 
 
-def on_floor(unknown: list[Candidate], known: list[Candidate], footing: float, stated: float | None) -> list[Candidate]:
-    """Bodies of unknown shape that have a coaxial partner: wheels of the radius that is said, else of the hub's height.
+def on_floor(
+    rest: AtRest, unknown: list[Candidate], known: list[Candidate], footing: float, stated: float | None
+) -> list[Candidate]:
+    """Bodies of unknown shape that are wheels by their places, of the radius that is stated, else of the hub's height.
 
-    The radius is nan where nothing tells the floor.
+    Two share an axis, or three are low on the root's body. The radius is nan where nothing tells the floor.
     """
+    low = [c for c in unknown if is_low(rest, c.joint)]
     wheels = []
     for c in unknown:
         partners = [o for o in known + unknown if o is not c and coaxial(c, o)]
+        if not partners and not (c in low and len(low) >= ROUND_ABOUT):
+            continue
         radius = stated if stated is not None else float(c.centre[2] - footing)
-        if partners and not (radius <= 0 or radius >= np.linalg.norm(partners[0].centre - c.centre)):
-            blind = "unknown" if math.isnan(radius) else HUB
-            wheels.append(replace(c, radius=radius, shape=blind if stated is None else STATED))
+        if radius <= 0 or any(radius >= np.linalg.norm(o.centre - c.centre) for o in partners[:1]):
+            radius = math.nan
+        blind = c.shape if math.isnan(radius) else HUB
+        wheels.append(replace(c, radius=radius, shape=blind if stated is None or math.isnan(radius) else STATED))
     return wheels
+
+
+def is_low(rest: AtRest, joint: Joint) -> bool:
+    """Whether a joint turns without end about a near horizontal axis, low on the root's body, and carries no other.
+
+    So do wheels, and hardly ever joints of an arm. On another body three such joints must be the lowest there are: the
+    root may be a torso above the base.
+    """
+    if not is_endless_end(rest, joint) or abs(rest.axis(joint)[2]) > TILTED:
+        return False
+    above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type != "prismatic"]
+    beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
+    if above and len(beside) < ROUND_ABOUT:
+        return False
+    return bool(rest.hub(joint)[2] <= height_at(rest, LOW / 2 if above else LOW))
+
+
+def height_at(rest: AtRest, fraction: float) -> float:
+    """Height of so much of the way from a robot's lowest frame or primitive to its highest [m]."""
+    heights = [float(pose[2, 3]) for pose in rest.placements.values()]
+    heights += [float(shape.pose[2, 3]) for shapes in rest.primitives.values() for shape in shapes]
+    return min(heights) + fraction * (max(heights) - min(heights))
+
+
+def is_endless_end(rest: AtRest, joint: Joint) -> bool:
+    """Whether a joint turns without end and carries nothing that moves, rollers apart."""
+    return joint.turns_freely and all(is_roller(rest, j) for j in rest.document.moving_children(joint.child))
+
+
+def alike_on_root(rest: AtRest) -> list[Joint]:
+    """Three or more like bodies on endless parallel joints on the root's body: wheels or casters, hardly an arm."""
+    joints = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
+    if len(joints) < ROUND_ABOUT:
+        return []
+    masses, axes = [rest.mass(j.child) for j in joints], [rest.axis(j) for j in joints]
+    alike = max(masses) - min(masses) <= 0.2 * max(masses)
+    return joints if alike and all(abs(axes[0] @ axis) > VERTICAL for axis in axes) else []
 
 
 def parallel(a: Candidate, b: Candidate) -> bool:
@@ -225,11 +301,14 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
     than two joints are a leg, fewer without a vertical one a rocker or swing arm: a suspension.
     """
     above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
+    beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
+    if len(beside) >= ROUND_ABOUT:  # the base hangs on joints of a torso that is the root
+        return "", math.inf
     if len(above) > 2:
         return "leg", math.inf
     upright = next((j for j in above if rest.is_vertical(j)), None)
-    if upright is None:
-        return "", math.inf
+    if upright is None:  # some files write the axis of a steering joint wrong
+        return ("steering" if any(STEER_NAMES.search(j.name) for j in above) else ""), math.inf
     trail = math.dist(rest.hub(upright)[:2], wheel.centre[:2])
     all_round = upright.turns_freely or (upright.upper - upright.lower > ALL_ROUND and trail > TRAIL)
     return ("swivel" if all_round else "steering"), trail
@@ -249,7 +328,21 @@ def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
 
     A file made for planning often has its casters and wheels welded so.
     """
-    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor)]))
+    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor), *welded_by_name(rest)]))
+
+
+def welded_by_name(rest: AtRest) -> list[Joint]:
+    """Two or more fixed joints at the end of the root's body whose links are called wheels, low on it.
+
+    A name makes the loader ask here, where geometry has nothing to say.
+    """
+    highest = height_at(rest, LOW)
+    body = rest.document.body(rest.document.root_link)[1:]
+    ends = [
+        rest.document.carrier[name] for name in body if WHEEL_NAMES.search(name) and not rest.document.children[name]
+    ]
+    low = [joint for joint in ends if rest.hub(joint)[2] <= highest]
+    return low if len(low) >= 2 else []
 
 
 def welded_cylinders(rest: AtRest, floor: float) -> list[Joint]:

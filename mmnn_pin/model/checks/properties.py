@@ -2,7 +2,8 @@
 
 `check_properties` takes the worst of the `residuals` over random states. A sample is not a proof: M_min, M_max and C_b
 are what was found, the true bounds may lie a little outside. Positions are uniform within the limits (unlimited angles
-within +-pi, other unlimited travel and the base's place within +-1 m), velocities standard normal in SI units.
+within +-pi, other unlimited travel and the base's place within +-1 m), what is locked stands where it is locked,
+velocities are standard normal in SI units.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from .residuals import (
 from .second_answers import SecondKinematics, WorldFrame
 
 PLACED = 5  # states at which placements are compared: yourdfpy takes its time
+HUGE_TURN, HUGE_TRAVEL = 80 * np.pi, 40.0  # travel [rad, m] beyond which a limit is none
 TOLERANCE = 1e-6  # of residuals of differences in time; rounding alone gives about 1e-10
 
 
@@ -110,6 +112,7 @@ class Report:
         bounds: Estimated bounds.
         nonholonomic: The Frobenius test.
         skipped: Properties that could not be checked, and why.
+        notes: What to know of the states that were drawn.
     """
 
     robot: str
@@ -119,6 +122,7 @@ class Report:
     bounds: Bounds
     nonholonomic: Nonholonomy
     skipped: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -172,7 +176,14 @@ def check_properties(
     properties = {name: Property(found[name], *PROPERTIES[name]) for name in PROPERTIES if name in found}
     low, high, coriolis = np.array(ranges).T
     bounds = Bounds(float(low.min()), float(high.max()), float(coriolis.max()))
-    return Report(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped)
+    return Report(robot.name, samples, seed, properties, bounds, nonholonomy(robot, rng), skipped, notes_of(robot))
+
+
+def notes_of(robot: Robot) -> tuple[str, ...]:
+    """What to know of the states that were drawn: limits that were not taken at their word."""
+    names = zip(robot.position_names, unlimited(robot), robot.lower, strict=True)
+    wide = ", ".join(name for name, free, low in names if free and np.isfinite(low))
+    return (f"limits too wide to be meant, positions drawn within +-pi or +-1 m: {wide}",) if wide else ()
 
 
 def worse(a: float | None, b: float, at_least: bool) -> float:
@@ -189,13 +200,22 @@ def worse(a: float | None, b: float, at_least: bool) -> float:
 
 def random_state(robot: Robot, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Position (nv,), a velocity of the full model (nv,) and one that the wheels permit, nu (p,); see the top."""
-    free = np.isinf(robot.lower) | np.isinf(robot.upper)
     reach = np.where(robot.is_continuous.astype(bool) | revolute(robot), np.pi, 1.0)
+    free = unlimited(robot)
     rest = robot.neutral_position()
     lower, upper = np.where(free, rest - reach, robot.lower), np.where(free, rest + reach, robot.upper)
-    lower, upper = np.maximum(lower, robot.lower), np.minimum(upper, robot.upper)
-    position = robot.follow(rng.uniform(lower, upper))
+    lower = np.where(free, np.maximum(lower, robot.lower), robot.lower)
+    upper = np.where(free, np.minimum(upper, robot.upper), robot.upper)
+    still = np.isin(robot.position_names, list(robot.arm.locked))
+    position = robot.follow(np.where(still, rest, rng.uniform(lower, upper)))
     return position, rng.standard_normal(robot.dimensions.full), rng.standard_normal(robot.dimensions.dof)
+
+
+def unlimited(robot: Robot) -> Array:
+    """Which positions have no limits, or such as nobody means: wider than 40 turns, or 40 m, (nv,) bool."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        travel = robot.upper - robot.lower
+    return np.asarray(~(travel <= np.where(revolute(robot), HUGE_TURN, HUGE_TRAVEL)))
 
 
 def revolute(robot: Robot) -> Array:
@@ -212,10 +232,11 @@ def residuals_at(terms: Terms, position: Array, v: Array, nu: Array) -> dict[str
     M, C = terms.mass(q), terms.coriolis(q, v)
     Mdot = rate_along(terms.mass, model, q, v, speed)
     arm = robot.arm_index
-    base = np.setdiff1d(np.arange(len(M)), arm)
+    carried = robot.T.any(axis=1) | (np.arange(len(M)) < robot.dimensions.pose)  # what is locked may have no mass
+    base = np.setdiff1d(np.flatnonzero(carried | (np.diag(M) > 0)), arm)
     numbers = {
         "symmetric": asymmetry(M),
-        "positive_definite": smallest_eigenvalue(M),
+        "positive_definite": smallest_eigenvalue(M[np.ix_(carried, carried)]),
         "property_1": nonlinearity(lambda v: terms.coriolis(q, v), v, M, speed),
         "property_2": skewness(M, Mdot, C, speed),
         "property_3": max(block_residual(M, Mdot, C, speed, part) for part in (base, arm)),

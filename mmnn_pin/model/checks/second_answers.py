@@ -124,7 +124,7 @@ class WorldFrame:
         """The constant rows of S: wheels that roll without slipping, arm joints, locked joints."""
         robot, names = self.robot, self.robot.full_velocity_names
         S = np.zeros((len(names), robot.dimensions.dof))
-        for wheel in robot.base.wheels:
+        for wheel in robot.base.rolling:
             S[names.index(wheel.joint), :2] = wheel.sign / wheel.radius, -wheel.sign * wheel.y / wheel.radius
         for i, name in enumerate(robot.joint_names, start=robot.dimensions.base):
             S[names.index(name), i] = 1.0

@@ -99,9 +99,10 @@ def new_work(body: Body) -> Work:
 
 
 def parameters(robot: Robot) -> Array:
-    """Parameters of a robot, (k,): `Y theta` is its Psi where dry friction is Coulomb's alone (no `breakaway`).
+    """Parameters of a robot, (k,): `Y theta` is its Psi where dry friction is Coulomb's in the joints alone.
 
-    Friction on a joint's velocity counts as friction of the joint.
+    There is no `breakaway` then, and no friction against the turning of a skid-steer base. Friction on a
+    joint's velocity counts as friction of the joint.
 
     Raises:
         RobotError: A joint that cannot be flattened.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +20,8 @@ CODES = {
     "doctype": "error",
     "not-urdf": "error",
     "xacro": "error",
+    "expanded": "note",
+    "xacro-package": "warning",
     "namespace": "warning",
     "version": "error",
     "too-many": "error",
@@ -33,6 +35,7 @@ CODES = {
     "number": "error",
     "vector-length": "error",
     "missing-value": "error",
+    "transposed-inertia": "warning",
     "negative-size": "error",
     "zero-size": "warning",
     "no-shape": "warning",
@@ -54,6 +57,7 @@ CODES = {
     "limit-negative": "error",
     "limit-empty": "warning",
     "zero-effort": "warning",
+    "no-effort": "warning",
     "negative-friction": "error",
     "mimic-ghost": "error",
     "mimic-self": "error",
@@ -71,6 +75,7 @@ CODES = {
     "odd-mass": "strict",
     "odd-inertia": "strict",
     # meshes
+    "mesh-scale": "warning",
     "mesh-missing": "warning",
     "mesh-remote": "warning",
     "mesh-corrupt": "warning",
@@ -91,6 +96,7 @@ class Finding:
         message: What is wrong.
         why: What it would lead to, or what was assumed.
         fix: What to do.
+        joint: The joint that it matters to; where that joint stands still, an error is a warning.
     """
 
     severity: str
@@ -101,6 +107,7 @@ class Finding:
     message: str
     why: str = ""
     fix: str = ""
+    joint: str = ""
 
     @property
     def what(self) -> str:
@@ -113,7 +120,13 @@ class Finding:
 
 
 def finding(
-    code: str, at: etree._Element | int, message: str, why: str = "", fix: str = "", of: str | None = None
+    code: str,
+    at: etree._Element | int,
+    message: str,
+    why: str = "",
+    fix: str = "",
+    of: str | None = None,
+    joint: str | None = None,
 ) -> Finding:
     """A finding of a check; the file is filled in at the end.
 
@@ -124,10 +137,13 @@ def finding(
         why: What it would lead to, or what was assumed.
         fix: What to do.
         of: What it is about, in words; from the element when None.
+        joint: The joint that it matters to, None for all.
     """
     severity = "warning" if CODES[code] == "strict" else CODES[code]
     line, about = (at, "") if isinstance(at, int) else (at.sourceline, label(at))
-    return Finding(severity, code, "", line, one_line(about if of is None else of), one_line(message), why, fix)
+    return Finding(
+        severity, code, "", line, one_line(about if of is None else of), one_line(message), why, fix, joint or ""
+    )
 
 
 def one_line(text: str) -> str:
@@ -142,6 +158,28 @@ def settle(findings: Sequence[Finding], path: Path, strict: bool) -> tuple[Findi
         for f in findings
     ]
     return tuple(sorted(placed, key=lambda f: f.line))
+
+
+def excused(findings: Sequence[Finding], still: Iterable[str]) -> tuple[Finding, ...]:
+    """Findings where what only matters to joints that stand still is a warning.
+
+    Args:
+        findings: All of them.
+        still: Joints that stand still.
+
+    Raises:
+        AuditError: An error is left.
+    """
+    standing = set(still)
+    judged = tuple(
+        replace(f, severity="warning", why="taken as it is: the joint stands still")
+        if f.severity == "error" and f.joint in standing
+        else f
+        for f in findings
+    )
+    if any(f.severity == "error" for f in judged):
+        raise AuditError(judged)
+    return judged
 
 
 class AuditError(RobotError):

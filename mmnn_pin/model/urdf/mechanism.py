@@ -256,7 +256,7 @@ def bad_bodies(tree: Tree) -> Iterator[Finding]:
         if joint is not None and mass == 0 and not carries_mass(tree, joint):
             what = f"the body that joint '{joint.name}' moves has no mass, nor has what hangs on it"
             why, fix = "its acceleration could be infinite", "give it an <inertial>, or make the joint fixed"
-            yield finding("zero-mass", tree.links[start], what, why, fix)
+            yield finding("zero-mass", tree.links[start], what, why, fix, joint=joint.name)
         elif mass > 0 and all(part.mass >= 0 for part in parts):
             whole.append((parts, joint))
     with np.errstate(over="ignore", invalid="ignore"):
@@ -312,8 +312,10 @@ def bad_inertia(parts: list[Part], joint: Joint | None, principal: list[float]) 
     if low < -POSITIVE * abs(high) or high < 0 or (joint is not None and low <= POSITIVE * high):
         what = f"the inertia of {whose} is not positive definite ({values})"
         why, fix = "its acceleration could be infinite or against the torque", "compute it from the mesh and the mass"
-        yield finding("inertia-not-positive", to_blame(parts), what, why, fix)
-    elif joint is not None and high > low + middle + ROUNDING * high:
+        yield finding(
+            "inertia-not-positive", to_blame(parts), what, why, fix, joint=None if joint is None else joint.name
+        )
+    elif high > low + middle + ROUNDING * high:
         what = f"the inertia of {whose} violates the triangle inequality ({values})"
         yield finding(
             "inertia-triangle", to_blame(parts), what, "no body has it; taken as it is", "compute it from the mesh"

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -30,7 +31,8 @@ from .mechanism import (
     no_inertials,
     too_large,
 )
-from .shapes import NO_SHAPE, MeshFile, damage_of, locate
+from .packages import FIND, MeshFile, expand, is_xacro, locate
+from .shapes import NO_SHAPE, damage_of
 from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml
 
 MAX_BYTES = 50_000_000
@@ -58,7 +60,6 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "axis": ("xyz",),
     "mass": ("value",),
     "inertia": tuple(NUMBERS["inertia"]),
-    "limit": ("effort", "velocity"),
     "safety_controller": ("k_velocity",),
     "cylinder": ("radius", "length"),
     "capsule": ("radius", "length"),
@@ -71,19 +72,22 @@ REQUIRED: dict[str, tuple[str, ...]] = {
 SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",), "box": ("size",)}
 
 
-def read(path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()) -> Document:
-    """Read and audit a URDF file.
+def read(
+    path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = (), xacro: Sequence[str] = ()
+) -> Document:
+    """Read and audit a URDF file, or a xacro file that makes one.
 
     Args:
         path: The file.
         strict: Whether impossible inertias and implausible sizes are errors rather than warnings.
         package_dirs: Folders that hold the packages of `package://` meshes.
+        xacro: Arguments of a xacro file, `NAME:=VALUE`.
 
     Raises:
         RobotError: The file cannot be read, is not a URDF, or the audit refuses it; its `findings` are all that was
             found, its message tells them one per line.
     """
-    return accepted(*audit_file(path, strict, package_dirs))
+    return accepted(*audit_file(path, strict, package_dirs, xacro))
 
 
 def parse(data: bytes, path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()) -> Document:
@@ -113,14 +117,20 @@ def accepted(document: Document | None, findings: tuple[Finding, ...]) -> Docume
 
 
 def audit_file(
-    path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()
+    path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = (), xacro: Sequence[str] = ()
 ) -> tuple[Document | None, tuple[Finding, ...]]:
     """Everything there is to say about a file, in one pass, and its document when nothing forbids to load it.
+
+    An error that matters to one joint alone forbids nothing yet: that joint may stand still (see `excused`).
 
     Args:
         path: The file.
         strict: As in `read`.
         package_dirs: As in `read`.
+        xacro: As in `read`.
+
+    Raises:
+        RobotError: A xacro file that cannot be expanded.
     """
     path = Path(path)
     try:
@@ -137,6 +147,19 @@ def audit_file(
     except ValueError as error:
         problem = f"cannot be read ({error})"
     else:
+        if len(data) <= MAX_BYTES and is_xacro(path, data):
+            data, absent = expand(path, xacro, package_dirs)
+            if len(data) > MAX_BYTES:
+                what = f"expands to more than {MAX_BYTES // 1_000_000} MB"
+                return None, settle([finding("file", 1, what)], path, strict)
+            document, findings = audit_data(data, path, strict, package_dirs)
+            notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
+            if absent:
+                what, why = f"packages not found: {', '.join(absent)}", "what their files would add is left out"
+                fix = "give the folder that holds them with --package-dir"
+                notes.append(finding("xacro-package", 1, what, why, fix))
+            findings = (*settle(notes, path, strict), *findings)
+            return document and replace(document, findings=findings), findings
         if len(data) <= MAX_BYTES:
             return audit_data(data, path, strict, package_dirs)
         problem = f"has more than {MAX_BYTES // 1_000_000} MB"
@@ -159,7 +182,7 @@ def audit_data(
     if root is not None:
         found += audit(tree := Tree(root), path, package_dirs)
     findings = settle(found, path, strict)
-    if root is None or any(f.severity == "error" for f in findings):
+    if root is None or any(f.severity == "error" and not f.joint for f in findings):
         return None, findings
     return Document.of(tree, path, hashlib.sha256(data).hexdigest(), findings), findings
 
@@ -175,8 +198,9 @@ def audit(tree: Tree, path: Path, package_dirs: Sequence[str | Path] = ()) -> li
     root = tree.root
     if large := list(too_large(root)):
         return large
+    turned = list(transposed(root))
     elements, unsound = Elements.of(root), [*bad_names(root), *bad_tree(root)]
-    findings = [*unsound, *bad_joints(root), *bad_mimics(root)]
+    findings = [*turned, *unsound, *bad_joints(root), *bad_mimics(root)]
     findings += [found for check in ELEMENT_CHECKS for found in check(elements)]
     if not unsound:  # bodies can be judged only in a sound tree
         findings += [*bad_bodies(tree), *no_inertials(tree)]
@@ -184,6 +208,22 @@ def audit(tree: Tree, path: Path, package_dirs: Sequence[str | Path] = ()) -> li
 
 
 # -- tags and attributes -----------------------------------------------------------------------------------------------
+
+
+def transposed(root: etree._Element) -> Iterator[Finding]:
+    """Products of inertia written with their letters the other way round, which mean the same; put right in place."""
+    for element in root.iterfind("link/inertial/inertia"):
+        for wrong, right in (("iyx", "ixy"), ("izx", "ixz"), ("izy", "iyz")):
+            value = element.get(wrong)
+            if value is not None and element.get(right, value) == value:
+                element.set(right, element.attrib.pop(wrong))
+                what = f"'{wrong}' of <inertia> is taken as '{right}'"
+                yield finding("transposed-inertia", element, what, "an inertia is symmetric", f"write '{right}'")
+            elif value is not None:
+                what = f"'{wrong}' and '{right}' of <inertia> differ"
+                fix = f"delete '{wrong}'"
+                yield finding("misspelt-attribute", element, what, "an inertia is symmetric", fix)
+                element.attrib.pop(wrong)
 
 
 def misspelt(elements: Elements) -> Iterator[Finding]:
@@ -231,7 +271,7 @@ def unexpanded(elements: Elements) -> Iterator[Finding]:
     """`${...}` and `$(...)`, which xacro would have expanded."""
     for element, _, items in elements.texts:
         for key, text in items:
-            if "$" in text and ("${" in text or "$(" in text):
+            if "$" in text and ("${" in text or "$(" in text) and not FIND.match(text):
                 what = f"{key} '{text}' is an unexpanded xacro expression"
                 yield finding("xacro", element, what, fix=XACRO_FIX)
 
@@ -241,6 +281,11 @@ def bad_numbers(elements: Elements) -> Iterator[Finding]:
 
     Pinocchio's parser drops a whole `<inertial>` over a blank after a mass, a tab or a no-break space.
     """
+    yield from bare_limits(elements)
+    for mesh in elements["mesh"]:
+        if not mesh.get("scale", "1").strip():
+            mesh.attrib.pop("scale")
+            yield finding("mesh-scale", mesh, "scale of <mesh> is empty", "taken as 1 1 1", "state it, or delete it")
     for tag, needed in REQUIRED.items():
         for element in elements[tag]:
             for key in needed:
@@ -249,7 +294,7 @@ def bad_numbers(elements: Elements) -> Iterator[Finding]:
     for element, tag, items in elements.texts:
         counts = NUMBERS.get(tag, {})
         for key, text in items:
-            if key not in counts or "$" in text:
+            if key not in counts or "$" in text or element.get(key) is None:
                 continue
             problem, plain = number_problem(text, counts[key]), plainly(text)
             if problem:
@@ -258,6 +303,21 @@ def bad_numbers(elements: Elements) -> Iterator[Finding]:
                 yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)
             elif plain != text:
                 element.set(key, plain)
+
+
+def bare_limits(elements: Elements) -> Iterator[Finding]:
+    """`<limit>` without effort or velocity: 0 is put there, which means none; Pinocchio's parser refuses it without."""
+    for limit in elements["limit"]:
+        joint = limit.getparent()
+        for key in ("effort", "velocity"):
+            if limit.get(key) is None:
+                limit.set(key, "0")
+                if joint.get("type") in ("continuous", "fixed"):
+                    what = f"{key} of <limit> is missing"
+                    yield finding("no-effort", limit, what, "assumed: no limit", "state it")
+                else:
+                    what, name = f"{key} of <limit> is missing", joint.get("name")
+                    yield finding("missing-value", limit, what, why("limit"), "state it", joint=name)
 
 
 @lru_cache(maxsize=8192)
@@ -318,7 +378,7 @@ def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Pa
         name = element.get("filename")
         if name is not None and not name.strip():
             yield finding("mesh-missing", element, "the mesh names no file", NO_SHAPE, "name it, or delete the shape")
-        elif name and "$" not in name:
+        elif name and ("$" not in name or FIND.match(name)):
             named.setdefault(name, element)
     found = {name: locate(name, urdf, package_dirs) for name in named}
     absent: dict[str, list[str]] = {}
@@ -333,6 +393,8 @@ def mesh_finding(element: etree._Element, names: list[str], mesh: MeshFile) -> I
     """What to say about one mesh, or about all meshes of one missing package."""
     what = f"mesh '{names[0]}'"
     fix = "give the folder that holds the package with --package-dir"
+    if "://" in names[0] and not mesh.package and mesh.problem == "missing":
+        fix = "is it in another copy of the package? " + fix
     if mesh.package:
         what = f"package '{mesh.package}' of {len(names)} mesh file(s) is not found ('{names[0]}')"
         yield finding("mesh-missing", element, what, NO_SHAPE, fix)

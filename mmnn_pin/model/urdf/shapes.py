@@ -6,22 +6,22 @@ and read only when they are asked for (that takes long); nothing is fetched, not
 
 from __future__ import annotations
 
+import logging
 import math
-import os
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from lxml import etree
 
-from ...elementary import cos_sin, hypot
+from ...elementary import arrays, cos_sin, hypot
 from ...elementary.matrices import length, product
 from ...signals import Array
 from .document import Document, Joint, placement
+from .packages import locate
 from .xml import number, numbers, vector
 
 PRIMITIVES = ("cylinder", "sphere", "box")
@@ -30,15 +30,17 @@ SHAPES = (*PRIMITIVES, "capsule", "mesh")
 
 AROUND = 0.05  # a wheel's shape may be off its axis by this fraction of the radius
 
+TREAD = 0.98  # what reaches out further than this fraction of a wheel's radius is its tread
+
 HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
 
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
 
+MOST_BYTES = 200_000_000  # of a mesh; no wheel needs more
+
 CHUNK = 65_536  # bytes looked at, at either end of a file
 
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
-
-URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
 
 NO_SHAPE = "assumed: no shape; only the radius of a wheel needs it"
 
@@ -214,108 +216,88 @@ def round_about(shape: Shape, hub: Array, axis: Array) -> tuple[float, float] | 
 
 
 def mesh_round_about(points: Array, axis: Array) -> tuple[float, float] | None:
-    """The same for vertices: they must reach equally far in all directions across the axis."""
+    """The same for vertices: they must reach equally far in all directions across the axis.
+
+    The middle is that of the tread, the vertices that reach out almost as far as the farthest: a hub does not roll.
+    """
     along = product(points, axis)
     across = points - np.outer(along, axis)
-    radius = float(np.linalg.norm(across, axis=1).max())
+    out = np.linalg.norm(across, axis=1)
+    radius = float(out.max())
     side = np.cross(axis, [0.0, 0.0, 1.0])  # the axis is horizontal
     reach = [
         product(across, direction).max() for direction in (side, -side, np.cross(axis, side), np.cross(side, axis))
     ]
     if radius <= 0 or min(reach) < (1 - 2 * AROUND) * radius:
         return None
-    return radius, float(along.min() + along.max()) / 2
+    tread = along[out >= TREAD * radius]
+    return radius, float(tread.min() + tread.max()) / 2
+
+
+def reach_about(shape: Shape, hub: Array, axis: Array) -> tuple[float, float, float]:
+    """How far a shape reaches out from an axis, and from where to where along it from the hub [m]: a roller's rim."""
+    points = outline(shape) - hub
+    along = product(points, axis)
+    out = np.linalg.norm(points - np.outer(along, axis), axis=1) + (shape.radius if shape.kind == "sphere" else 0.0)
+    far = along[out >= TREAD * out.max()]
+    return float(out.max()), float(far.min()), float(far.max())
+
+
+def outline(shape: Shape) -> Array:
+    """(k, 3) points on a shape that reach as far out as it does; of a ball its middle."""
+    if shape.kind == "mesh":
+        return shape.points
+    if shape.kind == "sphere":
+        return shape.pose[None, :3, 3]
+    turn = np.linspace(0.0, 2 * math.pi, 73)[:-1]
+    ring = np.column_stack(arrays.cos_sin(turn))
+    if shape.kind == "box":
+        ring = np.array([(1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)])
+    both = np.vstack([np.column_stack((ring, np.full(len(ring), end))) for end in (-1.0, 1.0)])
+    return both * shape.half @ shape.pose[:3, :3].T + shape.pose[:3, 3]
 
 
 # -- mesh files --------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class MeshFile:
-    """Where a mesh is.
-
-    Attributes:
-        file: The file, None when it must not be opened or does not exist.
-        problem: `missing`, `remote`, `outside`, empty when it is there.
-        package: Name of its package when no folder of that name was found.
-    """
-
-    file: Path | None
-    problem: Literal["", "missing", "remote", "outside"] = ""
-    package: str = ""
-
-
-def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> MeshFile:
-    """Find a mesh without opening it.
-
-    `package://NAME/...` is looked for in the package folders and in every folder above the URDF. Other names start
-    from the URDF's folder; they may stay inside its package (the folder with a `package.xml`, else the one above
-    `urdf/` or `robots/`, else the URDF's own) or inside a package folder.
-
-    Args:
-        name: The file name as the URDF states it.
-        urdf: The URDF file.
-        package_dirs: Folders that hold packages, or are one.
-    """
-    scheme, separator, rest = name.partition("://")
-    if not separator:
-        scheme, rest = "", name
-    folder, given = os.path.abspath(urdf.parent), [os.path.abspath(place) for place in package_dirs]
-    if scheme in ("package", "model"):
-        return in_package(rest, [*given, *upwards(folder)], given)
-    if scheme not in ("", "file"):
-        return MeshFile(None, "remote")
-    files = [os.path.join(base, rest) for base in (folder, *given)]  # an absolute name stays what it is
-    return first_inside(files, [package_of(folder), *given])
-
-
-def in_package(rest: str, tops: list[str], given: list[str]) -> MeshFile:
-    """A mesh named `PACKAGE/path`, in the first folder that holds it."""
-    package, _, inner = rest.lstrip("/").partition("/")
-    if package in ("", ".", ".."):
-        return MeshFile(None, "outside")
-    roots = [os.path.join(top, package) for top in tops]
-    roots += [top for top in given if os.path.basename(top) == package or os.path.exists(os.path.join(top, inner))]
-    roots = [root for root in roots if os.path.isdir(root)]
-    if not roots:
-        return MeshFile(None, "missing", package)
-    found = [first_inside([os.path.join(root, inner)], [root, *given]) for root in roots]
-    return next((mesh for mesh in found if mesh.file), found[0])
-
-
-def first_inside(files: list[str], allowed: list[str]) -> MeshFile:
-    """The first of some files that exists within some folders, links followed."""
-    folders = [os.path.join(os.path.realpath(folder), "") for folder in allowed]
-    inside = [real for file in files if (real := os.path.realpath(file)).startswith(tuple(folders))]
-    if not inside:
-        return MeshFile(None, "outside")
-    return next((MeshFile(Path(file)) for file in inside if os.path.isfile(file)), MeshFile(None, "missing"))
-
-
-def upwards(folder: str) -> list[str]:
-    """A folder and all above it."""
-    return [folder, *map(str, Path(folder).parents)]
-
-
-def package_of(folder: str) -> str:
-    """The package that a URDF in a folder belongs to."""
-    marked = next((p for p in upwards(folder)[:4] if os.path.isfile(os.path.join(p, "package.xml"))), None)
-    inner = os.path.basename(folder).lower() in URDF_FOLDERS
-    return marked or (os.path.dirname(folder) if inner else folder)
-
-
 def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) -> Array:
     """(k, 3) vertices of a mesh file, unscaled; (0, 3) when it is missing, remote, outside or cannot be read."""
     file = locate(name, urdf, package_dirs).file
-    if file is None or damage_of(file):
+    try:
+        return np.zeros((0, 3)) if file is None else vertices_of(file, file.stat().st_mtime_ns)
+    except OSError:
         return np.zeros((0, 3))
+
+
+@lru_cache(maxsize=16)
+def vertices_of(file: Path, changed: int) -> Array:
+    """(k, 3) vertices of a mesh file, read-only; (0, 3) when it cannot be read; wheels share one file.
+
+    Args:
+        file: The file.
+        changed: When it was written last; a file written again is read again.
+    """
+    if damage_of(file):
+        return np.zeros((0, 3))
+    if file.suffix.lower() == ".stl" and (corners := stl_corners(file)) is not None:
+        return corners
     import trimesh  # comes with yourdfpy; slow to import
 
+    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # of textures that are not there
     try:
         with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
-            return np.array(trimesh.load_mesh(file).vertices, dtype=np.float64).reshape(-1, 3)
+            return np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
     except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
         return np.zeros((0, 3))
+
+
+def stl_corners(file: Path) -> Array | None:
+    """(k, 3) corners of a binary STL file, None for the text form."""
+    data = file.read_bytes()
+    if data.lstrip().startswith(b"solid") and b"facet" in data[:CHUNK]:
+        return None
+    triangles = np.frombuffer(data, dtype=TRIANGLE, count=int.from_bytes(data[80:84], "little"), offset=84)
+    return np.asarray(triangles["corners"].reshape(-1, 3), dtype=np.float64)
 
 
 def damage_of(file: Path) -> str:
@@ -330,6 +312,8 @@ def damage_of(file: Path) -> str:
         return f"cannot be read ({error.strerror})"
     if not size:
         return "it is empty"
+    if size > MOST_BYTES:
+        return f"it has more than {MOST_BYTES // 1_000_000} MB"
     check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage}.get(file.suffix.lower())
     return check(head, tail, size) if check else ""
 

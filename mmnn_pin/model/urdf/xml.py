@@ -58,15 +58,34 @@ ONCE = {
     "geometry": ("shape",),
 }
 
+MJCF = "convert it to URDF, e.g. with mjcf-urdf-simple-converter (PyPI)"
+
+SDF = "convert it to URDF, e.g. with sdf2urdf of pysdf, or give the URDF or xacro file that it was made from"
+
+# What files with another root element are, and the way out.
 OTHER_FORMATS = {
-    "mujoco": "MJCF (MuJoCo)",
-    "mujocoinclude": "MJCF (MuJoCo)",
-    "sdf": "SDF (Gazebo)",
-    "model": "SDF (Gazebo)",
-    "gazebo": "SDF (Gazebo)",
-    "COLLADA": "a COLLADA mesh",
-    "package": "a ROS package manifest",
-    "launch": "a ROS launch file",
+    "mujoco": ("MJCF (MuJoCo)", MJCF),
+    "mujocoinclude": ("MJCF (MuJoCo)", MJCF),
+    "sdf": ("SDF (Gazebo)", SDF),
+    "model": ("SDF (Gazebo)", SDF),
+    "gazebo": ("SDF (Gazebo)", SDF),
+    "COLLADA": ("a COLLADA mesh", "give the URDF that uses it"),
+    "package": (
+        "a ROS package manifest",
+        "give a URDF or xacro file of that package, often in its folder urdf/ or robots/",
+    ),
+    "launch": ("a ROS launch file", "give the URDF or xacro file that it loads"),
+}
+
+# The first bytes of files that are not XML, and what they are.
+USD = "export it as URDF, e.g. with Isaac Sim's URDF exporter"
+HEADS = {
+    b"PXR-USDC": ("USD (binary)", USD),
+    b"#usda": ("USD", USD),
+    b"PK\x03\x04": ("a zip archive (USDZ?)", "unpack it; " + USD + " where it holds a USD file"),
+    b"glTF": ("a glTF mesh", "give the URDF that uses it"),
+    b"solid ": ("an STL mesh", "give the URDF that uses it"),
+    b"version https://git-lfs": ("a pointer to a file in Git LFS", "get the file itself: git lfs pull"),
 }
 
 XACRO_FIX = "expand it first: xacro FILE > robot.urdf"
@@ -93,6 +112,9 @@ def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
     Args:
         data: The file's bytes.
     """
+    for head, (known, fix) in HEADS.items():
+        if data.startswith(head):
+            return None, [finding("not-urdf", 1, f"this is {known}, not a URDF", fix=fix)]
     root, findings = parsed(data)
     line = doctype_line(data)
     if line or (root is not None and root.getroottree().docinfo.doctype):
@@ -109,8 +131,9 @@ def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
         what = f"<xacro:{local(xacros[0])}>{more} is xacro, not yet a URDF"
         return None, [finding("xacro", xacros[0], what, fix=XACRO_FIX, of="")]
     if root.tag != "robot":
-        known = OTHER_FORMATS.get(root.tag, f"a file whose root is <{root.tag}>")
-        what, fix = f"this is {known}, not a URDF", "convert it to URDF (root element <robot>)"
+        unknown = f"a file whose root is <{root.tag}>", "convert it to URDF (root element <robot>)"
+        known, fix = OTHER_FORMATS.get(root.tag, unknown)
+        what = f"this is {known}, not a URDF"
         return None, [finding("not-urdf", root, what, fix=fix, of="")]
     return root, findings
 

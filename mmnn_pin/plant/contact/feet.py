@@ -17,6 +17,7 @@ import pinocchio as pin
 
 from ...elementary import cos_sin
 from ...errors import ConfigError, RobotError
+from ...model.base.differential import DifferentialDrive
 from ...model.base.overrides import folders_of
 from ...model.robot import Robot
 from ...model.urdf.reading import parse
@@ -131,7 +132,7 @@ def feet_of(robot: Robot) -> Feet:
     """
     if not robot.dimensions.base:
         return Feet((), ())
-    if robot.base.kind != "differential_drive":
+    if not isinstance(robot.base, DifferentialDrive):
         raise RobotError(
             f"the contact plant cannot carry the {robot.base.kind} base of '{robot.name}'",
             why="it has plain wheels only, neither rollers nor a base that is pushed",

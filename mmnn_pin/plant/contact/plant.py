@@ -83,7 +83,7 @@ def sliding_rows(robot: Robot) -> tuple[Array, Array]:
     base, names = robot.base, robot.full_velocity_names
     along, across = np.zeros((2, len(base.wheels), len(names)))
     for i, wheel in enumerate(base.wheels):
-        along[i, :3], across[i, :3] = base.rolling_rows[i], base.to_control[1] + wheel.x * base.to_control[2]
+        along[i, :3], across[i, :3] = wheel.grip @ base.to_control, base.to_control[1] + wheel.x * base.to_control[2]
         along[i, names.index(wheel.joint)] = -wheel.sign * wheel.radius
     return along, across
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from ....model.base.overrides import folders_of
 from ....model.robot import Robot
 from ....model.urdf.document import placement
-from ....model.urdf.shapes import locate
+from ....model.urdf.packages import locate
 from ....model.urdf.xml import number, vector
 from ....signals import Array
 from ..files import Blob

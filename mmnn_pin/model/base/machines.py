@@ -1,0 +1,153 @@
+"""Machines that are none of our bases, by the shape of the whole: legged, humanoid, drone, under water, on tracks.
+
+A leg is a chain of joints from the root's body down to the lowest place of the robot, with no other support under the
+root; two or more make a legged machine, two with arms above them a humanoid. A drone has rotors: three or more equal
+bodies that turn, or are welded, about vertical axes around its middle. Where a machine hides its rotors in a mesh
+only its names are left; they make the loader ask, never accept.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...elementary import hypot
+from ..urdf.document import Joint
+from ..urdf.shapes import AtRest
+
+MOST_PER_SIDE = 3  # wheels of a skid-steer base
+
+STEERED_NAMES = re.compile(
+    r"(?<!skid_)(?<!skid)(?<!skid-)steer|ackermann|racecar|tricycle|bicycle|car[_-]?like", re.IGNORECASE
+)
+
+TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?)([_./ -]|$)", re.IGNORECASE)
+
+LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
+
+SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
+
+DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|uav|flying", re.IGNORECASE)
+
+
+def machine(rest: AtRest) -> tuple[str, str] | None:
+    """Name of the machine and what tells; None for what may stand on a table."""
+    if feet := legs(rest):
+        names = ", ".join(f"'{joint.name}'" for joint in feet)
+        above = [j for j in trunk_joints(rest) if j not in feet and len(chain(rest, j)) >= LEG_JOINTS]
+        if len(feet) == 2 and any(len(chain(rest, j)) > 2 for j in above):
+            return "humanoid", f"it stands on two legs ({names}) and has limbs above them"
+        return "legged machine", f"it stands on {len(feet)} legs ({names})"
+    if feet := upright_along_y(rest):
+        names = ", ".join(f"'{joint.name}'" for joint in feet)
+        return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
+    if told := list(rotors(rest)):
+        return "drone", f"{len(told)} equal rotors turn about vertical axes ({', '.join(told)})"
+    files = [mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh")]
+    meshes = [name.rpartition("/")[2] for name in files]
+    if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *rest.document.links, *meshes])):
+        return "drone", f"'{hit[0]}' in its names, and nothing that carries it"
+    return None
+
+
+def steering_named(rest: AtRest) -> str:
+    """A name that tells that a machine steers its wheels, empty where there is none."""
+    names = (rest.document.root.get("name", ""), *rest.document.joints, *rest.document.links)
+    hit = next(filter(None, map(STEERED_NAMES.search, names)), None)
+    return f"'{hit.string}' among its names" if hit else ""
+
+
+def tracks(rest: AtRest) -> str:
+    """What tells that a machine with parallel wheels runs on tracks, empty when nothing does."""
+    on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
+    wheels = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
+    if wheels > 2 * MOST_PER_SIDE:
+        return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks"
+    files = [
+        mesh.get("filename", "").rpartition("/")[2] for mesh in rest.document.root.iterfind("link/*/geometry/mesh")
+    ]
+    if hit := next(filter(None, map(TRACK_NAMES.search, [*rest.document.links, *rest.document.joints, *files])), None):
+        return f"{wheels} parallel wheels, and '{hit.string}' among its names"
+    return ""
+
+
+def trunk_joints(rest: AtRest) -> list[Joint]:
+    """Joints on the root's body."""
+    return rest.document.moving_children(rest.document.root_link)
+
+
+def chain(rest: AtRest, joint: Joint) -> list[Joint]:
+    """The longest chain of joints that starts with this one."""
+    below = [chain(rest, j) for j in rest.document.moving_children(joint.child)]
+    return [joint, *max(below, key=len, default=[])]
+
+
+def height(rest: AtRest, joint: Joint) -> float:
+    """Height of the lowest frame or primitive that a joint carries [m]."""
+    links = rest.document.body(joint.child)
+    own = min(min(float(rest.placements[link][2, 3]), lowest(rest, link)) for link in links)
+    return min([own, *(height(rest, j) for j in rest.document.moving_children(joint.child))])
+
+
+def lowest(rest: AtRest, link: str) -> float:
+    """Height of a link's lowest primitive, inf without any [m]."""
+    return min((shape.lowest for shape in rest.primitives[link]), default=math.inf)
+
+
+def legs(rest: AtRest) -> list[Joint]:
+    """First joints of the legs, empty when there are fewer than two."""
+    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) >= LEG_JOINTS]
+    feet = {j.name: height(rest, j) for j in limbs}
+    ground = min(feet.values(), default=math.inf)
+    hips = {j.name: float(rest.hub(j)[2]) for j in limbs}
+    body = [link for link in rest.document.body(rest.document.root_link) if rest.mass(link) > 0]
+    root = min((min(lowest(rest, link), rest.bottom(link)) for link in body), default=0.0)
+    found = []
+    for joint in limbs:
+        drop = hips[joint.name] - feet[joint.name]
+        on_ground = feet[joint.name] - ground < SAME_HEIGHT * max(drop, 1e-9) + 1e-3
+        if drop > 0 and on_ground and root - feet[joint.name] > 0.1 * drop:
+            found.append(joint)
+    return found if len(found) >= 2 else []
+
+
+def upright_along_y(rest: AtRest) -> list[Joint]:
+    """First joints of the two legs of a humanoid drawn with y up, as body models are; by frames only."""
+
+    def reach(joint: Joint) -> float:
+        own = float(rest.placements[joint.child][1, 3])
+        return min([own, *(reach(j) for j in rest.document.moving_children(joint.child))])
+
+    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
+    drops = {j.name: float(rest.hub(j)[1]) - reach(j) for j in limbs}
+    longest = max(drops.values(), default=0.0)
+    found = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
+    rest_of = [j for j in limbs if j not in found and drops[j.name] < 0.5 * longest]
+    return found if len(found) == 2 and rest_of and len(limbs) == len(found) + len(rest_of) else []
+
+
+def rotors(rest: AtRest) -> Iterator[str]:
+    """Names of equal light bodies on vertical axes around the centre of mass, none when there are fewer than three."""
+    document = rest.document
+    turning = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_vertical(j)]
+    turning = [j for j in turning if not document.moving_children(j.child)]
+    if len(turning) < ROTORS:
+        turning = [j for j in document.joints.values() if not j.moves and is_propeller(rest, j)]
+    if len(turning) < ROTORS or any(document.moving_children(j.child) for j in turning):
+        return
+    hubs = np.array([rest.hub(j) for j in turning])
+    masses = np.array([rest.mass(j.child) for j in turning])
+    level = np.ptp(hubs[:, 2]) < 0.1 * np.ptp(hubs[:, :2], axis=0).max()
+    around = np.linalg.norm(hubs[:, :2].mean(axis=0)) < 0.3 * np.linalg.norm(hubs[:, :2], axis=1).max()
+    if level and around and np.ptp(masses) <= 0.1 * masses.max():
+        yield from (joint.name for joint in turning)
+
+
+def is_propeller(rest: AtRest, joint: Joint) -> bool:
+    """Whether a joint carries a flat upright cylinder beside the root's middle."""
+    flat = [s for s in rest.primitives[joint.child] if s.kind == "cylinder" and s.half[2] < 0.25 * s.radius]
+    beside = [s for s in flat if abs(s.pose[2, 2]) > 0.9 and hypot(*map(float, rest.hub(joint)[:2])) > 0.5 * s.radius]
+    return bool(beside)

@@ -1,0 +1,317 @@
+"""Files as people have them: ROS packages found without ROS, meshes found in them, xacro expanded to URDF.
+
+A package is a folder of its name, or one whose `package.xml` says the name. It is looked for in the folders that are
+given, in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`, and in the folders above the file. Nothing is fetched.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+from ...errors import ConfigError, RobotError
+
+URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
+
+ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels below each of them, folders at most
+
+NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
+
+FIND = re.compile(r"^(?:file://)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*(.*)$")
+
+XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
+
+_lock = threading.Lock()  # xacro keeps its state in its module
+
+
+# -- packages ----------------------------------------------------------------------------------------------------------
+
+
+def upwards(folder: str) -> list[str]:
+    """A folder and all above it."""
+    return [folder, *map(str, Path(folder).parents)]
+
+
+def environment() -> list[str]:
+    """Folders that hold packages, as ROS 1 and ROS 2 have them in the environment."""
+    ros = [place for place in os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if place]
+    ament = [os.path.join(p, "share") for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]
+    return [os.path.abspath(place) for place in (*ros, *ament)]
+
+
+def package_of(folder: str) -> str:
+    """The package that a URDF in a folder belongs to."""
+    marked = next((p for p in upwards(folder)[:4] if os.path.isfile(os.path.join(p, "package.xml"))), None)
+    inner = os.path.basename(folder).lower() in URDF_FOLDERS
+    return marked or (os.path.dirname(folder) if inner else folder)
+
+
+def packages(urdf: Path, package_dirs: Sequence[str | Path] = ()) -> dict[str, str]:
+    """Packages with a `package.xml` that can be seen from a file: name to folder, the nearest of each name.
+
+    Args:
+        urdf: The file.
+        package_dirs: Folders that hold packages, or are one; they count first.
+    """
+    above = upwards(os.path.abspath(urdf.parent))
+    own = next((k for k, folder in enumerate(above[:6]) if os.path.isfile(os.path.join(folder, "package.xml"))), 1)
+    above = above[: own + 1 + ABOVE]
+    places = (*(os.path.abspath(place) for place in package_dirs), *environment(), *above)
+    found: dict[str, str] = {}
+    for place in places:
+        for name, folder in packages_in(place):
+            found.setdefault(name, folder)
+    return found
+
+
+@lru_cache(maxsize=64)
+def packages_in(place: str) -> tuple[tuple[str, str], ...]:
+    """Names and folders of the packages in a folder and a few levels below it."""
+    found, pending = [], [(place, 0)]
+    for visited, (folder, depth) in enumerate(pending):
+        if visited > VISITED:
+            break
+        try:
+            entries = sorted(os.scandir(folder), key=lambda entry: entry.name)
+        except OSError:
+            continue
+        manifest = next((entry.path for entry in entries if entry.name == "package.xml"), None)
+        if manifest is not None:
+            found.append((name_of(manifest) or os.path.basename(folder), folder))
+        elif depth < BELOW:
+            pending += [(e.path, depth + 1) for e in entries if e.is_dir(follow_symlinks=False) and e.name[0] != "."]
+    return tuple(found)
+
+
+def name_of(manifest: str) -> str:
+    """Name that a `package.xml` states, empty where it states none."""
+    try:
+        with open(manifest, "rb") as file:
+            hit = NAME.search(file.read(65_536))
+    except OSError:
+        return ""
+    return hit[1].decode(errors="replace") if hit else ""
+
+
+# -- meshes ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """Where a mesh is.
+
+    Attributes:
+        file: The file, None when it must not be opened or does not exist.
+        problem: `missing`, `remote`, `outside`, empty when it is there.
+        package: Name of its package when no package of that name was found.
+    """
+
+    file: Path | None
+    problem: Literal["", "missing", "remote", "outside"] = ""
+    package: str = ""
+
+
+def locate(name: str, urdf: Path, package_dirs: Sequence[str | Path] = ()) -> MeshFile:
+    """Find a mesh without opening it.
+
+    `package://NAME/...`, `model://NAME/...` and `$(find NAME)/...` are looked for in the package. Other names start
+    from the URDF's folder; they may stay inside its package (the folder with a `package.xml`, else the one above
+    `urdf/` or `robots/`, else the URDF's own), inside a package folder, or inside another package.
+
+    Args:
+        name: The file name as the URDF states it.
+        urdf: The URDF file.
+        package_dirs: Folders that hold packages, or are one.
+    """
+    folder, given = os.path.abspath(urdf.parent), [os.path.abspath(place) for place in package_dirs]
+    if hit := FIND.match(name):
+        return in_package(f"{hit[1]}/{hit[2]}", urdf, folder, given)
+    scheme, separator, rest = name.partition("://")
+    if not separator:
+        scheme, rest = "", name
+    if scheme in ("package", "model"):
+        return in_package(rest, urdf, folder, given)
+    if scheme not in ("", "file"):
+        return MeshFile(None, "remote")
+    files = [os.path.join(base, rest) for base in (folder, *given)]  # an absolute name stays what it is
+    found = first_inside(files, [package_of(folder), *given])
+    if found.problem == "outside" and os.path.isabs(rest):
+        return first_inside([rest], list(packages(urdf, given).values()))
+    return found
+
+
+def in_package(rest: str, urdf: Path, folder: str, given: list[str]) -> MeshFile:
+    """A mesh named `PACKAGE/path`, in the first folder that holds it."""
+    package, _, inner = rest.lstrip("/").partition("/")
+    if package in ("", ".", ".."):
+        return MeshFile(None, "outside")
+    roots = [os.path.join(top, package) for top in (*given, *environment(), *upwards(folder))]
+    roots += [top for top in given if os.path.basename(top) == package or os.path.exists(os.path.join(top, inner))]
+    roots = [root for root in roots if os.path.isdir(root)]
+    found = [first_inside([os.path.join(root, inner)], [root, *given]) for root in roots]
+    if not any(mesh.file for mesh in found):
+        own = packages(urdf, given).get(package)
+        roots += [own] if own else []
+        found += [first_inside([os.path.join(own, inner)], [own])] if own else []
+    if not roots:
+        return MeshFile(None, "missing", package)
+    return next((mesh for mesh in found if mesh.file), found[0])
+
+
+def first_inside(files: list[str], allowed: list[str]) -> MeshFile:
+    """The first of some files that exists within some folders, links followed."""
+    folders = [os.path.join(os.path.realpath(folder), "") for folder in allowed]
+    inside = [real for file in files if (real := os.path.realpath(file)).startswith(tuple(folders))]
+    if not inside:
+        return MeshFile(None, "outside")
+    return next((MeshFile(Path(file)) for file in inside if os.path.isfile(file)), MeshFile(None, "missing"))
+
+
+# -- xacro -------------------------------------------------------------------------------------------------------------
+
+
+def is_xacro(path: Path, data: bytes) -> bool:
+    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro."""
+    return path.suffix == ".xacro" or bool(XACRO.search(data))
+
+
+def arguments_of(given: Sequence[str]) -> dict[str, str]:
+    """Arguments of a xacro file, written `NAME:=VALUE`.
+
+    Raises:
+        ConfigError: Something else is given, or a name twice.
+    """
+    table: dict[str, str] = {}
+    for text in given:
+        name, separator, value = text.partition(":=")
+        if not (separator and name) or name in table:
+            raise ConfigError(f"'{text}'", fix="write NAME:=VALUE, each name once", key="xacro")
+        table[name] = value
+    return table
+
+
+def expand(path: Path, given: Sequence[str] = (), package_dirs: Sequence[str | Path] = ()) -> tuple[bytes, list[str]]:
+    """The URDF that a xacro file expands to, and the packages that it names and could do without.
+
+    Args:
+        path: The file.
+        given: Arguments, `NAME:=VALUE`.
+        package_dirs: Folders that hold packages.
+
+    Raises:
+        ConfigError: Arguments that are none.
+        RobotError: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
+    """
+    arguments = arguments_of(given)
+    try:
+        import xacro
+        import xacrodoc  # the extra `xacro`
+    except ImportError:
+        fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
+        raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1) from None
+    known, absent = packages(path, package_dirs), set[str]()
+    with _lock, lenient(xacro, xacrodoc, known, absent), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            return bytes(xacro.process_file(str(path), mappings=arguments).toxml(encoding="utf-8")), sorted(absent)
+        except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
+            place = next((file for file in reversed(xacro.filestack or ()) if file), str(path))
+            raise refusal(Path(place), error, sorted(absent)) from None
+
+
+@contextlib.contextmanager
+def lenient(xacro: Any, xacrodoc: Any, known: dict[str, str], absent: set[str]) -> Iterator[None]:
+    """Have xacro find packages without ROS, and do without those that it does not need.
+
+    A file of a package that is not there is left out: where a macro or property of it is used, xacro refuses all the
+    same. A file that a build would install elsewhere in its package is taken where it is, if there is one alone.
+
+    Args:
+        xacro: The module.
+        xacrodoc: The module that finds packages where ROS is installed.
+        known: Folders of packages.
+        absent: Filled with the packages that are not there.
+    """
+    places: Any = sys.modules["xacro.substitution_args"]
+    parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
+
+    def seek(package: str) -> str:
+        if package not in known:
+            try:
+                known[package] = xacrodoc.packages.get_path(package)
+            except xacrodoc.packages.PackageNotFoundError:
+                absent.add(package)
+        return known.get(package, f"package://{package}")
+
+    def parsed(given: Any, filename: str | None = None) -> Any:
+        document = parse(given, filename)
+        for element in document.getElementsByTagName("xacro:include"):
+            package = re.search(r"\$\(find\s+([^)\s]+)\s*\)", element.getAttribute("filename"))
+            if package and seek(package[1]).startswith("package://"):
+                element.setAttribute("optional", "true")
+        return document
+
+    def files(name: str, symbols: Any) -> Iterator[str]:
+        for file in include_files(name, symbols):
+            yield file if os.path.exists(file) else elsewhere(file, known)
+
+    xacro.parse, xacro.get_include_files, places._eval_find = parsed, files, seek
+    xacro.filestack = None
+    try:
+        yield
+    finally:
+        xacro.parse, xacro.get_include_files, places._eval_find = parse, include_files, find
+
+
+def elsewhere(file: str, known: dict[str, str]) -> str:
+    """The one file of the same package whose path ends like that of a missing one, else the missing one."""
+    root = next((folder for folder in known.values() if file.startswith(os.path.join(folder, ""))), None)
+    if root is None:
+        return file
+    tail = os.path.relpath(file, root)
+    found = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
+    return found[0] if len(found) == 1 else file
+
+
+# What xacro says where a file cannot be expanded, and the way out; the group is the word that its line has.
+WAYS_OUT = (
+    (r"package://([^/'\" ]+)", "give the folder that holds package '{}' with --package-dir"),
+    (r"Undefined substitution argument (\S+)", "give it: --xacro {}:=VALUE"),
+    (
+        r"No such file or directory:? .*?([^/'\" ]+)['\"]?(?: |$)",
+        "is '{}' in a package that --package-dir should name?",
+    ),
+    (r"unknown macro name: xacro:(\S+)", "is the file that defines '{}' included?"),
+    (r"(unbound prefix)", 'declare it: <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'),
+    (r"(maximum recursion depth exceeded)", "files or macros include each other without end: open the circle"),
+)
+
+
+def refusal(place: Path, error: Exception, absent: list[str]) -> RobotError:
+    """Why a file could not be expanded, at the line where the cause is named."""
+    text = " ".join((str(error).strip().splitlines() or [type(error).__name__])[0].split())
+    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", text), "", "mend the file"
+    for pattern, way in WAYS_OUT:
+        if hit := re.search(pattern, text):
+            word, fix = hit[1], way.format(hit[1])
+            break
+    if absent and (fix == "mend the file" or "included" in fix):
+        fix = f"is it in a package that is not found ({', '.join(absent)})? Give its folder with --package-dir"
+    return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+
+
+def line_of(path: Path, word: str) -> int:
+    """First line of a file that has a word, 1 where none has."""
+    with contextlib.suppress(OSError):
+        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
+            if word and word.encode() in line:
+                return number
+    return 1

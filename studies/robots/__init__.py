@@ -1,0 +1,1 @@
+"""Public robots against the truth about them."""
