@@ -121,7 +121,7 @@ def test_examples_are_short() -> None:
 
 
 def test_documents_link_to_what_exists() -> None:
-    for document in (ROOT / "README.md", ROOT / "docs/architecture.md"):
+    for document in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs/architecture.md"):
         for target in re.findall(r"\]\(([^)#]+)[^)]*\)", document.read_text()):
             if "://" not in target:
                 assert (document.parent / target).exists(), f"{document.name} links to {target}"
@@ -130,7 +130,7 @@ def test_documents_link_to_what_exists() -> None:
 def test_documents_name_modules_and_commands_that_exist() -> None:
     from mmnn_pin.cli import mmnn
 
-    for document in (README, (ROOT / "docs/architecture.md").read_text()):
+    for document in (README, *((ROOT / name).read_text() for name in ("CONTRIBUTING.md", "docs/architecture.md"))):
         for module in re.findall(r"`(?:mmnn_pin/)?((?:[a-z_]+/)*[a-z_]+\.(?:py|toml))`", document):
             assert list(PACKAGE.rglob(module)) or (ROOT / module).exists(), module
         for command in re.findall(r"\bmmnn ([a-z]+)\b", document):

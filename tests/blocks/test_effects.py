@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import re
+import textwrap
 
 import numpy as np
 import pytest
+from places import ROOT
 from scipy.signal import lfilter
 
+from mmnn_pin import actuator
 from mmnn_pin.actuator import (
     DRAWN,
     GIVEN,
@@ -111,6 +115,15 @@ def test_a_dead_motor_has_no_torque_while_its_window_is_open():
     wire = drive()
     DeadMotors(NEVER).act(wire, 0, 0.0)
     np.testing.assert_array_equal(wire.torque, THREE)
+
+
+def test_the_dead_zone_of_contributing_is_one():
+    (text,) = re.findall(r"```python\n( +class DeadZone.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
+    names = dict(vars(actuator))
+    exec(textwrap.dedent(text), names)
+    wire = drive()
+    names["DeadZone"](np.array([2.0, 5.0, 0.5])).act(wire, 0, 0.0)
+    np.testing.assert_array_equal(wire.torque, [3.0, 0.0, 0.5])
 
 
 def test_a_current_loop_is_a_first_order_filter():

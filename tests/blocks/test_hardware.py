@@ -252,6 +252,14 @@ def test_runs_with_one_seed_are_equal_and_the_rig_does_not_change_the_weights_dr
     np.testing.assert_array_equal(a.weights["V1"][0], ideal.weights["V1"][0])
 
 
+def test_controller_sensors_and_disturbances_draw_from_streams_of_their_own():
+    """With one stream for two of them their noises would be one: a gust that the sensors know of."""
+    loop = loop_of({})
+    generators = (loop.context().rng, *loop.streams())
+    drawn = [rng.standard_normal(2000) for rng in generators]
+    np.testing.assert_allclose(np.corrcoef(drawn), np.eye(3), atol=0.1)  # 4.5 standard deviations
+
+
 def test_an_ideal_loop_has_no_rig_and_its_rows_no_room_for_one():
     run = loop_of({}).run()
     assert not {"applied", "disturbance", "safety"} & set(run.names) and run.final["hardware_state"].size == 0

@@ -191,6 +191,16 @@ def test_leakage_alone_pulls_the_dual_variable_to_its_start():
     np.testing.assert_allclose(left, -np.exp(-1.0) * (2 / 3) * np.linalg.inv(P0), rtol=0.01, atol=1e-6)
 
 
+def test_leakage_alone_pulls_rotors_and_friction_to_their_start():
+    """Each loses the share h sigma of its distance in every sample."""
+    bench = Bench(h=1e-3, leakage=2.0)
+    rest, start = bench.theta[REGRESSOR.inertial :], bench.a.bodies.start
+    rest += 0.01
+    for _ in range(50):
+        bench.step(np.zeros((4, REGRESSOR.size)), np.ones(4))
+    np.testing.assert_allclose(rest - start, 0.01 * (1 - 2e-3) ** 50, rtol=1e-9)
+
+
 def test_e_modification_leaks_with_the_error():
     still, moving = Bench(leakage=2.0, modification="e"), Bench(leakage=2.0, modification="e")
     for bench, s in ((still, 0.0), (moving, 1.0)):

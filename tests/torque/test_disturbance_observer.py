@@ -65,6 +65,25 @@ def test_its_part_of_v_is_that_of_its_gain():
     assert np.abs(found.terms["own"]).max() < 1e-9 * np.abs(found.terms["feedback"]).max()
 
 
+@pytest.mark.parametrize(
+    ("method", "answer", "fix"),
+    [
+        ("learning_gain", None, "write a method learning_gain(state, context) that returns Gamma"),
+        (
+            "learning_gain",
+            -np.ones(4),
+            "(state, context) of disturbance_observer is not positive definite",
+        ),
+        ("weights", {}, "return one such array in `weights`"),
+    ],
+)
+def test_a_proof_without_its_part_names_the_method_that_is_missing(monkeypatch, method, answer, fix):
+    run = made("disturbance_observer", duration=0.02).run()
+    monkeypatch.setattr(DisturbanceObserver, method, lambda *told: answer)
+    proof = Proof(run)
+    assert not proof.lyapunov.weights.any() and fix in proof.left_out
+
+
 def test_its_table_is_one_of_an_experiment():
     experiment = load_experiment("track", ["disturbance_observer.gamma=7.0"])
     assert experiment.controller("disturbance_observer").settings.gamma == 7.0

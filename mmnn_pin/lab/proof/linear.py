@@ -384,34 +384,33 @@ def gain_part(subject: Subject, learner: Learner, ideal: Array, at: IntArray, pr
 
 def weights_error(learner: Learner, state: ControllerState, ideal: Array) -> tuple[Array, Array, Array]:
     """`W~` and `Gamma^-1 W~` (k, m), and Gamma, at a state; errors as in `gain_part`."""
-    law = learner.controller
+    law, yours = learner.controller, isinstance(learner.controller, LearningLaw)
+    method = "gain(state)" if yours else "learning_gain(state, context)"
     gain, W = law.learning_gain(state, learner.context), of_shape(law.weights(state), *ideal.shape)
     if gain is None:
         raise left_out(
             f"{law.name} does not tell its learning gain",
-            "write a method gain(state) that returns Gamma of W' = Gamma Phi' s + ...: a number, (k,) or (k, k)",
+            f"write a method {method} that returns Gamma of W' = Gamma Phi' s + ...: a number, (k,) or (k, k)",
         )
     if W is None:
         what = f"not exactly one learned array of {law.name} has the {ideal.size} numbers that its features multiply"
-        raise left_out(what, "name it in `learned`")
+        raise left_out(what, "name it in `learned`" if yours else "return one such array in `weights`")
     gain, k = np.array(gain, float), len(ideal)
     if gain.shape not in ((), (k,), (k, k)):
-        raise left_out(
-            f"gain(state) of {law.name} has the shape {gain.shape}", f"return one number, ({k},) or ({k}, {k})"
-        )
+        raise left_out(f"{method} of {law.name} has the shape {gain.shape}", f"return one number, ({k},) or ({k}, {k})")
     if gain.ndim < 2 and not (np.isfinite(gain).all() and (gain > 0).all()):
-        raise indefinite(law.name)
+        raise indefinite(law.name, method)
     if gain.ndim < 2:
         return ideal - W, (ideal - W) / (gain[:, None] if gain.ndim else gain), gain
     try:
         return ideal - W, np.asarray(cho_solve(cho_factor((gain + gain.T) / 2), ideal - W)), gain
     except (LinAlgError, ValueError) as problem:
-        raise indefinite(law.name) from problem
+        raise indefinite(law.name, method) from problem
 
 
-def indefinite(name: str) -> RecordingError:
+def indefinite(name: str, method: str) -> RecordingError:
     """The error of a law whose gain is none."""
-    return left_out(f"gain(state) of {name} is not positive definite", "return one that is")
+    return left_out(f"{method} of {name} is not positive definite", "return one that is")
 
 
 def left_out(why: str, fix: str) -> RecordingError:

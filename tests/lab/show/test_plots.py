@@ -1,5 +1,6 @@
 """The figures show the recorded numbers, in the units their axes name, and tell the controllers apart."""
 
+import re
 import subprocess
 import sys
 from itertools import combinations
@@ -8,10 +9,12 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 from matplotlib.figure import Figure
+from places import ROOT
 
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments import controllers
-from mmnn_pin.lab.show.figure import OTHERS, STYLES, save, styles_of
+from mmnn_pin.lab.show import plots
+from mmnn_pin.lab.show.figure import FIGURES, OTHERS, STYLES, save, styles_of
 from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.plots import errors_figure, path_figure, psi_figure, torque_figure
 from mmnn_pin.recording.recorder import Recorder
@@ -243,3 +246,17 @@ def test_plots_need_no_display_and_load_matplotlib_late():
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_figure_of_contributing_draws_the_slip_of_every_wheel(monkeypatch):
+    (text,) = re.findall(r"```python\n(@figure.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
+    monkeypatch.setitem(FIGURES["runs"], "slip", None)  # the register is as it was afterwards
+    names = dict(vars(plots))
+    exec("from __future__ import annotations\n" + text, names)
+    run = recording(layout=Layout(base=2, arm=2, full=7, motors=4, wheels=2))
+    figure = FIGURES["runs"]["slip"].make({"pd": run})
+    for i, wheel in enumerate(("left", "right")):
+        (line,) = curves(axes_of(figure, f"{wheel} [m/s]"))
+        np.testing.assert_array_equal(line.get_ydata(), run["slip"][:, i])
+    with pytest.raises(RecordingError, match="nothing to plot for slip"):
+        FIGURES["runs"]["slip"].make({"pd": recording()})
