@@ -8,7 +8,8 @@ means that the samples come too slowly for the gains, whatever a network adds.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import expm
@@ -20,7 +21,7 @@ from ..model.dynamics import Dynamics
 from ..model.robot import Robot
 from ..settings import Settings, Timing, one_or_each, require_gains
 from ..signals import Array, Dimensions, Setpoint
-from ..torque.controller import CompiledController
+from ..torque.controller import CompiledController, Feedback, TorqueController
 from ..torque.learning_law import LearningLaw
 from .sample import Plan
 
@@ -222,6 +223,53 @@ def require_stable_gains(plan: Plan) -> None:
         velocity = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
         verdict = sampled_loop(dynamics.mass_matrix(position), gains, velocity, plan.gains, plan.K, h, friction)
         require_stable(verdict, gains, robot.velocity_names, h)
+
+
+def postures(robot: Robot, speed: float = 0.5, count: int = 9) -> Array:
+    """Setpoints at which gains are judged where there is no reference: at rest, and joints anywhere, (count, w).
+
+    Args:
+        robot: The robot.
+        speed: Of the base, forwards, but for the first, which stands [m/s].
+        count: How many.
+    """
+    d, rng = robot.dimensions, np.random.default_rng(0)
+    table = np.zeros((count, d.pose + 2 * d.base + 3 * d.arm))
+    setpoints, arm = Setpoint.side_by_side(table, d), robot.arm_index
+    lower, upper = np.maximum(robot.lower[arm], -np.pi), np.minimum(robot.upper[arm], np.pi)
+    setpoints.q[:] = rng.uniform(lower, upper, (count, d.arm))
+    setpoints.q[0] = robot.neutral_position()[arm]
+    if d.base:
+        setpoints.velocity[1:, 0] = speed
+    return table
+
+
+def with_gains_of(
+    controller: CompiledController | TorqueController, robot: Robot, period: float
+) -> CompiledController | TorqueController:
+    """A controller whose bandwidths are gains: times the robot's smallest effective inertias at `postures`."""
+    feedback = getattr(controller, "feedback", None)
+    if not isinstance(feedback, Feedback) or feedback.scaling == "none":
+        return controller
+    inertia = effective_inertia(robot, (Start().state(robot, row)[0] for row in postures(robot)), period)
+    return replace(controller, feedback=feedback.scaled(robot.dimensions, inertia))  # type: ignore[type-var]
+
+
+def effective_inertia(robot: Robot, positions: Iterable[Array], period: float) -> Array:
+    """Effective inertia of every velocity, the smallest one at some positions (nv,), (p,) [kg, kg m^2].
+
+    It is `period / Gamma_ii`, with `Gamma = int_0^period exp(-M^-1 D t) dt M^-1` the velocity that a torque held for
+    one control period gives, M the reduced mass matrix and D its viscous friction. Without friction this is
+    `1 / (M^-1)_ii`: what a torque on that velocity alone accelerates while all others move freely. A link of a few
+    milligram square metres in a joint with 1 N m s weighs what its friction makes of it.
+    """
+    dynamics, D, p = Dynamics(robot), viscous_friction(robot), robot.dimensions.dof
+    found = []
+    for position in positions:
+        M_inv = np.linalg.inv(dynamics.mass_matrix(position))
+        held = expm(np.block([[-M_inv @ D, M_inv], [np.zeros((p, 2 * p))]]) * period)
+        found.append(period / np.diag(held[:p, p:]))
+    return np.min(found, axis=0)
 
 
 def require_nominal(nominal: Robot, robot: Robot) -> None:

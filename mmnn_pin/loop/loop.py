@@ -31,13 +31,13 @@ from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
 from ..signals import SIGNALS, Array, Dimensions, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.learning_law import origin_of
 from .before_run import Bounds, Start, require_first, require_nominal, require_stable_gains
 from .compiled import CompiledLoop
-from .controller import context_of, state_from, with_findings
+from .controller import state_from, with_findings
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .sample import Plan
+from .setup import believed_by, facts_of, new_context, new_streams
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -233,14 +233,11 @@ class Loop:
 
     def context(self) -> Context:
         """What the controller is told before the run."""
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
-        period, samples = self.timing.control_period, self.timing.samples
-        return context_of(self.controller, self.robot, period, samples, rng, self.within_limits, self.layout)
+        return new_context(self, self.seed, self.within_limits, self.timing.samples)
 
     def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
         """Random generators of the sensors and of the disturbances, split from the run's seed."""
-        sensor, gusts = np.random.SeedSequence(self.seed).spawn(3)[1:]
-        return np.random.default_rng(sensor), np.random.default_rng(gusts)
+        return new_streams(self.seed)
 
     def loaded(self) -> Robot | None:
         """The robot once it has picked up its payload; None without one.
@@ -271,23 +268,13 @@ class Loop:
 
     def facts(self) -> dict[str, Any]:
         """What a recording should know of this run."""
-        own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
-        own |= {"kinematic": plain(self.kinematic), "time": plain(self.timing)}
-        own |= {"controller_settings": self.controller.facts(), "within_limits": self.context().limits is not None}
-        own |= {"law": origin_of(type(self.controller))} if isinstance(self.controller, TorqueController) else {}
-        believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
-        hardware = {} if self.sensor.exact else {"sensor": plain(self.sensor)}
-        hardware |= {} if self.actuator.perfect else {"actuator": plain(self.actuator)}
-        hardware |= {} if self.safety is None else {"safety": plain(self.safety)}
-        hardware |= {"disturbances": plain(self.disturbances)} if self.disturbances else {}
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
-        return self.robot.facts() | own | believed | hardware | {"plant": self.plant} | floor
+        return facts_of(self, self.seed) | {"plant": self.plant} | floor
 
     @property
     def believed(self) -> Robot:
         """The robot that the controller believes in, where it uses a model."""
-        own: Robot | None = self.controller.model if isinstance(self.controller, CompiledController) else None
-        return own or self.nominal or self.robot
+        return believed_by(self)
 
     def state_from(self, given: Any = None) -> Any:
         """A copy of a controller's state that fits this loop; a new one for None.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
 import numpy as np
 
@@ -11,69 +10,17 @@ from .. import actuator as motor
 from .. import disturbance, safety
 from ..disturbance import Forces
 from ..errors import ConfigError
-from ..kinematic import Kinematic
 from ..model.dynamics import Dynamics
-from ..model.robot import Robot
 from ..safety import Supervisor
-from ..sensing import FrozenEncoders, Sensor
-from ..settings import Timing, given_array
-from ..signals import Array, IntArray, Layout
-from ..torque.controller import CompiledController, ControllerState, TorqueController
+from ..sensing import FrozenEncoders
+from ..settings import given_array
+from ..signals import Array, IntArray
+from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
 from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, World
+from .setup import Setup
 
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
-
-
-class Setup(Protocol):
-    """What the hardware model is made from; a `Loop` has all of it."""
-
-    @property
-    def robot(self) -> Robot:
-        """The true robot."""
-
-    @property
-    def layout(self) -> Layout:
-        """Where the signals stand in a row."""
-
-    @property
-    def nominal(self) -> Robot | None:
-        """The robot that the controller believes in."""
-
-    @property
-    def timing(self) -> Timing:
-        """Periods."""
-
-    @property
-    def plant(self) -> str:
-        """Name of the plant."""
-
-    @property
-    def kinematic(self) -> Kinematic:
-        """Gains of the kinematic layer."""
-
-    @property
-    def controller(self) -> CompiledController | TorqueController:
-        """The torque controller."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """What the sensors do to the truth."""
-
-    @property
-    def actuator(self) -> motor.Actuator:
-        """What the motors make of their commands."""
-
-    @property
-    def safety(self) -> safety.Safety | None:
-        """The supervisor."""
-
-    @property
-    def disturbances(self) -> tuple[disturbance.Disturbance, ...]:
-        """What happens to the robot."""
-
-    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
-        """Random generators of the sensors and of the disturbances."""
 
 
 def new_hardware(

@@ -9,16 +9,14 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from scipy.linalg import expm
 
 from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
-from ...loop.before_run import Bounds, Start, viscous_friction
+from ...loop.before_run import Bounds, Start, effective_inertia
 from ...loop.loop import PLANTS, Loop
 from ...model.base.overrides import Overrides
-from ...model.dynamics import Dynamics
 from ...model.loading import load_with
 from ...model.robot import Robot
 from ...plant.contact.feet import Contact
@@ -43,6 +41,7 @@ from .controllers import (
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
 
+PLACES = 10  # along the reference at which inertias are looked at
 # Pictures that a run can write; `show.gallery` has them.
 PLOTS = (
     *("errors", "torque", "psi", "gains", "path", "weights", "residuals", "step-times"),
@@ -282,7 +281,10 @@ class Experiment(LearnerTables, frozen=True):
         """Effective inertias along the reference, (p,); None when nothing is scaled by them."""
         if self.feedback.scaling == "none":
             return None
-        return effective_inertia(robot, self.trajectory_of(robot), self.time.duration, self.time.control_period)
+        instants = np.linspace(0.0, self.time.duration, PLACES)
+        table = self.trajectory_of(robot).table(instants, robot.dimensions)
+        positions = (Start().state(robot, row)[0] for row in table)
+        return effective_inertia(robot, positions, self.time.control_period)
 
     def controller(
         self, name: str, gains: Array | None = None, robot: Robot | None = None
@@ -329,28 +331,3 @@ class Experiment(LearnerTables, frozen=True):
     def to_json(self) -> str:
         """The complete experiment with its defaults, as text (JSON) for a recording."""
         return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
-
-
-def effective_inertia(robot: Robot, trajectory: Trajectory, duration: float, period: float, places: int = 10) -> Array:
-    """Effective inertia of every velocity, the smallest one along a reference, (p,) [kg, kg m^2].
-
-    It is `period / Gamma_ii`, with `Gamma = int_0^period exp(-M^-1 D t) dt M^-1` the velocity that a torque held for
-    one control period gives, M the reduced mass matrix and D its viscous friction. Without friction this is
-    `1 / (M^-1)_ii`: what a torque on that velocity alone accelerates while all others move freely. A link of a few
-    milligram square metres in a joint with 1 N m s weighs what its friction makes of it.
-
-    Args:
-        robot: The robot, or the one that the designer of the gains believes in.
-        trajectory: The reference.
-        duration: Its length [s].
-        period: Control period [s].
-        places: Instants, evenly spaced.
-    """
-    dynamics, D, p = Dynamics(robot), viscous_friction(robot), robot.dimensions.dof
-    table = trajectory.table(np.linspace(0.0, duration, places), robot.dimensions)
-    found = []
-    for row in table:
-        M_inv = np.linalg.inv(dynamics.mass_matrix(Start().state(robot, row)[0]))
-        held = expm(np.block([[-M_inv @ D, M_inv], [np.zeros((p, 2 * p))]]) * period)
-        found.append(period / np.diag(held[:p, p:]))
-    return np.min(found, axis=0)
