@@ -31,13 +31,15 @@ from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
 from ..signals import SIGNALS, Array, Dimensions, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from .before_run import Bounds, Start, require_first, require_nominal, require_stable_gains
+from .before_run import Bounds, Start, require_first, require_nominal
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
+from .hardware import Latency
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .sample import Plan
-from .setup import believed_by, facts_of, new_context, new_streams
+from .sampled import delay_margin, require_stable_gains
+from .setup import Streams, believed_by, facts_of, new_context, new_streams
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -79,6 +81,7 @@ class Loop:
         disturbances: What happens to the robot during the run.
         within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves (see
             `torque.law`); None for what the controller says: learners beyond the thesis do.
+        latency: How long measurements and commands are under way; gains that do not bear it are refused.
     """
 
     robot: Robot
@@ -100,6 +103,7 @@ class Loop:
     safety: Safety | None = None
     disturbances: tuple[Disturbance, ...] = ()
     within_limits: bool | None = None
+    latency: Latency = field(default_factory=Latency)
 
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
@@ -109,7 +113,8 @@ class Loop:
     def layout(self) -> Layout:
         """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
-        hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances))
+        late = self.latency.total > 0.0
+        hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or late)
         return Layout.of(self.robot.dimensions, wheels, hardware)
 
     @one_thread
@@ -203,6 +208,8 @@ class Loop:
             loaded=self.loaded(),
             contact=self.contact if self.plant == "contact" else None,
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
+            latency=self.latency.total,
+            lag=self.actuator.lag,
         )
 
     def require_stable_gains(self) -> None:
@@ -213,6 +220,13 @@ class Loop:
         """
         if self.check_gains:
             require_stable_gains(self.plan())
+
+    def delay_margin(self) -> float:
+        """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].
+
+        NaN for a controller in plain Python, whose gains are not known.
+        """
+        return delay_margin(self.plan())
 
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.
@@ -235,8 +249,8 @@ class Loop:
         """What the controller is told before the run."""
         return new_context(self, self.seed, self.within_limits, self.timing.samples)
 
-    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
-        """Random generators of the sensors and of the disturbances, split from the run's seed."""
+    def streams(self) -> Streams:
+        """Random generators of the sensors, of the disturbances and of the commands' delays, from the run's seed."""
         return new_streams(self.seed)
 
     def loaded(self) -> Robot | None:

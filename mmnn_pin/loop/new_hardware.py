@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import msgspec
 import numpy as np
 
 from .. import actuator as motor
@@ -12,12 +13,12 @@ from ..disturbance import Forces
 from ..errors import ConfigError
 from ..model.dynamics import Dynamics
 from ..safety import Supervisor
-from ..sensing import FrozenEncoders
+from ..sensing import FrozenEncoders, Sensor
 from ..settings import given_array
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
-from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, World
+from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, World
 from .setup import Setup
 
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
@@ -43,21 +44,26 @@ def new_hardware(
     faults = np.column_stack((disturbance.lateness(events, timing), disturbance.corruption(events, timing)))
     frozen, geared = frozen_encoders(loop), geared_motors(loop)
     dead = disturbance.windows(disturbance.DeadMotor, events, robot.actuator_names)
-    is_exact = loop.sensor.exact and not (faults.any() or len(frozen) or len(geared))
+    sensor = late(loop)
+    is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
     states = np.zeros((layout.motors, motor.STATES))
     states[:, motor.ROTOR_SPEED] = robot.E.T @ nu
-    sensed = loop.sensor.init(robot, faults)
-    parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof))
-    values, (sensed, states, guard, held, sent) = flat(parts)
+    sensed = sensor.init(robot, faults)
+    under_way = np.zeros((loop.latency.slots(timing), layout.motors))
+    parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
+    values, (sensed, states, guard, held, sent, under_way) = flat(parts)
     motors = loop.actuator.motors(robot, timing.plant_step, dead, states)
     require_read_encoders(loop)
     if is_exact and not layout.hardware:
         if given is not None:
             given_array("hardware_state", given, (0,))
         return None
-    sensor_rng, gust_rng = loop.streams()
+    sensor_rng, gust_rng, delay_rng = loop.streams()
+    if len(under_way):
+        way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
+        motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
     count = 0 if is_exact else timing.measurements
-    sensors = loop.sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
+    sensors = sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
     before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
     if given is not None:  # messages of no numbers may be under way
         values[:] = given_array("hardware_state", given, values.shape, finite=not np.isnan(faults[:, 1]).any())
@@ -76,6 +82,16 @@ def new_hardware(
         tau=np.zeros(layout.dof),
         state=values,
     )
+
+
+def late(loop: Setup) -> Sensor:
+    """The sensors of a loop, their line as late as its latency says.
+
+    Raises:
+        ConfigError: That is no whole number of measurements.
+    """
+    delay = loop.latency.measurements(loop.timing)
+    return msgspec.structs.replace(loop.sensor, delay=loop.sensor.delay + delay) if delay else loop.sensor
 
 
 def flat(parts: tuple[Array, ...]) -> tuple[Array, list[Array]]:

@@ -128,6 +128,8 @@ class Plan:
         loaded: The robot once it has picked up its payload; None without one.
         contact: The floor of the contact plant; None for the ideal plant.
         block: Samples that an engine hands over at a time.
+        latency: Known delay between measurement and torque, for the check of the gains [s].
+        lag: Time constant of the motors, one number or one per motor, for the same [s].
     """
 
     robot: Robot
@@ -143,6 +145,8 @@ class Plan:
     loaded: Robot | None = None
     contact: Contact | None = None
     block: int = 1
+    latency: float = 0.0
+    lag: float | tuple[float, ...] = 0.0
 
     @property
     def E_inv(self) -> Array:

@@ -23,6 +23,9 @@ from ..signals import Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
 from .controller import context_of
+from .hardware import Latency
+
+Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
 
 
 class Setup(Protocol):
@@ -72,8 +75,12 @@ class Setup(Protocol):
     def disturbances(self) -> tuple[Disturbance, ...]:
         """What happens to the robot."""
 
-    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
-        """Random generators of the sensors and of the disturbances."""
+    @property
+    def latency(self) -> Latency:
+        """How long measurements and commands are under way."""
+
+    def streams(self) -> Streams:
+        """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
     def context(self) -> Context:
         """What the controller is told before a run."""
@@ -86,10 +93,10 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
     return context_of(setup.controller, setup.robot, period, samples, rng, within_limits, setup.layout)
 
 
-def new_streams(seed: int) -> tuple[np.random.Generator, np.random.Generator]:
-    """Random generators of the sensors and of the disturbances, split from a run's seed."""
-    sensor, gusts = np.random.SeedSequence(seed).spawn(3)[1:]
-    return np.random.default_rng(sensor), np.random.default_rng(gusts)
+def new_streams(seed: int) -> Streams:
+    """Random generators of the sensors, of the disturbances and of the commands' delays, split from a run's seed."""
+    sensor, gusts, delays = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(4)[1:])
+    return sensor, gusts, delays
 
 
 def believed_by(setup: Setup) -> Robot:
@@ -108,6 +115,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     believed = {} if setup.nominal is None else {"nominal": setup.nominal.facts()}
     hardware = {} if setup.sensor.exact else {"sensor": plain(setup.sensor)}
     hardware |= {} if setup.actuator.perfect else {"actuator": plain(setup.actuator)}
+    hardware |= {} if setup.latency == Latency() else {"latency": plain(setup.latency)}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -129,13 +137,14 @@ class Outside:
     sensor: Sensor = field(default_factory=Sensor)
     actuator: Actuator = field(default_factory=Actuator)
     disturbances: tuple[Disturbance, ...] = ()
+    latency: Latency = field(default_factory=Latency)
 
     @cached_property
     def layout(self) -> Layout:
         """Where the signals stand in a row."""
         return Layout.of(self.robot.dimensions, 0, 1)
 
-    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
+    def streams(self) -> Streams:
         """Random generators that nothing draws from."""
         return new_streams(self.seed)
 

@@ -34,11 +34,12 @@ from ..settings import Timing, require_gain
 from ..signals import SIGNALS, Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import postures, require_nominal, require_stable_gains, with_gains_of
+from .before_run import postures, require_nominal, with_gains_of
 from .controller import state_from, with_findings
 from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control, Plan
+from .sampled import delay_margin, require_stable_gains
 from .setup import Outside, believed_by, facts_of
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -92,6 +93,7 @@ class Stepper:
         nominal: The robot that a controller believes in which uses a model and brings none; None for `robot`.
         seed: Of what a controller draws.
         within_limits: As in `Loop`.
+        latency: Known delay from the measurement to the motors [s], which the gains have to bear.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
         path: File for the recording; None keeps it in memory, which then grows with `record`.
         force: Replace an existing file.
@@ -127,6 +129,7 @@ class Stepper:
         nominal: Robot | None = None,
         seed: int = 0,
         within_limits: bool | None = None,
+        latency: float = 0.0,
         check_gains: bool = True,
         path: str | Path | None = None,
         force: bool = False,
@@ -141,7 +144,8 @@ class Stepper:
         timing = Timing(duration=period, control_period=period, plant_step=period)
         controller = with_gains_of(controller, robot, period)
         setup = Outside(robot, controller, kinematic, safety, timing, nominal, seed, within_limits)
-        self.period, self.check_gains, layout = period, check_gains, setup.layout
+        require_gain(latency, "latency")
+        self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
         self.follower = Follower(robot, limits, setpoint_timeout)
         self.row, self.at = layout.new_row(), layout.offsets
         self.received = self.row[layout.where("pose").start : layout.where("qdot").stop]
@@ -173,6 +177,7 @@ class Stepper:
         }
         said |= {"nominal": loop.nominal, "seed": loop.seed, "within_limits": loop.within_limits}
         said |= {"check_gains": loop.check_gains, "weights_interval": loop.weights_interval}
+        said |= {"latency": loop.latency.total}
         return cls(loop.robot, loop.controller, **(said | more))
 
     def step(
@@ -283,6 +288,10 @@ class Stepper:
         """A copy of what was learned, to start another stepper from (`state`)."""
         return state_from(self.setup.controller, self.setup.context(), self.state)
 
+    def delay_margin(self) -> float:
+        """Delay from the measurement to the motors at which the loop turns unstable, at the worst posture [s]."""
+        return delay_margin(self.judged)
+
     # -- what it tells -----------------------------------------------------------------------------------------------
 
     @property
@@ -349,12 +358,13 @@ class Stepper:
         gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
         bounds, context = np.full(layout.dof, np.inf), setup.context()
         plan = Plan(robot, layout, setup.timing, setup.controller, context, believed, gains, K, bounds, places)
+        plan = replace(plan, latency=self.latency)
         if self.check_gains:
             require_stable_gains(plan)
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
         assert hardware is not None
         control = Control(plan, self.row, state, hardware)
-        self.setup, self.state, self.hardware, self.control = setup, state, hardware, control
+        self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
 
     def _take(self, measurement: Measurement, time: float, measured: float) -> None:
         """Put a measurement into the row and before the supervisor."""

@@ -15,6 +15,7 @@ from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
 from ...loop.before_run import Bounds, Start, effective_inertia
+from ...loop.hardware import Latency
 from ...loop.loop import PLANTS, Loop
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
@@ -147,6 +148,7 @@ class Experiment(LearnerTables, frozen=True):
         sensor: What the sensors do to the truth.
         actuator: What the motors make of their commands.
         safety: A supervisor between controller and motors; without the table there is none.
+        latency: How long measurements and commands are under way.
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
@@ -188,6 +190,7 @@ class Experiment(LearnerTables, frozen=True):
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
     safety: Safety | None = None
+    latency: Latency = Latency()
     disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
@@ -326,6 +329,7 @@ class Experiment(LearnerTables, frozen=True):
             plant=self.plant,
             contact=self.contact,
             within_limits=self.learning.within_limits,
+            latency=self.latency,
         )
 
     def to_json(self) -> str:
