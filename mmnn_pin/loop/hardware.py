@@ -29,6 +29,7 @@ from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
 from ..settings import Settings, Timing, require_gains
 from ..signals import EARLY, INDEX, Array, IntArray
+from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
 TORQUE, PSI_HAT, POSE, QDOT = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["qdot"]
@@ -212,7 +213,9 @@ class Hardware(NamedTuple):
         totals: Command of the motors, and what they and the world gave.
         sent: (p,) the last torque that reached the motors, part of the state.
         tau: (p,) generalized torque of motors and world.
-        state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent.
+        state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
+            under way, servo rows and their servos.
+        split: The rows that take a velocity; None where all take effort.
     """
 
     exact: bool
@@ -228,6 +231,7 @@ class Hardware(NamedTuple):
     sent: Array
     tau: Array
     state: Array
+    split: Split | None
 
 
 def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> None:

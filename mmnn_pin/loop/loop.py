@@ -39,6 +39,7 @@ from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
+from .servo import Servo, servo_gains
 from .setup import Streams, believed_by, facts_of, new_context, new_streams
 
 Engine = CompiledLoop | OrdinaryLoop
@@ -82,6 +83,8 @@ class Loop:
         within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves (see
             `torque.law`); None for what the controller says: learners beyond the thesis do.
         latency: How long measurements and commands are under way; gains that do not bear it are refused.
+        interfaces: What motors take, by joint: "velocity" or "position", "effort" where one is not named; see `servo`.
+        servo: The servos behind velocity and position interfaces.
     """
 
     robot: Robot
@@ -104,6 +107,8 @@ class Loop:
     disturbances: tuple[Disturbance, ...] = ()
     within_limits: bool | None = None
     latency: Latency = field(default_factory=Latency)
+    interfaces: Mapping[str, str] = field(default_factory=dict)
+    servo: Servo = field(default_factory=Servo)
 
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
@@ -113,8 +118,8 @@ class Loop:
     def layout(self) -> Layout:
         """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
-        late = self.latency.total > 0.0
-        hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or late)
+        more = self.latency.total > 0.0 or bool(self.interfaces)
+        hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
         return Layout.of(self.robot.dimensions, wheels, hardware)
 
     @one_thread
@@ -182,7 +187,8 @@ class Loop:
         if self.engine == "compiled":
             require_compilable(self)
             return CompiledLoop(*arguments)
-        if self.engine == "auto" and not isinstance(self.controller, TorqueController) and self.plant == "ideal":
+        compilable = not isinstance(self.controller, TorqueController) and self.plant == "ideal" and not self.interfaces
+        if self.engine == "auto" and compilable:
             with suppress(RobotError):  # a joint that cannot be flattened
                 return CompiledLoop(*arguments)
         return OrdinaryLoop(*arguments)
@@ -210,6 +216,7 @@ class Loop:
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
             latency=self.latency.total,
             lag=self.actuator.lag,
+            servo=servo_gains(self.robot, self.interfaces, self.servo),
         )
 
     def require_stable_gains(self) -> None:
@@ -331,6 +338,8 @@ def require_compilable(loop: Loop) -> None:
     elif loop.plant == "contact":
         what, why = "the contact plant cannot be compiled", "MuJoCo steps it, the ordinary loop only"
         fix = "use engine = 'auto', or the ideal plant"
+    elif loop.interfaces:
+        what, why, fix = "velocity interfaces cannot be compiled", "the ordinary loop has them", "use engine = 'auto'"
     else:
         return
     raise ConfigError(what, why=why, fix=fix, key="engine")

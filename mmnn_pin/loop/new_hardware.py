@@ -19,6 +19,7 @@ from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
 from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, World
+from .servo import interfaces_of, require_no_torque_regressor, servo_slots, split_of, state_size, velocity_servo
 from .setup import Setup
 
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
@@ -49,9 +50,13 @@ def new_hardware(
     states = np.zeros((layout.motors, motor.STATES))
     states[:, motor.ROTOR_SPEED] = robot.E.T @ nu
     sensed = sensor.init(robot, faults)
+    _, on = interfaces_of(robot, loop.interfaces)
     under_way = np.zeros((loop.latency.slots(timing), layout.motors))
+    slots = servo_slots(loop.servo, loop.latency.command, timing.plant_step) if on.any() else 0
+    parts: tuple[Array, ...]
     parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
-    values, (sensed, states, guard, held, sent, under_way) = flat(parts)
+    parts = (*parts, np.zeros(state_size(on, layout.arm)), np.zeros((slots, layout.motors)))
+    values, (sensed, states, guard, held, sent, under_way, rows, ring) = flat(parts)
     motors = loop.actuator.motors(robot, timing.plant_step, dead, states)
     require_read_encoders(loop)
     if is_exact and not layout.hardware:
@@ -62,6 +67,11 @@ def new_hardware(
     if len(under_way):
         way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
         motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
+    split = split_of(robot, on, loop.servo, timing.control_period, rows)
+    if split is not None:
+        require_no_torque_regressor(loop.controller, loop.context())
+        servos = velocity_servo(robot, loop.servo, split, timing.plant_step, ring)
+        motors = motors._replace(imperfect=True, effects=(servos, *motors.effects))
     count = 0 if is_exact else timing.measurements
     sensors = sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
     before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
@@ -81,6 +91,7 @@ def new_hardware(
         sent=sent,
         tau=np.zeros(layout.dof),
         state=values,
+        split=split,
     )
 
 

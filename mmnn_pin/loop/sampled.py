@@ -221,6 +221,12 @@ def slowest(plan: Plan) -> float:
     return max(plan.timing.control_period, plan.timing.sensor_period or 0.0)
 
 
+def gains_of(plan: Plan) -> Array:
+    """Gains on s, (p,): the controller's, and on velocity interfaces what their servos amount to."""
+    gains = plan.controller.feedback_gain(plan.layout)  # type: ignore[union-attr]
+    return gains if plan.servo is None else np.where(plan.servo > 0.0, plan.servo, gains)
+
+
 def adds_inside(plan: Plan) -> bool:
     """Whether the controller adds an estimate of Psi, and with it the feedback inside."""
     controller = plan.controller
@@ -248,7 +254,7 @@ def delay_margin(plan: Plan, share: float = 1.0, places: int = 5) -> float:
     """
     if not judges(plan):
         return float("nan")
-    gains, h = share * plan.controller.feedback_gain(plan.layout), slowest(plan)  # type: ignore[union-attr]
+    gains, h = share * gains_of(plan), slowest(plan)
     return min(margin_at(held, gains, h, adds_inside(plan)) for held in linearised(plan, places))
 
 
@@ -269,7 +275,7 @@ def require_stable_gains(plan: Plan) -> None:
     if not judges(plan):
         return
     robot, dynamics = plan.robot, Dynamics(plan.robot)
-    gains, friction = plan.controller.feedback_gain(plan.layout), viscous_friction(robot)  # type: ignore[union-attr]
+    gains, friction = gains_of(plan), viscous_friction(robot)
     h = slowest(plan)
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, 10).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
@@ -292,7 +298,7 @@ def require_margin(plan: Plan) -> None:
     share = largest_share(plan)
     fix = "lower the gains of the kinematic layer, or shorten the latency"
     if share > 0.0:
-        gains = share * plan.controller.feedback_gain(plan.layout)  # type: ignore[union-attr]
+        gains = share * gains_of(plan)
         largest = ", ".join(f"{name} {gain:.4g}" for name, gain in zip(plan.robot.velocity_names, gains, strict=True))
         fix = f"lower the feedback to {share:.4f} of it: {largest}; or shorten the latency"
     what = f"the loop does not bear a latency of {1e3 * plan.latency:.3g} ms"

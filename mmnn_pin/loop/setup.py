@@ -6,6 +6,7 @@ a robot that is not simulated: its plant, sensors and motors are real, so all th
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
@@ -24,6 +25,7 @@ from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
 from .controller import context_of
 from .hardware import Latency
+from .servo import Servo
 
 Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
 
@@ -79,6 +81,14 @@ class Setup(Protocol):
     def latency(self) -> Latency:
         """How long measurements and commands are under way."""
 
+    @property
+    def interfaces(self) -> Mapping[str, str]:
+        """Interface of motors' joints, effort where they are not named."""
+
+    @property
+    def servo(self) -> Servo:
+        """What is known of the servos of velocity interfaces."""
+
     def streams(self) -> Streams:
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
@@ -116,6 +126,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware = {} if setup.sensor.exact else {"sensor": plain(setup.sensor)}
     hardware |= {} if setup.actuator.perfect else {"actuator": plain(setup.actuator)}
     hardware |= {} if setup.latency == Latency() else {"latency": plain(setup.latency)}
+    hardware |= {"interfaces": dict(setup.interfaces), "servo": plain(setup.servo)} if setup.interfaces else {}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -138,6 +149,8 @@ class Outside:
     actuator: Actuator = field(default_factory=Actuator)
     disturbances: tuple[Disturbance, ...] = ()
     latency: Latency = field(default_factory=Latency)
+    interfaces: Mapping[str, str] = field(default_factory=dict)
+    servo: Servo = field(default_factory=Servo)
 
     @cached_property
     def layout(self) -> Layout:

@@ -40,6 +40,7 @@ from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control, Plan
 from .sampled import delay_margin, require_stable_gains
+from .servo import Servo, interfaces_of, servo_gains
 from .setup import Outside, believed_by, facts_of
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -59,12 +60,14 @@ class Command(NamedTuple):
     Attributes:
         effort: (p,) on nu: forces on the base, torques of the joints [N, N m; N m or N].
         velocity: (p,) base velocity and rates of the joints [m/s, rad/s; rad/s or m/s].
+        position: (p,) of joints that take nothing else: their velocity, integrated [rad or m].
         motor_effort: (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N].
         motor_velocity: (motors,) likewise [rad/s or m/s].
     """
 
     effort: Array
     velocity: Array
+    position: Array
     motor_effort: Array
     motor_velocity: Array
 
@@ -94,6 +97,8 @@ class Stepper:
         seed: Of what a controller draws.
         within_limits: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
+        interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
+        servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
         path: File for the recording; None keeps it in memory, which then grows with `record`.
         force: Replace an existing file.
@@ -130,6 +135,8 @@ class Stepper:
         seed: int = 0,
         within_limits: bool | None = None,
         latency: float = 0.0,
+        interfaces: Mapping[str, str] | None = None,
+        servo: Servo = Servo(),  # noqa: B008
         check_gains: bool = True,
         path: str | Path | None = None,
         force: bool = False,
@@ -143,16 +150,22 @@ class Stepper:
         require_gain(setpoint_timeout, "setpoint_timeout")
         timing = Timing(duration=period, control_period=period, plant_step=period)
         controller = with_gains_of(controller, robot, period)
-        setup = Outside(robot, controller, kinematic, safety, timing, nominal, seed, within_limits)
+        setup = Outside(
+            robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
+            interfaces=dict(interfaces or {}), servo=servo,
+        )  # fmt: skip
+        self.to_motors = np.ascontiguousarray(robot.E.T)
         require_gain(latency, "latency")
         self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
         self.follower = Follower(robot, limits, setpoint_timeout)
         self.row, self.at = layout.new_row(), layout.offsets
         self.received = self.row[layout.where("pose").start : layout.where("qdot").stop]
         self.measured, self.setpoint = Measurement.of(self.row, layout), Setpoint.of(self.row, layout)
-        none = np.full(layout.dof, np.nan), np.full(layout.motors, np.nan)
-        torque, motors = self.row[layout.where("torque")], self.row[layout.where("motor_torque")]
-        self.command = Command(torque, none[0], motors, none[1])
+        self.torque, self.motor_torque = self.row[layout.where("torque")], self.row[layout.where("motor_torque")]
+        sizes = (layout.dof, layout.dof, layout.dof, layout.motors, layout.motors)
+        self.command = Command._make(np.full(size, np.nan) for size in sizes)
+        self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
+        self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time = -math.inf, -1, 0.0
         self.every, self.weighed = max(1, round(weights_interval / period)), -1
         self.told = list[str]()
@@ -177,7 +190,7 @@ class Stepper:
         }
         said |= {"nominal": loop.nominal, "seed": loop.seed, "within_limits": loop.within_limits}
         said |= {"check_gains": loop.check_gains, "weights_interval": loop.weights_interval}
-        said |= {"latency": loop.latency.total}
+        said |= {"latency": loop.latency.total, "interfaces": loop.interfaces, "servo": loop.servo}
         return cls(loop.robot, loop.controller, **(said | more))
 
     def step(
@@ -218,7 +231,7 @@ class Stepper:
             self.follower.stand(self.received)
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         self.control.step(time, self.follower.now)
-        self.command.motor_effort[:] = self.hardware.totals.command
+        self._command()
         self.time, self.k = time, self.k + 1
         self.step_time = perf_counter() - began
         return self.command
@@ -358,13 +371,26 @@ class Stepper:
         gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
         bounds, context = np.full(layout.dof, np.inf), setup.context()
         plan = Plan(robot, layout, setup.timing, setup.controller, context, believed, gains, K, bounds, places)
-        plan = replace(plan, latency=self.latency)
+        servo = servo_gains(robot, setup.interfaces, setup.servo)
+        plan = replace(plan, latency=self.latency, servo=servo)
         if self.check_gains:
             require_stable_gains(plan)
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
         assert hardware is not None
         control = Control(plan, self.row, state, hardware)
         self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
+
+    def _command(self) -> None:
+        """What is sent, from the row and from the servo rows."""
+        command, split, (rows, motors) = self.command, self.hardware.split, self.by_effort
+        self.motor_torque[:] = self.hardware.totals.command
+        np.copyto(command.effort, self.torque, where=rows)
+        np.copyto(command.motor_effort, self.motor_torque, where=motors)
+        if split is not None:
+            np.copyto(command.velocity, split.command, where=self.kinds == "velocity")
+            np.copyto(command.motor_velocity, self.to_motors @ split.command, where=~motors)
+            arm = slice(self.robot.dimensions.base, None)
+            np.copyto(command.position[arm], split.place, where=self.kinds[arm] == "position")
 
     def _take(self, measurement: Measurement, time: float, measured: float) -> None:
         """Put a measurement into the row and before the supervisor."""

@@ -17,6 +17,7 @@ from ...kinematic import Kinematic
 from ...loop.before_run import Bounds, Start, effective_inertia
 from ...loop.hardware import Latency
 from ...loop.loop import PLANTS, Loop
+from ...loop.servo import Servo
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -149,6 +150,8 @@ class Experiment(LearnerTables, frozen=True):
         actuator: What the motors make of their commands.
         safety: A supervisor between controller and motors; without the table there is none.
         latency: How long measurements and commands are under way.
+        interfaces: What motors take, by joint: effort where one is not named, velocity or position.
+        servo: The servos behind velocity and position interfaces.
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
@@ -191,6 +194,8 @@ class Experiment(LearnerTables, frozen=True):
     actuator: Actuator = Actuator()
     safety: Safety | None = None
     latency: Latency = Latency()
+    interfaces: dict[str, str] = msgspec.field(default_factory=dict)
+    servo: Servo = Servo()
     disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
@@ -330,6 +335,8 @@ class Experiment(LearnerTables, frozen=True):
             contact=self.contact,
             within_limits=self.learning.within_limits,
             latency=self.latency,
+            interfaces=self.interfaces,
+            servo=self.servo,
         )
 
     def to_json(self) -> str:
