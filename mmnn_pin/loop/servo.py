@@ -34,12 +34,14 @@ from ..settings import Numbers, Settings, one_or_each, require_numbers
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.law import KERNELS, nothing_to_keep
+from .before_run import viscous_friction
 
 EFFORT, VELOCITY, POSITION = "effort", "velocity", "position"
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
 MEASURED_BASE, MEASURED_ARM = INDEX["velocity"], INDEX["qdot"]
 PSI_HAT, TORQUE, Q = INDEX["psi_hat"], INDEX["torque"], INDEX["q"]
 BRAKING = 2.0  # of a stop [m/s^2, rad/s^2]
+TUNED = 2.0  # times viscous friction that a servo's gain has beside its bandwidth
 
 
 class Servo(Settings, frozen=True):
@@ -208,7 +210,8 @@ class VelocityServo(NamedTuple):
     Attributes:
         dt: Step of the plant [s].
         on: (motors,) 1 for a motor with a servo.
-        gain: (motors,) bandwidth times the inertia that the motor alone moves [N m s or N s/m].
+        gain: (motors,) bandwidth times the inertia that the motor alone moves, and more against its viscous friction
+            [N m s or N s/m].
         stiffness: (motors,) of the integral [1/s].
         limit: (motors,) largest torque [N m or N].
         E: (p, motors) speeds of the motors are E' nu.
@@ -258,8 +261,10 @@ def velocity_servo(robot: Robot, servo: Servo, split: Split, dt: float, ring: Ar
     moves = np.abs(E) > 0.0
     bandwidth = np.array([split.numbers[0][rows].min() for rows in moves.T])
     on = (split.on @ moves > 0.0).astype(float)
-    limit = servo.strength * robot.effort_limits
-    return VelocityServo(dt, on, bandwidth * inertia, 0.25 * bandwidth, limit, E, split.command, ring)
+    back = np.linalg.pinv(E)
+    damping = np.diag(back @ viscous_friction(robot) @ back.T)
+    gain, limit = bandwidth * inertia + TUNED * damping, servo.strength * robot.effort_limits
+    return VelocityServo(dt, on, gain, 0.25 * bandwidth, limit, E, split.command, ring)
 
 
 def servo_slots(servo: Servo, latency: float, dt: float) -> int:
