@@ -3,7 +3,7 @@
     python benchmarks/cycle.py                        100,000 samples of four controllers, some minutes
     python benchmarks/cycle.py --samples 2000 --json
 
-The closed loop of `examples/realtime/task.toml` at 200 Hz: `Stepper.step` is timed, the ideal plant between two samples
+The closed loop of `examples/udp/task.toml` at 200 Hz: `Stepper.step` is timed, the ideal plant between two samples
 is not. Wall clock and processor time of the thread, in us; a collection counts when it began inside a step.
 """
 
@@ -15,18 +15,18 @@ import json
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mmnn_pin import load_experiment
+from mmnn_pin import BaseVelocity, JointGoal, Loop, Stepper, load_experiment
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.loop.stepper import Stepper
 from mmnn_pin.plant.ideal import IdealPlant
-from mmnn_pin.signals import Measurement
+from mmnn_pin.signals import Measurement, Setpoint
 
-TASK = Path(__file__).parents[1] / "examples/realtime/task.toml"
+TASK = Path(__file__).parents[1] / "examples/udp/task.toml"
 CONTROLLERS = ("two_layer", "one_layer", "pd", "computed_torque")
 PERIOD = 0.005  # [s]
 
@@ -40,31 +40,48 @@ def main() -> None:
     times = f"time.duration={given.samples * PERIOD!r}", f"time.plant_step={PERIOD}"
     experiment = load_experiment(TASK, [*times, "weights_interval=1e9"])
     load = os.getloadavg()[0]
-    found = {name: measure(experiment, name) for name in CONTROLLERS}
+    asked = [(name, "motion") for name in CONTROLLERS] + [
+        ("two_layer", kind) for kind in ("samples", "velocity and goals")
+    ]
+    found = {f"{name}, {kind}": measure(experiment, name, kind) for name, kind in asked}
     result = {"samples": given.samples, "us": found, "load_before_after": [load, os.getloadavg()[0]]}
     print(json.dumps(result) if given.json else table(result))
 
 
-def measure(experiment: Experiment, name: str) -> dict[str, Any]:
-    """Times of all samples under one controller, and what they left behind."""
+def wishes_of(kind: str, cycle: Stepper, loop: Loop) -> Callable[[int], Any]:
+    """What comes with a sample: a motion at the start, full samples, or a velocity and now and then a joint goal."""
+    if kind == "motion":
+        motion = cycle.plan(loop.trajectory, loop.timing.duration)
+        return lambda k: motion if k == 0 else None
+    table = loop.table()
+    if kind == "samples":
+        return lambda k: Setpoint.side_by_side(table[k], loop.layout)
+    goals = [JointGoal(np.full(loop.layout.arm, place)) for place in (0.3, -0.3)]
+    drive = BaseVelocity((0.2, 0.1))
+    return lambda k: (drive, goals[k // 1000 % 2]) if k % 1000 == 0 else drive if k % 20 == 0 else None
+
+
+def measure(experiment: Experiment, name: str, kind: str) -> dict[str, Any]:
+    """Times of all samples under one controller and a kind of setpoints, and what they left behind."""
     robot = experiment.load_robot()
     loop = experiment.loop(robot, experiment.controller(name, robot=robot))
-    cycle, plant = Stepper(loop), IdealPlant(robot, PERIOD, experiment.time.integrator)
-    plant.start(*loop.start.state(robot, cycle.table[0]))
+    cycle, plant = Stepper.of(loop), IdealPlant(robot, PERIOD, experiment.time.integrator)
+    plant.start(*loop.start.state(robot, loop.table()[0]))
+    wishes = wishes_of(kind, cycle, loop)
     nb, arm = robot.dimensions.base, robot.arm_index
     measured = Measurement(plant.position[: robot.dimensions.pose], plant.nu[:nb], np.zeros(arm.size), plant.nu[nb:])
-    wall, cpu = np.zeros(cycle.samples), np.zeros(cycle.samples)
+    wall, cpu = np.zeros(loop.timing.samples), np.zeros(loop.timing.samples)
     inside, began = [False], [0]
     collecting = lambda phase, _: began.append(1) if phase == "start" and inside[0] else None  # noqa: E731
     gc.collect()
     gc.callbacks.append(collecting)
     blocks = sys.getallocatedblocks()
     try:
-        for k in range(cycle.samples):
+        for k in range(loop.timing.samples):
             measured.q[:] = plant.position[arm]
             inside[0] = True
             start, start_cpu = time.perf_counter_ns(), time.thread_time_ns()
-            tau = cycle.step(k * PERIOD, measured)
+            tau = cycle.step(k * PERIOD, measured, wishes(k)).effort
             cpu[k], wall[k] = time.thread_time_ns() - start_cpu, time.perf_counter_ns() - start
             inside[0] = False
             plant.step(tau)

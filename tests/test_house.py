@@ -53,7 +53,7 @@ BLAS = {"dot", "vdot", "inner", "matmul", "einsum", "linalg"}
 JUDGES = (
     *("model.robot", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree", "model.base.differential"),
     *("model.base.holonomic", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
-    *("model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite"),
+    *("model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite", "loop.sampled"),
 )
 
 

@@ -20,13 +20,16 @@ from numba.extending import overload
 
 from .. import actuator as motor
 from .. import safety
-from ..actuator import Motors
+from ..actuator import Drive, Motors
 from ..compiled import compiled, copy_to, spliced
 from ..disturbance import Forces
+from ..errors import ConfigError
 from ..safety import Supervisor
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
-from ..signals import INDEX, Array, IntArray
+from ..settings import Settings, Timing, require_gains
+from ..signals import EARLY, INDEX, Array, IntArray
+from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
 TORQUE, PSI_HAT, POSE, QDOT = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["qdot"]
@@ -59,6 +62,84 @@ class CommandLine(NamedTuple):
             wire.torque[:] = np.nan
         elif self.fates[k] == IS_LOST:
             copy_to(self.sent, wire.torque)
+
+
+class Latency(Settings, frozen=True):
+    """How long a measurement and a command are under way between robot and controller.
+
+    Args:
+        sensing: Age of a measurement when it is used [s]; a whole number of measurements in a simulation.
+        command: Time from there to the motors [s], rounded to steps of the plant.
+        jitter: Largest further delay of a command, every one by its own chance; none overtakes another [s].
+        margin: Delay beyond these that a loop should bear; less is told [s].
+
+    Raises:
+        ConfigError: A number that is negative or not finite.
+    """
+
+    sensing: float = 0.0
+    command: float = 0.0
+    jitter: float = 0.0
+    margin: float = 0.003
+
+    def __post_init__(self) -> None:
+        require_gains(self, "latency")
+
+    @property
+    def total(self) -> float:
+        """All of it at its longest [s]."""
+        return self.sensing + self.command + self.jitter
+
+    def measurements(self, timing: Timing) -> int:
+        """Measurements by which the sensors are late.
+
+        Raises:
+            ConfigError: Not a whole number.
+        """
+        late = round(self.sensing / timing.measurement_period)
+        if abs(late * timing.measurement_period - self.sensing) > EARLY:
+            why = f"the sensors measure every {timing.measurement_period:g} s"
+            fix = "give a multiple of that, a shorter time.sensor_period, or latency.command"
+            raise ConfigError(f"{self.sensing:g} s", why=why, fix=fix, key="latency.sensing")
+        return late
+
+    def in_force(self, timing: Timing, rng: np.random.Generator) -> IntArray:
+        """Number of the command in force at every step of the plant, -1 before the first; (0,) without delay."""
+        if self.command + self.jitter == 0.0:
+            return np.zeros(0, np.int64)
+        steps, numbers = timing.steps_per_control, np.arange(timing.samples)
+        late = self.command + self.jitter * rng.random(timing.samples)
+        arrivals = numbers * steps + np.round(late / timing.plant_step).astype(np.int64)
+        arrivals = np.maximum.accumulate(arrivals)
+        return np.searchsorted(arrivals, np.arange(timing.samples * steps), side="right").astype(np.int64) - 1
+
+    def slots(self, timing: Timing) -> int:
+        """How many commands may be under way at once."""
+        late = self.command + self.jitter
+        return 0 if late == 0.0 else math.ceil(late / timing.control_period) + 2
+
+
+class Transport(NamedTuple):
+    """The way of the commands to the motors, on which each is late.
+
+    Attributes:
+        dt: Step of the plant [s].
+        in_force: (steps,) see `Latency.in_force`.
+        sent: (slots, motors) state: the last commands, command k in row k modulo slots.
+    """
+
+    dt: float
+    in_force: IntArray
+    sent: Array
+
+    @spliced
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Put the command that has arrived in place of the one that is sent."""
+        slots, n = self.sent.shape[0], int(time / self.dt + 0.5)
+        last = self.in_force[min(n, self.in_force.size - 1)]
+        for i in range(wire.torque.size):
+            self.sent[k % slots, i] = wire.torque[i]
+            wire.torque[i] = self.sent[last % slots, i] if last >= 0 else 0.0
 
 
 class MotorSide(NamedTuple):
@@ -132,7 +213,9 @@ class Hardware(NamedTuple):
         totals: Command of the motors, and what they and the world gave.
         sent: (p,) the last torque that reached the motors, part of the state.
         tau: (p,) generalized torque of motors and world.
-        state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent.
+        state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
+            under way, servo rows and their servos.
+        split: The rows that take a velocity; None where all take effort.
     """
 
     exact: bool
@@ -148,6 +231,7 @@ class Hardware(NamedTuple):
     sent: Array
     tau: Array
     state: Array
+    split: Split | None
 
 
 def pass_through(effects: tuple[Any, ...], wire: Any, k: int, time: float) -> None:

@@ -31,13 +31,16 @@ from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
 from ..signals import SIGNALS, Array, Dimensions, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from ..torque.learning_law import origin_of
-from .before_run import Bounds, Start, require_first, require_nominal, require_stable_gains
+from .before_run import Bounds, Start, require_first, require_nominal
 from .compiled import CompiledLoop
-from .controller import context_of, state_from, with_findings
+from .controller import state_from, with_findings
+from .hardware import Latency
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .sample import Plan
+from .sampled import delay_margin, require_stable_gains
+from .servo import Servo, servo_gains
+from .setup import Streams, believed_by, facts_of, new_context, new_streams
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -79,6 +82,9 @@ class Loop:
         disturbances: What happens to the robot during the run.
         within_limits: Whether Psi_hat takes of every motor's limit only what the feedback leaves (see
             `torque.law`); None for what the controller says: learners beyond the thesis do.
+        latency: How long measurements and commands are under way; gains that do not bear it are refused.
+        interfaces: What motors take, by joint: "velocity" or "position", "effort" where one is not named; see `servo`.
+        servo: The servos behind velocity and position interfaces.
     """
 
     robot: Robot
@@ -100,6 +106,9 @@ class Loop:
     safety: Safety | None = None
     disturbances: tuple[Disturbance, ...] = ()
     within_limits: bool | None = None
+    latency: Latency = field(default_factory=Latency)
+    interfaces: Mapping[str, str] = field(default_factory=dict)
+    servo: Servo = field(default_factory=Servo)
 
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
@@ -109,7 +118,8 @@ class Loop:
     def layout(self) -> Layout:
         """Where the signals stand in a row, with those that plant, motors, supervisor and disturbances add."""
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
-        hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances))
+        more = self.latency.total > 0.0 or bool(self.interfaces)
+        hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
         return Layout.of(self.robot.dimensions, wheels, hardware)
 
     @one_thread
@@ -177,7 +187,8 @@ class Loop:
         if self.engine == "compiled":
             require_compilable(self)
             return CompiledLoop(*arguments)
-        if self.engine == "auto" and not isinstance(self.controller, TorqueController) and self.plant == "ideal":
+        compilable = not isinstance(self.controller, TorqueController) and self.plant == "ideal" and not self.interfaces
+        if self.engine == "auto" and compilable:
             with suppress(RobotError):  # a joint that cannot be flattened
                 return CompiledLoop(*arguments)
         return OrdinaryLoop(*arguments)
@@ -203,6 +214,9 @@ class Loop:
             loaded=self.loaded(),
             contact=self.contact if self.plant == "contact" else None,
             block=max(1, min(BLOCK, round(self.weights_interval / self.timing.control_period))),
+            latency=self.latency.total,
+            lag=self.actuator.lag,
+            servo=servo_gains(self.robot, self.interfaces, self.servo),
         )
 
     def require_stable_gains(self) -> None:
@@ -213,6 +227,13 @@ class Loop:
         """
         if self.check_gains:
             require_stable_gains(self.plan())
+
+    def delay_margin(self) -> float:
+        """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].
+
+        NaN for a controller in plain Python, whose gains are not known.
+        """
+        return delay_margin(self.plan())
 
     def rehearse(self) -> None:
         """Ask a controller in plain Python at two samples, with a state that is dropped: what fails, fails now.
@@ -233,14 +254,11 @@ class Loop:
 
     def context(self) -> Context:
         """What the controller is told before the run."""
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(1)[0])
-        period, samples = self.timing.control_period, self.timing.samples
-        return context_of(self.controller, self.robot, period, samples, rng, self.within_limits, self.layout)
+        return new_context(self, self.seed, self.within_limits, self.timing.samples)
 
-    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
-        """Random generators of the sensors and of the disturbances, split from the run's seed."""
-        sensor, gusts = np.random.SeedSequence(self.seed).spawn(3)[1:]
-        return np.random.default_rng(sensor), np.random.default_rng(gusts)
+    def streams(self) -> Streams:
+        """Random generators of the sensors, of the disturbances and of the commands' delays, from the run's seed."""
+        return new_streams(self.seed)
 
     def loaded(self) -> Robot | None:
         """The robot once it has picked up its payload; None without one.
@@ -271,23 +289,13 @@ class Loop:
 
     def facts(self) -> dict[str, Any]:
         """What a recording should know of this run."""
-        own = {"controller": self.controller.name, "seed": self.seed, "control_period": self.timing.control_period}
-        own |= {"kinematic": plain(self.kinematic), "time": plain(self.timing)}
-        own |= {"controller_settings": self.controller.facts(), "within_limits": self.context().limits is not None}
-        own |= {"law": origin_of(type(self.controller))} if isinstance(self.controller, TorqueController) else {}
-        believed = {} if self.nominal is None else {"nominal": self.nominal.facts()}
-        hardware = {} if self.sensor.exact else {"sensor": plain(self.sensor)}
-        hardware |= {} if self.actuator.perfect else {"actuator": plain(self.actuator)}
-        hardware |= {} if self.safety is None else {"safety": plain(self.safety)}
-        hardware |= {"disturbances": plain(self.disturbances)} if self.disturbances else {}
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
-        return self.robot.facts() | own | believed | hardware | {"plant": self.plant} | floor
+        return facts_of(self, self.seed) | {"plant": self.plant} | floor
 
     @property
     def believed(self) -> Robot:
         """The robot that the controller believes in, where it uses a model."""
-        own: Robot | None = self.controller.model if isinstance(self.controller, CompiledController) else None
-        return own or self.nominal or self.robot
+        return believed_by(self)
 
     def state_from(self, given: Any = None) -> Any:
         """A copy of a controller's state that fits this loop; a new one for None.
@@ -330,6 +338,8 @@ def require_compilable(loop: Loop) -> None:
     elif loop.plant == "contact":
         what, why = "the contact plant cannot be compiled", "MuJoCo steps it, the ordinary loop only"
         fix = "use engine = 'auto', or the ideal plant"
+    elif loop.interfaces:
+        what, why, fix = "velocity interfaces cannot be compiled", "the ordinary loop has them", "use engine = 'auto'"
     else:
         return
     raise ConfigError(what, why=why, fix=fix, key="engine")

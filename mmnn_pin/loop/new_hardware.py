@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Protocol
 
+import msgspec
 import numpy as np
 
 from .. import actuator as motor
@@ -12,69 +12,18 @@ from .. import disturbance, safety
 from ..disturbance import Forces
 from ..elementary.matrices import inverse, product, pseudo_inverse, svd
 from ..errors import ConfigError
-from ..kinematic import Kinematic
-from ..model.robot import Robot
 from ..model.tree.twin import Twin
 from ..safety import Supervisor
 from ..sensing import FrozenEncoders, Sensor
-from ..settings import Timing, given_array
-from ..signals import Array, IntArray, Layout
-from ..torque.controller import CompiledController, ControllerState, TorqueController
+from ..settings import given_array
+from ..signals import Array, IntArray
+from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
-from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, World
+from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, World
+from .servo import interfaces_of, require_no_torque_regressor, servo_slots, split_of, state_size, velocity_servo
+from .setup import Setup
 
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
-
-
-class Setup(Protocol):
-    """What the hardware model is made from; a `Loop` has all of it."""
-
-    @property
-    def robot(self) -> Robot:
-        """The true robot."""
-
-    @property
-    def layout(self) -> Layout:
-        """Where the signals stand in a row."""
-
-    @property
-    def nominal(self) -> Robot | None:
-        """The robot that the controller believes in."""
-
-    @property
-    def timing(self) -> Timing:
-        """Periods."""
-
-    @property
-    def plant(self) -> str:
-        """Name of the plant."""
-
-    @property
-    def kinematic(self) -> Kinematic:
-        """Gains of the kinematic layer."""
-
-    @property
-    def controller(self) -> CompiledController | TorqueController:
-        """The torque controller."""
-
-    @property
-    def sensor(self) -> Sensor:
-        """What the sensors do to the truth."""
-
-    @property
-    def actuator(self) -> motor.Actuator:
-        """What the motors make of their commands."""
-
-    @property
-    def safety(self) -> safety.Safety | None:
-        """The supervisor."""
-
-    @property
-    def disturbances(self) -> tuple[disturbance.Disturbance, ...]:
-        """What happens to the robot."""
-
-    def streams(self) -> tuple[np.random.Generator, np.random.Generator]:
-        """Random generators of the sensors and of the disturbances."""
 
 
 def new_hardware(
@@ -97,21 +46,35 @@ def new_hardware(
     faults = np.column_stack((disturbance.lateness(events, timing), disturbance.corruption(events, timing)))
     frozen, geared = frozen_encoders(loop), geared_motors(loop)
     dead = disturbance.windows(disturbance.DeadMotor, events, robot.actuator_names)
-    is_exact = loop.sensor.exact and not (faults.any() or len(frozen) or len(geared))
+    sensor = late(loop)
+    is_exact = sensor.exact and not (faults.any() or len(frozen) or len(geared))
     states = np.zeros((layout.motors, motor.STATES))
     states[:, motor.ROTOR_SPEED] = product(robot.E.T, nu)
-    sensed = loop.sensor.init(robot, faults)
-    parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof))
-    values, (sensed, states, guard, held, sent) = flat(parts)
+    sensed = sensor.init(robot, faults)
+    _, on = interfaces_of(robot, loop.interfaces)
+    under_way = np.zeros((loop.latency.slots(timing), layout.motors))
+    slots = servo_slots(loop.servo, loop.latency.command, timing.plant_step) if on.any() else 0
+    parts: tuple[Array, ...]
+    parts = (sensed, states, safety.new_state(layout), np.zeros(len(frozen)), np.zeros(layout.dof), under_way)
+    parts = (*parts, np.zeros(state_size(on, layout.arm)), np.zeros((slots, layout.motors)))
+    values, (sensed, states, guard, held, sent, under_way, rows, ring) = flat(parts)
     motors = loop.actuator.motors(robot, timing.plant_step, dead, states)
     require_read_encoders(loop)
     if is_exact and not layout.hardware:
         if given is not None:
             given_array("hardware_state", given, (0,))
         return None
-    sensor_rng, gust_rng = loop.streams()
+    sensor_rng, gust_rng, delay_rng = loop.streams()
+    if len(under_way):
+        way = Transport(timing.plant_step, loop.latency.in_force(timing, delay_rng), under_way)
+        motors = motors._replace(imperfect=True, effects=(way, *motors.effects))
+    split = split_of(robot, on, loop.servo, timing.control_period, rows)
+    if split is not None:
+        require_no_torque_regressor(loop.controller, loop.context())
+        servos = velocity_servo(robot, loop.servo, split, timing.plant_step, ring)
+        motors = motors._replace(imperfect=True, effects=(servos, *motors.effects))
     count = 0 if is_exact else timing.measurements
-    sensors = loop.sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
+    sensors = sensor.on(robot, timing.measurement_period, count, sensor_rng, faults, sensed)
     before = (MotorSide(geared, states), FrozenEncoders(frozen, held))
     if given is not None:  # messages of no numbers may be under way
         values[:] = given_array("hardware_state", given, values.shape, finite=not np.isnan(faults[:, 1]).any())
@@ -129,7 +92,18 @@ def new_hardware(
         sent=sent,
         tau=np.zeros(layout.dof),
         state=values,
+        split=split,
     )
+
+
+def late(loop: Setup) -> Sensor:
+    """The sensors of a loop, their line as late as its latency says.
+
+    Raises:
+        ConfigError: That is no whole number of measurements.
+    """
+    delay = loop.latency.measurements(loop.timing)
+    return msgspec.structs.replace(loop.sensor, delay=loop.sensor.delay + delay) if delay else loop.sensor
 
 
 def flat(parts: tuple[Array, ...]) -> tuple[Array, list[Array]]:

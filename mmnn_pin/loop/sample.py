@@ -24,6 +24,7 @@ from ..signals import INDEX, Array, IntArray, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from .controller import Torque
 from .hardware import Hardware, is_stopped, send
+from .servo import answered, ask
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
 ALPHA, Q_REF, TORQUE, MOTOR_TORQUE = (INDEX[n] for n in ("alpha", "q_ref", "torque", "motor_torque"))
@@ -129,6 +130,9 @@ class Plan:
         loaded: The robot once it has picked up its payload; None without one.
         contact: The floor of the contact plant; None for the ideal plant.
         block: Samples that an engine hands over at a time.
+        latency: Known delay between measurement and torque, for the check of the gains [s].
+        lag: Time constant of the motors, one number or one per motor, for the same [s].
+        servo: (p,) gains on s that the servos of velocity interfaces amount to, for the same; None without any.
     """
 
     robot: Robot
@@ -144,6 +148,9 @@ class Plan:
     loaded: Robot | None = None
     contact: Contact | None = None
     block: int = 1
+    latency: float = 0.0
+    lag: float | tuple[float, ...] = 0.0
+    servo: Array | None = None
 
     @property
     def E_inv(self) -> Array:
@@ -177,8 +184,13 @@ class Control:
         """
         before_torque(self.row, self.at, time, setpoint, self.gains, self.K)
         asked = self.hardware is None or not is_stopped(self.hardware.supervisor.on, self.hardware.supervisor.state)
+        split = None if self.hardware is None else self.hardware.split
+        if split is not None and asked:
+            ask(self.row, self.at, split)
         if asked:
             self.torque.step(time)
+        if split is not None:
+            answered(self.row, self.at, not asked, split)
         if self.hardware is not None:
             send(k, time, self.row, self.at, self.weights, self.hardware)
             if asked:

@@ -1,6 +1,9 @@
-"""One control sample at a time, with measurements and setpoints from outside: the blocks of a loop, in real time.
+"""One control sample at a time for a robot that is not simulated: a loop of one's own, in real time.
 
-Time is an argument here, too: pacing and messages are the caller's (`examples/realtime`).
+    measurement ─▶ [supervisor: fresh? finite?] ─┬─▶ [kinematic] ─▶ [torque] ─▶ [supervisor: limits] ─▶ command
+    wish ─▶ [guide: where it stands, no jump] ─▶ setpoint ─┘
+
+Time is an argument, never a clock: pacing and messages are the caller's (`examples/own_loop.py`, `examples/udp`).
 """
 
 from __future__ import annotations
@@ -11,26 +14,35 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..actuator import Actuator
+from ..elementary.matrices import product
 from ..errors import ConfigError
+from ..kinematic import Kinematic
+from ..model.robot import Robot
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording, Status
-from ..safety import HAS_TRIPPED, accept, has_ended, remarks, trip_of
+from ..reference.follower import LARGEST, Follower, require_shapes
+from ..reference.guide import Limits
+from ..reference.trajectory import Trajectory
+from ..reference.wishes import Motion, Wish
+from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
 from ..safety.supervisor import GOOD, HEARD
-from ..sensing import Sensor
+from ..settings import Timing, require_gain
 from ..signals import SIGNALS, Array, Measurement, Setpoint
-from ..torque.controller import CompiledController, ControllerState
+from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import require_nominal
-from .controller import with_findings
+from .before_run import postures, require_nominal, with_gains_of
+from .controller import state_from, with_findings
 from .loop import Loop
 from .new_hardware import new_hardware
-from .sample import Control
+from .sample import Control, Plan
+from .sampled import delay_margin, require_stable_gains
+from .servo import Servo, interfaces_of, servo_gains
+from .setup import Outside, believed_by, facts_of
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -39,122 +51,194 @@ UNKNOWN = (
 )  # fmt: skip
 KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
 MEASURED = ("pose", "velocity", "q", "qdot")
-LARGEST = 1e9  # a measurement or a setpoint beyond this is none [SI units]
+CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
+MOST_TOLD = 20  # trips that a recording tells of
+
+
+class Command(NamedTuple):
+    """What to send after a sample: views that the next step overwrites, NaN where the other interface holds.
+
+    Attributes:
+        effort: (p,) on nu: forces on the base, torques of the joints [N, N m; N m or N].
+        velocity: (p,) base velocity and rates of the joints [m/s, rad/s; rad/s or m/s].
+        position: (p,) of joints that take nothing else: their velocity, integrated [rad or m].
+        motor_effort: (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N].
+        motor_velocity: (motors,) likewise [rad/s or m/s].
+    """
+
+    effort: Array
+    velocity: Array
+    position: Array
+    motor_effort: Array
+    motor_velocity: Array
 
 
 class Stepper:
-    """A kinematic layer, a controller and a supervisor, one control sample per call.
+    """Kinematic layer, controller and supervisor of a robot, one control sample per call.
 
-        with Stepper(loop, "run.h5") as stepper:
-            for k in range(stepper.samples):
-                torque = stepper.step(k * period, measurement)  # send it, then
-                stepper.record()
-            recording = stepper.finish()
+        stepper = Stepper(robot, PD(Feedback(30.0, 60.0, "inertia")), safety=Safety(torque="urdf"))
+        while not stepper.is_over:
+            command = stepper.step(time, measurement, setpoint)     # send command.effort, then
+            stepper.record()
 
-    Setpoints come one by one, `step(time, measurement, setpoint)`, for as long as there are any, or from the loop's
-    trajectory where none are given.
-
-    `step` does not touch the disk, and everything it calls has been compiled before the first one. What the loop
-    simulates, that is its plant, sensors, motors and disturbances, is left out.
+    `step` does not touch the disk, keeps no memory, and all that it calls has been compiled before. It starts where the
+    robot is measured first, at rest or braking. A setpoint is one of `reference.wishes`, or a tuple of one for the base
+    and one for the arm, or None to go on; full samples (`Setpoint`) and base velocities have to be renewed.
 
     Args:
-        loop: The closed loop; it needs a supervisor. Its duration ends the trajectory, not setpoints that are given.
-        path: File for the recording; None keeps it in memory.
+        robot: The robot.
+        controller: A controller of this package or a `TorqueController` of your own. Feedback given as bandwidths
+            (`scaling = "inertia"`) is multiplied with the robot's effective inertias.
+        kinematic: Gains of the kinematic layer.
+        safety: Limits of the supervisor.
+        period: Control period [s].
+        limits: What references made here keep to.
+        setpoint_timeout: Age of a setpoint that has to be renewed at which the base brakes and the arm holds [s].
+        nominal: The robot that a controller believes in which uses a model and brings none; None for `robot`.
+        seed: Of what a controller draws.
+        within_limits: As in `Loop`.
+        latency: Known delay from the measurement to the motors [s], which the gains have to bear.
+        interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
+        servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
+        check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
+        path: File for the recording; None keeps it in memory, which then grows with `record`.
         force: Replace an existing file.
         meta: More facts for the recording.
-        state: A controller's state to start from (it is copied); None for a new one.
+        state: What a controller has learned, of `snapshot` or of a recording (it is copied); None for a new one.
+        weights_interval: Time between two records of the weights [s].
 
     Attributes:
-        samples: How many control samples the trajectory has.
-        period: Time between two of them [s].
-        torque: (p,) generalized torque of the last sample [N, N m for the base; N m or N for the arm].
-        motor_torque: (motors,) the same at the motors [N m or N].
         row: (width,) all signals of the last sample; those of `UNKNOWN` mean nothing.
-        state: The controller's state.
+        measured: The last good measurement, views into the row.
+        setpoint: The setpoint of the last sample, views.
+        command: What the last step returned.
+        state: What the controller has learned.
+        time: Of the last sample [s].
         step_time: Wall-clock time that the last step took [s].
 
     Raises:
-        ConfigError: No supervisor; what `Loop.run` refuses.
-        TrajectoryError: A reference that the base cannot follow.
+        ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
+            controller.
         RecordingError: The recording cannot be written.
     """
 
     def __init__(
         self,
-        loop: Loop,
-        path: str | Path | None = None,
+        robot: Robot,
+        controller: CompiledController | TorqueController,
         *,
+        kinematic: Kinematic = CALM,
+        safety: Safety | None = Safety(),  # noqa: B008 (frozen)
+        period: float = 0.002,
+        limits: Limits = Limits(),  # noqa: B008
+        setpoint_timeout: float = 0.5,
+        nominal: Robot | None = None,
+        seed: int = 0,
+        within_limits: bool | None = None,
+        latency: float = 0.0,
+        interfaces: Mapping[str, str] | None = None,
+        servo: Servo = Servo(),  # noqa: B008
+        check_gains: bool = True,
+        path: str | Path | None = None,
         force: bool = False,
         meta: Mapping[str, Any] | None = None,
         state: Any = None,
+        weights_interval: float = 0.1,
     ) -> None:
-        if loop.safety is None:
-            why, fix = "the motors are real: something must stand before them", "give the loop safety=Safety()"
+        if safety is None:
+            why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
             raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
-        self.loop = replace(loop, plant="ideal", sensor=Sensor(), actuator=Actuator(), disturbances=())
-        self.loop.require_stable_gains()
-        require_nominal(self.loop.believed, self.loop.robot)
-        plan, layout, timing = self.loop.plan(), self.loop.layout, self.loop.timing
-        self.table, self.state = plan.setpoints, self.loop.state_from(state)
-        self.samples, self.period = timing.samples, timing.control_period
-        hardware = new_hardware(self.loop, np.zeros(layout.dof), self.state)
-        assert hardware is not None
-        self.hardware, self.row, self.at = hardware, layout.new_row(), layout.offsets
-        self.control = Control(plan, self.row, self.state, self.hardware)
-        self.torque, self.motor_torque = self.row[layout.where("torque")], self.row[layout.where("motor_torque")]
+        require_gain(setpoint_timeout, "setpoint_timeout")
+        timing = Timing(duration=period, control_period=period, plant_step=period)
+        controller = with_gains_of(controller, robot, period)
+        setup = Outside(
+            robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
+            interfaces=dict(interfaces or {}), servo=servo,
+        )  # fmt: skip
+        self.to_motors = np.ascontiguousarray(robot.E.T)
+        require_gain(latency, "latency")
+        self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
+        self.follower = Follower(robot, limits, setpoint_timeout)
+        self.row, self.at = layout.new_row(), layout.offsets
         self.received = self.row[layout.where("pose").start : layout.where("qdot").stop]
-        self.measured = Measurement.of(self.row, layout)
-        self.asked = np.zeros(self.table.shape[1])  # the setpoint that came last
-        self.setpoint = Setpoint.side_by_side(self.asked, layout)
+        self.measured, self.setpoint = Measurement.of(self.row, layout), Setpoint.of(self.row, layout)
+        self.torque, self.motor_torque = self.row[layout.where("torque")], self.row[layout.where("motor_torque")]
+        sizes = (layout.dof, layout.dof, layout.dof, layout.motors, layout.motors)
+        self.command = Command._make(np.full(size, np.nan) for size in sizes)
+        self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
+        self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time = -math.inf, -1, 0.0
-        self.every, self.weighed = max(1, round(self.loop.weights_interval / self.period)), -1
+        self.every, self.weighed = max(1, round(weights_interval / period)), -1
+        self.told = list[str]()
+        self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
-        facts = {name: fact for name, fact in self.loop.facts().items() if name != "plant"} | {"loop": "outside"}
+        facts = facts_of(setup, seed) | {"loop": "outside"}
         self.recorder = Recorder(layout, facts | dict(meta or {}), path, force, KNOWN)
         self._weigh(0)
+
+    @classmethod
+    def of(cls, loop: Loop, **more: Any) -> Self:
+        """The stepper of a loop's robot, controller, gains and supervisor; what the loop simulates is left out.
+
+        Args:
+            loop: The closed loop.
+            more: Arguments of `Stepper` that it does not say.
+        """
+        said: dict[str, Any] = {
+            "kinematic": loop.kinematic,
+            "safety": loop.safety,
+            "period": loop.timing.control_period,
+        }
+        said |= {"nominal": loop.nominal, "seed": loop.seed, "within_limits": loop.within_limits}
+        said |= {"check_gains": loop.check_gains, "weights_interval": loop.weights_interval}
+        said |= {"latency": loop.latency.total, "interfaces": loop.interfaces, "servo": loop.servo}
+        return cls(loop.robot, loop.controller, **(said | more))
 
     def step(
         self,
         time: float,
         measurement: Measurement | None = None,
-        setpoint: Setpoint | None = None,
+        setpoint: Wish | tuple[Wish, ...] | None = None,
         *,
         measured: float | None = None,
-    ) -> Array:
+    ) -> Command:
         """One control sample: setpoint -> kinematic -> torque -> safety.
 
         Without a measurement the last one is held, until the supervisor finds it too old. One that is not finite is
-        refused and counted, one older than the last is ignored. Before the first the torque is zero.
+        refused and counted, one older than the last is ignored. Before the first the effort is zero.
 
         Args:
-            time: Since the start [s], larger than at the last call.
+            time: Since a start of yours [s], larger than at the last call.
             measurement: What came in since the last call, or None.
-            setpoint: What the robot should do now; None for the trajectory's sample nearest in time.
+            setpoint: What the robot should do from now on; None to go on.
             measured: When the measurement was taken [s], at most `time`; None for now.
 
         Returns:
-            The torque (p,), a view that the next call overwrites.
+            The command, whose arrays the next call overwrites.
 
         Raises:
-            ConfigError: A time not after the last one, or outside the trajectory where no setpoint is given; a
-                measurement or a setpoint of another robot, a setpoint that is not finite.
+            ConfigError: A time not after the last one; a measurement or a setpoint of another robot, a setpoint that is
+                not finite, a joint goal that cannot be reached. Nothing has changed then, and the caller may go on.
         """
         began, time = perf_counter(), float(time)
-        k = self._sample(time, setpoint is None)
-        if setpoint is not None:
-            _copy("setpoint", setpoint, self.setpoint)
-            if not (np.abs(self.asked) < LARGEST).all():
-                raise ConfigError("a setpoint that is not finite", fix="give finite numbers", key="setpoint")
+        if not self.time < time < math.inf:
+            what, why = f"a control sample at t = {time:g} s", f"the last one was at {self.time:g} s"
+            raise ConfigError(what, why=why, fix="go forward in time", key="time")
+        wishes = () if setpoint is None else setpoint if isinstance(setpoint, tuple) else (setpoint,)
+        courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
-        self.control.step(time, self.table[k] if setpoint is None else self.asked)
-        self.motor_torque[:] = self.hardware.totals.command
-        self.time, self.k = time, k
+        if not self.follower.stands and self.hardware.supervisor.state[GOOD] > 0.0:
+            self.follower.stand(self.received)
+        self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
+        self.control.step(time, self.follower.now)
+        self._command()
+        self.time, self.k = time, self.k + 1
         self.step_time = perf_counter() - began
-        return self.torque
+        return self.command
 
     def record(self) -> None:
-        """Add the last sample to the recording; call it once the torque is sent: now and then it writes to the disk.
+        """Add the last sample to the recording; call it once the command is sent: now and then it writes to the disk.
 
         Raises:
             RecordingError: The file cannot be written; the rows already in it can be read.
@@ -163,15 +247,86 @@ class Stepper:
         if (self.k + 1) // self.every > self.weighed // self.every:
             self._weigh(self.k + 1)
 
+    # -- between two samples ---------------------------------------------------------------------------------------
+
+    def plan(self, trajectory: Trajectory, duration: float, *, from_here: bool = False) -> Motion:
+        """A trajectory as samples to hand in; it may be made in another thread. Arguments and errors of `Motion.of`."""
+        return Motion.of(trajectory, duration, self.period, self.robot.dimensions, from_here)
+
+    def pause(self) -> None:
+        """Brake and hold; setpoints are not followed, and motions wait, until `resume`."""
+        self.follower.pause(self.time)
+
+    def resume(self) -> None:
+        """Go on with the motions that wait; they are joined without a jump."""
+        self.follower.resume(self.time)
+
+    def stop(self, why: str = "") -> None:
+        """Stop as after a trip, from the next sample on, whatever the setpoints say: an emergency stop from outside.
+
+        Args:
+            why: For the recording.
+        """
+        if not self.tripped:
+            press(max(self.time, 0.0), self.hardware.supervisor)
+            self._tell(why)
+
+    def reset(self) -> None:
+        """Go on after a trip: the robot holds where it is measured now; what was learned stays.
+
+        Raises:
+            ConfigError: Nothing has tripped, or there is no fresh measurement.
+        """
+        if not self.tripped:
+            raise ConfigError("nothing to reset", why="the supervisor has not tripped", key="reset")
+        text = trip_of(self.hardware.supervisor.state, self.robot)[2]
+        if not release(self.time, self.hardware.supervisor):
+            why, fix = "the last measurement is too old", "go on stepping until measurements come, then reset"
+            raise ConfigError("a reset that is blind", why=why, fix=fix, key="reset")
+        self._tell(text)
+        self.follower.stand(self.received)
+
+    def change(
+        self, controller: CompiledController | TorqueController | None = None, kinematic: Kinematic | None = None
+    ) -> None:
+        """Other gains or settings from the next sample on; what was learned stays. Call it between two samples.
+
+        Raises:
+            ConfigError: A controller that remembers something else, gains that are unstable; nothing has changed then.
+        """
+        made = self.setup.controller if controller is None else with_gains_of(controller, self.robot, self.period)
+        setup = replace(self.setup, controller=made, kinematic=kinematic or self.setup.kinematic)
+        self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
+
+    def snapshot(self) -> Any:
+        """A copy of what was learned, to start another stepper from (`state`)."""
+        return state_from(self.setup.controller, self.setup.context(), self.state)
+
+    def delay_margin(self) -> float:
+        """Delay from the measurement to the motors at which the loop turns unstable, at the worst posture [s]."""
+        return delay_margin(self.judged)
+
+    # -- what it tells -----------------------------------------------------------------------------------------------
+
+    @property
+    def robot(self) -> Robot:
+        """The robot."""
+        return self.setup.robot
+
     @property
     def tripped(self) -> bool:
-        """Whether the supervisor has stopped the run."""
+        """Whether the supervisor has stopped the robot."""
         return bool(self.hardware.supervisor.state[HAS_TRIPPED])
 
     @property
     def is_over(self) -> bool:
-        """Whether the supervisor has stopped the run and shown its stop for `safety.stop_time`."""
+        """Whether the supervisor has stopped the robot and shown its stop for `safety.stop_time`."""
         return bool(has_ended(self.time, self.hardware.supervisor.numbers, self.hardware.supervisor.state))
+
+    @property
+    def is_moving(self) -> bool:
+        """Whether a motion or a joint goal that was handed in is not over yet."""
+        return self.follower.is_moving
 
     def finish(
         self, status: Status = "completed", message: str = "", extra: Mapping[str, ArrayLike] | None = None
@@ -186,18 +341,20 @@ class Stepper:
         Raises:
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
-        outcome = Outcome(status, (self.k + 1) * self.period)
+        outcome, supervisor = Outcome(status, (self.k + 1) * self.period), self.hardware.supervisor
         if self.tripped:
-            outcome = Outcome("tripped", *trip_of(self.hardware.supervisor.state, self.loop.robot))
-        found = remarks(self.hardware.supervisor.state, self.loop.robot, outcome.status)
+            outcome = Outcome("tripped", *trip_of(supervisor.state, self.robot))
+        losses = self.follower.losses
+        lost = [f"setpoints were not renewed in time, {losses} times"] if losses else []
+        found = [*remarks(supervisor.state, self.robot, outcome.status), *self.told, *lost]
         outcome = replace(outcome, message="; ".join(text for text in (outcome.message, *found, message) if text))
         if self.weighed < self.k + 1:
             self._weigh(self.k + 1)
         final = {"hardware_state": self.hardware.state, **(extra or {})}
         final |= {"controller_state": self.state.values} if isinstance(self.state, ControllerState) else {}
-        return self.recorder.finish(with_findings(outcome, self.loop.controller, self.state), final)
+        return self.recorder.finish(with_findings(outcome, self.setup.controller, self.state), final)
 
-    def __enter__(self) -> Stepper:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -205,31 +362,58 @@ class Stepper:
     ) -> None:
         self.recorder.__exit__(kind, error, traceback)
 
-    def _sample(self, time: float, in_table: bool) -> int:
-        """Number of the sample nearest to a time, which must be in the trajectory's table where that is read."""
-        end = (self.samples - 1) * self.period if in_table else math.inf
-        if not (self.time < time < math.inf and 0.0 <= time / self.period < end / self.period + 0.5):
-            what = f"a control sample at t = {time:g} s"
-            why = f"the last one was at {self.time:g} s, the reference goes from 0 to {end:g} s"
-            raise ConfigError(what, why=why, fix="go forward in time, or set a longer time.duration", key="time")
-        return round(time / self.period)
+    # -- inside --------------------------------------------------------------------------------------------------------
+
+    def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
+        """Wire controller and supervisor to the row; nothing changes where that fails."""
+        robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
+        require_nominal(believed, robot)
+        places = postures(robot)
+        gains, K = setup.kinematic.base_gains(layout.base), setup.kinematic.arm_gains(layout)
+        bounds, context = np.full(layout.dof, np.inf), setup.context()
+        plan = Plan(robot, layout, setup.timing, setup.controller, context, believed, gains, K, bounds, places)
+        servo = servo_gains(robot, setup.interfaces, setup.servo)
+        plan = replace(plan, latency=self.latency, servo=servo)
+        if self.check_gains:
+            require_stable_gains(plan)
+        hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)
+        assert hardware is not None
+        control = Control(plan, self.row, state, hardware)
+        self.setup, self.state, self.hardware, self.control, self.judged = setup, state, hardware, control, plan
+
+    def _command(self) -> None:
+        """What is sent, from the row and from the servo rows."""
+        command, split, (rows, motors) = self.command, self.hardware.split, self.by_effort
+        self.motor_torque[:] = self.hardware.totals.command
+        np.copyto(command.effort, self.torque, where=rows)
+        np.copyto(command.motor_effort, self.motor_torque, where=motors)
+        if split is not None:
+            np.copyto(command.velocity, split.command, where=self.kinds == "velocity")
+            np.copyto(command.motor_velocity, product(self.to_motors, split.command), where=~motors)
+            arm = slice(self.robot.dimensions.base, None)
+            np.copyto(command.position[arm], split.place, where=self.kinds[arm] == "position")
 
     def _take(self, measurement: Measurement, time: float, measured: float) -> None:
         """Put a measurement into the row and before the supervisor."""
-        old = self.hardware.supervisor.state[GOOD] > 0.0 and measured < self.hardware.supervisor.state[HEARD]
-        if old:
+        supervisor = self.hardware.supervisor
+        require_shapes("measurement", measurement, self.measured)
+        if supervisor.state[GOOD] > 0.0 and measured < supervisor.state[HEARD]:
             return
-        _copy("measurement", measurement, self.measured)
+        for name in MEASURED:
+            getattr(self.measured, name)[:] = getattr(measurement, name)
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
-        supervisor = self.hardware.supervisor
         accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
+
+    def _tell(self, text: str) -> None:
+        if text and len(self.told) < MOST_TOLD:
+            self.told.append(text)
 
     def _weigh(self, k: int) -> None:
         """Record the weights as they are before control sample k."""
         self.weighed = k
-        if weights := self.loop.controller.weights(self.state):
+        if weights := self.setup.controller.weights(self.state):
             self.recorder.weights(k * self.period, weights)
 
     def _rehearse(self) -> None:
@@ -237,22 +421,8 @@ class Stepper:
         kept = self.hardware.state.copy(), self.control.weights.copy()
         supervisor = self.hardware.supervisor
         accept(self.row, self.at, 0.0, 0.0, True, supervisor.message, supervisor.state)
-        if isinstance(self.loop.controller, CompiledController | LearningLaw):
-            self.control.step(0.0, self.table[0])
+        self.follower.rehearse(self.received)
+        if isinstance(self.setup.controller, CompiledController | LearningLaw):
+            self.control.step(0.0, self.follower.now)
         has_ended(0.0, supervisor.numbers, supervisor.state)
         self.hardware.state[:], self.control.weights[:], self.row[:] = *kept, 0.0
-
-
-def _copy(key: str, given: Measurement | Setpoint, into: Measurement | Setpoint) -> None:
-    """Copy all arrays of a record, or none.
-
-    Raises:
-        ConfigError: One has another shape.
-    """
-    for name in given.__slots__:
-        values, mine = getattr(given, name), getattr(into, name)
-        if values.shape != mine.shape:
-            what, fix = f"a {key} with {name} of shape {values.shape}", f"give one of shape {mine.shape}"
-            raise ConfigError(what, fix=fix, key=key)
-    for name in given.__slots__:
-        getattr(into, name)[:] = getattr(given, name)

@@ -24,6 +24,8 @@ from .supervisor import (
     accept,
     has_ended,
     may_learn,
+    press,
+    release,
     supervise,
 )
 
@@ -42,6 +44,8 @@ __all__ = [
     "may_learn",
     "new_state",
     "no_supervisor",
+    "press",
+    "release",
     "remarks",
     "supervise",
     "trip_of",

@@ -31,6 +31,7 @@ from .supervisor import (
     OVER_SPEED,
     OVER_TORQUE,
     PLACE,
+    PRESSED,
     REFUSED,
     TIME,
     VALUE,
@@ -41,7 +42,7 @@ MAY_BE_ZERO = ("torque_time", "stop_time", "settle", "hold_rate", "ramp")
 FRESH = 5.5  # measurements that fail to come before a stop does without
 # What passed its limit: the signal, words, and the unit, that of a sliding joint where there are two.
 SIGNAL = {OVER_TORQUE: "motor_torque", OFF_PATH: "pose_error", OFF_HEADING: "pose_error", OFF_JOINT: "e"}
-SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights"}
+SIGNAL |= {DEAF: "measurement", LOST: "command", BAD_WEIGHTS: "weights", PRESSED: "stop"}
 WHAT = {OVER_TORQUE: "torque", OVER_SPEED: "speed", OFF_PATH: "position error", OFF_HEADING: "heading error"}
 WHAT |= {OFF_JOINT: "joint error", DEAF: "age of the measurement", LOST: "age of the command"}
 UNIT = {OVER_TORQUE: " N m", OVER_SPEED: " rad/s", OFF_PATH: " m", OFF_HEADING: " rad", OFF_JOINT: " rad"}
@@ -183,6 +184,8 @@ def trip_of(state: Array, robot: Robot) -> tuple[float, str, str]:
     code, i, time = int(state[CODE]), int(state[PLACE]), float(state[TIME])
     if code == BAD_WEIGHTS:
         return time, f"weights[{i}]", f"tripped at t = {time:g} s: weights are not finite"
+    if code == PRESSED:
+        return time, SIGNAL[code], f"stopped from outside at t = {time:g} s"
     names = {OVER_TORQUE: robot.actuator_names, OVER_SPEED: robot.velocity_names, OFF_JOINT: robot.joint_names}
     name = names[code][i] if code in names else ""
     unit = SLIDING[code] if name and slides(robot, name) else UNIT[code]

@@ -25,7 +25,7 @@ HAS_TRIPPED, TIME, CODE, PLACE, VALUE, LIMIT, HEARD, COMMANDED, GOOD, BAD, HELD,
 ARRIVED, BLIND, GIVEN_UP, MARKS = range(13, 17)
 TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 
-NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS = range(9)
+NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
 
 
 class Supervisor(NamedTuple):
@@ -114,6 +114,23 @@ def trip(time: float, code: int, place: int, value: float, limit: float, state: 
     if state[HAS_TRIPPED] == 0.0:
         state[HAS_TRIPPED], state[TIME], state[CODE], state[PLACE] = 1.0, time, float(code), float(place)
         state[VALUE], state[LIMIT] = value, limit
+
+
+def press(time: float, supervisor: Supervisor) -> None:
+    """An emergency stop from outside, at a time [s]: what a trip does, whatever is to be followed."""
+    trip(time, PRESSED, 0, 0.0, 0.0, supervisor.state)
+
+
+def release(time: float, supervisor: Supervisor) -> bool:
+    """Forget a trip, so that the controller is asked again; false, and nothing done, without a fresh measurement."""
+    state = supervisor.state
+    if state[GOOD] == 0.0 or time - state[ARRIVED] > supervisor.numbers[FRESH]:
+        return False
+    state[HAS_TRIPPED : LIMIT + 1] = 0.0
+    state[COMMANDED], state[ACTED], state[BLIND], state[GIVEN_UP] = time, 0.0, -1.0, 0.0
+    for part in (supervisor.above, supervisor.integral, supervisor.stale):
+        part[:] = 0.0
+    return True
 
 
 @spliced

@@ -20,7 +20,7 @@ from places import ROOT
 from mmnn_pin import Recording
 from mmnn_pin.errors import InputError, RecordingError
 
-EXAMPLE = ROOT / "examples/realtime"
+EXAMPLE = ROOT / "examples/udp"
 DEADLINE = 240.0  # [s] of any process here, however busy the machine is
 # A busy machine must not trip what is to run to its end.
 PATIENT = [

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
+from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,15 +15,20 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from mmnn_pin.errors import ConfigError
-from mmnn_pin.loop.before_run import SampledLoop, Start, require_stable, sampled_loop
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.loop import sampled
+from mmnn_pin.loop.before_run import Start, with_gains_of
+from mmnn_pin.loop.hardware import Latency
 from mmnn_pin.loop.loop import Loop
+from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, require_stable, sampled_loop
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.robots import extra
 from mmnn_pin.reference import Hold, Line, Trajectory
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import Feedback
-from mmnn_pin.torque.model_based import PD
+from mmnn_pin.torque.model_based import PD, ComputedTorque
 
 NONE = np.zeros(0)
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
@@ -223,3 +231,152 @@ def test_a_base_above_its_limit_leaves_its_bounds() -> None:
     run = standing(robot, gains, False, 8.0).run()
     assert run.outcome.status == "diverged"
     assert 0.5 < run.outcome.time < 8.0
+
+
+# -- delay -------------------------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(0.1, 50.0), st.floats(1.0, 200.0), st.floats(0.0, 20.0))
+def test_margin_of_one_joint_is_the_phase_margin_of_the_textbook(mass: float, bandwidth: float, K: float) -> None:
+    """`bandwidth (s + K) / s^2` held for a short period: crossing at w, `(atan(w / K)) / w - h / 2` left."""
+    h = 1e-5
+    held = loop_of_one(mass, K, h)
+    w = np.sqrt(0.5 * (bandwidth**2 + np.sqrt(bandwidth**4 + 4 * (bandwidth * K) ** 2)))
+    assert held.margin(np.array([mass * bandwidth]), h, False) == pytest.approx(np.arctan2(w, K) / w - h / 2, rel=1e-3)
+
+
+def loop_of_one(mass: float, K: float, h: float, lag: Array | None = None) -> HeldLoop:
+    """One joint."""
+    held = sampled.held_loop(np.array([[mass]]), NONE, np.ones(3), np.array([K]), h, None, lag)
+    assert held is not None
+    return held
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.integers(0, 2**31), st.sampled_from([0, 2]), st.integers(1, 4), st.booleans())
+def test_margin_in_whole_periods_is_where_the_delayed_loop_turns_unstable(
+    seed: int, nb: int, periods: int, inside: bool
+) -> None:
+    """Against the eigenvalues of the loop with its last torques as further states."""
+    loop = random_loop(seed, nb) | {"h": 0.01}
+    gains = np.asarray(loop["gains"]) * 0.2
+    held = sampled.held_loop(
+        loop["M"], loop["v_ref"], loop["base_gains"], loop["K"], 0.01, loop["friction"]  # type: ignore[arg-type]
+    )  # fmt: skip
+    assert held is not None
+    margin, F = held.margin(gains, 0.01, inside), held.feedback(gains, inside)
+    k, p = len(held.state), len(gains)
+    shifted = np.zeros((k + periods * p, k + periods * p))
+    shifted[:k, :k], shifted[:k, k : k + p] = held.state, held.torque  # the oldest torque acts now
+    shifted[k : k + (periods - 1) * p, k + p :] = np.eye((periods - 1) * p)
+    shifted[k + (periods - 1) * p :, :k] = F
+    radius = np.abs(np.linalg.eigvals(shifted)).max()
+    if abs(margin / (periods * 0.01) - 1) > 0.01:
+        assert (radius <= 1 + 1e-7) == (margin > periods * 0.01)
+
+
+def test_a_lagging_motor_costs_margin() -> None:
+    """`20 / (s (1 + T s))`: the crossing solves `w sqrt(1 + (w T)^2) = 20`, where `pi / 2 - atan(w T)` is left."""
+    h, mass, gain = 1e-5, 2.0, np.array([40.0])
+    for lag in (0.002, 0.02):
+        found = loop_of_one(mass, 0.0, h, np.array([lag])).margin(gain, h, False)
+        w = np.sqrt((np.sqrt(1 + 4 * (20.0 * lag) ** 2) - 1) / 2) / lag
+        assert found == pytest.approx((np.pi / 2 - np.arctan(w * lag)) / w - h / 2, rel=1e-3)
+
+
+def late(share: float, latency: Latency, controller: type = PD) -> Loop:
+    """The thesis's robot with joint gains so strong that some milliseconds lose it."""
+    timing = Timing(duration=0.5, control_period=0.002, plant_step=0.0005)
+    gains = Feedback(base=share * 50.0, arm=share * 80.0, scaling="inertia")
+    robot = load("platform_arm")
+    made = with_gains_of(controller(gains), robot, 0.002)
+    return Loop(robot, Trajectory(Line(speed=0.3), (Hold(0.3), Hold(0.4))), made, timing=timing, latency=latency)
+
+
+def test_a_latency_that_the_gains_do_not_bear_is_refused_and_the_fix_works() -> None:
+    latency = Latency(sensing=0.004, command=0.01, jitter=0.002)
+    with pytest.raises(ConfigError, match=r"latency: error: the loop does not bear a latency of 16 ms") as caught:
+        late(1.0, latency).run()
+    assert "delay margin is" in caught.value.why
+    share = float(re.search(r"to ([\d.e-]+) of it", caught.value.fix)[1])  # type: ignore[index]
+    assert 0.05 < share < 1.0
+    late(share, latency).require_stable_gains()
+    with pytest.raises(ConfigError):
+        late(1.05 * share, latency).require_stable_gains()
+    late(1.0, Latency(command=0.001)).require_stable_gains()
+
+
+def test_the_feedback_inside_psi_counts() -> None:
+    margin = {kind: sampled.delay_margin(late(1.0, Latency(), kind).plan()) for kind in (PD, ComputedTorque)}
+    assert 0 < margin[ComputedTorque] < margin[PD] < 0.1
+
+
+@pytest.mark.parametrize(("name", "value"), [("sensing", -1.0), ("command", np.nan), ("sensing", 0.0031)])
+def test_latencies_without_sense_are_one_line(name: str, value: float) -> None:
+    with pytest.raises(ConfigError, match=rf"latency\.{name}: error"):
+        late(0.1, Latency(**{name: value})).run()
+
+
+def test_commands_arrive_late_in_order_and_a_resumed_run_is_the_same() -> None:
+    """What the motors give is what was commanded that much earlier; with jitter no command overtakes another."""
+    loop = late(0.2, Latency(command=0.004))
+    run = loop.run()
+    sent, given = run["motor_torque"], run["applied"]
+    np.testing.assert_allclose(given[2:], sent[:-2], atol=1e-12)
+    assert not given[:2].any()
+    timing = loop.timing
+    order = Latency(command=0.001, jitter=0.007).in_force(timing, np.random.default_rng(0))
+    assert (np.diff(order) >= 0).all() and order[0] == -1 and len(order) == 1000
+    behind = np.arange(1000) // 4 - order
+    assert behind.max() <= 5 and behind.min() >= 0
+    jittery = late(0.2, Latency(command=0.001, jitter=0.004))
+    whole = jittery.run()
+    half = replace(jittery, timing=msgspec.structs.replace(timing, duration=0.25)).run()
+    state = half.final
+    ordinary = replace(jittery, engine="ordinary").run()
+    np.testing.assert_allclose(ordinary["motor_torque"], whole["motor_torque"], atol=1e-7)
+    assert state["hardware_state"].shape == whole.final["hardware_state"].shape
+
+
+FIVE = ("platform_arm", "two_axis_arm", "tiago", "ur5", "kinova")
+STEP = 0.00025
+
+
+def weightless(robot: Robot) -> Robot:
+    """Without gravity, under which PD alone sags to another posture, and without dry friction, which is not linear."""
+    model = robot.model.copy()
+    model.gravity.linear = np.zeros(3)
+    return replace(robot, model=model, coulomb=np.zeros_like(robot.coulomb))
+
+
+def swaying(robot: Robot, delay: float) -> Loop:
+    """PD at rest, or along a line, from a small offset, its commands late."""
+    timing, d = Timing(5.0, 0.002, STEP, integrator="implicit_friction"), robot.dimensions
+    arm = tuple(Hold(value) for value in robot.neutral_position()[robot.arm_index])
+    controller = with_gains_of(PD(Feedback(base=60.0, arm=60.0, scaling="inertia")), robot, 0.002)
+    start = Start(pose_offset=(0.001, 0.001, 0.001), joint_offset=0.001)
+    kinematic = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0)
+    line = Trajectory(Line(speed=0.3) if d.base else None, arm)
+    return Loop(robot, line, controller, kinematic, timing, start, latency=Latency(command=delay), check_gains=False)
+
+
+def error(loop: Loop) -> float:
+    """How far the errors of the last second vary, inf where the run is lost."""
+    run = loop.run()
+    if run.outcome.status != "completed":
+        return np.inf
+    parts = [run[name].reshape(len(run), -1) for name in ("z", "r") if name in run]
+    errors = np.hstack(parts)[run.time > 4.0]
+    return float(np.abs(errors - errors.mean(axis=0)).max() + 1e-5)
+
+
+@pytest.mark.skipif(PLAIN, reason="runs of seconds")
+@pytest.mark.parametrize("name", FIVE)
+def test_the_margin_is_within_a_tenth_of_the_delay_at_which_errors_grow_tenfold_in_five_seconds(name: str) -> None:
+    if name not in ("platform_arm", "two_axis_arm") and name not in extra():
+        pytest.skip("example-robot-data is not installed")
+    robot = weightless(load(name))
+    margin = sampled.delay_margin(swaying(robot, 0.0).plan())
+    rest = error(swaying(robot, 0.0))
+    assert error(swaying(robot, 0.9 * margin)) <= 10 * rest < error(swaying(robot, 1.1 * margin))

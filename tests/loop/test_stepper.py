@@ -13,7 +13,9 @@ import pytest
 from numba import config
 
 from mmnn_pin import (
+    HOLD,
     PD,
+    BaseVelocity,
     ComputedTorque,
     ControllerState,
     Eight,
@@ -40,6 +42,7 @@ from mmnn_pin.disturbance import DeadMotor, Push
 from mmnn_pin.errors import ConfigError, RecordingError
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.loop.stepper import UNKNOWN
+from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_position
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.sensing import Sensor
@@ -79,12 +82,20 @@ def measurement(run, k, layout=ROBOT.dimensions):
     return Measurement(**{name: run[name][k].reshape(size) if size else np.zeros(0) for name, size in sizes.items()})
 
 
+def asked(loop, k=None):
+    """The setpoints of a loop's trajectory, or one of them."""
+    setpoints = Setpoint.side_by_side(loop.table(), loop.robot.dimensions)
+    of = lambda k: Setpoint(*(getattr(setpoints, f.name)[k] for f in fields(Setpoint)))  # noqa: E731
+    return [of(i) for i in range(loop.timing.samples)] if k is None else of(k)
+
+
 def replayed(loop, run, **arguments):
-    """The recording of a cycle that is given all measurements of a run."""
-    with Stepper(loop, **arguments) as cycle:
-        for k in range(cycle.samples):
-            torque = cycle.step(k * H, measurement(run, k, loop.robot.dimensions))
-            assert torque.tolist() == run["torque"][k].tolist()
+    """The recording of a stepper that is given all setpoints and measurements of a run."""
+    with Stepper.of(loop, **arguments) as cycle:
+        for k, setpoint in enumerate(asked(loop)):
+            command = cycle.step(k * H, measurement(run, k, loop.robot.dimensions), setpoint)
+            assert command.effort.tolist() == run["torque"][k].tolist()
+            assert command.motor_effort.tolist() == run["motor_torque"][k].tolist()
             cycle.record()
         return cycle.finish()
 
@@ -197,12 +208,12 @@ def test_a_measurement_that_is_refused_is_one_that_did_not_come():
     loop = closed(CONTROLLERS["two_layer"])
     run = loop.run()
     bad = measurement(run, 0)
-    with Stepper(loop) as one, Stepper(loop) as other:
-        for k in range(loop.timing.samples):
+    with Stepper.of(loop) as one, Stepper.of(loop) as other:
+        for k, setpoint in enumerate(asked(loop)):
             good = measurement(run, k)
             bad = replace(good, q=good.q * (np.nan, np.inf, 1e300)[k % 3]) if k % 4 else good
-            mine = one.step(k * H, good if k % 4 == 0 else None).copy()
-            assert mine.tolist() == other.step(k * H, bad).tolist()
+            mine = one.step(k * H, good if k % 4 == 0 else None, setpoint).effort.copy()
+            assert mine.tolist() == other.step(k * H, bad, setpoint).effort.tolist()
             assert np.isfinite(other.row).all()
             one.record()
             other.record()
@@ -216,13 +227,13 @@ def test_a_measurement_that_is_refused_is_one_that_did_not_come():
 def test_a_measurement_older_than_the_last_or_of_no_time_changes_nothing(age):
     loop = closed()
     run = loop.run()
-    with Stepper(loop) as one, Stepper(loop) as other:
+    with Stepper.of(loop) as one, Stepper.of(loop) as other:
         for cycle in (one, other):
             cycle.step(0.0, measurement(run, 0))
             cycle.step(0.2, measurement(run, 40), measured=0.19)
-        torque = one.step(0.205).tolist()
-        assert other.step(0.205, measurement(run, 20), measured=age).tolist() == torque
-        told = cycle.loop.layout.where("safety")
+        torque = one.step(0.205).effort.tolist()
+        assert other.step(0.205, measurement(run, 20), measured=age).effort.tolist() == torque
+        told = cycle.setup.layout.where("safety")
         assert (one.row[told] == other.row[told]) == (age == 0.1)  # what is refused is told
         one.row[told] = other.row[told]
         assert one.row.tolist() == other.row.tolist()
@@ -231,10 +242,10 @@ def test_a_measurement_older_than_the_last_or_of_no_time_changes_nothing(age):
 def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
     loop = closed(duration=2.0, safety=Safety(timeout=0.498))
     run = loop.run()
-    with Stepper(loop) as late, Stepper(loop) as ahead:
-        for k in range(200):
-            late.step(k * H, measurement(run, k), measured=k * H - 0.3)
-            ahead.step(k * H, measurement(run, k), measured=1e6)
+    with Stepper.of(loop) as late, Stepper.of(loop) as ahead:
+        for k, setpoint in enumerate(asked(loop)[:200]):
+            late.step(k * H, measurement(run, k), setpoint, measured=k * H - 0.3)
+            ahead.step(k * H, measurement(run, k), setpoint, measured=1e6)
         assert not late.tripped and not ahead.tripped
         stopped = {}
         for name, cycle in (("late", late), ("ahead", ahead)):
@@ -245,9 +256,9 @@ def test_an_age_counts_from_when_it_was_measured_and_never_lies_ahead():
 def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
     loop = closed(CONTROLLERS["two_layer"], duration=4.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=0.6))
     run, torques, memories = loop.run(), [], []
-    with Stepper(loop, tmp_path / "run.h5") as cycle:
-        for k in range(loop.timing.samples):
-            torques.append(cycle.step(k * H, measurement(run, k) if k < 100 else None).copy())
+    with Stepper.of(loop, path=tmp_path / "run.h5") as cycle:
+        for k, setpoint in enumerate(asked(loop)):
+            torques.append(cycle.step(k * H, measurement(run, k) if k < 100 else None, setpoint).effort.copy())
             cycle.record()
             memories += [cycle.state.values.copy()] if cycle.tripped else []
             if cycle.is_over:
@@ -267,22 +278,22 @@ def test_silence_trips_with_a_ramp_to_zero_and_keeps_everything(tmp_path):
 def test_old_measurements_are_no_basis_for_a_stop():
     loop = closed(duration=3.0, safety=Safety(timeout=0.3, ramp=0.1, stop_time=2.0))
     run = loop.run()
-    with Stepper(loop) as cycle:
-        for k in range(loop.timing.samples):
+    with Stepper.of(loop) as cycle:
+        for k, setpoint in enumerate(asked(loop)):
             late = k - 120  # samples, 0.6 s, from the 100th on
             given = (k, k * H) if k < 100 else (late, late * H) if late >= 100 else None
-            cycle.step(k * H, given and measurement(run, given[0]), measured=given and given[1])
+            cycle.step(k * H, given and measurement(run, given[0]), setpoint, measured=given and given[1])
             if cycle.tripped and k * H > 0.5 + 0.3 + 0.1 + 2 * H:
-                assert not cycle.torque.any()
+                assert not cycle.command.effort.any()
         assert cycle.tripped
 
 
 def test_nothing_moves_and_nothing_trips_before_the_first_measurement():
     loop = closed(safety=Safety(joint_error=0.01, position_error=0.01, speed=0.001))
     far = replace(loop, trajectory=Trajectory(Line(speed=0.3, start=(5.0, 5.0, 1.0)), loop.trajectory.arm))
-    with Stepper(far) as cycle:
-        for k in range(50):
-            assert not cycle.step(k * H).any()
+    with Stepper.of(far) as cycle:
+        for k, setpoint in enumerate(asked(far)[:50]):
+            assert not cycle.step(k * H, None, setpoint).effort.any()
         assert not cycle.tripped
 
 
@@ -291,18 +302,18 @@ def test_nothing_moves_and_nothing_trips_before_the_first_measurement():
 
 def test_without_a_supervisor_there_is_none():
     with pytest.raises(ConfigError, match=r"safety: error: a stepper without a supervisor.*Safety\(\)"):
-        Stepper(closed(safety=None))
+        Stepper.of(closed(safety=None))
 
 
 def test_unstable_gains_are_refused_before_anything_is_written(tmp_path):
     with pytest.raises(ConfigError, match="unstable"):
-        Stepper(closed(PD(Feedback(1e5, 1e3))), tmp_path / "run.h5")
+        Stepper.of(closed(PD(Feedback(1e5, 1e3))), path=tmp_path / "run.h5")
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("time", [-H, H, 0.5, np.nan, np.inf])
-def test_times_that_are_no_sample_of_the_run_are_refused(time):
-    with Stepper(closed()) as cycle:
+@pytest.mark.parametrize("time", [-H, H, np.nan, np.inf])
+def test_times_that_do_not_go_forward_are_refused(time):
+    with Stepper.of(closed()) as cycle:
         cycle.step(0.0)
         cycle.step(H)
         with pytest.raises(ConfigError, match="a control sample at"):
@@ -312,22 +323,13 @@ def test_times_that_are_no_sample_of_the_run_are_refused(time):
 
 @pytest.mark.parametrize("name", ["pose", "velocity", "q", "qdot"])
 def test_measurements_of_another_size_are_refused(name):
-    with Stepper(closed()) as cycle:
+    with Stepper.of(closed()) as cycle:
         good = measurement(closed(duration=H).run(), 0)
         with pytest.raises(ConfigError, match=f"a measurement with {name} of shape"):
             cycle.step(0.0, replace(good, **{name: np.zeros(1)}))
 
 
 # -- setpoints one by one ----------------------------------------------------------------------------------------------
-
-
-def test_setpoints_given_one_by_one_are_those_of_the_trajectory_for_as_long_as_they_come():
-    loop, short = closed(CONTROLLERS["two_layer"]), closed(CONTROLLERS["two_layer"], duration=0.05)
-    run, setpoints = loop.run(), Setpoint.side_by_side(loop.table(), loop.layout)
-    with Stepper(short) as one:
-        for k in range(loop.timing.samples):  # ten times the length of its own trajectory
-            now = Setpoint(*(getattr(setpoints, f.name)[k] for f in fields(Setpoint)))
-            assert one.step(k * H, measurement(run, k), now).tolist() == run["torque"][k].tolist()
 
 
 def test_a_trajectory_writes_the_setpoints_of_its_table():
@@ -342,7 +344,7 @@ def test_a_trajectory_writes_the_setpoints_of_its_table():
 def test_setpoints_of_another_robot_or_not_finite_are_refused():
     loop = closed()
     table = Setpoint.side_by_side(loop.table()[0].copy(), loop.layout)
-    with Stepper(loop) as one:
+    with Stepper.of(loop) as one:
         with pytest.raises(ConfigError, match="a setpoint with q of shape"):
             one.step(0.0, None, replace(table, q=np.zeros(7)))
         with pytest.raises(ConfigError, match="a setpoint that is not finite"):
@@ -352,22 +354,159 @@ def test_setpoints_of_another_robot_or_not_finite_are_refused():
         one.step(0.0, None, table)
 
 
+# -- a loop of one's own -----------------------------------------------------------------------------------------------
+
+
+class Real:
+    """A robot of its own: the ideal plant between the steps of a stepper."""
+
+    def __init__(self, stepper, at=(0.0, 0.0, 0.0), q=(0.3, 0.2)):
+        self.stepper, self.k, self.nb = stepper, 0, ROBOT.dimensions.base
+        self.plant = IdealPlant(stepper.robot, stepper.period, "implicit_friction")
+        position = ROBOT.neutral_position()
+        position[:3], position[ROBOT.arm_index] = at, q
+        self.plant.start(position, np.zeros(ROBOT.dimensions.dof))
+
+    def measure(self):
+        position, nu, nb = self.plant.position, self.plant.nu, self.nb
+        return Measurement(position[:3].copy(), nu[:nb].copy(), position[ROBOT.arm_index].copy(), nu[nb:].copy())
+
+    def run(self, seconds, setpoint=None, renew=False):
+        for i in range(round(seconds / self.stepper.period)):
+            asked = setpoint if i == 0 or renew else None
+            effort = self.stepper.step(self.k * self.stepper.period, self.measure(), asked).effort
+            self.plant.step(np.ascontiguousarray(effort))
+            self.plant.refresh()
+            self.stepper.record()
+            self.k += 1
+        return self.measure()
+
+
+CALM = Feedback(15.0, 20.0, "inertia")
+
+
+def new(**changes):
+    given = {"safety": Safety(joint_error=0.5, position_error=0.5), "weights_interval": 1.0, **changes}
+    return Stepper(ROBOT, given.pop("controller", PD(CALM)), **given)
+
+
+def test_it_starts_where_the_robot_stands_drives_reaches_and_follows():
+    real = Real(new(controller=ComputedTorque(CALM)), at=(5.0, -3.0, 2.0), q=(1.0, -0.7))
+    rest = real.run(0.5)
+    np.testing.assert_allclose(rest.pose, (5.0, -3.0, 2.0), atol=1e-9)
+    np.testing.assert_allclose(rest.q, (1.0, -0.7), atol=1e-9)
+    moving = real.run(2.0, BaseVelocity((0.3, 0.2)), renew=True)
+    np.testing.assert_allclose(moving.velocity, (0.3, 0.2), atol=0.02)
+    motion = real.stepper.plan(Trajectory(None, (Sine(0.3, 2.0), Sine(0.2, 3.0))), 6.0)
+    real.run(4.0, (BaseVelocity((0.1, 0.0)), motion))
+    np.testing.assert_allclose(real.stepper.measured.q, real.stepper.setpoint.q, atol=0.02)
+    still = real.run(2.5, HOLD)
+    assert np.abs(still.velocity).max() < 1e-2 and not real.stepper.tripped
+    run = real.stepper.finish()
+    assert run.outcome.status == "completed" and "not renewed in time, 1 times" in run.outcome.message
+
+
+def test_a_stop_from_outside_stops_and_a_reset_goes_on_with_what_was_learned():
+    stepper = new(controller=learner("adaptive"), check_gains=False)
+    real = Real(stepper)
+    real.run(0.4, BaseVelocity((0.3, 0.0)), renew=True)
+    stepper.stop("a hand on the button")
+    with pytest.raises(ConfigError, match="nothing to reset"):
+        new().reset()
+    learned = None
+    for _ in range(30):
+        real.run(0.02, BaseVelocity((0.3, 0.0)), renew=True)
+        learned = stepper.snapshot() if learned is None else learned
+        assert stepper.tripped
+    assert np.abs(stepper.measured.velocity).max() < 0.1
+    assert stepper.snapshot().values.tolist() == learned.values.tolist()
+    stepper.reset()
+    assert not stepper.tripped
+    moved = real.run(1.0, BaseVelocity((0.3, 0.0)), renew=True)
+    assert moved.velocity[0] > 0.2 and not stepper.tripped
+    message = stepper.finish().outcome.message
+    assert "a hand on the button" in message and "stopped from outside at t = " in message
+
+
+def test_a_reset_without_fresh_measurements_is_refused():
+    stepper = new()
+    real = Real(stepper)
+    real.run(0.1)
+    stepper.stop()
+    for k in range(100):
+        stepper.step(1.0 + k * H)
+    with pytest.raises(ConfigError, match="blind"):
+        stepper.reset()
+
+
+def test_gains_change_while_it_runs_and_what_was_learned_stays():
+    stepper = new(controller=Neural(NETWORK, Feedback(300.0, 5.0), Robust(1.0, 0.05)))
+    real = Real(stepper)
+    real.run(0.3, BaseVelocity((0.2, 0.1)), renew=True)
+    before, row = stepper.snapshot(), stepper.row.copy()
+    stepper.change(controller=Neural(NETWORK, Feedback(600.0, 10.0), Robust(1.0, 0.05)))
+    assert stepper.snapshot().values.tolist() == before.values.tolist()
+    stepper.step(10.0, real.measure(), BaseVelocity((0.2, 0.1)))
+    gain = stepper.setup.layout.where("effective_gain")
+    assert (stepper.row[gain] > row[gain] + 4.0).all()
+    kept = stepper.control
+    for bad in (PD(GAINS), Neural(NETWORK, Feedback(1e6, 1e4), Robust(1.0, 0.05))):
+        with pytest.raises(ConfigError):
+            stepper.change(controller=bad)
+    assert stepper.control is kept
+
+
+def test_another_stepper_goes_on_from_a_snapshot_with_the_same_torques():
+    loop = closed(CONTROLLERS["two_layer"], duration=0.2)
+    run, setpoints = loop.run(), asked(loop)
+    with Stepper.of(loop) as one:
+        for k in range(20):
+            one.step(k * H, measurement(run, k), setpoints[k])
+        with Stepper.of(loop, state=one.snapshot()) as other:
+            for k in range(20, 40):
+                torque = other.step(k * H, measurement(run, k), setpoints[k]).effort.tolist()
+                assert torque == one.step(k * H, measurement(run, k), setpoints[k]).effort.tolist()
+
+
+def test_a_pause_holds_and_a_motion_goes_on_after_it():
+    stepper = new(controller=ComputedTorque(CALM))
+    real = Real(stepper, q=(0.0, 0.0))
+    real.run(1.0, stepper.plan(Trajectory(Line(0.2, ramp=0.5), (Sine(0.2, 2.0), Sine(0.2, 2.0))), 3.0))
+    stepper.pause()
+    still = real.run(1.5)
+    assert np.abs(still.velocity).max() < 0.02 and np.abs(still.qdot).max() < 0.05
+    stepper.resume()
+    real.run(1.0)
+    assert stepper.is_moving and stepper.setpoint.velocity[0] == pytest.approx(0.2)
+    np.testing.assert_allclose(stepper.measured.q, stepper.setpoint.q, atol=0.03)
+
+
+@pytest.mark.parametrize("wish", [BaseVelocity((1.0,)), "home"])
+def test_a_wish_that_is_refused_changes_nothing(wish):
+    one, other = new(), new()
+    for real in (Real(one), Real(other)):
+        real.run(0.1, BaseVelocity((0.2, 0.1)))
+    with pytest.raises(ConfigError):
+        one.step(1.0, None, wish)
+    still = Real(one).measure()
+    assert one.step(1.0, still).effort.tolist() == other.step(1.0, still).effort.tolist()
+
+
 # -- time and memory ---------------------------------------------------------------------------------------------------
 
 FRESH = """
 import sys, numpy as np
 from mmnn_pin import *
-from mmnn_pin.safety import Safety
-loop = Loop(load("platform_arm"), Trajectory(Line(speed=0.3), (Sine(0.3, 2.0), Hold(0.8))), CONTROLLER,
-            timing=Timing(duration=0.05, control_period=0.005), safety=Safety())
 def count():
     return sum(len(f.overloads) for name, m in list(sys.modules.items()) if name.startswith("mmnn_pin")
                for f in vars(m).values() if hasattr(f, "overloads"))
-with Stepper(loop) as cycle:
+with Stepper(load("platform_arm"), CONTROLLER, period=0.005) as cycle:
     zero = type(cycle.measured)(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2))
+    motion = cycle.plan(Trajectory(Line(speed=0.3), (Sine(0.3, 2.0), Hold(0.8))), 0.1)
+    wishes = {2: motion, 4: HOLD, 6: BaseVelocity((0.1, 0.0)), 8: cycle.setpoint}
     before = count()
-    for k in range(cycle.samples):
-        cycle.step(k * 0.005, zero)
+    for k in range(20):
+        cycle.step(k * 0.005, zero, wishes.get(k))
         cycle.is_over
     print(before > 5, count() - before)
 """
@@ -383,30 +522,31 @@ def test_nothing_is_compiled_in_a_step(controller):
 
 
 def test_the_rehearsal_leaves_no_trace():
-    with Stepper(closed(CONTROLLERS["two_layer"])) as cycle:
-        fresh = cycle.loop.state_from()
+    with Stepper.of(closed(CONTROLLERS["two_layer"])) as cycle:
+        fresh = cycle.setup.controller.init(cycle.setup.context())
         assert cycle.state.values.tolist() == fresh.values.tolist()
         assert not cycle.row.any() and not cycle.tripped
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="uncompiled blocks allocate")
-@pytest.mark.parametrize("name", ["two_layer", "computed_torque"])
-def test_steps_collect_no_garbage_and_keep_no_memory(name):
+@pytest.mark.parametrize(("name", "samples"), [("two_layer", 4000), ("computed_torque", 4000)])
+def test_steps_collect_no_garbage_and_keep_no_memory(name, samples):
     loop = closed(CONTROLLERS[name], duration=20.0)
     run, began = closed(CONTROLLERS[name], duration=0.5).run(), []
-    given = [measurement(run, k) for k in range(100)]
+    given, setpoints = [measurement(run, k) for k in range(100)], asked(loop)[:100]
+    drive = BaseVelocity((0.2, 0.1))
     note = lambda phase, info: began.append(phase)  # noqa: E731
-    with Stepper(loop) as cycle:
+    with Stepper.of(loop) as cycle:
         gc.collect()
         gc.callbacks.append(note)
         tracemalloc.start()
         sizes, counts = [], []
         try:
-            for k in range(4000):
-                if k % 500 == 0:
+            for k in range(samples):
+                if k % (samples // 8) == 0:
                     sizes.append(tracemalloc.get_traced_memory()[0])
                     counts.append(gc.get_count()[0])
-                cycle.step(k * H, given[k % 100])
+                cycle.step(k * H, given[k % 100], setpoints[k % 100] if k % 1000 < 500 else drive)
         finally:
             tracemalloc.stop()
             gc.callbacks.remove(note)
@@ -452,7 +592,7 @@ def test_what_needs_the_truth_says_so(recorded):
 
 
 def test_an_exception_leaves_what_was_recorded(tmp_path):
-    with pytest.raises(RuntimeError), Stepper(closed(), tmp_path / "run.h5") as cycle:
+    with pytest.raises(RuntimeError), Stepper.of(closed(), path=tmp_path / "run.h5") as cycle:
         for k in range(10):
             cycle.step(k * H)
             cycle.record()

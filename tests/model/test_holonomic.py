@@ -15,8 +15,9 @@ from robots import mobile_arm
 from mmnn_pin.errors import ConfigError, TrajectoryError
 from mmnn_pin.kinematic import Kinematic, body_error
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.loop.before_run import Start, sampled_loop
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
+from mmnn_pin.loop.sampled import sampled_loop
 from mmnn_pin.model.base.holonomic import holonomic_command
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor

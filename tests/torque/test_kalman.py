@@ -43,7 +43,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robots import extra
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.signals import INDEX, Layout, Measurement
+from mmnn_pin.signals import INDEX, Layout, Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
 from mmnn_pin.torque.kalman import (
@@ -579,10 +579,11 @@ def test_a_cycle_learns_too():
     controller = small("regressor")
     loop = loop_of(controller, 0.02, safety=Safety(), sensor=Sensor())
     twin = loop_of(controller, 0.02, safety=Safety(), sensor=Sensor()).run()
-    with Stepper(loop) as cycle:
-        for k in range(cycle.samples):
+    with Stepper.of(loop) as cycle:
+        for k in range(len(twin)):
             parts = {name: np.array(twin[name][k]) for name in ("pose", "velocity", "q", "qdot")}
-            torque = cycle.step(k * 0.002, Measurement(**parts))
+            asked = Setpoint.side_by_side(loop.table()[k], loop.layout)
+            torque = cycle.step(k * 0.002, Measurement(**parts), asked).effort
             np.testing.assert_allclose(torque, twin["torque"][k], rtol=1e-9, atol=1e-9)
             cycle.record()
         recording = cycle.finish()

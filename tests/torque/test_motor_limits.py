@@ -31,7 +31,7 @@ from mmnn_pin.lab.proof.proof import weights_of
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
-from mmnn_pin.signals import Measurement
+from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque.law import limit, motor_limits, share_left
 
 ROBOT = load("platform_arm")
@@ -203,10 +203,12 @@ def test_controllers_in_plain_python(kind):
 def test_a_cycle_does_the_same():
     loop = replace(weak("two_layer", duration=0.02), safety=Safety(torque=None), sensor=Sensor())
     twin = loop.run()
-    with Stepper(loop) as cycle:
-        for k in range(cycle.samples):
+    with Stepper.of(loop) as cycle:
+        for k in range(len(twin)):
             parts = {name: np.array(twin[name][k]) for name in ("pose", "velocity", "q", "qdot")}
-            np.testing.assert_allclose(cycle.step(k * cycle.period, Measurement(**parts)), twin["torque"][k], rtol=1e-9)
+            asked = Setpoint.side_by_side(loop.table()[k], loop.layout)
+            command = cycle.step(k * cycle.period, Measurement(**parts), asked)
+            np.testing.assert_allclose(command.effort, twin["torque"][k], rtol=1e-9)
 
 
 def test_on_by_default_beyond_the_thesis_and_for_all_in_the_contest():

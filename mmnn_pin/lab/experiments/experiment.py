@@ -12,15 +12,15 @@ import numpy as np
 
 from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
-from ...elementary.matrices import exponential, inverse, product
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
-from ...loop.before_run import Bounds, Start, viscous_friction
+from ...loop.before_run import Bounds, Start, effective_inertia
+from ...loop.hardware import Latency
 from ...loop.loop import PLANTS, Loop
+from ...loop.servo import Servo
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
-from ...model.tree.twin import Twin
 from ...plant.contact.feet import Contact
 from ...reference import Trajectory
 from ...safety import Safety
@@ -42,6 +42,8 @@ from .controllers import (
 )
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
+
+PLACES = 10  # along the reference at which inertias are looked at
 
 
 class Friction(Settings, frozen=True):
@@ -142,6 +144,9 @@ class Experiment(LearnerTables, frozen=True):
         sensor: What the sensors do to the truth.
         actuator: What the motors make of their commands.
         safety: A supervisor between controller and motors; without the table there is none.
+        latency: How long measurements and commands are under way.
+        interfaces: What motors take, by joint: effort where one is not named, velocity or position.
+        servo: The servos behind velocity and position interfaces.
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
@@ -183,6 +188,9 @@ class Experiment(LearnerTables, frozen=True):
     sensor: Sensor = Sensor()
     actuator: Actuator = Actuator()
     safety: Safety | None = None
+    latency: Latency = Latency()
+    interfaces: dict[str, str] = msgspec.field(default_factory=dict)
+    servo: Servo = Servo()
     disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
@@ -276,7 +284,10 @@ class Experiment(LearnerTables, frozen=True):
         """Effective inertias along the reference, (p,); None when nothing is scaled by them."""
         if self.feedback.scaling == "none":
             return None
-        return effective_inertia(robot, self.trajectory_of(robot), self.time.duration, self.time.control_period)
+        instants = np.linspace(0.0, self.time.duration, PLACES)
+        table = self.trajectory_of(robot).table(instants, robot.dimensions)
+        positions = (Start().state(robot, row)[0] for row in table)
+        return effective_inertia(robot, positions, self.time.control_period)
 
     def controller(
         self, name: str, gains: Array | None = None, robot: Robot | None = None
@@ -318,33 +329,11 @@ class Experiment(LearnerTables, frozen=True):
             plant=self.plant,
             contact=self.contact,
             within_limits=self.learning.within_limits,
+            latency=self.latency,
+            interfaces=self.interfaces,
+            servo=self.servo,
         )
 
     def to_json(self) -> str:
         """The complete experiment with its defaults, as text (JSON) for a recording."""
         return msgspec.json.format(msgspec.json.encode(self), indent=2).decode()
-
-
-def effective_inertia(robot: Robot, trajectory: Trajectory, duration: float, period: float, places: int = 10) -> Array:
-    """Effective inertia of every velocity, the smallest one along a reference, (p,) [kg, kg m^2].
-
-    It is `period / Gamma_ii`, with `Gamma = int_0^period exp(-M^-1 D t) dt M^-1` the velocity that a torque held for
-    one control period gives, M the reduced mass matrix and D its viscous friction. Without friction this is
-    `1 / (M^-1)_ii`: what a torque on that velocity alone accelerates while all others move freely. A link of a few
-    milligram square metres in a joint with 1 N m s weighs what its friction makes of it.
-
-    Args:
-        robot: The robot, or the one that the designer of the gains believes in.
-        trajectory: The reference.
-        duration: Its length [s].
-        period: Control period [s].
-        places: Instants, evenly spaced.
-    """
-    twin, D, p = Twin(robot), viscous_friction(robot), robot.dimensions.dof
-    table = trajectory.table(np.linspace(0.0, duration, places), robot.dimensions)
-    found = []
-    for row in table:
-        M_inv = inverse(twin.mass_matrix(Start().state(robot, row)[0]))
-        held = exponential(np.block([[-product(M_inv, D), M_inv], [np.zeros((p, 2 * p))]]) * period)
-        found.append(period / np.diag(held[:p, p:]))
-    return np.min(found, axis=0)

@@ -169,14 +169,22 @@ def run_experiment(
         runs[controller] = loop.run(
             files.get(controller),
             force=force,
-            meta={"experiment": name, "config": config},
+            meta={"experiment": name, "config": config, "delay_margin": finite(loop.delay_margin())},
             progress=None if progress is None else lambda t, c=controller: progress(c, t / duration),  # type: ignore[misc]
         )
         if runs[controller].outcome.status == "interrupted":
             break
     kept = {controller: runs[controller] for controller in wanted if controller in runs}
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
-    return Result(experiment, name, kept, numbers, tuple(notes))
+    return Result(experiment, name, kept, numbers, (*notes, *margin_notes(experiment, kept)))
+
+
+def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[str]:
+    """Which controllers bear less delay beside their latency than the experiment wants."""
+    margins = {name: run.meta["delay_margin"] for name, run in runs.items()}
+    least = experiment.latency.margin + experiment.latency.total
+    short = ", ".join(f"{name} {1e3 * m:.3g}" for name, m in margins.items() if m is not None and m < least)
+    return [f"delay margin below {1e3 * least:.3g} ms: {short} ms; see latency.margin"] if short else []
 
 
 def in_order(wanted: Sequence[str]) -> list[str]:

@@ -19,7 +19,8 @@ import numpy as np
 from scipy.special import expit
 
 from ...errors import RecordingError
-from ...loop.before_run import HeldLoop, held_loop, viscous_friction
+from ...loop.before_run import viscous_friction
+from ...loop.sampled import HeldLoop, held_loop
 from ...settings import finite
 from ...signals import Array
 from ...torque.controller import ControllerState

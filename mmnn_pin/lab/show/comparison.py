@@ -27,7 +27,8 @@ NAME = 9  # letters of a controller's name on a line
 TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 ABOUT = (
     "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
-    "effective gain: mean of all that multiplies z (base) or r (arm)."
+    "effective gain: mean of all that multiplies z (base) or r (arm). delay margin: least delay from measurement to "
+    "torque with which the linearised loop is unstable, under the feedback alone or with the one inside Psi."
 )
 ABOUT_SHARES = (
     "better than pd = gain + learning: how much smaller the RMS error is, in % of pd's. gain: from pd to pd at the "
@@ -169,12 +170,23 @@ def other_rows(result: Result) -> Iterator[Row]:
         yield row_of("learned share", part, *(f"({s})" if c in ORACLES else s for c, s in shares.items()))
     for part in halves(recording):
         yield row_of("mean effective gain", part, *(number(m[f"effective_gain.{part}"]) for m in metrics.values()))
-    ends = (recording.outcome for recording in result.recordings.values())
-    done = Cell("done", "good")
-    yield row_of(
-        *("outcome", ""),
-        *(done if e.status == "completed" else Cell(f"{e.status}\nat {e.time:.3g} s", "bad") for e in ends),
-    )
+    if any("delay_margin" in run.meta for run in result.recordings.values()):
+        yield row_of("delay margin [ms]", "", *(margin_cell(run) for run in result.recordings.values()))
+    yield row_of("outcome", "", *map(outcome_cell, result.recordings.values()))
+
+
+def margin_cell(recording: Recording) -> str:
+    """How much delay the linearised loop bears [ms]."""
+    margin = recording.meta.get("delay_margin")
+    return "-" if margin is None else f"{1e3 * margin:.3g}"
+
+
+def outcome_cell(recording: Recording) -> Cell:
+    """How a run ended; bad unless it was completed."""
+    status = recording.outcome.status
+    if status == "completed":
+        return Cell("done", "good")
+    return Cell(f"{status}\nat {recording.outcome.time:.3g} s", "bad")
 
 
 def notes(result: Result) -> list[str]:

@@ -16,15 +16,16 @@ from robots import dynamics, mobile_arm, place, robot_of
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.experiments.experiment import Experiment, effective_inertia
+from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.references import Swing
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show import comparison as table
-from mmnn_pin.loop.before_run import SampledLoop, sampled_loop
+from mmnn_pin.loop.before_run import effective_inertia
+from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
-from mmnn_pin.reference import Hold, Trajectory
+from mmnn_pin.reference import Hold
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import Context, Feedback
@@ -86,10 +87,9 @@ def test_effective_inertia_is_what_a_held_torque_accelerates():
     model = robot.model.copy()
     model.gravity.linear = np.zeros(3)
     robot = replace(robot, model=model)
-    h, trajectory = 0.001, Trajectory(experiment().trajectory_of(robot).base, (Hold(0.2),) * 7)
-    found = effective_inertia(robot, trajectory, 0.0, h)
-    position = robot.neutral_position()
+    h, position = 0.001, robot.neutral_position()
     position[robot.arm_index] = 0.2
+    found = effective_inertia(robot, [position], h)
     for i in range(robot.dimensions.dof) if not config.DISABLE_JIT else (8,):
         plant = IdealPlant(robot, h / 400)
         plant.start(position, np.zeros(robot.dimensions.dof))
@@ -103,11 +103,10 @@ def test_effective_inertia_is_what_a_held_torque_accelerates():
 
 def test_without_friction_it_is_that_of_the_mass_matrix():
     robot = tiny_arm()
-    trajectory = Trajectory(experiment().trajectory_of(robot).base, (Hold(0.2),) * 7)
     position = robot.neutral_position()
     position[robot.arm_index] = 0.2
     inverse = np.linalg.inv(Dynamics(robot).mass_matrix(position))
-    found = effective_inertia(robot, trajectory, 0.0, 0.001)
+    found = effective_inertia(robot, [position], 0.001)
     np.testing.assert_allclose(found, 1 / np.diag(inverse), rtol=1e-9)
     assert found[-1] < 1e-5 < 1 < found[0]
 

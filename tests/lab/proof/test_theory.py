@@ -24,7 +24,7 @@ from mmnn_pin.lab.proof.certificate import Box, Boxes
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
 from mmnn_pin.lab.proof.motion_bound import Forces, dissipation, drive, push
 from mmnn_pin.lab.proof.rate import radius
-from mmnn_pin.loop.before_run import held_loop
+from mmnn_pin.loop.sampled import held_loop
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.one_layer import one_layer_update

@@ -57,25 +57,26 @@ def greet(channel, patience):
         clock.sleep(0.02)
 
 
-def drive(cycle, channel, pace):
+def drive(cycle, motion, samples, channel, pace):
     """Control until the end, a trip or Ctrl-C; how it ended, and the age of the oldest measurement used [s]."""
     places = np.cumsum([0, *(getattr(cycle.measured, name).size for name in MEASURED)])
     came = Measurement(*(channel.values[a:b] for a, b in pairwise(places)))
     oldest, start, signals, kind = 0.0, pace.start, [], MEASUREMENT  # the first one is there
+    asked = motion
     before = [signal.signal(number, lambda came, _: signals.append(came)) for number in STOPS]
     try:
-        while (k := pace.wait()) < cycle.samples and not cycle.is_over:
+        while (k := pace.wait()) < samples and not cycle.is_over:
             if signals:
                 return "interrupted", f"stopped by {signal.Signals(signals[0]).name}", oldest
             kind = channel.receive() or kind
             if kind == MEASUREMENT:
                 measured = 1e-9 * channel.stamp - start
                 oldest = max(oldest, clock.monotonic() - channel.stamp * 1e-9)
-                cycle.step(k * cycle.period, came, measured=measured)
+                command = cycle.step(k * cycle.period, came, asked, measured=measured)
             else:
-                cycle.step(k * cycle.period)
-            channel.send(COMMAND, cycle.motor_torque)
-            kind = None
+                command = cycle.step(k * cycle.period, None, asked)
+            channel.send(COMMAND, command.motor_effort)
+            kind = asked = None
             cycle.record()
     finally:
         channel.send(BYE)
@@ -89,13 +90,15 @@ def control(options, experiment, robot, port, patience):
     loop = experiment.loop(robot, experiment.controller(options.controller, robot=robot))
     layout, path = robot.dimensions, Path(options.out) / "controller.h5"
     channel = Channel(layout.motors, layout.pose + layout.base + 2 * layout.arm, peer=("127.0.0.1", port))
-    with Stepper(loop, path, force=options.force, meta={"config": experiment.to_json()}) as cycle:
+    samples, duration = experiment.time.samples, experiment.time.duration
+    with Stepper.of(loop, path=path, force=options.force, meta={"config": experiment.to_json()}) as cycle:
+        motion = cycle.plan(loop.trajectory, duration)
         gc.collect()
         gc.freeze()  # what is there is no garbage: a collection looks only at what comes
         greet(channel, patience)
         before = [generation["collections"] for generation in gc.get_stats()]
-        pace = Pace(cycle.period, cycle.samples)
-        status, message, oldest = drive(cycle, channel, pace)
+        pace = Pace(cycle.period, samples)
+        status, message, oldest = drive(cycle, motion, samples, channel, pace)
         collections = [g["collections"] - b for g, b in zip(gc.get_stats(), before, strict=True)]
         counts = {
             "packets out of order dropped": channel.out_of_order,

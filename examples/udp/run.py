@@ -1,6 +1,6 @@
 """Starts both processes.
 
-python examples/realtime/run.py [--rate 200] [--seconds 10] [--fault kill|late|nan|shuffle|short ...]
+python examples/udp/run.py [--rate 200] [--seconds 10] [--fault kill|late|nan|shuffle|short ...]
 """
 
 import json

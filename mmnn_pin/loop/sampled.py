@@ -1,0 +1,318 @@
+"""The sampled loop before a run: is it stable, and how much delay does it bear?
+
+The loop is linearised about the reference, with the torque held over a control period h: deviations
+`d = [ex, ey, ephi; e; nu; tau of lagging motors]` obey `d_next = Phi d + Gamma tau`, `tau = F d`, and `Phi + Gamma F`
+must have no eigenvalue beyond the unit circle. F is the feedback `k s`; a controller that adds `M nudot_ref` has also
+the feedback inside it, `M [alphadot; K edot]`, which is judged beside.
+
+**Delay margin.** With a delay L between measurement and torque the loop turns unstable where
+`exp(-j w L) lambda = 1` for an eigenvalue lambda of `H(w) = F (exp(j w h) - Phi)^-1 Gamma`: at a frequency where
+`|lambda| = 1` that needs `L = arg(lambda) / w`. The smallest one is the margin, of all velocities coupled and delayed
+alike (a delay that is no whole number of periods counts as a phase, as between samples).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.linalg import expm
+
+from ..compiled import one_thread
+from ..errors import ConfigError
+from ..model.base import BY_SIZE
+from ..model.dynamics import Dynamics
+from ..signals import Array, Setpoint
+from ..torque.controller import CompiledController
+from ..torque.learning_law import LearningLaw
+from .before_run import Start, viscous_friction
+from .sample import Plan
+
+TOLERANCE = 1e-9
+LARGEST = 700.0  # exponents up to here have an exponential
+FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
+SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """Verdict on the sampled PD loop.
+
+    Attributes:
+        radius: Spectral radius of one control period; up to 1 is stable (exactly 1: something is not stabilised, such
+            as the lateral error at vr = 0).
+        gain_limits: (p,) gain on each velocity alone at which `nu_next = (Phi_ii - Gamma_ii k) nu` reaches -1, where
+            without friction `Phi_ii = 1` and `Gamma_ii = h (M^-1)_ii`.
+    """
+
+    radius: float
+    gain_limits: Array
+
+    @property
+    def stable(self) -> bool:
+        """Whether no deviation grows."""
+        return self.radius <= 1.0 + TOLERANCE
+
+
+def sampled_loop(
+    M: Array, gains: Array, v_ref: Array, base_gains: Array, K: Array, h: float, friction: Array | None = None
+) -> SampledLoop:
+    """Spectral radius of the held PD loop at one mass matrix and reference velocity.
+
+    Args:
+        M: (p, p) reduced mass matrix.
+        gains: (p,) gain on `[z; r]`.
+        v_ref: (nb,) reference velocity, (vr, wr) or (vxr, vyr, wr).
+        base_gains: (3,) kx, ky, kth; of a holonomic base kx, ky, kphi.
+        K: (n,) gain of the filtered arm error [1/s].
+        h: Control period [s].
+        friction: Viscous friction on nu, (p,) or a matrix (p, p); None for none.
+    """
+    held = held_loop(M, v_ref, base_gains, K, h, friction)
+    if held is None:
+        return SampledLoop(np.inf, 2.0 / (h * np.diag(np.linalg.inv(M))))
+    radius = float(np.abs(np.linalg.eigvals(held.closed(gains))).max())
+    nu = slice(len(held.state) - len(M), len(held.state))
+    limits = (1.0 + np.diag(held.state)[nu]) / np.diag(held.torque[nu])
+    return SampledLoop(radius, limits)
+
+
+@dataclass(frozen=True, eq=False)
+class HeldLoop:
+    """One control period of the linearised loop: `d_next = state d + torque tau`, and `s = errors d`.
+
+    Attributes:
+        state: (k, k).
+        torque: (k, p): what a torque held over the period does.
+        errors: (p, k): `[z; r]` of a deviation.
+        inside: (p, k): `M nudot_ref` of a deviation, the feedback inside Psi.
+    """
+
+    state: Array
+    torque: Array
+    errors: Array
+    inside: Array
+
+    def closed(self, gains: Array) -> Array:
+        """(k, k) with the torque `gains s`, gains (p,)."""
+        return self.state + self.torque @ self.feedback(gains, False)
+
+    def feedback(self, gains: Array, inside: bool) -> Array:
+        """(p, k) torque of a deviation: `gains s`, and `M nudot_ref` where it is added."""
+        return gains[:, None] * self.errors + (self.inside if inside else 0.0)
+
+    def radius(self, gains: Array, inside: bool) -> float:
+        """Spectral radius of one period."""
+        return float(np.abs(np.linalg.eigvals(self.state + self.torque @ self.feedback(gains, inside))).max())
+
+    def margin(self, gains: Array, h: float, inside: bool) -> float:
+        """Delay at which the loop turns unstable [s]: 0 where it is already, inf where no delay does it."""
+        if self.radius(gains, inside) > 1.0 + TOLERANCE:
+            return 0.0
+        F, eye = self.feedback(gains, inside), np.eye(len(self.state))
+
+        def loops(w: Array) -> Array:
+            """Eigenvalues of H at some frequencies, by magnitude, (len(w), p)."""
+            H = F @ np.linalg.solve(np.exp(1j * w * h)[:, None, None] * eye - self.state, self.torque + 0j)
+            found = np.asarray(np.linalg.eigvals(H), complex)
+            return np.take_along_axis(found, np.argsort(np.abs(found), axis=1), axis=1)
+
+        w = np.geomspace(min(SLOWEST, 0.1 / h), np.pi / h, FREQUENCIES)
+        over = np.abs(loops(w)) > 1.0
+        at, i = np.nonzero(over[1:] != over[:-1])
+        if not at.size:
+            return np.inf
+        low, high = np.log(w[at]), np.log(w[at + 1])
+        for _ in range(3):  # regula falsi, all crossings at once
+            below, above = (np.log(np.abs(loops(np.exp(x))[range(at.size), i])) for x in (low, high))
+            middle = low + (high - low) * below / (below - above)
+            found = loops(np.exp(middle))[range(at.size), i]
+            same = np.sign(np.log(np.abs(found))) == np.sign(below)
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        return float((np.angle(found) % (2 * np.pi) / np.exp(middle)).min())
+
+
+def held_loop(
+    M: Array,
+    v_ref: Array,
+    base_gains: Array,
+    K: Array,
+    h: float,
+    friction: Array | None = None,
+    lag: Array | None = None,
+) -> HeldLoop | None:
+    """The linearised loop over one period, arguments as in `sampled_loop`; None where it moves too fast to compute.
+
+    With `lag` (p,), time constants of first-order motors, their torques are further states where it is not 0 [s].
+    """
+    p, nb = len(M), len(v_ref)
+    poses, n = (3 if nb else 0), len(M) - len(v_ref)
+    lagging = np.flatnonzero(lag) if lag is not None else np.zeros(0, int)
+    motion = poses + n + p
+    size = motion + len(lagging)
+    A, B, errors = np.zeros((size, size)), np.zeros((size, p)), np.zeros((p, size))
+    nu = slice(poses + n, motion)
+    M_inv = np.linalg.inv(M)
+    B[nu] = M_inv
+    of_base = slice(poses + n, poses + n + nb)
+    law = BY_SIZE[nb].linear_errors(v_ref, base_gains)
+    A[:poses, :poses], A[:poses, of_base], errors[:nb, :poses] = law
+    rates = np.zeros((p, size))  # of nu_ref: what nudot_ref feeds back
+    if nb:
+        rates[:nb, :poses], rates[:nb, of_base] = law.command @ law.rates, law.command @ law.by_velocity
+    rates[nb:, poses + n + nb : motion] = -np.diag(K)
+    for i, motor in enumerate(lagging):
+        assert lag is not None
+        A[nu, motion + i], A[motion + i, motion + i] = M_inv[:, motor], -1.0 / lag[motor]
+        B[nu, motor], B[motion + i, motor] = 0.0, 1.0 / lag[motor]
+    A[poses : poses + n, poses + n + nb : motion] = -np.eye(n)
+    errors[nb:, poses : poses + n] = np.diag(K)
+    errors[:, nu] = -np.eye(p)
+    if not (np.isfinite(A).all() and np.linalg.norm(A, 1) * h < LARGEST):
+        return None
+    if friction is not None:  # it damps: however large, its exponential is small
+        A[nu, nu] = -M_inv @ (np.diag(friction) if np.ndim(friction) == 1 else friction)
+    held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
+    return HeldLoop(held[:size, :size], held[:size, size:], errors, M @ rates)
+
+
+def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h: float) -> None:
+    """Refuse gains that make the sampled PD loop unstable.
+
+    Raises:
+        ConfigError: With the spectral radius and the gains that are too high.
+    """
+    if verdict.stable:
+        return
+    over = [
+        f"{name}: {gain:.4g} (limit alone {limit:.4g})"
+        for name, gain, limit in zip(names, gains, verdict.gain_limits, strict=True)
+        if gain > 0.5 * limit
+    ]
+    raise ConfigError(
+        f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
+        why="gains near or above their limit, 2 / (h (M^-1)_ii) without friction: "
+        + ("; ".join(over) or "none, the kinematic gains"),
+        fix="lower the gains, or shorten the control or sensor period",
+        key="feedback",
+    )
+
+
+def lags(plan: Plan) -> Array:
+    """Time constants of the motors, seen from the velocities (p,); the longest of those that move one [s]."""
+    motors = np.broadcast_to(np.asarray(plan.lag, float), plan.layout.motors)
+    return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in plan.robot.E])
+
+
+def linearised(plan: Plan, places: int) -> list[HeldLoop | None]:
+    """The loop at some places along the setpoints of a plan, judged at the slower of control and sensor."""
+    robot, dynamics = plan.robot, Dynamics(plan.robot)
+    friction, lag, h, found = viscous_friction(robot), lags(plan), slowest(plan), []
+    for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, places).astype(int)):
+        position, _ = Start().state(robot, plan.setpoints[i])
+        v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
+        found.append(held_loop(dynamics.mass_matrix(position), v_ref, plan.gains, plan.K, h, friction, lag))
+    return found
+
+
+def slowest(plan: Plan) -> float:
+    """A slow sensor holds the torque, too [s]."""
+    return max(plan.timing.control_period, plan.timing.sensor_period or 0.0)
+
+
+def gains_of(plan: Plan) -> Array:
+    """Gains on s, (p,): the controller's, and on velocity interfaces what their servos amount to."""
+    gains = plan.controller.feedback_gain(plan.layout)  # type: ignore[union-attr]
+    return gains if plan.servo is None else np.where(plan.servo > 0.0, plan.servo, gains)
+
+
+def adds_inside(plan: Plan) -> bool:
+    """Whether the controller adds an estimate of Psi, and with it the feedback inside."""
+    controller = plan.controller
+    if not isinstance(controller, CompiledController):
+        return True
+    return controller.uses_model or controller.networks is not None or controller.law(plan.context).learner is not None
+
+
+def judges(plan: Plan) -> bool:
+    """Whether the gains of a plan's controller are known."""
+    return isinstance(plan.controller, CompiledController | LearningLaw)
+
+
+@one_thread
+def delay_margin(plan: Plan, share: float = 1.0, places: int = 5) -> float:
+    """Smallest delay between measurement and torque that makes the loop unstable along the setpoints [s].
+
+    Args:
+        plan: Of a loop or a stepper.
+        share: Of the gains of the feedback.
+        places: How many.
+
+    Returns:
+        NaN for a controller in plain Python, whose gains are not known.
+    """
+    if not judges(plan):
+        return float("nan")
+    gains, h = share * gains_of(plan), slowest(plan)
+    return min(margin_at(held, gains, h, adds_inside(plan)) for held in linearised(plan, places))
+
+
+def margin_at(held: HeldLoop | None, gains: Array, h: float, inside: bool) -> float:
+    """The margin of one place: that of the feedback alone, or with the feedback inside Psi where that is smaller."""
+    if held is None:
+        return 0.0
+    return min(held.margin(gains, h, part) for part in {False, inside})
+
+
+@one_thread
+def require_stable_gains(plan: Plan) -> None:
+    """Judge the sampled PD loop at ten places along the setpoints, and with the latency of the plan.
+
+    Raises:
+        ConfigError: It is unstable at one of them, with the numbers and the largest gain that stands.
+    """
+    if not judges(plan):
+        return
+    robot, dynamics = plan.robot, Dynamics(plan.robot)
+    gains, friction = gains_of(plan), viscous_friction(robot)
+    h = slowest(plan)
+    for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, 10).astype(int)):
+        position, _ = Start().state(robot, plan.setpoints[i])
+        velocity = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
+        verdict = sampled_loop(dynamics.mass_matrix(position), gains, velocity, plan.gains, plan.K, h, friction)
+        require_stable(verdict, gains, robot.velocity_names, h)
+    if plan.latency > 0.0:
+        require_margin(plan)
+
+
+def require_margin(plan: Plan) -> None:
+    """Refuse gains that do not bear the latency of a plan.
+
+    Raises:
+        ConfigError: They do not, with the largest share of them that does.
+    """
+    margin = delay_margin(plan)
+    if margin > plan.latency:
+        return
+    share = largest_share(plan)
+    fix = "lower the gains of the kinematic layer, or shorten the latency"
+    if share > 0.0:
+        gains = share * gains_of(plan)
+        largest = ", ".join(f"{name} {gain:.4g}" for name, gain in zip(plan.robot.velocity_names, gains, strict=True))
+        fix = f"lower the feedback to {share:.4f} of it: {largest}; or shorten the latency"
+    what = f"the loop does not bear a latency of {1e3 * plan.latency:.3g} ms"
+    why = f"its delay margin is {1e3 * margin:.3g} ms"
+    raise ConfigError(what, why=why, fix=fix, key="latency")
+
+
+def largest_share(plan: Plan) -> float:
+    """Largest share of the feedback that bears the latency of a plan, to 2 %; 0 where none does."""
+    for below, share in pairwise(SHARES):
+        if delay_margin(plan, float(share)) > plan.latency:
+            low, high = float(share), float(below)
+            while high > 1.02 * low:
+                middle = float(np.sqrt(low * high))
+                low, high = (middle, high) if delay_margin(plan, middle) > plan.latency else (low, middle)
+            return int(low * 1e4) / 1e4
+    return 0.0

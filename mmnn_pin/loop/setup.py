@@ -1,0 +1,166 @@
+"""What a loop or a stepper is made from, and what a recording says of it.
+
+`Setup` is what the blocks between controller and robot need to know; a `Loop` has all of it. `Outside` is the same for
+a robot that is not simulated: its plant, sensors and motors are real, so all that would simulate them is off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+
+from ..actuator import Actuator
+from ..disturbance import Disturbance
+from ..kinematic import Kinematic
+from ..model.robot import Robot
+from ..safety import Safety
+from ..sensing import Sensor
+from ..settings import Timing, plain
+from ..signals import Layout
+from ..torque.controller import CompiledController, Context, TorqueController
+from ..torque.learning_law import origin_of
+from .controller import context_of
+from .hardware import Latency
+from .servo import Servo
+
+Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
+
+
+class Setup(Protocol):
+    """What the hardware model is made from; a `Loop` has all of it."""
+
+    @property
+    def robot(self) -> Robot:
+        """The true robot."""
+
+    @property
+    def layout(self) -> Layout:
+        """Where the signals stand in a row."""
+
+    @property
+    def nominal(self) -> Robot | None:
+        """The robot that the controller believes in."""
+
+    @property
+    def timing(self) -> Timing:
+        """Periods."""
+
+    @property
+    def plant(self) -> str:
+        """Name of the plant."""
+
+    @property
+    def kinematic(self) -> Kinematic:
+        """Gains of the kinematic layer."""
+
+    @property
+    def controller(self) -> CompiledController | TorqueController:
+        """The torque controller."""
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the sensors do to the truth."""
+
+    @property
+    def actuator(self) -> Actuator:
+        """What the motors make of their commands."""
+
+    @property
+    def safety(self) -> Safety | None:
+        """The supervisor."""
+
+    @property
+    def disturbances(self) -> tuple[Disturbance, ...]:
+        """What happens to the robot."""
+
+    @property
+    def latency(self) -> Latency:
+        """How long measurements and commands are under way."""
+
+    @property
+    def interfaces(self) -> Mapping[str, str]:
+        """Interface of motors' joints, effort where they are not named."""
+
+    @property
+    def servo(self) -> Servo:
+        """What is known of the servos of velocity interfaces."""
+
+    def streams(self) -> Streams:
+        """Random generators of the sensors, of the disturbances and of the commands' delays."""
+
+    def context(self) -> Context:
+        """What the controller is told before a run."""
+
+
+def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: int) -> Context:
+    """What the controller of a setup is told before a run; arguments as of `context_of`."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
+    period = setup.timing.control_period
+    return context_of(setup.controller, setup.robot, period, samples, rng, within_limits, setup.layout)
+
+
+def new_streams(seed: int) -> Streams:
+    """Random generators of the sensors, of the disturbances and of the commands' delays, split from a run's seed."""
+    sensor, gusts, delays = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(4)[1:])
+    return sensor, gusts, delays
+
+
+def believed_by(setup: Setup) -> Robot:
+    """The robot that a controller believes in, where it uses a model."""
+    own: Robot | None = setup.controller.model if isinstance(setup.controller, CompiledController) else None
+    return own or setup.nominal or setup.robot
+
+
+def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
+    """What a recording should know of a run."""
+    own = {"controller": setup.controller.name, "seed": seed, "control_period": setup.timing.control_period}
+    own |= {"kinematic": plain(setup.kinematic), "time": plain(setup.timing)}
+    own |= {"controller_settings": setup.controller.facts(), "within_limits": setup.context().limits is not None}
+    if isinstance(setup.controller, TorqueController):
+        own |= {"law": origin_of(type(setup.controller))}
+    believed = {} if setup.nominal is None else {"nominal": setup.nominal.facts()}
+    hardware = {} if setup.sensor.exact else {"sensor": plain(setup.sensor)}
+    hardware |= {} if setup.actuator.perfect else {"actuator": plain(setup.actuator)}
+    hardware |= {} if setup.latency == Latency() else {"latency": plain(setup.latency)}
+    hardware |= {"interfaces": dict(setup.interfaces), "servo": plain(setup.servo)} if setup.interfaces else {}
+    hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
+    hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
+    return setup.robot.facts() | own | believed | hardware
+
+
+@dataclass(frozen=True)
+class Outside:
+    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`."""
+
+    robot: Robot
+    controller: CompiledController | TorqueController
+    kinematic: Kinematic
+    safety: Safety
+    timing: Timing
+    nominal: Robot | None = None
+    seed: int = 0
+    within_limits: bool | None = None
+    plant: str = "ideal"
+    sensor: Sensor = field(default_factory=Sensor)
+    actuator: Actuator = field(default_factory=Actuator)
+    disturbances: tuple[Disturbance, ...] = ()
+    latency: Latency = field(default_factory=Latency)
+    interfaces: Mapping[str, str] = field(default_factory=dict)
+    servo: Servo = field(default_factory=Servo)
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Where the signals stand in a row."""
+        return Layout.of(self.robot.dimensions, 0, 1)
+
+    def streams(self) -> Streams:
+        """Random generators that nothing draws from."""
+        return new_streams(self.seed)
+
+    def context(self) -> Context:
+        """What the controller is told."""
+        return new_context(self, self.seed, self.within_limits, 1)

@@ -1,0 +1,217 @@
+"""Velocity interfaces: the split dynamics against DOP853, the servos' law against its closed form, and whole runs."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from numba import config
+from scipy.integrate import solve_ivp
+
+from mmnn_pin import PD, ComputedTorque, Eight, Feedback, Loop, Sine, Start, Stepper, Timing, Trajectory, load
+from mmnn_pin.actuator import Drive
+from mmnn_pin.errors import ConfigError, InputError
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.loop.before_run import with_gains_of
+from mmnn_pin.loop.ordinary import OrdinaryLoop
+from mmnn_pin.loop.servo import Servo, interfaces_of, servo_slots, split_of, velocity_servo
+from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.safety import Safety
+from mmnn_pin.sensing import exact
+from mmnn_pin.signals import Measurement, Setpoint
+
+ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5))
+WHEELS = dict.fromkeys(ROBOT.actuator_names[:2], "velocity")
+H = 0.002
+CALM = Kinematic(kx=2.0, ky=16.0, kth=8.0, K=5.0)
+
+
+def made(controller=None, interfaces=WHEELS, duration=0.3, **more):
+    timing = Timing(duration, H, 0.001, integrator="implicit_friction")
+    arm = tuple(Sine(0.4, 2.0, phase=0.5 * i) for i in range(ROBOT.dimensions.arm))
+    controller = with_gains_of(controller or ComputedTorque(Feedback(20.0, 30.0, "inertia")), ROBOT, H)
+    given = {"kinematic": CALM, "timing": timing, "interfaces": interfaces, "servo": Servo(bandwidth=25.0)} | more
+    return Loop(ROBOT, Trajectory(Eight(3.0, 1.5, 20.0), arm), controller, **given)
+
+
+def asked(position, nu, time, loop):
+    """Torque, command and errors of a loop's control sample at a state of one's own."""
+    engine = loop.engine_at(plant_state=(position, nu))
+    assert isinstance(engine, OrdinaryLoop)
+    exact(engine.row, engine.at, position, nu, engine.arm)
+    table = np.zeros(loop.table().shape[1])
+    measured = Measurement.of(engine.row, loop.layout)
+    loop.trajectory.write(time, measured, Setpoint.side_by_side(table, loop.layout))
+    engine.control.step(time, table)
+    return engine.row, engine.control.hardware.split
+
+
+def test_the_energy_of_the_effort_rows_falls_as_their_gains_say():
+    """The split dynamics, written down and integrated by DOP853: `dV/dt = -r' K r` for `V = 1/2 r' M_ee r`."""
+    loop = made(servo=Servo(bandwidth=25.0, rate=0.0))
+    dynamics, nv, e, s = Dynamics(ROBOT), ROBOT.dimensions.full, slice(2, 4), slice(0, 2)
+    k, b = loop.controller.feedback_gain(loop.layout), 25.0
+    start = Start(joint_offset=(0.2, -0.1), moving=False)
+    position, nu = start.state(ROBOT, loop.table()[0])
+    nu[:] = (0.2, -0.3, 0.4, -0.5)
+
+    def parts(y, t):
+        position, nu = y[:nv], y[nv:]
+        row, split = asked(position, nu, t, loop)
+        return position, nu, row, split
+
+    def rate(t, y):
+        position, nu, row, split = parts(y, t)
+        M, C = dynamics.mass_matrix(position), dynamics.coriolis_matrix(position, nu)
+        rest = dynamics.gravity(position) + dynamics.friction(nu)
+        nudot = np.zeros(4)
+        nudot[s] = b * (split.command[s] - nu[s])  # the servo as its model says, whatever the torque that takes
+        tau = row[loop.layout.where("torque")]
+        assert not tau[s].any()
+        nudot[e] = np.linalg.solve(M[e, e], (tau - C @ nu - rest - M[:, s] @ nudot[s])[e])
+        velocity = ROBOT.T @ nu
+        c, sn = np.cos(position[2]), np.sin(position[2])
+        velocity[:2] = c * velocity[0] - sn * velocity[1], sn * velocity[0] + c * velocity[1]
+        return np.concatenate((velocity, nudot))
+
+    def energy(t, y):
+        position, _, row, _ = parts(y, t)
+        r = row[loop.layout.where("r")]
+        return 0.5 * r @ dynamics.mass_matrix(position)[e, e] @ r, r
+
+    h = 1e-4
+    for t0 in (0.0, 0.05):
+        found = solve_ivp(rate, (t0, t0 + 2 * h), np.concatenate((position, nu)), "DOP853", [t0, t0 + h, t0 + 2 * h],
+                          rtol=1e-12, atol=1e-14)  # fmt: skip
+        (before, _), (_, r), (after, _) = (energy(t, y) for t, y in zip(found.t, found.y.T, strict=True))
+        assert (after - before) / (2 * h) == pytest.approx(-r @ (k[e] * r), rel=2e-4)
+        assert before > 1e-3
+
+
+@settings(deadline=None, max_examples=10, phases=(Phase.generate,))
+@given(st.floats(5.0, 40.0), st.floats(0.0, 2.0), st.floats(0.0, 5.0), st.floats(-0.3, 0.3))
+def test_errors_of_a_servo_row_obey_their_linear_equation_and_the_integral_takes_the_rest(b, k, rate, rest):
+    """`ds/dt = -b (1 + k) s - b psi - rest`, `dpsi/dt = rate s`: eigenvalues, and the rest is gone in the end."""
+    A = np.array([[-b * (1 + k), -b], [rate, 0.0]])
+    assert np.linalg.eigvals(A).real.max() <= 1e-9
+    loop = made(servo=Servo(bandwidth=b, gain=k, rate=rate))
+    position, nu = Start().state(ROBOT, loop.table()[0])
+    nu[:2] = 0.1, -0.2
+    row, split = asked(position, nu, 0.0, loop)
+    table = Setpoint.side_by_side(loop.table()[0], loop.layout)
+    alpha, alphadot = row[loop.layout.where("alpha")], row[loop.layout.where("alphadot")]
+    s = alpha - nu[:2]
+    np.testing.assert_allclose(row[loop.layout.where("z")], s)  # told, though no torque sees it
+    np.testing.assert_allclose(split.integral[:2], H * rate * s, atol=1e-15)
+    u = alpha + alphadot / b + k * s + H * rate * s
+    np.testing.assert_allclose(split.command[:2], u, atol=1e-12)
+    np.testing.assert_allclose(b * (u - nu[:2]) - alphadot, b * (1 + k) * s + b * split.integral[:2], atol=1e-9)
+    modelled = alphadot + b * (1 + k) * s  # psi stands for the rest, so it moves nothing
+    np.testing.assert_allclose(row[loop.layout.where("nudot_ref")][:2], modelled, atol=1e-9)
+    assert table.velocity.shape == (2,)
+
+
+def test_a_base_on_velocity_follows_with_its_arm_on_effort_and_a_stepper_does_the_same():
+    loop = made(duration=0.3 if config.DISABLE_JIT else 3.0, safety=Safety(), start=Start(moving=True))
+    run = loop.run()
+    assert run.outcome.status == "completed" and run.meta["loop"] == "ordinary"
+    late = run.time > 0.8 * run.outcome.time
+    assert np.abs(run["true_pose_error"][late]).max() < 0.03 and np.abs(run["true_e"][late]).max() < 0.05
+    assert not run["torque"][:, :2].any() and np.abs(run["applied"][:, :2]).max() > 0.1
+    setpoints = Setpoint.side_by_side(loop.table(), loop.layout)
+    with Stepper.of(loop) as stepper:
+        for k in range(len(run)):
+            measured = Measurement(*(run[name][k] for name in ("pose", "velocity", "q", "qdot")))
+            one = Setpoint(*(getattr(setpoints, f.name)[k] for f in fields(Setpoint)))
+            command = stepper.step(k * H, measured, one)
+            assert command.effort[2:].tolist() == run["torque"][k, 2:].tolist()
+            assert np.isnan(command.effort[:2]).all() and np.isnan(command.velocity[2:]).all()
+        np.testing.assert_allclose(command.motor_velocity[:2], ROBOT.E.T[:2, :2] @ command.velocity[:2])
+        assert np.isnan(command.motor_effort[:2]).all() and np.isnan(command.position).all()
+        np.testing.assert_allclose(command.velocity[:2], measured.velocity, atol=0.3)
+        stepper.stop()
+        for k in range(len(run), len(run) + 400):
+            command = stepper.step(k * H, measured)
+        assert not command.velocity[:2].any()
+
+
+def test_a_joint_that_takes_positions_gets_the_integral_of_its_velocity():
+    joint = ROBOT.joint_names[1]
+    loop = made(interfaces={joint: "position"}, servo=Servo(bandwidth=25.0))
+    run, setpoints = loop.run(), Setpoint.side_by_side(loop.table(), loop.layout)
+    with Stepper.of(loop, safety=Safety()) as stepper:
+        total = run["q"][0, 1]
+        for k in range(50):
+            measured = Measurement(*(run[name][k] for name in ("pose", "velocity", "q", "qdot")))
+            one = Setpoint(*(getattr(setpoints, f.name)[k] for f in fields(Setpoint)))
+            command = stepper.step(k * H, measured, one)
+            total += H * stepper.hardware.split.command[3]
+            assert command.position[3] == pytest.approx(total, abs=1e-12) and np.isnan(command.velocity).all()
+    assert np.isnan(command.position[:3]).all() and np.isfinite(command.effort[:3]).all()
+
+
+def test_a_weak_servo_saturates_and_a_slow_one_is_late():
+    free, weak = made(), made(servo=Servo(bandwidth=25.0, strength=1e-3))
+    limited = replace(ROBOT, effort_limits=np.full(4, 50.0))
+    applied = [replace(one, robot=limited, nominal=ROBOT).run()["applied"][:, :2] for one in (free, weak)]
+    assert np.abs(applied[0]).max() > 0.1 and np.abs(applied[1]).max() == pytest.approx(0.05)
+    slow, (_, on), state = Servo(delay=0.01), interfaces_of(ROBOT, WHEELS), np.zeros(11)
+    split = split_of(ROBOT, on, slow, H, state)
+    split.command[:] = 0.5, 0.2, 0.0, 0.0
+    servos = velocity_servo(ROBOT, slow, split, 0.001, np.zeros((servo_slots(slow, 0.002, 0.001), 4)))
+    wire = Drive(np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(1, np.int64))
+    for n in range(20):
+        servos.act(wire, 0, n * 0.001)
+        lasted = max(0, n - 12) * 0.001  # the integral's part of a servo that does not move
+        wheels = (1 + 0.25 * 30.0 * lasted) * servos.gain[:2] * (ROBOT.E.T @ split.command)[:2] * (n >= 12)
+        wheels = np.clip(wheels, -ROBOT.effort_limits[:2], ROBOT.effort_limits[:2])
+        np.testing.assert_allclose(wire.torque, [*wheels, 0.0, 0.0])
+
+
+def test_a_resumed_run_is_the_same():
+    loop, half = made(duration=0.2), made(duration=0.1)
+    first = half.run()
+    final = first.final
+    state = first.final.get("controller_state")
+    rest = loop.run(
+        first=50, plant_state=(final["position"], final["nu"]), hardware_state=final["hardware_state"]
+    )  # fmt: skip
+    assert state is None or state.size == 0
+    np.testing.assert_array_equal(rest["torque"], loop.run()["torque"][50:])
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("interfaces", "text"),
+    [
+        ({"elbow": "velocity"}, "interfaces: error: unknown joint"),
+        ({ROBOT.joint_names[0]: "torque"}, "unknown interface"),
+        ({ROBOT.actuator_names[0]: "velocity"}, "wheels by effort and velocity"),
+        (dict.fromkeys(ROBOT.actuator_names[:2], "position"), "wheels by position"),
+    ],
+)
+def test_interfaces_that_cannot_be_are_one_line(interfaces, text):
+    with pytest.raises(InputError, match=text):
+        made(interfaces=interfaces).run()
+
+
+def test_torque_regressors_are_refused_on_servo_rows_and_the_compiled_engine_too():
+    from test_stepper import learner
+
+    with pytest.raises(ConfigError, match="kalman_regressor on a velocity interface"):
+        made(learner("kalman_regressor")).run()
+    with pytest.raises(ConfigError, match="velocity interfaces cannot be compiled"):
+        made(engine="compiled").run()
+    made(PD(Feedback(20.0, 30.0, "inertia")), duration=0.02).run()
+
+
+def test_names_say_which_rows_are_servo_rows():
+    kinds, on = interfaces_of(ROBOT, WHEELS | {ROBOT.joint_names[1]: "position"})
+    assert kinds == ("velocity", "velocity", "effort", "position") and on.tolist() == [1, 1, 0, 1]
+    with pytest.raises(ConfigError, match=r"servo\.bandwidth"):
+        Servo(bandwidth=0.0)
