@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-MOTION, MACHINE, NOMINAL, PARAMETERS = "motion", "machine", "nominal", "parameters"  # properties of `controller.Told`
+# Properties of `controller.Told`.
+MOTION, MACHINE, NOMINAL, PARAMETERS, DESCRIBED = "motion", "machine", "nominal", "parameters", "described"
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,10 @@ ENTRIES = (
     Entry("one_layer", "neural:Neural", "one_layer:OneLayer",
           "one-layer Gaussian network of reference [9], its law reconstructed", "#D55E00", (5, 1.6), thesis=True),
     Entry("pd", "model_based:PD", "", "the feedback alone", "#000000", (1, 1.4)),
+    Entry("pd_gravity", "classical:PDGravity", "", "PD and the gravity of the URDF, at the measured joints",
+          "#4D4D4D", (4, 1.2, 1, 1.2), told=(MOTION, DESCRIBED)),
+    Entry("pid", "classical:PID", "classical:PIDSettings",
+          "PD and its integral, which stops where a motor is at its limit", "#999999", (2, 1.2)),
     Entry("pd_effective", "model_based:ScheduledPD", "",
           "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
           "#56B4E9", (6, 1.5, 1, 1.5), 1.6, gain_of="two_layer"),

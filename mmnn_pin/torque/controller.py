@@ -149,6 +149,10 @@ class Told(Protocol):
     def parameters(self) -> Array:
         """The parameters of that one in the order of the regressor, (k,)."""
 
+    @property
+    def described(self) -> Array:
+        """The parameters of the robot as its file describes it, likewise."""
+
 
 class Feedback(Settings, frozen=True):
     """Gain on `[z; r]`: `k1` for the base, `k2` for the arm (3.39).

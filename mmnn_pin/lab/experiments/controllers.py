@@ -202,6 +202,12 @@ class Granted:
         """Its parameters, (k,), with which a regressor of the robot gives its Psi; errors as of `nominal_robot`."""
         return parameters(nominal_robot(self.model, self.true("parameters"), self.overrides))
 
+    @property
+    def described(self) -> Array:
+        """The parameters of the robot as its file has them, without the experiment's masses; errors as of `true`."""
+        robot = self.true("described")
+        return parameters(robot.with_masses({name: 1.0 / factor for name, factor in robot.masses.items()}))
+
     def true(self, what: str) -> Robot:
         """The true robot, where the controller may be told something of it.
 

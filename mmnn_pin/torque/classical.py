@@ -1,0 +1,229 @@
+"""What an engineer tries before any learner: PD with the gravity of the URDF, and PID.
+
+    pd_gravity    tau = K s + g(q),           g(q) = T' g_full(q)
+    pid           tau = K s + I,              I' = rate K s,              s = [z; r] = nu_ref - nu
+
+*Gravity* is that of the robot as its file describes it, at the measured joints: the reduced robot at rest,
+`g(q) = Y(q, 0, 0, 0) theta` with the regressor of the robot and the parameters of its file (Takegaki and Arimoto 1981,
+J. Dyn. Sys. Meas. Control 103(2), for a constant setpoint). What the experiment makes of the true robot beside its
+file, other masses or a payload, it does not know.
+
+*PID.* For a joint `s = edot + k e`, so the integral of s over time is `e + k int e`: K s + I is a PID law of the
+position error e with the gains `K k + rate K` on e, `rate K k` on its integral and K on its rate.
+
+*Anti-windup* is conditional integration (Astrom and Hagglund 1995, PID Controllers, 3.5) within the motors' limits.
+With u = E^+ (K s + I) of all motors, clipped to their limits, let `K s + I - E clip(u)` be the excess. A velocity whose
+s would make its excess larger keeps its integral; the integral alone is clipped to the limits, too. So it never asks a
+motor for more than there is, and it turns back with the first sample in which s does.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import ClassVar, NamedTuple, Self
+
+import numpy as np
+
+from ..compiled import Vector, compiled, copy_to, layout_of, views
+from ..model.regressor import Massless, Regressor, measured, regress
+from ..settings import Settings, require_numbers
+from ..signals import INDEX, Array, IntArray
+from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law
+from .law import KERNELS, Kernels, MotorLimits, constant_gain, limit, motor_limits, nothing_to_keep
+from .model_based import ConstantGain
+
+POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
+Z, R, PSI_HAT, EFFECTIVE_GAIN = (INDEX[name] for name in ("z", "r", "psi_hat", "effective_gain"))
+WEIGHT_NORM = INDEX["weight_norm"]
+ROUNDING = 1e-9  # part of a torque below which an excess is rounding
+
+
+class Gravity(NamedTuple):
+    """The numbers of a PD with gravity.
+
+    Attributes:
+        known: How the robot moves, and room to work in.
+        theta: (k,) parameters of its bodies as the file has them.
+        rest: (p,) zeros.
+    """
+
+    known: Massless
+    theta: Array
+    rest: Array
+
+
+@compiled
+def gravity(row: Array, at: IntArray, a: Gravity, state: Array) -> None:
+    """Psi_hat = g(q) of one sample; arguments as of `law.estimate`."""
+    known = a.known
+    pose, velocity = row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
+    measured(known, pose, velocity, row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]])
+    copy_to(a.rest, known.nu)
+    regress(known, a.rest, a.rest)
+    for i in range(a.rest.size):
+        total = 0.0
+        for j in range(a.theta.size):
+            total += known.Y[i, j] * a.theta[j]
+        row[at[PSI_HAT] + i] = total
+
+
+KERNELS[Gravity] = Kernels(gravity, nothing_to_keep)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class PDGravity(ConstantGain):
+    """`tau = K s + g(q)`, g of the robot as its URDF describes it.
+
+    Args:
+        feedback: K.
+        motion: How the robot moves.
+        theta: (k,) its parameters, of `model.tree.body.parameters`; only those of bodies are used.
+        name: Name in tables and recordings.
+    """
+
+    motion: Regressor
+    theta: Array
+    name: str = "pd_gravity"
+
+    within_limits: ClassVar[bool] = True
+
+    @classmethod
+    def build(cls, given: Given) -> Self:
+        """With the gravity of the robot's file."""
+        return cls(feedback=given.feedback, motion=given.told.motion, theta=given.told.described)
+
+    def law(self, context: Context) -> Law:
+        """The gains, and what gives the gravity."""
+        theta, p = np.array(self.theta[: self.motion.inertial], float), context.layout.dof
+        found = Gravity(self.motion.workspace(), theta, np.zeros(p))
+        return Law(constant_gain(self.feedback.vector(context.layout)), found)
+
+
+class PIDSettings(Settings, frozen=True):
+    """How fast a PID controller integrates.
+
+    Args:
+        rate: Integral gain over K [1/s]. A mode of bandwidth b, which a chain of links may have far below that
+            of a joint alone, needs `b (k + rate) > k rate` (Routh and Hurwitz; k of the filtered error).
+
+    Raises:
+        ConfigError: A number that is negative or not finite.
+    """
+
+    rate: float = 1.0
+
+    def __post_init__(self) -> None:
+        require_numbers(self, "pid", ())
+
+
+class Integrator(NamedTuple):
+    """The numbers of a PID controller.
+
+    Attributes:
+        K: (p,) feedback gains.
+        rate: (p,) what a sample adds to the integral over s; 0 keeps it.
+        limits: Of the motors, and room to work in.
+        asked: (p,) room to work in.
+        sent: (p,) room to work in.
+        nothing: (p,) zeros.
+        layout: Of `Integral` in the state.
+    """
+
+    K: Array
+    rate: Array
+    limits: MotorLimits
+    asked: Array
+    sent: Array
+    nothing: Array
+    layout: IntArray
+
+
+class Integral(NamedTuple):
+    """What it remembers: I (p,) of the next sample, and that of the last one."""
+
+    integral: Vector
+    used: Vector
+
+
+integral_of = views(Integral)
+
+
+@compiled
+def integral(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
+    """Psi_hat = I and the gain of one sample; arguments as of `law.estimate`."""
+    o, squares = integral_of(state, a.layout), 0.0
+    copy_to(o.integral, o.used)
+    for i in range(o.used.size):
+        row[at[PSI_HAT] + i], row[at[EFFECTIVE_GAIN] + i] = o.used[i], a.K[i]
+        squares += o.used[i] * o.used[i]
+    row[at[WEIGHT_NORM]] = math.sqrt(squares)
+
+
+@compiled
+def integrate(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
+    """The integral of the next sample; the same however often it is called. Arguments as of `law.settle`."""
+    o, z, r = integral_of(state, a.layout), row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    for i in range(o.used.size):
+        s = z[i] if i < z.size else r[i - z.size]
+        a.asked[i] = a.sent[i] = a.K[i] * s + o.used[i]
+    limit(a.sent, a.nothing, a.limits)
+    for i in range(o.used.size):
+        s, excess = z[i] if i < z.size else r[i - z.size], a.asked[i] - a.sent[i]
+        winds_up = excess * s > 0.0 and abs(excess) > ROUNDING * abs(a.asked[i])
+        o.integral[i] = o.used[i] if winds_up else o.used[i] + a.rate[i] * s
+    limit(o.integral, a.nothing, a.limits)
+
+
+KERNELS[Integrator] = Kernels(integral, integrate)
+
+
+@dataclass(frozen=True, eq=False)
+class PID(CompiledController):
+    """`tau = K s + I`, `I' = rate K s` within the motors' limits.
+
+    Args:
+        feedback: K.
+        settings: The integral's gain.
+        learning: Off keeps the integral as it is.
+        name: Name in tables and recordings.
+    """
+
+    feedback: Feedback = field(default_factory=Feedback)
+    settings: PIDSettings = field(default_factory=PIDSettings)
+    learning: bool = True
+    name: str = "pid"
+
+    within_limits: ClassVar[bool] = True
+    lyapunov_part = "gain"
+
+    def law(self, context: Context) -> Law:
+        """The numbers of the law; errors as of `positive_gains`."""
+        K, layout = self.positive_gains(context.layout), layout_of(Integral, self.shapes(context))
+        given, p = context.limits, context.layout.dof
+        limits = unlimited(p) if given is None else given._replace(motors=given.motors.copy(), asked=np.zeros(p))
+        rate = float(self.settings.rate) * float(context.control_period) * self.learning * K
+        return Law(constant_gain(K), Integrator(K, rate, limits, np.zeros(p), np.zeros(p), np.zeros(p), layout))
+
+    def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
+        """The integral, of the next sample and of the last one."""
+        return dict.fromkeys(Integral._fields, (context.layout.dof,))
+
+    def weights(self, state: ControllerState) -> dict[str, Array]:
+        """The integral, (p,) [N, N m]."""
+        return {"integral": state["integral"]}
+
+    def features(self, law: Law, state: ControllerState) -> Array:
+        """What the integral is multiplied with: every velocity has its own."""
+        return np.eye(state["integral"].size)
+
+    def learning_gain(self, state: ControllerState, context: Context) -> Array:
+        """Rate times K, (p,)."""
+        return np.asarray(self.settings.rate * self.feedback.vector(context.layout))
+
+
+def unlimited(p: int) -> MotorLimits:
+    """Motors without limits, one per velocity."""
+    found = motor_limits(np.eye(p), np.ones(p))
+    assert found is not None
+    return found._replace(effort=np.full(p, np.inf))
