@@ -192,12 +192,12 @@ def pinocchio_model(document: Document, mobile: bool) -> tuple[pin.Model, str]:
     except (ValueError, RuntimeError) as error:
         why = " ".join(" ".join([*printed, str(error)]).split())
         raise RobotError("Pinocchio cannot build the model", why=why, file=document.path) from None
-    place(document, model)
     model.name, message = document.path.stem, " ".join(" ".join(printed).split())
     stated, taken = document.mass, sum(body.mass for body in model.inertias)
     if not math.isclose(stated, taken, rel_tol=1e-9):
         what = f"Pinocchio's model has {taken:.6g} kg where the file states {stated:.6g} kg"
         raise RobotError(what, why=message or "it lost an <inertial>", file=document.path)
+    place(document, model)
     return model, message
 
 
@@ -206,22 +206,22 @@ def place(document: Document, model: pin.Model) -> None:
 
     Pinocchio's parser takes roll, pitch and yaw through the platform's; the two differ in the last place at most.
     """
-    known = set(model.names)
+    index = {name: j for j, name in enumerate(model.names) if j}  # 0 is the universe, whose name a joint may have, too
 
     def carried(link: str) -> tuple[int, Array]:
         """The joint of the model that carries a link, 0 for none, and the link's placement on it."""
         at = np.eye(4)
         while link in document.carrier:
             joint = document.carrier[link]
-            if joint.name in known:
-                return model.getJointId(joint.name), at
+            if joint.name in index:
+                return index[joint.name], at
             at, link = product(joint.origin, at), joint.parent
         return int(model.njoints > 1 and model.nvs[1] == 3), at
 
-    for name in model.names:
+    for name, j in index.items():
         if name in document.joints:
             joint = document.joints[name]
-            model.jointPlacements[model.getJointId(name)] = pin.SE3(product(carried(joint.parent)[1], joint.origin))
+            model.jointPlacements[j] = pin.SE3(product(carried(joint.parent)[1], joint.origin))
     sums = {j: pin.Inertia.Zero() for j in range(1, model.njoints)}
     for name, link in document.links.items():
         j, at = carried(name)

@@ -23,6 +23,7 @@ from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.base.holonomic import Holonomic
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.plant.contact.feet import Contact, Patch, feet_of
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.reference import Hold, Line, Sine, Trajectory
@@ -148,7 +149,7 @@ def test_effective_mass_matrix(name: str) -> None:
     still = np.zeros(this.dimensions.full)
     this = replace(this, damping=still, coulomb=still, viscous=np.zeros(this.dimensions.dof))
     ideal = IdealPlant(this, DT)
-    M, hold = ideal.dynamics.mass_matrix(bent(this)), ideal.dynamics.gravity(bent(this))
+    M, hold = Dynamics(this).mass_matrix(bent(this)), Dynamics(this).gravity(bent(this))
     contact = ContactPlant(this, DT, "rk4")
     ours, expected = (response(plant, bent(this), hold, M) for plant in (contact, ideal))
     size = np.sqrt(np.diag(M))
@@ -179,14 +180,14 @@ class OpenLoop:
 
 def torques(this: Robot, ideal: IdealPlant, duration: float) -> Iterator[np.ndarray]:
     """Drives and turns the base, swings the arm against its gravity on the ideal plant."""
-    p, heavy = this.dimensions.dof, this.name == "platform_arm"
+    p, heavy, dynamics = this.dimensions.dof, this.name == "platform_arm", Dynamics(this)
     for k in range(round(duration / DT)):
         t, tau = k * DT, np.zeros(p)
         tau[:2] = (
             (30 + 60 * np.sin(1.3 * t), 8 * np.cos(2 * t)) if heavy else (6 + 14 * np.sin(1.3 * t), 3 * np.cos(2 * t))
         )
         tau[2:] = np.array([4 * np.sin(3 * t), 2 * np.cos(4 * t)]) if heavy else 1.2 * np.sin(2 * t + np.arange(p - 2))
-        yield tau + ideal.dynamics.gravity(ideal.position)
+        yield tau + dynamics.gravity(ideal.position)
 
 
 def open_loop(this: Robot, duration: float, step: float, method: str) -> OpenLoop:
@@ -432,11 +433,11 @@ def test_mimic_joints_follow() -> None:
     names = this.full_velocity_names
     finger, follower = names.index("finger"), names.index("follower")
     plants = IdealPlant(this, DT), ContactPlant(this, DT, "rk4")
-    start = this.follow(bent(this))
+    start, dynamics = this.follow(bent(this)), Dynamics(this)
     for plant in plants:
         plant.start(start, np.zeros(this.dimensions.dof))
         for _ in range(20 if PLAIN else 100):
-            tau = plant.dynamics.gravity(plant.position)
+            tau = dynamics.gravity(plant.position)
             tau[-1] += 0.01
             plant.step(tau)
             plant.refresh()

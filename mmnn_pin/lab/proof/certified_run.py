@@ -93,7 +93,8 @@ def certified_run(
         loop = certified_loop(subject)
         loop = loop.disturbed(loop.disturbance + force)
         sizes = sizes_of(subject, loop)
-        run = compare(subject, certify(loop, wanted, sizes.start), sizes)
+        certificate = certify(loop, wanted, sizes.start)
+        run = compare(subject, certificate, sizes)
     except InputError as error:
         missing["certificate"] = sentence(error)
     try:

@@ -164,12 +164,14 @@ def task_table(standing: Standing, task: str, quantities: Sequence[Quantity]) ->
     made = []
     for controller in standing.controllers:
         rows = standing.of(task, controller)
+        if not rows:
+            continue
         if lost := [row for row in rows if not row.completed]:
             words = f"{len(lost)} of {len(rows)} lost\n{lost[0].outcome} at {lost[0].ended:.3g} s"
             cells = [Cell(words, "bad")]
         else:
             cells = [cell(q.values(standing, task, controller), q.infinite, q.limit) for q in quantities]
-        made += [row_of(controller, *cells)] if rows else []
+        made.append(row_of(controller, *cells))
     return Table(task, (Column(text=True), *(Column(q.heading, q.unit) for q in quantities)), tuple(made))
 
 
