@@ -12,6 +12,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from places import ROOT
 
@@ -92,6 +93,14 @@ def test_readme_shows_the_quickstart_as_it_is() -> None:
 
 
 @compiled_only
+@compiled_only
+def test_the_loop_of_ones_own_reaches_what_it_is_asked_for(tmp_path: Path) -> None:
+    printed = python(ROOT / "examples/own_loop.py", cwd=tmp_path)
+    assert printed.startswith("completed after 4 s")
+    numbers = [float(word) for word in re.findall(r"-?\d+\.\d*", printed.partition(":")[2])]
+    np.testing.assert_allclose(numbers, [0.3, 0.2, 0.8, -0.5], atol=0.1)
+
+
 def test_the_quickstart_prints_what_the_readme_says(tmp_path: Path) -> None:
     assert python(ROOT / "examples/quickstart.py", cwd=tmp_path) in blocks("text")
 

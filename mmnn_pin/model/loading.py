@@ -228,7 +228,9 @@ def place(document: Document, model: pin.Model) -> None:
         if j and link.find("inertial") is not None:
             part = Part.of(link, at)
             R = part.frame[:3, :3]
-            sums[j] += pin.Inertia(part.mass, part.frame[:3, 3], product(R, part.inertia, R.T))
+            inertia = pin.Inertia.Zero()  # filled, not constructed: what is not positive is judged later
+            inertia.mass, inertia.lever, inertia.inertia = part.mass, part.frame[:3, 3], product(R, part.inertia, R.T)
+            sums[j] += inertia
     for j, inertia in sums.items():
         model.inertias[j] = inertia
 

@@ -119,7 +119,7 @@ def test_a_dead_motor_has_no_torque_while_its_window_is_open():
 
 def test_the_dead_zone_of_contributing_is_one():
     (text,) = re.findall(r"```python\n( +class DeadZone.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
-    names = dict(vars(actuator))
+    names = dict(vars(actuator)) | {"spliced": lambda function: function}  # a text has no file to cache beside
     exec(textwrap.dedent(text), names)
     wire = drive()
     names["DeadZone"](np.array([2.0, 5.0, 0.5])).act(wire, 0, 0.0)

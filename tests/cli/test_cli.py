@@ -322,7 +322,7 @@ BAD = {
     "unknown experiment": (["run", "chapter6"], ["unknown experiment 'chapter6'", "chapter4"]),
     "unknown robot": (["run", "chapter4", "--robot", "platform"], ["unknown robot", "platform_arm", "two_axis_arm"]),
     "unknown robot of model": (["model", "robbie"], ["unknown robot", "platform_arm"]),
-    "unknown controller": (["run", "chapter4", "--controller", "pid"], ["unknown controller 'pid'", *ALL]),
+    "unknown controller": (["run", "chapter4", "--controller", "lqr"], ["unknown controller 'lqr'", *ALL]),
     "unknown key": (["run", "chapter4", "--set", "feedback.bass=3"], ["feedback", "unknown key 'bass'", "base, arm"]),
     "unknown section": (["run", "chapter4", "--set", "feetback.base=3"], ["unknown key 'feetback'", "feedback"]),
     "unknown path": (["run", "chapter4", "--set", "reference.base.type=loop"], ["unknown type 'loop'", "line, circle"]),

@@ -68,7 +68,9 @@ def test_every_option_of_inspect_is_one_of_run(capsys):
         assert main([command, "--help"]) == 0
         helps[command] = capsys.readouterr().out
     for name in Overrides.__struct_fields__:
-        option = "--" + name.replace("_", "-").replace("package-dirs", "package-dir")
+        option = "--" + name.replace("_", "-").replace("package-dirs", "package-dir").replace(
+            "controllers-file", "controllers"
+        )
         assert [command for command, text in helps.items() if f"  {option} " not in text] == [], option
 
 

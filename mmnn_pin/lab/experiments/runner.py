@@ -183,8 +183,12 @@ def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[
     """Which controllers bear less delay beside their latency than the experiment wants."""
     margins = {name: run.meta["delay_margin"] for name, run in runs.items()}
     least = experiment.latency.margin + experiment.latency.total
-    short = ", ".join(f"{name} {1e3 * m:.3g}" for name, m in margins.items() if m is not None and m < least)
-    return [f"delay margin below {1e3 * least:.3g} ms: {short} ms; see latency.margin"] if short else []
+    short = {name: m for name, m in margins.items() if m is not None and m < least}
+    if not short:
+        return []
+    worst = min(short, key=short.__getitem__)
+    these = worst if len(short) == 1 else f"{len(short)} controllers, least {worst}"
+    return [f"delay margin below {1e3 * least:.3g} ms: {these} {1e3 * short[worst]:.3g} ms; see latency.margin"]
 
 
 def in_order(wanted: Sequence[str]) -> list[str]:

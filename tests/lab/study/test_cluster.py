@@ -168,7 +168,7 @@ def test_a_cluster_gives_the_local_rows_while_workers_die_and_join(
     local = run_here(here, tmp_path / "here")
     plan = planned(tmp_path / "there", study)
     assert len(list(plan.fingerprints())) == 96
-    assert any(name.endswith(".stl") for bundle in plan.bundles for name in bundle.files)
+    assert any(name.endswith(".stl") for bundle in plan.bundles.values() for name in bundle.files)
     victims = [cluster.processes[2]]
 
     def kill(done: object) -> None:
@@ -251,7 +251,7 @@ def test_a_worker_that_joins_later_judges_itself(tmp_path: Path, monkeypatch) ->
     task = planned(tmp_path).row(0)
     with pytest.raises(StudyError, match="runs other code of mmnn_pin than this machine"):
         worker.run(replace(task, code="other"))
-    monkeypatch.setattr(worker, "has", lambda module: False)
+    monkeypatch.setattr(worker.importlib.util, "find_spec", lambda module: None)
     contact = replace(task, experiment=msgspec.structs.replace(task.experiment, plant="contact"))
     with pytest.raises(
         StudyError, match=r"has no mujoco: the contact plant needs it: pip install 'mmnn_pin\[contact\]'"

@@ -278,7 +278,7 @@ def test_the_page_is_whole_and_tells_the_answer(done: Path, tmp_path: Path, caps
 def test_a_page_shows_names_as_text(done: Path) -> None:
     results = load_results(done)
     titled = msgspec.structs.replace(results.settings, title="<script>alert(1)</script>")
-    assert "<script" not in page.page(replace(results, settings=titled)).html
+    assert "<script" not in page(replace(results, settings=titled)).html
 
 
 def test_pictures_show_what_was_counted(done: Path) -> None:
