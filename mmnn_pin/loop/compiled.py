@@ -140,7 +140,7 @@ class CompiledLoop:
 
 
 def start_energy(robot: Robot, true: Machine) -> float:
-    """Kinetic and potential energy at the start [J]; `energy_of` would be compiled for this one call."""
+    """Kinetic and potential energy at the start [J], by functions that other callers have compiled already."""
     twin = Twin(robot)
     twin.refresh(true.position, true.nu)
     return 0.5 * quadratic(twin.M, true.nu) + twin.potential()
