@@ -257,7 +257,7 @@ def test_learners_of_a_holonomic_base_learn(name):
         assert (error < 0.7 * of_pd).all(), error / of_pd
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", first_of(LEARNERS, "adaptive_composite", "kalman_regressor"))
 def test_both_engines_and_fixed_weights_on_a_holonomic_base(name, monkeypatch):
     if config.DISABLE_JIT:
         monkeypatch.setattr("mmnn_pin.torque.kalman.SAMPLES", 10)  # of the prior: the time that plain Python takes

@@ -122,7 +122,7 @@ def assert_within(run, gain, top=SMALL):
     return (asked > 0.999 * top).any()
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", first_of(LEARNERS, "two_layer", "adaptive", "kalman_regressor"))
 def test_every_learner_in_both_engines_and_in_batches(name):
     loop = weak(name)
     run = assert_engines_agree(loop)
