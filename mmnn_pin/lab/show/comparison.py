@@ -28,7 +28,8 @@ TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 ABOUT = (
     "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
     "effective gain: mean of the whole gain on z (base) or r (arm), robust term included. "
-    "delay margin: least delay from measurement to torque with which the linearised loop is unstable, under the feedback alone or with the one inside Psi."
+    "delay margin: least delay from measurement to torque with which the linearised loop is unstable, under the "
+    "feedback alone or with the one inside Psi."
 )
 ABOUT_SHARES = (
     "better than pd = gain + learning: how much smaller the RMS error is, in % of pd's. gain: from pd to pd at the "
