@@ -63,7 +63,7 @@ def ros2(
     It is recorded as a run: mmnn plot, report and replay show it. Exit codes: 0 done, 1 tripped, 2 bad input or no
     robot there, 130 stopped by Ctrl-C. It needs: pip install 'mmnn_pin[ros2]'.
     """
-    from ..deploy.ros2.settings import load_settings
+    from ..deploy.ros2.reading import load_settings
     from ..deploy.ros2.wiring import example, rows
 
     if show_example:
@@ -98,7 +98,7 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
     Raises:
         InputError: They do not fit each other; with the line.
     """
-    from ..deploy.ros2.settings import line_of
+    from ..deploy.ros2.reading import line_of
     from ..deploy.ros2.wiring import interfaces
     from ..lab.experiments.config import load_experiment
 

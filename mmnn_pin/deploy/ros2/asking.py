@@ -8,49 +8,16 @@ takes it over without a jump.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
-
-import numpy as np
 
 from ...reference.wishes import BaseVelocity, Motion, Stand, Wish
 from ...signals import Array
 from . import messages as msg
-from .link import Inlet, Link
-from .planned import Arm, Refused, base_motion, rest_of
-from .sensing import STILL, Clock, Planar, Tree, composed, seconds, wrapped
+from .action import ArmAction
+from .link import Inlet, Link, decoded
+from .planned import Arm, Made, Planner, Refused, base_motion, rest_of
+from .sensing import STILL, Clock, Planar, Tree, composed, wrapped
 from .settings import Node
-
-Made = Motion | Stand
-
-
-class Planner:
-    """Makes motions one after the other, beside the control loop."""
-
-    def __init__(self) -> None:
-        self.pool = ThreadPoolExecutor(1, "planner")
-        self.open: list[tuple[Future[Made], Callable[[Made | Refused], Wish | None]]] = []
-
-    def plan(self, make: Callable[[], Made], done: Callable[[Made | Refused], Wish | None]) -> None:
-        """Make a motion; `done` is called in the control loop with it, or with why there is none."""
-        self.open.append((self.pool.submit(make), done))
-
-    def poll(self) -> list[Wish]:
-        """The motions that are ready, as far as they are still wanted."""
-        ready = [pair for pair in self.open if pair[0].done()]
-        self.open = [pair for pair in self.open if pair not in ready]
-        found = []
-        for future, done in ready:
-            error = future.exception()
-            outcome = future.result() if error is None else error if isinstance(error, Refused) else Refused(str(error))
-            if (wish := done(outcome)) is not None:
-                found.append(wish)
-        return found
-
-    def close(self) -> None:
-        """Plan nothing more."""
-        self.pool.shutdown(wait=False, cancel_futures=True)
 
 
 class Asking:
@@ -61,14 +28,15 @@ class Asking:
         arm: The robot's arm.
         settings: Topics and limits.
         tree: Frames.
-        planner: Makes motions.
 
     Attributes:
         route: The path that is followed, its frame, where that was placed, and since when [s]; None for none.
     """
 
-    def __init__(self, link: Link, arm: Arm, settings: Node, tree: Tree, planner: Planner) -> None:
-        self.arm, self.settings, self.tree, self.planner = arm, settings, tree, planner
+    def __init__(self, link: Link, arm: Arm, settings: Node, tree: Tree) -> None:
+        self.arm, self.settings, self.tree, self.planner = arm, settings, tree, Planner()
+        asked = settings.action
+        self.action = None if asked is None else ArmAction(link, arm, asked, self.planner)
         s = settings
         velocity = msg.TwistStamped if s.velocity is not None and s.velocity.stamped else msg.Twist
         kinds = ((s.velocity, velocity), (s.trajectory, msg.JointTrajectory), (s.path, msg.Path))
@@ -77,21 +45,25 @@ class Asking:
         self.inlets = [inlet for inlet in made if inlet is not None]
         self.route: tuple[Motion, str, Planar, float] | None = None
 
-    def poll(self, clock: Clock, steady: float, reference: Array) -> tuple[Wish, ...]:
+    def poll(self, clock: Clock, steady: float, reference: Array, measured: Array, stopped: bool) -> tuple[Wish, ...]:
         """What is asked from now on.
 
         Args:
             clock: The node's.
             steady: The machine's steady time [s].
             reference: (3, n) q, qdot, qddot of the arm's reference.
+            measured: (2, n) q, qdot.
+            stopped: Whether the supervisor has stopped the robot.
         """
         found: list[Wish] = []
         if self.velocity is not None and (message := self.velocity.newest(steady)) is not None:
             found += self._base_velocity(self.velocity, message, clock)
-        if self.trajectory is not None and (message := self.trajectory.newest(steady)) is not None:
-            self._arm_motion(message, clock, reference)
-        if self.path is not None and (message := self.path.newest(steady)) is not None:
-            self._base_path(self.path, message, clock)
+        if self.trajectory is not None and (data := self.trajectory.newest(steady, raw=True)) is not None:
+            self._arm_motion(self.trajectory, data, clock, reference)
+        if self.path is not None and (data := self.path.newest(steady, raw=True)) is not None:
+            self._base_path(self.path, data, clock)
+        if self.action is not None:
+            found += self.action.poll(clock, reference, measured, stopped)
         found += self.planner.poll()
         found += self._placed_anew(clock.now)
         return tuple(found)
@@ -108,39 +80,43 @@ class Asking:
         self.route = None
         return [BaseVelocity(given if self.arm.robot.dimensions.base == 3 else (given[0], given[2]))]
 
-    def _arm_motion(self, message: msg.JointTrajectory, clock: Clock, reference: Array) -> None:
-        since, now = begun(message.header.stamp, clock), reference.copy()
-        inlet = self.trajectory
+    def _arm_motion(self, inlet: Inlet, data: bytes, clock: Clock, reference: Array) -> None:
+        now = reference.copy()
+
+        def make() -> Made:
+            message = decoded(data, msg.JointTrajectory)
+            return self.arm.motion(message, now, clock.since(message.header.stamp))
 
         def done(made: Made | Refused) -> Wish | None:
             if isinstance(made, Refused):
-                assert inlet is not None
-                inlet.refuse(f"{made}")
+                inlet.refuse(str(made))
                 return None
+            if self.action is not None:
+                self.action.give_way("another motion came")
             return made
 
-        self.planner.plan(lambda: self.arm.motion(message, now, since), done)
+        self.planner.plan(make, done)
 
-    def _base_path(self, inlet: Inlet, message: msg.Path, clock: Clock) -> None:
-        frame = message.header.frame_id.lstrip("/")
-        arm, route, limits = self.arm, self.settings.path, self.settings.limits
+    def _base_path(self, inlet: Inlet, data: bytes, clock: Clock) -> None:
+        """Make a motion of a path, and place it by what `/tf` says when it is ready."""
+        arm, route, limits, frame = self.arm, self.settings.path, self.settings.limits, [""]
         assert route is not None
 
-        def done(made: Made | Refused) -> Wish | None:
-            placed = self.place_of(frame)
-            self.route = None
-            if isinstance(made, Refused) or placed is None:
-                why = (
-                    str(made) if isinstance(made, Refused) else f"no way from '{frame}' to the odometry's frame by /tf"
-                )
-                inlet.refuse(why)
-                return None
-            if isinstance(made, Stand):
-                return made
-            self.route = made, frame, placed, clock.now
-            return rest_of(made, 0.0, placed)
+        def make() -> Made:
+            message = decoded(data, msg.Path)
+            frame[0] = message.header.frame_id.lstrip("/")
+            return base_motion(message, route, limits, arm.robot, arm.period)
 
-        self.planner.plan(lambda: base_motion(message, route, limits, arm.robot, arm.period), done)
+        def done(made: Made | Refused) -> Wish | None:
+            placed = self.place_of(frame[0])
+            if isinstance(made, Refused) or placed is None:
+                unknown = f"no way from '{frame[0]}' to the odometry's frame by /tf"
+                inlet.refuse(str(made) if isinstance(made, Refused) else unknown)
+                return None
+            self.route = None if isinstance(made, Stand) else (made, frame[0], placed, clock.now)
+            return made if isinstance(made, Stand) else rest_of(made, 0.0, placed)
+
+        self.planner.plan(make, done)
 
     def place_of(self, frame: str) -> Planar | None:
         """Where a frame lies in the odometry's; None where that is not known."""
@@ -167,10 +143,7 @@ class Asking:
         return [rest_of(motion, now - since, there)]
 
     def close(self) -> None:
-        """Plan nothing more."""
+        """Plan nothing more, and answer nothing."""
         self.planner.close()
-
-
-def begun(stamp: msg.Time, clock: Clock) -> float:
-    """Time since the moment that a motion's stamp says; 0 for none, which is now [s]."""
-    return 0.0 if stamp.sec == 0 and stamp.nanosec == 0 else float(np.clip(clock.by_ros - seconds(stamp), -3600.0, 1e6))
+        if self.action is not None:
+            self.action.close()

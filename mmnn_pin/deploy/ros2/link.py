@@ -25,7 +25,7 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic as DdsTopic
 from cyclonedds.util import duration
 
-from ...errors import ConfigError
+from ...errors import ConfigError, MmnnError
 from .messages import ros, type_hash
 from .settings import Network
 from .wiring import resolved
@@ -40,6 +40,22 @@ XML = """<CycloneDDS><Domain Id="any">
 <Peers>{peers}</Peers></Discovery>
 <Compatibility><IgnoreTypeInformation>{vendor}</IgnoreTypeInformation></Compatibility>
 {config}</Domain></CycloneDDS>"""
+
+
+class Torn(MmnnError):
+    """Bytes that are no message of a type."""
+
+
+def decoded(data: bytes, kind: type[Any]) -> Any:
+    """A message.
+
+    Raises:
+        Torn: The bytes are none.
+    """
+    try:
+        return kind.deserialize(data)
+    except Exception as error:  # whatever a torn message makes of its decoder
+        raise Torn(f"no {ros(kind)}: {error}") from error
 
 
 class Inlet:
@@ -79,13 +95,13 @@ class Inlet:
             raise DDSException(found, f"while taking from {self.name}")
         return [message for data, info in found if (message := self._checked(data, info, now)) is not None]
 
-    def newest(self, now: float) -> Any:
-        """The newest message that came and is in order, or None."""
+    def newest(self, now: float, raw: bool = False) -> Any:
+        """The newest message that came and is in order, or None; raw as bytes, for `decoded` in another thread."""
         found = ddspy_take(self.reader._ref, ALL, self.depth)
         if isinstance(found, int):
             raise DDSException(found, f"while taking from {self.name}")
         for data, info in reversed(found):
-            if (message := self._checked(data, info, now)) is not None:
+            if (message := self._checked(data, info, now, raw)) is not None:
                 return message
         return None
 
@@ -103,7 +119,7 @@ class Inlet:
         counts = [f"{getattr(self, name)} {name}" for name in COUNTS if getattr(self, name)]
         return [f"{self.name}: {', '.join(counts)} messages dropped"] if counts else []
 
-    def _checked(self, data: bytes, info: Any, now: float) -> Any:
+    def _checked(self, data: bytes, info: Any, now: float, raw: bool = False) -> Any:
         """A message, or None where it is not to be believed; what comes without data tells that a publisher left."""
         if not info.valid_data:
             self.heard.pop(info.publication_handle, None)
@@ -115,9 +131,9 @@ class Inlet:
             self.malformed, self.why = self.malformed + 1, f"a message of {len(data):,} bytes"
             return None
         try:
-            return self.kind.deserialize(data)
-        except Exception as error:  # whatever a torn message makes of its decoder
-            self.malformed, self.why = self.malformed + 1, f"no {ros(self.kind)}: {error}"
+            return data if raw else decoded(data, self.kind)
+        except Torn as error:
+            self.malformed, self.why = self.malformed + 1, str(error)
             return None
 
     def _may_speak(self, source: int, now: float) -> bool:

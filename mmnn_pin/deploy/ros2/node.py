@@ -21,7 +21,7 @@ from ...loop.stepper import Stepper
 from ...recording.recording import Recording, Status
 from ...reference.wishes import Motion, Wish
 from . import messages as msg
-from .asking import Asking, Planner
+from .asking import Asking
 from .link import Inlet, Link, Outlet
 from .outputs import Commands, diagnostics
 from .planned import Arm
@@ -80,11 +80,11 @@ class Bridge:
     def __init__(self, stepper: Stepper, settings: Node, say: Callable[[str], None]) -> None:
         self.stepper, self.settings, self.said, self.problem = stepper, settings, say, ""
         robot, link = stepper.robot, Link(settings.network)
-        self.link, self.clock, self.tree, self.planner = link, Clock(settings.clock), Tree(), Planner()
+        self.link, self.clock, self.tree = link, Clock(settings.clock), Tree()
         self.sensing = Sensing(robot, settings, self.tree)
         self.commands = Commands(link, robot, settings)
         arm = Arm.of(robot, settings.joint_states.names, settings.limits, stepper.period)
-        self.asking = Asking(link, arm, settings, self.tree, self.planner)
+        self.asking = Asking(link, arm, settings, self.tree)
         self.joints = Inlet(link, settings.joint_states.topic, msg.JointState, settings.joint_states)
         by_topic = robot.dimensions.base and settings.odometry.pose == "odometry"
         self.base = Inlet(link, settings.odometry.topic, msg.Odometry, settings.odometry) if by_topic else None
@@ -168,7 +168,9 @@ class Bridge:
         """Read, step, send."""
         steady = self.read()
         d, follower = self.stepper.robot.dimensions, self.stepper.follower
-        asked = self.asking.poll(self.clock, steady, follower.now[follower.q :].reshape(3, d.arm))
+        reference = follower.now[follower.q :].reshape(3, d.arm)
+        arm = np.array([self.sensing.q[: d.arm], self.sensing.qdot[: d.arm]])
+        asked = self.asking.poll(self.clock, steady, reference, arm, self.stepper.tripped)
         measurement = self.sensing.measurement()
         measured = min(self.sensing.when, time) if measurement is not None else None
         command = self.stepper.step(time, measurement, asked + more or None, measured=measured)
@@ -255,7 +257,6 @@ class Bridge:
         for k in range(steps):
             self.commands.end(last, 1.0 - (k + 1) / steps, self.clock.stamp)
             clock.sleep(self.stepper.period)
-        self.asking.close()
 
     # -- what is wrong -------------------------------------------------------------------------------------------------
 

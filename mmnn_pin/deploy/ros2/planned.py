@@ -6,6 +6,8 @@ and with the number that the action `FollowJointTrajectory` has for it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +19,7 @@ from ...model.robot import Robot
 from ...reference.guide import ARM, BASE, Limits
 from ...reference.samples import Table
 from ...reference.trajectory import Trajectory
-from ...reference.wishes import Motion, Stand
+from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
 from . import messages as msg
 from .sensing import Planar, seconds
@@ -28,6 +30,9 @@ MOST_POINTS, LONGEST = 10_000, 3600.0  # of a trajectory, [s]
 AT_REST = 1e-3  # speed of the last point that counts as rest [rad/s or m/s]
 SPACING, WANDER = 0.05, 0.02  # of a path that is smoothed, and how far it may go beside its points [m]
 SLOWEST = 1e-3  # [m/s]
+
+
+Made = Motion | Stand
 
 
 class Refused(MmnnError):
@@ -143,6 +148,34 @@ class Arm:
             if fastest > 1.01 * self.speed[i]:
                 raise Refused(f"{name} at {fastest:.4g} /s: its limit is {self.speed[i]:.4g} /s (limits.joint_speed)")
         return rest_of(motion, elapsed)
+
+
+class Planner:
+    """Makes motions one after the other, beside the control loop."""
+
+    def __init__(self) -> None:
+        self.pool = ThreadPoolExecutor(1, "planner")
+        self.open: list[tuple[Future[Made], Callable[[Made | Refused], Wish | None]]] = []
+
+    def plan(self, make: Callable[[], Made], done: Callable[[Made | Refused], Wish | None]) -> None:
+        """Make a motion; `done` is called in the control loop with it, or with why there is none."""
+        self.open.append((self.pool.submit(make), done))
+
+    def poll(self) -> list[Wish]:
+        """The motions that are ready, as far as they are still wanted."""
+        ready = [pair for pair in self.open if pair[0].done()]
+        self.open = [pair for pair in self.open if pair not in ready]
+        found = []
+        for future, done in ready:
+            error = future.exception()
+            outcome = future.result() if error is None else error if isinstance(error, Refused) else Refused(str(error))
+            if (wish := done(outcome)) is not None:
+                found.append(wish)
+        return found
+
+    def close(self) -> None:
+        """Plan nothing more."""
+        self.pool.shutdown(wait=False, cancel_futures=True)
 
 
 def rest_of(motion: Motion, elapsed: float, shift: Planar | None = None) -> Motion:

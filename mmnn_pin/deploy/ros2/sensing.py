@@ -71,6 +71,11 @@ class Clock:
                 return
         self.simulated = told
 
+    def since(self, stamp: msg.Time) -> float:
+        """Time since the moment that a motion's stamp says; 0 for none, which is now [s]."""
+        none = stamp.sec == 0 and stamp.nanosec == 0
+        return 0.0 if none else min(max(self.by_ros - seconds(stamp), -3600.0), 1e6)
+
     def measured(self, stamp: msg.Time, oldest: float) -> float | str:
         """When something was measured, in the node's time [s]; a text where its stamp cannot be.
 
