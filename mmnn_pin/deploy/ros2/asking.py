@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
+
 from ...reference.wishes import BaseVelocity, Motion, Stand, Wish
 from ...signals import Array
 from . import messages as msg
 from .action import ArmAction
 from .link import Inlet, Link, decoded
-from .planned import Arm, Made, Planner, Refused, base_motion, rest_of
+from .planned import Arm, Made, Planner, Refused, base_motion, rest_of, smoothed
 from .sensing import STILL, Clock, Planar, Tree, composed, wrapped
 from .settings import Node
 
@@ -44,6 +46,15 @@ class Asking:
         self.velocity, self.trajectory, self.path = made
         self.inlets = [inlet for inlet in made if inlet is not None]
         self.route: tuple[Motion, str, Planar, float] | None = None
+
+    def rehearse(self) -> None:
+        """Make a motion of the arm and a path once: the first one takes longer, as libraries are loaded."""
+        here = self.arm.robot.rest[self.arm.robot.arm_index]
+        points = [msg.JointTrajectoryPoint(here.tolist(), [], [], [], msg.Duration(i)) for i in range(2)]
+        if here.size:
+            trajectory = msg.JointTrajectory(msg.Header(msg.Time()), list(self.arm.names), points)
+            self.arm.motion(trajectory, np.stack([here, 0.0 * here, 0.0 * here]))
+        smoothed(np.array([(0.0, 0.0), (1.0, 0.0)]))
 
     def poll(self, clock: Clock, steady: float, reference: Array, measured: Array, stopped: bool) -> tuple[Wish, ...]:
         """What is asked from now on.

@@ -19,6 +19,8 @@ from cyclonedds._clayer import ddspy_take, ddspy_write
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant
 from cyclonedds.core import DDSException, InstanceState, Listener, SampleState, ViewState
 from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import make_idl_struct
+from cyclonedds.idl.types import uint8
 from cyclonedds.pub import DataWriter
 from cyclonedds.qos import Policy, Qos
 from cyclonedds.sub import DataReader
@@ -30,7 +32,9 @@ from .messages import ros, type_hash
 from .settings import Network
 from .wiring import resolved
 
-FAST_DDS = "1.15"  # whose type information Cyclone does not follow where a type has sequences
+# Vendors whose description of types is not compared with ours: Cyclone does not follow that of Fast DDS where a type
+# has sequences, and readers here describe only the beginning of a message, so that torn ones are counted, not hidden.
+VENDORS = "1.15,1.16"
 ALL = SampleState.Any | ViewState.Any | InstanceState.Any
 COUNTS = ("malformed", "foreign", "surplus", "refused")  # of an inlet, what is told at the end
 XML = """<CycloneDDS><Domain Id="any">
@@ -38,12 +42,17 @@ XML = """<CycloneDDS><Domain Id="any">
 <AllowMulticast>false</AllowMulticast></General>
 <Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>{participants}</MaxAutoParticipantIndex>
 <Peers>{peers}</Peers></Discovery>
-<Compatibility><IgnoreTypeInformation>{vendor}</IgnoreTypeInformation></Compatibility>
+<Compatibility><IgnoreTypeInformation>{vendors}</IgnoreTypeInformation></Compatibility>
 {config}</Domain></CycloneDDS>"""
 
 
 class Torn(MmnnError):
     """Bytes that are no message of a type."""
+
+
+def beginning_of(kind: type[Any]) -> type[Any]:
+    """A type of the same name with nothing but the first byte: what comes is taken as bytes."""
+    return make_idl_struct("Beginning", kind.__idl_typename__, {"first": uint8})
 
 
 def decoded(data: bytes, kind: type[Any]) -> Any:
@@ -82,7 +91,9 @@ class Inlet:
         self.known: dict[int, bool] = {}  # publishers, and whether their address is that of a peer
         listener = Listener()
         listener.set_on_requested_incompatible_qos(self._clash)
-        self.reader = DataReader(link.participant, link.topic(self.name, kind), quality(settings, latched), listener)
+        self.reader = DataReader(
+            link.participant, link.topic(self.name, beginning_of(kind)), quality(settings, latched), listener
+        )
 
     def take(self, now: float) -> list[Any]:
         """The messages that came, oldest first, at most as many as the topic's depth.
@@ -90,20 +101,17 @@ class Inlet:
         Args:
             now: By the steady clock [s].
         """
-        found = ddspy_take(self.reader._ref, ALL, self.depth)
-        if isinstance(found, int):
-            raise DDSException(found, f"while taking from {self.name}")
-        return [message for data, info in found if (message := self._checked(data, info, now)) is not None]
+        return [message for data in self._admitted(now) if (message := self._read(data)) is not None]
 
     def newest(self, now: float, raw: bool = False) -> Any:
         """The newest message that came and is in order, or None; raw as bytes, for `decoded` in another thread."""
-        found = ddspy_take(self.reader._ref, ALL, self.depth)
-        if isinstance(found, int):
-            raise DDSException(found, f"while taking from {self.name}")
-        for data, info in reversed(found):
-            if (message := self._checked(data, info, now, raw)) is not None:
-                return message
-        return None
+        came = reversed(self._admitted(now))
+        return next((message for data in came if (message := data if raw else self._read(data)) is not None), None)
+
+    @property
+    def dropped(self) -> int:
+        """How many were dropped for any reason."""
+        return self.malformed + self.foreign + self.surplus + self.refused
 
     @property
     def publishers(self) -> int:
@@ -119,19 +127,28 @@ class Inlet:
         counts = [f"{getattr(self, name)} {name}" for name in COUNTS if getattr(self, name)]
         return [f"{self.name}: {', '.join(counts)} messages dropped"] if counts else []
 
-    def _checked(self, data: bytes, info: Any, now: float, raw: bool = False) -> Any:
-        """A message, or None where it is not to be believed; what comes without data tells that a publisher left."""
-        if not info.valid_data:
-            self.heard.pop(info.publication_handle, None)
-            return None
-        self.received += 1
-        if not self._may_speak(info.publication_handle, now):
-            return None
-        if len(data) > self.link.network.largest:
-            self.malformed, self.why = self.malformed + 1, f"a message of {len(data):,} bytes"
-            return None
+    def _admitted(self, now: float) -> list[bytes]:
+        """What came from those who may speak; what comes without data tells that a publisher left."""
+        found, admitted = ddspy_take(self.reader._ref, ALL, self.depth), []
+        if isinstance(found, int):
+            raise DDSException(found, f"while taking from {self.name}")
+        for data, info in found:
+            if not info.valid_data:
+                self.heard.pop(info.publication_handle, None)
+                continue
+            self.received += 1
+            if not self._may_speak(info.publication_handle, now):
+                continue
+            if len(data) > self.link.network.largest:
+                self.malformed, self.why = self.malformed + 1, f"a message of {len(data):,} bytes"
+            else:
+                admitted.append(data)
+        return admitted
+
+    def _read(self, data: bytes) -> Any:
+        """A message, or None where the bytes are none."""
         try:
-            return data if raw else decoded(data, self.kind)
+            return decoded(data, self.kind)
         except Torn as error:
             self.malformed, self.why = self.malformed + 1, str(error)
             return None
@@ -203,8 +220,8 @@ class Link:
             self.domain = Domain(network.domain, configuration(network, addresses))
             self.participant = DomainParticipant(network.domain, Qos(Policy.Userdata(b"enclave=/;")))
         except DDSException as error:
-            why = "Cyclone DDS says above what is wrong"
             fix = f"see the interfaces of this machine, and network.config; '{network.interface}' is asked for"
+            why = "Cyclone DDS says above what is wrong"
             raise ConfigError("no way into the network", why=why, fix=fix, key="network.interface") from error
         self.participants = BuiltinDataReader(self.participant, BuiltinTopicDcpsParticipant)
 
@@ -254,7 +271,7 @@ def configuration(network: Network, addresses: Iterable[str]) -> str:
     peers = "".join(f'<Peer Address="{escape(address)}"/>' for address in addresses)
     interface = f'{kind}="{escape(network.interface)}"'
     return XML.format(
-        interface=interface, participants=network.participants, peers=peers, vendor=FAST_DDS, config=network.config
+        interface=interface, participants=network.participants, peers=peers, vendors=VENDORS, config=network.config
     )
 
 

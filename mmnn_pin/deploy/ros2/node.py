@@ -193,6 +193,7 @@ class Bridge:
         switch = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH)
         try:
+            self.asking.rehearse()
             self.meet(patience)
             gc.collect()
             gc.freeze()  # what is there is no garbage: a collection looks only at what comes
@@ -209,8 +210,9 @@ class Bridge:
         return self.stepper.finish(status, told, {"late": late})
 
     def _drive(self, seconds: float, motion: Motion | None) -> tuple[Status, str]:
+        before = self.clock.now
         self.clock.start()
-        self.sensing.heard[:], self.sensing.placed, self.sensing.is_new = 0.0, 0.0, True
+        self.sensing.shift(before)
         self.pace, watched, reported = Pace(self.stepper.period), 0.0, -math.inf
         told, asked = self.settings.diagnostics, () if motion is None else (motion,)
         while not self.stepper.is_over:
@@ -273,8 +275,7 @@ class Bridge:
             self.stepper.stop(f"stopped by {signal.Signals(self.stopped[0]).name}")
         problems = []
         for inlet in self.inlets:
-            dropped = inlet.malformed + inlet.foreign + inlet.surplus + inlet.refused
-            if dropped > self.before[inlet.name]:
+            if (dropped := inlet.dropped) > self.before[inlet.name]:
                 problems.append(f"{inlet.name}: {dropped - self.before[inlet.name]} dropped: {inlet.why}")
                 self.before[inlet.name] = dropped
         if lacking := self.sensing.lacking(self.clock.now):

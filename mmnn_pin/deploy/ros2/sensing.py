@@ -172,6 +172,11 @@ class Sensing:
         self.is_new, n = False, self.robot.dimensions.arm
         return Measurement(self.pose, self.velocity, self.q[:n], self.qdot[:n])
 
+    def shift(self, by: float) -> None:
+        """Count time from a later moment [s]."""
+        self.heard -= by
+        self.placed -= by
+
     def lacking(self, now: float) -> str:
         """Which parts of the measurement have not come for longer than their age allows; empty for none."""
         late = [
