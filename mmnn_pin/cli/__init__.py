@@ -19,6 +19,7 @@ from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
 from .results import export, plot, prove, replay, report
 from .robot import check, inspect, model
+from .ros2 import ros2
 from .run import list_, readings, run
 from .study import study, tune
 
@@ -64,7 +65,7 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-for command in (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_):
+for command in (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, ros2, list_):
     mmnn.add_command(command)
 
 

@@ -146,8 +146,8 @@ class Follower:
                 planned_here = isinstance(course, Reach)  # from the last reference, which is dt old
                 self.courses[part], self.begun[part] = course, time - (dt if planned_here else 0.0)
                 self._join(part, time, dt)
-        else:
-            for part in (BASE, ARM):
+        elif isinstance(wish, Stand):
+            for part in wish.parts:
                 self._leave(part)
 
     def _join(self, part: int, time: float, dt: float) -> None:

@@ -26,8 +26,15 @@ from .trajectory import Trajectory
 MOST_ROWS = 10_000_000  # of a motion
 
 
+@dataclass(frozen=True)
 class Stand:
-    """Brake base and arm within the limits of their accelerations, and stand."""
+    """Brake within the limits of the accelerations, and stand.
+
+    Args:
+        parts: Which parts of the robot; base and arm by default.
+    """
+
+    parts: tuple[int, ...] = (BASE, ARM)
 
 
 HOLD = Stand()

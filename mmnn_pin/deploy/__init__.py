@@ -1,0 +1,1 @@
+"""Out of the simulation: what takes a controller to a robot."""

@@ -1,0 +1,268 @@
+"""Motions out of a planner's messages: what is asked of the arm over time, and a path of the base along its length.
+
+A motion that breaks a rule of `joint_trajectory_controller`, the joints' ends or their speeds is refused with a line
+and with the number that the action `FollowJointTrajectory` has for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...elementary.arrays import atan2
+from ...errors import MmnnError, TrajectoryError
+from ...model.robot import Robot
+from ...reference.guide import ARM, BASE, Limits
+from ...reference.samples import Table
+from ...reference.trajectory import Trajectory
+from ...reference.wishes import Motion, Stand, Wish
+from ...signals import Array, Setpoint
+from . import messages as msg
+from .sensing import Planar, seconds
+from .settings import Route
+
+OKAY, INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = 0, -1, -2, -3, -4, -5
+MOST_POINTS, LONGEST = 10_000, 3600.0  # of a trajectory, [s]
+AT_REST = 1e-3  # speed of the last point that counts as rest [rad/s or m/s]
+SPACING, WANDER = 0.05, 0.02  # of a path that is smoothed, and how far it may go beside its points [m]
+SLOWEST = 1e-3  # [m/s]
+
+
+Made = Motion | Stand
+
+
+class Refused(MmnnError):
+    """A motion that is not followed.
+
+    Args:
+        why: In one line.
+        code: As `FollowJointTrajectory` numbers it.
+    """
+
+    def __init__(self, why: str, code: int = INVALID_GOAL) -> None:
+        self.code = code
+        super().__init__(why)
+
+
+@dataclass(frozen=True)
+class Arm:
+    """What of a robot a motion of its arm has to know.
+
+    Attributes:
+        robot: The robot.
+        names: Its joints as the planner calls them.
+        speed: (n,) their largest speeds.
+        period: Between two samples [s].
+    """
+
+    robot: Robot
+    names: tuple[str, ...]
+    speed: Array
+    period: float
+
+    @classmethod
+    def of(cls, robot: Robot, names: dict[str, str], limits: Limits, period: float) -> Arm:
+        """Of a robot, with the names that the planner has for its joints."""
+        called = tuple(names.get(name, name) for name in robot.joint_names)
+        return cls(robot, called, limits.of_arm(robot)[0], period)
+
+    def motion(self, message: msg.JointTrajectory, now: ArrayLike, since: float = 0.0) -> Motion | Stand:
+        """The motion that a message asks for; standing where it has no points.
+
+        Args:
+            message: Of the planner. Joints that it does not name stay where the reference is.
+            now: (3, n) q, qdot, qddot of the reference.
+            since: Time since the moment at which the message's time begins; negative before it [s].
+
+        Raises:
+            Refused: It breaks a rule.
+        """
+        if not message.points:
+            return Stand((ARM,))
+        columns, at = self._columns(message), self._times(message)
+        start = np.asarray(now, float)
+        if since >= at[-1]:
+            raise Refused(f"it was over {since - at[-1]:.3g} s ago", OLD_STAMP)
+        at = at - min(since, 0.0)
+        parts = []
+        for i, name in enumerate(("positions", "velocities", "accelerations")):
+            given = [list(getattr(point, name)) for point in message.points]
+            if i and not any(given):
+                break
+            parts.append(self._filled(given, name, columns, start[0] if i == 0 else np.zeros(len(self.names))))
+        if len(parts) > 1 and np.abs(parts[1][-1]).max(initial=0.0) > AT_REST:
+            raise Refused("its last point is not at rest")
+        if at[0] > 0.0:
+            at, parts = np.append(0.0, at), [np.vstack([start[i], part]) for i, part in enumerate(parts)]
+        if len(at) < 2:
+            raise Refused("one point at time 0", INVALID_GOAL)
+        return self._within(self._made(at, parts), max(since, 0.0))
+
+    def _columns(self, message: msg.JointTrajectory) -> Array:
+        """Places of its joints in ours."""
+        unknown = [name for name in message.joint_names if name not in self.names]
+        if unknown or not message.joint_names or len(set(message.joint_names)) < len(message.joint_names):
+            why = f"joints {', '.join(unknown)}" if unknown else "no joints, or one twice"
+            raise Refused(f"{why}: there is {', '.join(self.names)}", INVALID_JOINTS)
+        return np.array([self.names.index(name) for name in message.joint_names])
+
+    def _times(self, message: msg.JointTrajectory) -> Array:
+        at = np.array([seconds(point.time_from_start) for point in message.points])
+        if len(at) > MOST_POINTS or at[-1] > LONGEST:
+            raise Refused(f"{len(at):,} points in {at[-1]:g} s: at most {MOST_POINTS:,} in {LONGEST:g} s")
+        if at[0] < 0.0 or (np.diff(at) <= 0.0).any():
+            raise Refused("its times do not increase from 0 on")
+        return at
+
+    def _filled(self, given: list[list[float]], name: str, columns: Array, rest: Array) -> Array:
+        """(k, n) values of all joints at the points; those that are not named rest."""
+        if any(len(one) != len(columns) for one in given):
+            raise Refused(f"{name} for {len(columns)} joints are missing at a point")
+        values = np.tile(rest, (len(given), 1))
+        values[:, columns] = given
+        if not np.isfinite(values).all():
+            raise Refused(f"{name} that are not finite")
+        return values
+
+    def _made(self, at: Array, parts: list[Array]) -> Motion:
+        try:
+            return Motion.through(at, parts[0], self.period, self.robot.dimensions, *parts[1:])
+        except TrajectoryError as error:
+            raise Refused(error.what) from error
+
+    def _within(self, motion: Motion, elapsed: float) -> Motion:
+        """The rest of a motion whose joints keep to their ends and speeds."""
+        d = self.robot.dimensions
+        setpoints = Setpoint.side_by_side(motion.table, d)
+        low, high = self.robot.lower[self.robot.arm_index] - 1e-6, self.robot.upper[self.robot.arm_index] + 1e-6
+        for i, name in enumerate(self.names):
+            q, fastest = setpoints.q[:, i], np.abs(setpoints.qdot[:, i]).max()
+            if q.min() < low[i] or q.max() > high[i]:
+                raise Refused(
+                    f"{name} from {q.min():.4g} to {q.max():.4g}: its ends are {low[i]:.4g} and {high[i]:.4g}"
+                )
+            if fastest > 1.01 * self.speed[i]:
+                raise Refused(f"{name} at {fastest:.4g} /s: its limit is {self.speed[i]:.4g} /s (limits.joint_speed)")
+        return rest_of(motion, elapsed)
+
+
+class Planner:
+    """Makes motions one after the other, beside the control loop."""
+
+    def __init__(self) -> None:
+        self.pool = ThreadPoolExecutor(1, "planner")
+        self.open: list[tuple[Future[Made], Callable[[Made | Refused], Wish | None]]] = []
+
+    def plan(self, make: Callable[[], Made], done: Callable[[Made | Refused], Wish | None]) -> None:
+        """Make a motion; `done` is called in the control loop with it, or with why there is none."""
+        self.open.append((self.pool.submit(make), done))
+
+    def poll(self) -> list[Wish]:
+        """The motions that are ready, as far as they are still wanted."""
+        ready = [pair for pair in self.open if pair[0].done()]
+        self.open = [pair for pair in self.open if pair not in ready]
+        found = []
+        for future, done in ready:
+            error = future.exception()
+            outcome = future.result() if error is None else error if isinstance(error, Refused) else Refused(str(error))
+            if (wish := done(outcome)) is not None:
+                found.append(wish)
+        return found
+
+    def close(self) -> None:
+        """Plan nothing more."""
+        self.pool.shutdown(wait=False, cancel_futures=True)
+
+
+def rest_of(motion: Motion, elapsed: float, shift: Planar | None = None) -> Motion:
+    """What is left of a motion after some time [s], its path moved in the plane."""
+    k = min(round(elapsed / motion.period), len(motion.table) - 1)
+    return replace(motion, table=motion.table[k:], shift=motion.shift if shift is None else np.array(shift))
+
+
+def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, period: float) -> Motion | Stand:
+    """A path of the base from rest to rest, along its arc length, in the frame of the message; standing without poses.
+
+    The points are smoothed by a spline of degree five that stays within 2 cm of them on average. Speed is as high as
+    the yaw rate, the sideways acceleration and the acceleration along the path allow. Poses that look against the way
+    are driven tail first.
+
+    Args:
+        message: Of the planner.
+        route: Speeds and accelerations.
+        limits: What the robot keeps to.
+        robot: The robot.
+        period: Between two samples [s].
+
+    Raises:
+        Refused: Points that are not finite, too many, or all in one place; no base to follow.
+    """
+    if not robot.dimensions.base:
+        raise Refused("a path for a robot without a base")
+    if not message.poses:
+        return Stand((BASE,))
+    if len(message.poses) > MOST_POINTS:
+        raise Refused(f"{len(message.poses):,} poses: at most {MOST_POINTS:,}")
+    points = np.array([(one.pose.position.x, one.pose.position.y) for one in message.poses])
+    if not (np.abs(points) < 1e6).all():
+        raise Refused("poses that are not finite")
+    x, y, phi, bend, s = smoothed(points)
+    first = message.poses[0].pose.orientation
+    looks = np.arctan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
+    back = np.cos(looks - phi[0]) < -0.5 and len(message.poses) > 1
+    v, t = driven(s, bend, route, limits)
+    slower = np.ceil(t[-1] / period) * period / t[-1]  # a whole number of samples
+    v, t = v / slower, t * slower
+    along = -v if back else v
+    pose = np.stack([x, y, phi + (np.pi if back else 0.0)], axis=1)
+    turn = bend * v
+    velocity = np.stack([along, turn] if robot.dimensions.base == 2 else [along, np.zeros_like(v), turn], axis=1)
+    try:
+        return Motion.of(Trajectory(Table(t, pose, velocity)), float(t[-1]), period, robot.dimensions)
+    except TrajectoryError as error:
+        raise Refused(error.what) from error
+
+
+def smoothed(points: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """x, y, heading, curvature and arc length of a smooth path near some points.
+
+    Raises:
+        Refused: All in one place.
+    """
+    from scipy.interpolate import splev, splprep
+
+    step = np.hypot(*np.diff(points, axis=0).T)
+    points = points[np.append(True, step > 1e-3)]
+    length = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    if length[-1] < SPACING:
+        raise Refused("poses that are all in one place")
+    count = max(8, round(length[-1] / SPACING) + 1)
+    at = np.linspace(0.0, length[-1], count)
+    dense = [np.interp(at, length, column) for column in points.T]
+    weights = np.ones(count)
+    weights[[0, -1]] = 100.0  # it begins and ends where it should
+    spline, _ = splprep(dense, w=weights, u=at, k=5, s=count * WANDER**2)
+    u = np.linspace(0.0, length[-1], max(50, 4 * count))
+    (x, y), (dx, dy), (ddx, ddy) = (splev(u, spline, der=i) for i in range(3))
+    rate = np.hypot(dx, dy)
+    s = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(u)))
+    return x, y, np.unwrap(atan2(dy, dx)), (dx * ddy - dy * ddx) / rate**3, s
+
+
+def driven(s: Array, bend: Array, route: Route, limits: Limits) -> tuple[Array, Array]:
+    """Speed along a path from rest to rest, and the times of its points."""
+    sharp = np.maximum(np.abs(bend), 1e-9)
+    most = np.minimum(
+        min(route.speed, limits.speed), np.minimum(limits.yaw_rate / sharp, np.sqrt(route.lateral / sharp))
+    )
+    most[[0, -1]] = 0.0
+    a = min(route.acceleration, limits.acceleration)
+    for order in (range(1, len(s)), range(len(s) - 2, -1, -1)):
+        for i in order:
+            before = i - order.step
+            most[i] = min(most[i], np.sqrt(most[before] ** 2 + 2.0 * a * abs(s[i] - s[before])))
+    return most, np.append(0.0, np.cumsum(np.diff(s) / np.maximum(0.5 * (most[1:] + most[:-1]), SLOWEST)))

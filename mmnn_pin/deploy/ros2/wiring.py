@@ -1,0 +1,185 @@
+"""What a robot and a file of settings make together, before anything speaks: who takes what, and an example."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from ...errors import ConfigError, UnknownName
+from ...model.robot import Robot
+from .settings import Network, Node
+
+EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. `mmnn ros2 --help` and docs/ros2.md explain.
+# Topics without a leading / get network.namespace.
+
+robot = "{robot}"             # name or URDF file
+experiment = "track"          # where gains, learners and the supervisor come from; [set] changes its keys
+controller = "pd"             # see mmnn list
+rate = 200.0                  # control samples per second
+latency = 0.005               # known delay from the measurement to the motors [s], which the gains have to bear
+
+[set]
+feedback = {{ scaling = "inertia", base = 15.0, arm = 20.0 }}    # bandwidths [1/s]
+safety = {{ torque = "urdf", position_error = 0.5, heading_error = 0.5, joint_error = 0.5, timeout = 0.5 }}
+
+[network]
+domain = 0                    # ROS_DOMAIN_ID
+interface = "lo"              # name or address of the network interface
+peers = ["127.0.0.1"]         # who is looked for, and listened to
+
+[clock]
+source = "steady"             # "sim" with use_sim_time
+stamps = "check"              # "ignore" where the clocks of robot and controller are not synchronised
+
+[joint_states]
+topic = "/joint_states"
+age = 0.1                     # older ones are refused [s]
+# names = {{ arm_1_joint = "left_arm_1_joint" }}    # URDF = as the robot calls it
+{odometry}
+[trajectory]                  # trajectory_msgs/JointTrajectory
+topic = "/mmnn/joint_trajectory"
+
+[action]                      # control_msgs/FollowJointTrajectory, as MoveIt sends it
+name = "/mmnn/follow_joint_trajectory"
+
+[limits]                      # of references made on the way
+speed = 0.5                   # [m/s]
+yaw_rate = 1.0                # [rad/s]
+joint_acceleration = 5.0      # [rad/s^2 or m/s^2]
+
+[diagnostics]
+topic = "/diagnostics"
+rate = 10.0
+
+# A table per controller of ros2_control; together they command every motor once.
+{commands}"""
+BASE = """
+[odometry]
+topic = "/odom"
+age = 0.2
+# at = [0.0, 0.0, 0.0]        # control frame in the message's child frame, where that is no link of the URDF
+
+[velocity]                    # geometry_msgs/Twist of a joystick or a navigation stack
+topic = "/cmd_vel"
+stamped = false
+
+[path]                        # nav_msgs/Path
+topic = "/plan"
+speed = 0.3
+
+# [tf]                        # for paths in the frame of a map
+# map = "map"
+# odom = "odom"
+"""
+WHEELS = """[[commands]]
+topic = "/diff_drive_controller/cmd_vel"
+type = "TwistStamped"
+
+"""
+ARM = """[[commands]]
+topic = "/effort_controller/commands"
+type = "Float64MultiArray"
+interface = "effort"
+joints = [{joints}]
+"""
+
+
+class Row(NamedTuple):
+    """A topic or an action of the node: which way, its name, type and quality of service, and what it is for."""
+
+    way: str
+    name: str
+    type: str
+    qos: str
+    what: str
+
+
+def interfaces(robot: Robot, settings: Node) -> dict[str, str]:
+    """What every motor takes, by the commands that are sent to it.
+
+    Raises:
+        UnknownName: A joint that is no motor of the robot.
+        ConfigError: A motor that nothing commands, or two do.
+    """
+    names, found = names_of(robot, settings), dict[str, str]()
+    wheels = robot.actuator_names[: robot.dimensions.motors - robot.dimensions.arm]
+    for i, output in enumerate(settings.commands):
+        if output.is_twist and not wheels:
+            raise ConfigError("a twist for a robot without a base", fix="leave it out", key=f"commands.{i}.type")
+        for joint in wheels if output.is_twist else output.joints:
+            if not output.is_twist and joint not in names:
+                raise UnknownName("joint", joint, names, key=f"commands.{i}.joints")
+            own = joint if output.is_twist else names[joint]
+            if own in found:
+                raise ConfigError(f"{own} is commanded twice", fix="name it once", key=f"commands.{i}.joints")
+            found[own] = "velocity" if output.is_twist else output.interface
+    if missing := [name for name in robot.actuator_names if name not in found]:
+        fix = "add them to a table [[commands]]; wheels also by a TwistStamped; or --lock joints that have no motor"
+        raise ConfigError(f"nothing commands {', '.join(missing)}", fix=fix, key="commands")
+    return found
+
+
+def names_of(robot: Robot, settings: Node) -> dict[str, str]:
+    """Motors by the names that the robot has for them."""
+    theirs = settings.joint_states.names
+    return {theirs.get(name, name): name for name in robot.actuator_names}
+
+
+def rows(robot: Robot, settings: Node) -> list[Row]:
+    """All topics and actions of the node."""
+    s, has_base = settings, bool(robot.dimensions.base)
+
+    def heard(table: Any, kind: str, what: str) -> Row:
+        return Row(
+            "subscribes", resolved(s.network, table.topic), kind, f"{table.reliability}, depth {table.depth}", what
+        )
+
+    def sent(name: str, kind: str, qos: str, what: str) -> Row:
+        return Row("publishes", resolved(s.network, name), kind, qos, what)
+
+    found = [heard(s.joint_states, "sensor_msgs/msg/JointState", ", ".join(names_of(robot, s)))]
+    if has_base and s.odometry.pose == "odometry":
+        found.append(heard(s.odometry, "nav_msgs/msg/Odometry", "pose and velocity of the base"))
+    if s.clock.source == "sim":
+        found.append(Row("subscribes", "/clock", "rosgraph_msgs/msg/Clock", "best_effort, depth 4", "the time"))
+    if s.tf is not None:
+        found.append(heard(s.tf, "tf2_msgs/msg/TFMessage", f"{s.tf.map}, {s.tf.odom}, {s.tf.base}"))
+        found.append(Row("subscribes", "/tf_static", "tf2_msgs/msg/TFMessage", "reliable, transient local", "likewise"))
+    if s.velocity is not None:
+        kind = "TwistStamped" if s.velocity.stamped else "Twist"
+        found.append(heard(s.velocity, f"geometry_msgs/msg/{kind}", "velocity of the base"))
+    if s.trajectory is not None:
+        found.append(heard(s.trajectory, "trajectory_msgs/msg/JointTrajectory", "motions of the arm"))
+    if s.path is not None:
+        found.append(heard(s.path, "nav_msgs/msg/Path", "paths of the base"))
+    if s.action is not None:
+        kind = "control_msgs/action/FollowJointTrajectory"
+        found.append(Row("serves", resolved(s.network, s.action.name), kind, "reliable", "motions of the arm"))
+    for output in s.commands:
+        package = {"Float64MultiArray": "std_msgs", "JointTrajectory": "trajectory_msgs"}.get(
+            output.type, "geometry_msgs"
+        )
+        what = "velocity of the base" if output.is_twist else f"{output.interface} of {', '.join(output.joints)}"
+        qos = f"{output.reliability}, depth {output.depth}"
+        found.append(sent(output.topic, f"{package}/msg/{output.type}", qos, what))
+    if s.diagnostics is not None:
+        kind = "diagnostic_msgs/msg/DiagnosticArray"
+        found.append(sent(s.diagnostics.topic, kind, "reliable, depth 4", "supervisor, errors, Psi_hat"))
+    return found
+
+
+def resolved(network: Network, name: str) -> str:
+    """A topic's full name."""
+    return name if name.startswith("/") else f"{network.namespace.rstrip('/')}/{name}"
+
+
+def example(robot: Robot, name: str) -> str:
+    """A file of settings for a robot, to be adapted.
+
+    Args:
+        robot: The robot.
+        name: As the user named it.
+    """
+    joints = ", ".join(f'"{joint}"' for joint in robot.joint_names)
+    has_base = bool(robot.dimensions.base)
+    commands = (WHEELS if has_base else "") + (ARM.format(joints=joints) if joints else "")
+    return EXAMPLE.format(name=robot.name, robot=name, odometry=BASE if has_base else "", commands=commands)

@@ -1,0 +1,181 @@
+"""A simulated robot as a node of real ROS 2 (rclpy): two wheels with velocity servos, an arm with effort motors.
+
+It knows nothing of this package. It tells as JSON how it was driven.
+
+    python robot_node.py SECONDS [FAULT@TIME ...]
+"""
+
+import json
+import math
+import os
+import sys
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+RATE, STEP, INERTIA, DAMPING, LAG = 50.0, 0.0025, (1.2, 0.4), 0.5, 0.05
+NAMES = ("wheel_left_joint", "arm_1_joint", "wheel_right_joint", "arm_2_joint")
+TIMEOUT = 0.5  # of the base's controller, as that of diff_drive_controller [s]
+
+
+class Robot:
+    """State, and what is commanded."""
+
+    def __init__(self, node, faults):
+        self.node, self.faults, self.t = node, faults, 0.0
+        self.pose, self.v, self.q, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.2, -0.3], [0.0, 0.0]
+        self.asked, self.effort, self.heard, self.counts = [0.0, 0.0], [0.0, 0.0], -math.inf, {"twist": 0, "effort": 0}
+        self.log, self.told = [], 0
+        node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 10)
+        node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 10)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
+        self.drive = node.create_publisher(Twist, "/cmd_vel", 10)
+        self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
+        self.open()
+
+    def open(self):
+        kind = ReliabilityPolicy.BEST_EFFORT if "best_effort" in self.faults else ReliabilityPolicy.RELIABLE
+        self.joints = self.node.create_publisher(JointState, "/joint_states", QoSProfile(depth=1, reliability=kind))
+        self.odom = self.node.create_publisher(Odometry, "/odom", 10)
+
+    def close(self):
+        self.node.destroy_publisher(self.joints)
+        self.node.destroy_publisher(self.odom)
+        self.joints = None
+
+    def on_twist(self, message):
+        self.asked, self.heard = [message.twist.linear.x, message.twist.angular.z], self.t
+        self.counts["twist"] += 1
+
+    def on_effort(self, message):
+        self.effort, self.counts["effort"] = list(message.data), self.counts["effort"] + 1
+
+    def on_diagnostics(self, message):
+        self.told += 1
+
+    def active(self, name):
+        """Whether a fault is on: from its time on, and for a second where it says so."""
+        return (
+            name in self.faults
+            and self.t >= self.faults[name]
+            and (self.t < self.faults[name] + 1 or "for" not in name)
+        )
+
+    def step(self, h):
+        asked = self.asked if self.t - self.heard < TIMEOUT else [0.0, 0.0]
+        for i in range(2):
+            self.v[i] += h / LAG * (asked[i] - self.v[i])
+            self.qdot[i] += h / INERTIA[i] * (self.effort[i] - DAMPING * self.qdot[i])
+            self.q[i] += h * self.qdot[i]
+        self.pose[0] += h * self.v[0] * math.cos(self.pose[2])
+        self.pose[1] += h * self.v[0] * math.sin(self.pose[2])
+        self.pose[2] += h * self.v[1]
+        self.t += h
+        self.log.append([self.t, *self.pose, *self.v, *self.q, *self.qdot])
+
+    def tell(self, k):
+        """Publish what is measured, with what is broken about it."""
+        if self.active("kill"):
+            os._exit(9)
+        if self.active("restart_for") and self.t < self.faults["restart_for"] + 0.2:
+            if self.joints is not None:
+                self.close()
+            return
+        if self.joints is None:
+            self.open()
+        stamp = self.node.get_clock().now().to_msg()
+        stamp.sec += 3600 if self.active("ahead") else -3600 if self.active("back") else 0
+        state = dict(
+            zip(NAMES, [(0.0, 0.0), (self.q[0], self.qdot[0]), (0.0, 0.0), (self.q[1], self.qdot[1])], strict=True)
+        )
+        names = list(NAMES)
+        if self.active("permuted_for") and k % 2:
+            names.reverse()
+        if self.active("missing"):
+            names.remove("arm_2_joint")
+        message = JointState(name=names, position=[state[n][0] for n in names], velocity=[state[n][1] for n in names])
+        message.header.stamp = stamp
+        if self.active("nan") or (self.active("nan_for") and k % 3 == 0):
+            message.position[names.index("arm_1_joint")] = math.nan
+        if self.active("half") or (self.active("half_for") and k % 2):
+            whole = serialize_message(message)
+            self.joints.publish(whole[: len(whole) // 2])
+        else:
+            self.joints.publish(message)
+        if self.active("duplicate_for"):
+            if not hasattr(self, "second"):
+                self.second = self.node.create_publisher(JointState, "/joint_states", 10)
+            message.position = [1.0] * len(names)
+            self.second.publish(message)
+        elif hasattr(self, "second"):
+            self.node.destroy_publisher(self.second)
+            del self.second
+        odometry = Odometry(child_frame_id="base_footprint")
+        odometry.header.stamp, odometry.header.frame_id = stamp, "odom"
+        odometry.pose.pose.position.x, odometry.pose.pose.position.y = self.pose[:2]
+        odometry.pose.pose.orientation.z, odometry.pose.pose.orientation.w = (
+            math.sin(self.pose[2] / 2),
+            math.cos(self.pose[2] / 2),
+        )
+        odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = self.v
+        self.odom.publish(odometry)
+
+    def ask(self, k, begun):
+        """Drive the base and move the arm from half a second after the first command on."""
+        since = self.t - begun
+        if since > 0.5 and k % 5 == 0 and not self.active("silent_joystick"):
+            command = Twist()
+            command.linear.x, command.angular.z = 0.2, 0.3
+            self.drive.publish(command)
+        if since > 0.5 and not hasattr(self, "asked_arm") and "no_plan" not in self.faults:
+            self.asked_arm = self.t
+            message = JointTrajectory(joint_names=["arm_2_joint", "arm_1_joint"])
+            for i, q in enumerate(([-0.3, 0.2], [0.1, 0.5], [0.4, 0.8])):
+                point = JointTrajectoryPoint(positions=[float(x) for x in q])
+                point.time_from_start.sec = i
+                message.points.append(point)
+            self.plan.publish(message)
+
+
+def main():
+    seconds, faults = float(sys.argv[1]), {}
+    for word in sys.argv[2:]:
+        name, _, at = word.partition("@")
+        faults[name] = float(at or 0.0)
+    rclpy.init()
+    node = rclpy.create_node("robot")
+    robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf)), 0, math.inf
+    start, limit = time.monotonic(), time.monotonic() + 120.0
+    while time.monotonic() < limit:
+        for _ in range(4):
+            rclpy.spin_once(node, timeout_sec=0.0)
+        if robot.counts["effort"] and begun == math.inf:
+            begun, robot.faults = robot.t, {name: at + robot.t for name, at in faults.items()}
+            limit = time.monotonic() + seconds
+        while robot.t < time.monotonic() - start:  # its time is the wall's, however busy the machine
+            robot.step(STEP)
+        robot.tell(k)
+        if begun < math.inf:
+            robot.ask(k, begun)
+        k += 1
+        time.sleep(max(0.0, 1.0 / RATE - (time.monotonic() - start) % (1.0 / RATE)))
+    begun = begun if begun < math.inf else 0.0
+    rows = [[row[0] - begun, *row[1:]] for row in robot.log if row[0] >= begun]
+    asked = getattr(robot, "asked_arm", math.nan) - begun
+    print(
+        json.dumps({"counts": robot.counts, "diagnostics": robot.told, "asked_arm": asked, "rows": rows[::8]}),
+        flush=True,
+    )
+    os._exit(0)  # rclpy's destructors are not what is tested
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,114 @@
+"""The node against real ROS 2: rclpy and Fast DDS in a process of their own, on the loopback.
+
+One distribution in the default suite, both and the whole matrix of faults under `long`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from graph import Drive, drive, require_control_msgs
+
+pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
+
+EVERY = ["kilted", pytest.param("jazzy", marks=pytest.mark.long)]
+DOMAINS = iter(range(60, 100))  # one per test: nobody hears another's robot
+GOAL = (0.8, 0.4)  # of the trajectory that the robot's planner sends
+
+
+@pytest.fixture
+def domain() -> int:
+    return next(DOMAINS)
+
+
+def was_tracked(run: Drive) -> None:
+    """Base at its velocity, arm at its goal, nothing tripped."""
+    assert run.code == 0 and np.isnan(run.trip), run.lines
+    row = run.at(5.0)
+    assert np.abs(row[6:8] - GOAL).max() < 0.03, row
+    assert np.abs(run.at(3.5)[4:6] - (0.2, 0.3)).max() < 0.05, run.at(3.5)
+
+
+def stood_safely(run: Drive, why: str) -> None:
+    """It tripped, said why in one line, and base and arm came to rest."""
+    assert run.code == 1, run.lines
+    assert run.trip > 0 and any(why in line for line in run.lines.splitlines() if "tripped" in line), run.lines
+    row = run.at(run.trip + 1.1)
+    assert np.abs(row[4:6]).max() < 0.03 and np.abs(row[8:10]).max() < 0.3, row
+
+
+@pytest.mark.parametrize("distribution", EVERY)
+def test_a_robot_is_driven_through_what_can_be_borne(tmp_path: Path, domain: int, distribution: str) -> None:
+    """Joints in another order, NaN in every third message, halves, a second publisher, a publisher that restarts."""
+    faults = "permuted_for@0.6", "nan_for@1.6", "half_for@2.2", "duplicate_for@3.2", "restart_for@4.2"
+    run = drive(tmp_path, distribution, domain, *faults, seconds=6.0)
+    was_tracked(run)
+    assert "malformed" in run.lines and "surplus" in run.lines and "not finite" in run.lines
+    assert run.robot["diagnostics"] > 20
+
+
+@pytest.mark.parametrize("distribution", EVERY)
+def test_a_robot_that_dies_trips_the_supervisor(tmp_path: Path, domain: int, distribution: str) -> None:
+    run = drive(tmp_path, distribution, domain, "kill@1.0", seconds=4.0)
+    assert run.code == 1 and "tripped" in run.lines
+    told = [line for line in run.lines.splitlines() if "nothing fresh of joints arm_1_joint, arm_2_joint" in line]
+    assert any(line.startswith("t = ") for line in told) and any(line.startswith("tripped") for line in told), run.lines
+
+
+FAULTS = {
+    "ahead": ("in the future", "synchronise the clocks"),
+    "back": (" old", "synchronise the clocks"),
+    "missing": ("arm_2_joint", "nothing fresh of"),
+    "nan": ("not finite", "dropped"),
+    "half": ("JointState", "dropped"),
+}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_stop_the_robot_safely(tmp_path: Path, domain: int, fault: str) -> None:
+    run = drive(tmp_path, "kilted", domain, f"{fault}@2.0", seconds=6.0)
+    for why in FAULTS[fault]:
+        stood_safely(run, why)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
+def test_a_joystick_that_falls_silent_stops_the_base(tmp_path: Path, domain: int, distribution: str) -> None:
+    run = drive(tmp_path, distribution, domain, "silent_joystick@2.0", seconds=5.0)
+    assert run.code == 0 and "setpoints were not renewed in time" in run.lines
+    assert np.abs(run.at(4.5)[4:6]).max() < 0.01 and np.abs(run.at(4.9)[6:8] - GOAL).max() < 0.05
+
+
+@pytest.mark.long
+def test_qualities_that_do_not_match_are_named(tmp_path: Path, domain: int) -> None:
+    run = drive(tmp_path, "kilted", domain, "best_effort", reliability="reliable", wait=4.0)
+    assert run.code == 2 and "/joint_states: its publisher offers best_effort" in run.lines, run.lines
+
+
+@pytest.mark.long
+def test_both_qualities_drive(tmp_path: Path, domain: int) -> None:
+    was_tracked(drive(tmp_path, "kilted", domain, reliability="reliable", seconds=5.5))
+
+
+@pytest.mark.long
+def test_another_domain_is_silence(tmp_path: Path, domain: int) -> None:
+    run = drive(tmp_path, "kilted", domain, robot_domain=next(DOMAINS), wait=3.0)
+    assert run.code == 2 and f"no publisher: domain {domain}" in run.lines, run.lines
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
+def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribution: str) -> None:
+    """As MoveIt sends them: refused, accepted, replaced, reached, cancelled; one of them longer than a packet."""
+    require_control_msgs(distribution)
+    run = drive(tmp_path, distribution, domain, "no_plan", seconds=14.0, planner="planner_node.py")
+    told = run.robot["planner"]
+    assert run.code == 0 and told["there"] and told["long"] and told["accepted"], (told, run.lines)
+    assert not told["unknown joint"] and not told["too fast"]
+    assert told["reached"] == [4, 0, ""] and told["feedback"] > 5 and told["error"] < 0.2, told
+    assert told["names"] == ["arm_1_joint", "arm_2_joint"]
+    assert told["cancel"] == 1 and told["cancelled"] == [5, 0, "cancelled"]
+    assert np.abs(run.rows[-1, 8:10]).max() < 0.1  # it stands after the cancel
