@@ -1,0 +1,1 @@
+"""Out of the simulation: the controller on a machine of its own."""
