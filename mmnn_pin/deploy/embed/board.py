@@ -2,8 +2,8 @@
 
     measurement ─▶ [take] ─▶ [follow: a sample, a base velocity, or hold] ─▶ [Control.step] ─▶ [command]
 
-The arithmetic is the blocks' own: `safety.accept`, `reference.guide`, `loop.sample.Control`. Here is only what `Stepper`
-and `Follower` decide between them. Motions and joint goals are planned in Python and handed in as samples.
+The arithmetic is the blocks' own: `safety.accept`, `reference.guide`, `loop.sample.Control`. Here is only what
+`Stepper` and `Follower` decide between them. Motions and joint goals are planned in Python and handed in as samples.
 """
 
 from __future__ import annotations
@@ -139,19 +139,18 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
 
 def is_possible(b: Board, wish: int) -> bool:
     """Whether a setpoint is one that can be followed; `Follower.check`."""
-    if wish == GO_ON or wish == STAND:
-        return True
+    fine = wish in (GO_ON, STAND)
     nb = b.guide.base.shape[1]
     pose = 3 if nb else 0
     if wish == FOLLOW_SAMPLE:
+        fine = True
         for i in range(b.asked.size):
-            if not abs(b.asked[i]) < LARGEST:
-                return False
-        return True
-    for i in range(pose, pose + nb):
-        if not math.isfinite(b.asked[i]):
-            return False
-    return wish == FOLLOW_VELOCITY and nb > 0
+            fine = fine and abs(b.asked[i]) < LARGEST
+    elif wish == FOLLOW_VELOCITY:
+        fine = nb > 0
+        for i in range(pose, pose + nb):
+            fine = fine and math.isfinite(b.asked[i])
+    return fine
 
 
 def take(b: Board, time: float, measured: float) -> None:
@@ -192,7 +191,7 @@ def follow(b: Board, time: float, wish: int) -> None:
         leave(b, ARM)
     for part in range(2):
         kind = guide.kind[part]
-        if (kind == SAMPLE or kind == VELOCITY) and time - clock[RENEWED + part] > b.timeout:
+        if kind in (SAMPLE, VELOCITY) and time - clock[RENEWED + part] > b.timeout:
             leave(b, part)
             b.losses[0] += 1.0
 

@@ -6,16 +6,27 @@ import ast
 import inspect
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from .expressions import MATH, Expressions
+from .source import Source
 from .values import (
-    CHOICE, SUM, UNARY, Array, Number, Pointer, Root, Static, Tuple, Value, Vec, integer, joined, leaves, plus, real,
-    row_strides, truth,
+    SUM,
+    UNARY,
+    Array,
+    Number,
+    Pointer,
+    Static,
+    Tuple,
+    Value,
+    Vec,
+    integer,
+    joined,
+    leaves,
+    real,
+    row_strides,
+    truth,
 )  # fmt: skip
-
-if TYPE_CHECKING:
-    from .body import Source
 
 
 class Calls(Expressions):
@@ -82,7 +93,7 @@ class Calls(Expressions):
         source = self.program.source(function)
         arguments = self._named(node, source, function, given)
         body = [s for s in source.node.body if not (isinstance(s, ast.Expr) and isinstance(s.value, ast.Constant))]
-        if isinstance(body[-1], ast.Return) and all(isinstance(one, ast.Assign) for one in body[:-1]):
+        if body and isinstance(body[-1], ast.Return) and all(isinstance(one, ast.Assign) for one in body[:-1]):
             before, is_known = len(self.lines), all(map(known, arguments.values()))
             if not returns_numbers(source.node):
                 return self._spliced(source, arguments, body)
@@ -106,9 +117,8 @@ class Calls(Expressions):
                 if all(isinstance(x, float) for x in value.object):
                     is_table = "..." in annotations.get(name, "")
                     given[i] = self.program.table(value.object, value.name) if is_table else self.vec(node, value)
-            elif isinstance(value, Tuple) and value.of is None and "..." not in annotations.get(name, ""):
-                if all(isinstance(item, Number) for item in value.items):
-                    given[i] = self.vec(node, value)
+            elif isinstance(value, Tuple) and value.of is None and all(isinstance(x, Number) for x in value.items):
+                given[i] = self.vec(node, value)
         return dict(zip(names, given, strict=True))
 
     def _spliced(self, source: Source, arguments: dict[str, Value], body: list[ast.stmt]) -> Value:

@@ -13,18 +13,38 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from ...elementary.bits import bits_of, from_bits
+from .program import Program
 from .values import (
-    AND, ATOM, CHOICE, COMPARE, OR, PRODUCT, SUM, UNARY, Array, Number, Pointer, Root, Static, Tuple, Value, Vec,
-    integer, joined, minus, plus, real, row_strides, times, truth,
+    AND,
+    ATOM,
+    CHOICE,
+    COMPARE,
+    OR,
+    PRODUCT,
+    SUM,
+    UNARY,
+    Array,
+    Number,
+    Pointer,
+    Root,
+    Static,
+    Tuple,
+    Value,
+    Vec,
+    integer,
+    joined,
+    minus,
+    plus,
+    real,
+    row_strides,
+    times,
+    truth,
 )  # fmt: skip
-
-if TYPE_CHECKING:
-    from .program import Program
 
 COMPARISONS: dict[type, tuple[str, Callable[[Any, Any], bool]]] = {
     ast.Lt: ("<", operator.lt), ast.LtE: ("<=", operator.le), ast.Gt: (">", operator.gt), ast.GtE: (">=", operator.ge),
@@ -153,7 +173,9 @@ class Expressions:
                 self.refuse(node, "a power of numbers that are not known")
             return integer(a.value**b.value) if whole else real(a.value**b.value)
         if isinstance(op, ast.Div):
-            left = f"({self.program.c_type('real', is_math=self.small)}){a.within(UNARY)}" if whole else a.within(PRODUCT)
+            left = (
+                f"({self.program.c_type('real', is_math=self.small)}){a.within(UNARY)}" if whole else a.within(PRODUCT)
+            )
             return Number("real", f"{left} / {b.within(UNARY)}", PRODUCT)
         if isinstance(op, ast.Mod | ast.FloorDiv):
             return self._divided(node, a, b, isinstance(op, ast.Mod), whole)
@@ -199,6 +221,9 @@ class Expressions:
         if isinstance(op, ast.Is | ast.IsNot):
             same = isinstance(a, Static) and isinstance(b, Static) and a.object is b.object
             return truth(same == isinstance(op, ast.Is))
+        if isinstance(op, ast.In) and isinstance(a, Number) and isinstance(b, Tuple):
+            parts = [self._compared(node, a, ast.Eq(), item) for item in b.items]
+            return self.any_of(parts)
         if isinstance(a, Static) and isinstance(b, Static) and isinstance(op, ast.Eq | ast.NotEq):
             return truth((a.object == b.object) == isinstance(op, ast.Eq))
         if not (isinstance(a, Number) and isinstance(b, Number)) or type(op) not in COMPARISONS:
@@ -227,6 +252,10 @@ class Expressions:
             parts.append(part)
         if is_and:
             return self.all_of(parts)
+        return self.any_of(parts)
+
+    def any_of(self, parts: list[Number]) -> Number:
+        """Any of these, as far as they are not known."""
         if parts[-1].is_known and parts[-1].value and all(p.is_known for p in parts[:-1]):
             return truth(True)
         open_ = [part for part in parts if not (part.is_known and not part.value)]
@@ -261,9 +290,7 @@ class Expressions:
         if isinstance(a, Array) and isinstance(b, Array) and a.kind == b.kind and len(a.shape) == len(b.shape):
             if a == b:
                 return a
-            shape = tuple(
-                self._number_of(self.chosen(node, test, x, y)) for x, y in zip(a.shape, b.shape, strict=True)
-            )
+            shape = tuple(self._number_of(self.chosen(node, test, x, y)) for x, y in zip(a.shape, b.shape, strict=True))
             if "A" in (a.layout, b.layout) or a.layout != b.layout:
                 self.refuse(node, "a choice of arrays with strides of their own")
             strides = row_strides(shape) if a.layout == "C" else tuple(reversed(row_strides(shape[::-1])))
@@ -284,7 +311,9 @@ class Expressions:
             value = Tuple(tuple(self.program.lifted(x) for x in value.object))
         if isinstance(value, Tuple) and all(isinstance(item, Number) for item in value.items):
             size = len(value.items)
-            return Vec(f"({self.program.vec(size, self.small)}){{{{{', '.join(item.text for item in value.items)}}}}}", size)
+            return Vec(
+                f"({self.program.vec(size, self.small)}){{{{{', '.join(item.text for item in value.items)}}}}}", size
+            )
         self.refuse(node, "this in the place of a few numbers")
 
     # -- places in memory --------------------------------------------------------------------------------------------
@@ -309,6 +338,8 @@ class Expressions:
             if value is not None and array.kind == "int":
                 return self.program.known_integer(array.base, at)
             everywhere = f"{self.program.text_of(array.base)}[{at}]"
+        if isinstance(array.base, Root) and self.program.is_nothing(array.base):
+            return real(0.0)
         text = f"{self.base(array)}[{place.text if array.alias else plus(array.offset, place).text}]"
         kind = array.kind if array.kind == "real" or not self.small else "long"
         if kind == "long":
@@ -332,7 +363,7 @@ class Expressions:
                 return self.program.lifted(value.object[place.value], f"{value.name}_{place.value}")
             return self.element(self.program.table(value.object, value.name), place)
         vec = self.vec(node, value)
-        if not vec.text.isidentifier():
+        if not vec.text.replace(".", "").isidentifier():
             vec = self.fresh(vec)  # type: ignore[assignment]
         return Number("real", f"{vec.text}.v[{place.text}]")
 

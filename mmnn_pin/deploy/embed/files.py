@@ -13,7 +13,7 @@ import numpy as np
 from ... import __version__
 from ...loop.stepper import Stepper
 from ...signals import SIGNALS, Array
-from . import board
+from . import board, body
 from .golden import Answer, Event
 from .program import Function, Program
 from .values import Number, Root, Static, spelled
@@ -22,6 +22,7 @@ TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("mmnn_pin.deploy.embed"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
 )
 FEW = 8  # numbers that are set one by one at the start
+TOLERANCE = 1e-3  # of torques in single precision, over the largest
 
 
 @dataclass(frozen=True)
@@ -64,13 +65,13 @@ class Export:
         return [function for function in self.program.functions.values() if not function.is_empty]
 
 
-def translated(stepper: board.Fresh, title: str, real: str = "double") -> Export:
-    """Translate the step of a stepper.
+def translated(stepper: board.Fresh, title: str, real: str = "double", diagnostics: bool = True) -> Export:
+    """Translate the step of a stepper; without diagnostics what only tells of the excitation is left out.
 
     Raises:
         Untranslatable: Something in its functions cannot be said in C.
     """
-    program, b = Program(real), board.board_of(stepper)
+    program, b = Program(body.write, real), board.board_of(stepper)
     program.memory(b.row, "row")
     for i, name in enumerate(name for name, *_ in SIGNALS):
         program.hints["at", i] = f"MMNN_ROW_{name}"
@@ -78,10 +79,12 @@ def translated(stepper: board.Fresh, title: str, real: str = "double") -> Export
     for name in ("incoming", "asked"):
         program.memory(getattr(b, name), name)
         program.written.add(name)
+    program.dropped.add(program.memory(b.guide.clock, "guide_clock").name)  # nothing fades without motions
     learned = stepper.state
     if getattr(learned, "values", None) is not None and learned.values.size:
         sizes = {name: int(np.prod(shape)) for name, shape in learned.shapes.items()}
         program.memory(learned.values, "learned", sizes)
+        program.dropped |= {"gram"} if not diagnostics else set()
     program.memory(stepper.hardware.state, "hardware", parts_of(stepper))
     whole = Static(b, "board")
     time, measured = Number("real", "time"), Number("real", "measured")
@@ -160,7 +163,7 @@ def files_of(export: Export) -> dict[str, str]:
     own_tables = [t for t in export.tables if t not in tables]
     about = {"title": export.title, "version": __version__, "real": real, "has_split": has_split(export)}
     init = initial(export)
-    double = Program()
+    double = Program(body.write)
     double.constants = program.constants
     return {
         "controller.h": render("controller.h", **about, **interface(export)),
@@ -182,6 +185,8 @@ def files_of(export: Export) -> dict[str, str]:
             tables="\n\n".join("static " + table(double, t) for t in own_tables),
         ),
         "CMakeLists.txt": render("CMakeLists.txt"),
+        "qemu_mps2/startup.c": render("startup.c"),
+        "qemu_mps2/mps2.ld": render("mps2.ld"),
     }  # fmt: skip
 
 
@@ -215,7 +220,11 @@ def initial(export: Export) -> str:
     for m in export.members:
         has_table = f"start_{m.name}" in tables
         value = f"law_start_{m.name}[i]" if has_table else zero[m.kind]
-        lines += [f"    for (int32_t i = 0; i < {m.data.size}; i++) {{", f"        self->{m.name}[i] = {value};", "    }"]
+        lines += [
+            f"    for (int32_t i = 0; i < {m.data.size}; i++) {{",
+            f"        self->{m.name}[i] = {value};",
+            "    }",
+        ]
         for i in np.flatnonzero(m.data) if not has_table else ():
             x = m.data[i]
             lines.append(f"    self->{m.name}[{i}] = {spelled(float(x)) if m.kind == 'real' else int(x)};")
@@ -234,8 +243,9 @@ def types(program: Program) -> str:
                 f"static inline mmnn_single{size} mmnn_to_single{size}(mmnn_vec{size} x)\n{{\n"
                 f"    return (mmnn_single{size}){{{{{parts}}}}};\n}}\n"
             )
-    for kinds in sorted(program.records):
-        members = "\n".join(f"    {program.c_type(kind, is_math=True)} n{i};" for i, kind in enumerate(kinds))
+    for kinds in sorted(program.records, key=str):
+        is_math = all(isinstance(kind, str) for kind in kinds)  # functions of controllers return structs side by side
+        members = "\n".join(f"    {program.c_type(kind, is_math=is_math)} n{i};" for i, kind in enumerate(kinds))
         lines.append(f"typedef struct {{\n{members}\n}} {program.record_type(kinds)};\n")
     return "\n".join(lines)
 
@@ -247,8 +257,7 @@ def interface(export: Export) -> dict[str, Any]:
     unit = layout.unit
     here = [(name, layout.where(name)) for name, *_ in SIGNALS]
     signals = [
-        (name.upper(), at.start, f"{at.stop - at.start}, {unit(name) or 'no unit'}") for name, at in here
-        if at.stop > at.start
+        (name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here
     ]  # fmt: skip
     measured, asked = ranges(export, "pose velocity q qdot"), ranges(export, "pose velocity acceleration q qdot qddot")
     words = {name: unit(name) for name in ("pose", "velocity", "q", "qdot")}
@@ -289,7 +298,9 @@ def has_split(export: Export) -> bool:
     return export.stepper.hardware.split is not None
 
 
-def selftest(export: Export, events: list[Event], answers: list[Answer], name: str, tolerance: float = 1e-3) -> str:
+def selftest(
+    export: Export, events: list[Event], answers: list[Answer], name: str, tolerance: float = TOLERANCE
+) -> str:
     """The self-test with its golden vectors."""
     received = [e.received for e in events if e.received is not None]
     asked = [e.asked for e in events if e.wish]
@@ -314,6 +325,16 @@ def selftest(export: Export, events: list[Event], answers: list[Answer], name: s
         torques=rows(answer.torque for answer in answers),
         sums=",\n".join(f"    UINT64_C({answer.checksum:#x})" for answer in answers),
     )
+
+
+def readme(export: Export, steps: int, ram: int, tolerance: float = TOLERANCE) -> str:
+    """What a firmware engineer reads first."""
+    stepper = export.stepper
+    return render(
+        "README.md", title=export.title, version=__version__, steps=steps, ram=ram, period=stepper.period,
+        real=export.program.real, is_exact=export.program.real == "double", tolerance=tolerance,
+        motors=", ".join(stepper.robot.actuator_names),
+    )  # fmt: skip
 
 
 def exact(value: float) -> str:

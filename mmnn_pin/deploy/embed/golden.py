@@ -11,11 +11,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ...errors import ConfigError
 from ...loop.loop import Loop
 from ...loop.stepper import Stepper
-from ...reference.wishes import HOLD, BaseVelocity
+from ...reference.wishes import HOLD, BaseVelocity, Wish
 from ...signals import Array, Dimensions, Measurement, Setpoint
 from .board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND
 
@@ -99,19 +100,20 @@ def answers(stepper: Stepper, events: list[Event], remembered: Iterable[Array]) 
     for event in events:
         measurement = None if event.received is None else Measurement(*np.split(event.received, ends))
         setpoint = Setpoint.side_by_side(event.asked, d)
-        wish = {FOLLOW_SAMPLE: setpoint, FOLLOW_VELOCITY: BaseVelocity(setpoint.velocity), STAND: HOLD}.get(event.wish)
+        wishes: dict[int, Wish] = {FOLLOW_SAMPLE: setpoint, STAND: HOLD}
+        wishes[FOLLOW_VELOCITY] = BaseVelocity(setpoint.velocity)
         with suppress(ConfigError):  # refused, and nothing has changed
             if event.action == STOP:
                 stepper.stop()
             elif event.action == RESET:
                 stepper.reset()
         with suppress(ConfigError):
-            stepper.step(event.time, measurement, wish, measured=event.measured)
+            stepper.step(event.time, measurement, wishes.get(event.wish), measured=event.measured)
         found.append(Answer(stepper.motor_torque.copy(), checksum(np.concatenate(arrays), powers)))
     return found
 
 
-def powers_of(size: int) -> Array:
+def powers_of(size: int) -> NDArray[np.uint64]:
     """What every number of a checksum is multiplied with."""
     powers = np.ones(size, np.uint64)
     with np.errstate(over="ignore"):
@@ -120,7 +122,7 @@ def powers_of(size: int) -> Array:
     return powers
 
 
-def checksum(numbers: Array, powers: Array) -> int:
+def checksum(numbers: Array, powers: NDArray[np.uint64]) -> int:
     """A checksum of the bits of some numbers; all that are no numbers count alike."""
     bits = np.where(np.isnan(numbers), np.nan, numbers).view(np.uint64)
     bits = np.where(np.isnan(numbers), np.uint64(0x7FF8000000000000), bits)

@@ -7,21 +7,33 @@ again where a call or a line says otherwise, until nothing changes.
 
 from __future__ import annotations
 
-import ast
 import re
-import sys
 import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .source import defined_in, source_of
 from .values import (
-    C_TYPES, Array, Number, Pointer, Root, Static, Tuple, Value, Vec, dimensions, integer, leaves, real, row_strides,
-    spelled, structure, truth,
+    C_TYPES,
+    Array,
+    Number,
+    Pointer,
+    Root,
+    Static,
+    Tuple,
+    Value,
+    Vec,
+    dimensions,
+    integer,
+    leaves,
+    real,
+    row_strides,
+    spelled,
+    structure,
+    truth,
 )  # fmt: skip
 
 VARIES = object()
@@ -69,11 +81,12 @@ class Program:
     """A program in C, made of functions of Python.
 
     Args:
+        write: Translates one function (`body.write`).
         real: "double" or "float".
     """
 
-    def __init__(self, real: str = "double") -> None:
-        self.real = real
+    def __init__(self, write: Callable[..., None], real: str = "double") -> None:
+        self.writer, self.real = write, real
         self.known: dict[Any, Any] = {}
         self.written: set[str] = set()
         self.dropped: set[str] = set()
@@ -107,8 +120,6 @@ class Program:
 
     def source(self, function: Any) -> Any:
         """Text and scope of a function."""
-        from .body import source_of
-
         if function not in self.sources:
             self.sources[function] = source_of(function)
         return self.sources[function]
@@ -141,15 +152,10 @@ class Program:
             self.known[key], self.changed = VARIES, True
 
     def _translated(self, key: Any, source: Any, arguments: dict[str, Value]) -> Function:
-        from .body import Body
-        from .writing import finished
-
         record = Function(self._function_name(source), source, is_math=".elementary." in source.function.__module__)
         possible = dict[str, Parameter]()
         names = {name: self._parameter(key, name, value, possible) for name, value in arguments.items()}
-        body = Body(self, source, names, record)
-        lines = body.translate()
-        finished(self, record, body, lines, possible)
+        self.writer(self, record, source, names, possible)
         return record
 
     def _function_name(self, source: Any) -> str:
@@ -197,7 +203,7 @@ class Program:
         assert isinstance(value, Number)
         return value
 
-    # -- what is known ---------------------------------------------------------------------------------------------------
+    # -- what is known ------------------------------------------------------------------------------------------------
 
     def lifted(self, value: Any, name: str = "") -> Value:
         """A Python object as a value."""
@@ -248,7 +254,7 @@ class Program:
         self.constants[name] = value
         return name
 
-    # -- memory ------------------------------------------------------------------------------------------------------------
+    # -- memory -------------------------------------------------------------------------------------------------------
 
     def array(self, array: np.ndarray, name: str) -> Array:
         """An array of Python, as the part of a block of memory that it is."""
@@ -328,6 +334,10 @@ class Program:
         """A number of memory that nobody writes."""
         return None if root.name in self.written or root.parts else root.data[place].item()
 
+    def is_nothing(self, root: Root) -> bool:
+        """Whether a table has nothing but zeros."""
+        return root.name not in self.written and not root.parts and root.kind == "real" and not root.data.any()
+
     def known_integer(self, root: Root, place: int) -> Number:
         """A known integer of a table, under its name where it has one."""
         value = int(root.data[place])
@@ -338,7 +348,7 @@ class Program:
         """A block of memory in C."""
         return f"self->{root.name}" if root.name in self.written else f"law_{root.name}"
 
-    # -- types ------------------------------------------------------------------------------------------------------------
+    # -- types --------------------------------------------------------------------------------------------------------
 
     def c_type(self, kind: Any, is_const: bool = False, is_math: bool = False) -> str:
         """A kind of value in C."""
@@ -366,25 +376,4 @@ class Program:
     def record_type(self, kinds: tuple[str, ...]) -> str:
         """The struct of numbers of several kinds."""
         self.records.add(kinds)
-        return "mmnn_" + "_".join(kinds)
-
-
-@cache
-def imported_from(module: str) -> dict[str, str]:
-    """Names that a module of the package imports, and from where."""
-    file = getattr(sys.modules.get(module), "__file__", None)
-    found = dict[str, str]()
-    for node in ast.walk(ast.parse(Path(file).read_text())) if file and "mmnn_pin" in module else ():
-        if isinstance(node, ast.ImportFrom) and node.level:
-            parts = module.split(".") if file.endswith("__init__.py") else module.split(".")[:-1]
-            base = parts[: len(parts) - node.level + 1]
-            for alias in node.names:
-                found[alias.asname or alias.name] = ".".join([*base, *([node.module] if node.module else [])])
-    return found
-
-
-def defined_in(module: str, name: str) -> str:
-    """The module that a constant comes from, followed through imports."""
-    while name in imported_from(module):
-        module = imported_from(module)[name]
-    return module
+        return "mmnn_" + "_".join(f"vec{kind}" if isinstance(kind, int) else kind for kind in kinds)

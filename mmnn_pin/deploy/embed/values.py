@@ -1,4 +1,4 @@
-"""What a name stands for while a function is translated: a number, a triple, an array somewhere in memory, or an object.
+"""What a name stands for while a function is translated: a number, a few of them, an array in memory, or an object.
 
 Numbers whose value is known keep it: sizes, offsets and kinds of a robot are known when C is written, so they end up as
 numbers in its text, and branches that they decide are not written at all.

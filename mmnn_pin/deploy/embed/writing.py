@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import textwrap
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import Any
 
-from .body import Assign, Block
-
-if TYPE_CHECKING:
-    from .body import Body
-    from .program import Function, Parameter, Program
+from .program import Function, Parameter, Program
+from .source import comment
+from .values import Pointer
 
 INDENT = "    "
 WIDTH = 110
+
+
+@dataclass
+class Assign:
+    """A line that gives a local variable its value."""
+
+    name: str
+    text: str
+
+
+@dataclass
+class Block:
+    """Lines in braces."""
+
+    head: str
+    lines: list[Any] = field(default_factory=list)
+    is_loop: bool = False
 
 
 def mentions(item: Any, name: str) -> bool:
@@ -64,10 +79,10 @@ def declare(lines: list[Any], name: str, c_type: str, initial: str) -> None:
     if not places:
         return
     first = lines[places[0]]
-    if len(places) == 1 and isinstance(first, Block) and not found(first.head, name):
-        if not first.is_loop or begins(first.lines, name):
-            declare(first.lines, name, c_type, initial)
-            return
+    is_inside = len(places) == 1 and isinstance(first, Block) and not found(first.head, name)
+    if is_inside and (not first.is_loop or begins(first.lines, name)):
+        declare(first.lines, name, c_type, initial)
+        return
     space = "" if c_type.endswith("*") else " "
     if isinstance(first, Assign) and first.name == name and not found(first.text, name):
         lines[places[0]] = f"{c_type}{space}{name} = {first.text};"
@@ -85,25 +100,45 @@ def begins(lines: list[Any], name: str) -> bool:
     return False
 
 
-def finished(program: Program, record: Function, body: Body, lines: list[Any], possible: dict[str, Parameter]) -> None:
-    """Give a function its parameters, its head and its text."""
+def finished(
+    program: Program,
+    record: Function,
+    possible: dict[str, Parameter],
+    lines: list[Any],
+    kinds: dict[str, Any],
+    pointers: dict[str, Pointer],
+) -> None:
+    """Give a function its parameters, its head and its text.
+
+    Args:
+        program: That it belongs to.
+        record: The function, with its result.
+        possible: Parameters that it may have, by name.
+        lines: Of its body.
+        kinds: Of its local variables, by name.
+        pointers: Those of them that are pointers.
+    """
     changed = True
     while changed:  # a pointer that is not used may have been all that another one was for
         changed = False
-        for name in list(body.kinds):
+        for name in list(kinds):
             if name not in possible and any(mentions(line, name) for line in lines) and not is_read(lines, name):
                 lines, changed = without(lines, name), True
     record.parameters = {name: p for name, p in possible.items() if any(mentions(line, name) for line in lines)}
-    for name, kind in body.kinds.items():
+    for name, kind in kinds.items():
         if name not in possible:
-            pointer = body.pointers.get(name)
+            pointer = pointers.get(name)
             initial = initial_of(kind)
-            declare(lines, name, program.c_type(kind, pointer is not None and not pointer.is_written, record.is_math), initial)
+            declare(
+                lines,
+                name,
+                program.c_type(kind, pointer is not None and not pointer.is_written, record.is_math),
+                initial,
+            )
     text = "\n".join(rendered(lines, 1))
     record.uses_self = bool(re.search(r"\bself\b", text))
     record.is_empty = not text.strip()
-    record.result = body.result
-    result = "void" if body.result is None else program.c_type(body.result, is_math=record.is_math)
+    result = "void" if record.result is None else program.c_type(record.result, is_math=record.is_math)
     given = ["mmnn_controller *self"] if record.uses_self else []
     given += [parameter_text(program, p, record.is_math) for p in record.parameters.values()]
     record.head = f"{result} {record.name}({', '.join(given) or 'void'})"
@@ -138,14 +173,14 @@ def rendered(lines: list[Any], depth: int) -> list[str]:
 
 
 def block(item: Block, depth: int, before: list[str]) -> list[str]:
-    """A block; one that begins with 'else' goes on where the last line was, and takes up a branch that is all it has."""
+    """A block; one that begins with 'else' goes on where the last line was, and takes up a branch that it only has."""
     indent = INDENT * depth
     inner = item.lines[0] if item.lines else None
-    if item.head == "else" and isinstance(inner, Block) and inner.head.startswith("if "):
-        if all(isinstance(other, Block) and other.head.startswith("else") for other in item.lines[1:]):
-            chain = rendered([Block(f"else {inner.head}", inner.lines), *item.lines[1:]], depth)
-            before[-1] = f"{indent}}} {chain[0].strip()}"
-            return chain[1:]
+    is_chain = all(isinstance(other, Block) and other.head.startswith("else") for other in item.lines[1:])
+    if item.head == "else" and is_chain and isinstance(inner, Block) and inner.head.startswith("if "):
+        chain = rendered([Block(f"else {inner.head}", inner.lines), *item.lines[1:]], depth)
+        before[-1] = f"{indent}}} {chain[0].strip()}"
+        return chain[1:]
     head = f"{item.head} {{" if item.head else "{"
     body = rendered(item.lines, depth + 1)
     if item.head.startswith("else") and before:
@@ -160,13 +195,3 @@ def wrapped(text: str, depth: int) -> list[str]:
         text, WIDTH, initial_indent=INDENT * depth, subsequent_indent=INDENT * (depth + 1), break_long_words=False,
         break_on_hyphens=False,
     )  # fmt: skip
-
-
-def comment(source: Any) -> str:
-    """The docstring of a function as a comment, with where it comes from."""
-    said = inspect.cleandoc(source.function.__doc__ or "").replace("*/", "* /").replace("/*", "/ *")
-    module = source.function.__module__
-    lines = [*said.splitlines(), f"From {module}.{source.node.name}."] if said else [f"From {module}.{source.node.name}."]
-    if len(lines) == 1:
-        return f"/* {lines[0]} */"
-    return "\n".join(["/* " + lines[0], *(f" * {line}".rstrip() for line in lines[1:]), " */"])

@@ -1,0 +1,86 @@
+"""`mmnn embed`: a controller as C99 source with a self-test."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .options import CHANGES, VARIANT, examples, shared, understanding
+from .output import DONE, answer
+from .run import about_robot, in_toml
+
+if TYPE_CHECKING:
+    from ..deploy.embed import Embedded
+
+
+@click.command(
+    short_help="Write a controller as C99 source with a self-test.",
+    epilog=examples(
+        "mmnn embed track --controller two_layer --out firmware",
+        "mmnn embed track --robot tiago --controller adaptive --out firmware --cc clang",
+        "mmnn embed track --controller pd --out firmware --single",
+    ),
+)
+@click.argument("experiment")
+@VARIANT
+@click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
+@click.option("--controller", metavar="NAME", required=True, help="The controller, see `mmnn list`.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
+@click.option("--force", is_flag=True, help="Write into a folder that exists.")
+@click.option("--single", is_flag=True, help="Numbers of 32 bits: not the bits of Python; the self-test says how far.")
+@click.option("--no-diagnostics", is_flag=True, help="Leave out what only tells how well the motion excites.")
+@click.option("--steps", type=click.IntRange(1, 100_000), default=1000, show_default=True, help="Of the self-test.")
+@click.option("--cc", metavar="COMMAND", default="cc", show_default=True, help="Compiler for the self-test.")
+@click.option("--no-check", is_flag=True, help="Write the files without compiling them.")
+@click.option(
+    "--memory", type=click.IntRange(1), metavar="KB", help="Largest memory of the controller.  [default: 512]"
+)
+@CHANGES
+@understanding
+@shared
+def embed(
+    experiment: str,
+    variant: str | None,
+    robot: str | None,
+    controller: str,
+    out: Path,
+    force: bool,
+    single: bool,
+    no_diagnostics: bool,
+    steps: int,
+    cc: str,
+    no_check: bool,
+    memory: int | None,
+    settings: tuple[str, ...],
+    overrides: dict[str, Any],
+    as_json: bool,
+) -> int:
+    """Write one controller of EXPERIMENT with its kinematic layer, motor limits and supervisor as C99 source.
+
+    The source is translated from the Python functions that the loops run. The folder has a self-test with the answers
+    of Python; it is compiled and run before the folder appears, and all its torques and states must agree bit for bit.
+    """
+    from ..deploy.embed import embed as export
+    from ..deploy.embed.export import MEMORY
+    from ..lab.experiments.config import load_experiment
+
+    changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot)]
+    found = load_experiment(experiment, changes, variant)
+    loaded = found.load_robot()
+    loop = found.loop(loaded, found.controller(controller, robot=loaded))
+    made = export(
+        loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
+        compiler=None if no_check else cc, memory=memory or MEMORY,
+    )  # fmt: skip
+    answer(as_json, made.to_dict, lambda: told(made))
+    return DONE
+
+
+def told(made: Embedded) -> str:
+    """What was written, for people."""
+    size = "" if made.code_bytes is None else f", {made.code_bytes / 1000:.1f} kB of code and constants"
+    of = f" ({made.initial_bytes / 1000:.1f} kB of them initial values; {made.compiler})" if size else ""
+    checked = f"self-test passed: {made.selftest_steps} samples with the bits of Python\n" if size else ""
+    return f"{checked}{made.ram_bytes / 1000:.1f} kB of RAM{size}{of}\nwrote {made.folder}: {', '.join(made.files)}"
