@@ -66,10 +66,10 @@ def embed(
     from ..deploy.embed.export import MEMORY
     from ..lab.experiments.config import load_experiment
 
-    changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot)]
+    changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot, controllers=[controller])]
     found = load_experiment(experiment, changes, variant)
     loaded = found.load_robot()
-    loop = found.loop(loaded, found.controller(controller, robot=loaded))
+    loop = found.loop(loaded, found.controller(found.controllers[0], robot=loaded))
     made = export(
         loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
         compiler=None if no_check else cc, memory=memory or MEMORY,

@@ -295,7 +295,7 @@ def refused(capsys, *arguments):
 def test_what_cannot_be_embedded_is_refused_in_one_line(tmp_path, capsys):
     (tmp_path / "exists").mkdir()
     (tmp_path / "free.urdf").write_text(FREE)
-    own = str(ROOT / "examples" / "own_law.py")
+    own = f"{ROOT / 'examples' / 'own_law.py'}:LeastSquares"
     out = ["--out", str(tmp_path / "c")]
     pd = ["track", "--controller", "pd"]
     cases = {

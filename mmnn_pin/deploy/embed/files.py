@@ -298,9 +298,7 @@ def has_split(export: Export) -> bool:
     return export.stepper.hardware.split is not None
 
 
-def selftest(
-    export: Export, events: list[Event], answers: list[Answer], name: str, tolerance: float = TOLERANCE
-) -> str:
+def selftest(export: Export, events: list[Event], answers: list[Answer], name: str) -> str:
     """The self-test with its golden vectors."""
     received = [e.received for e in events if e.received is not None]
     asked = [e.asked for e in events if e.wish]
@@ -309,7 +307,7 @@ def selftest(
         steps=len(events),
         real=export.program.real,
         is_exact=export.program.real == "double",
-        tolerance=tolerance,
+        tolerance=TOLERANCE,
         name=name,
         remembered=[(m.name, m.data.size) for m in export.remembered],
         measured=ranges(export, "pose velocity q qdot"),
@@ -327,12 +325,12 @@ def selftest(
     )
 
 
-def readme(export: Export, steps: int, ram: int, tolerance: float = TOLERANCE) -> str:
+def readme(export: Export, steps: int, ram: int) -> str:
     """What a firmware engineer reads first."""
     stepper = export.stepper
     return render(
         "README.md", title=export.title, version=__version__, steps=steps, ram=ram, period=stepper.period,
-        real=export.program.real, is_exact=export.program.real == "double", tolerance=tolerance,
+        real=export.program.real, is_exact=export.program.real == "double", tolerance=TOLERANCE,
         motors=", ".join(stepper.robot.actuator_names),
     )  # fmt: skip
 
