@@ -14,10 +14,12 @@ from functools import cache
 
 import numpy as np
 import pytest
+from deploy.boards import STRICT, on_target, require
 from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
 
+from mmnn_pin import Recording
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed.body import write
 from mmnn_pin.deploy.embed.program import Program
@@ -64,6 +66,15 @@ def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
     assert told["controller"] == controller and told["robot"] == "platform_arm" and told["selftest_steps"] == 120
     assert set(told["files"]) <= {str(file.relative_to(folder)) for file in folder.rglob("*")}
     assert 0 < told["ram_bytes"] < 120_000
+
+
+@pytest.mark.parametrize("target", ["clang", "cortex-m7"])
+def test_another_compiler_and_an_emulated_board_have_the_same_bits(exported, tmp_path, target):
+    require(target)
+    folder, _ = exported("two_layer")
+    shutil.copytree(folder, tmp_path / "c")
+    status, said = on_target(tmp_path / "c", target)
+    assert status == 0 and "120 samples, 0 differ" in said
 
 
 @needs_gcc
@@ -124,6 +135,18 @@ def test_single_precision_is_near(exported):
     largest, deviation = map(float, re.search(r"largest torque (\S+), largest deviation (\S+)", done.stdout).groups())
     assert 0 < deviation < 1e-3 * largest
     assert "double" not in (folder / "controller.c").read_text()
+
+
+# -- in the loop -------------------------------------------------------------------------------------------------------
+
+
+@needs_gcc
+def test_a_run_with_the_exported_controller_is_pythons(tmp_path):
+    """Software in the loop: signals, weights, states and outcome of the recording are equal."""
+    told = embedded(tmp_path / "two_layer", "two_layer", "--steps", "60", "--plant", "host", "--cc", "gcc")
+    assert told["in_the_loop"] == {"where": "host", "samples": 60, "status": "completed", "differences": []}
+    run = Recording.open(tmp_path / "two_layer" / "run.h5")
+    assert np.abs(run["torque"]).max() > 0 and np.ptp(run["weight_norm"][:, 0]) > 0
 
 
 # -- what the files hold -----------------------------------------------------------------------------------------------

@@ -95,7 +95,7 @@ def embed(
         fix = "give another one, or --force to write into it"
         raise ConfigError(f"{folder} exists", fix=fix, key="out")
     tool = found_compiler(compiler)
-    stepper = Fresh.of(replace(loop, safety=loop.safety or Safety(torque="urdf")))
+    stepper = Fresh.of(supervised(loop))
     require_limits(stepper)
     title = f"{loop.controller.name} for {loop.robot.name}"
     export = translated(stepper, title, "float" if single else "double", diagnostics)
@@ -119,6 +119,11 @@ def embed(
     return Embedded(
         loop.controller.name, loop.robot.name, str(folder), sorted(texts), ram_bytes(export), code, initial, of, steps
     )
+
+
+def supervised(loop: Loop) -> Loop:
+    """A loop with its supervisor, or with one that holds the motors within the URDF's effort limits."""
+    return replace(loop, safety=loop.safety or Safety(torque="urdf"))
 
 
 def require_embeddable(loop: Loop) -> None:

@@ -63,6 +63,9 @@ MATH: dict[Any, tuple[str, str]] = {
 }  # fmt: skip
 
 
+NARROW = 2**15  # what a mask below it leaves counts as an integer of 32 bits: products of two such are exact
+
+
 class NeedsUnrolling(Exception):
     """A place in memory that is known only where a loop's variable is."""
 
@@ -190,6 +193,8 @@ class Expressions:
         if whole and binds in (SUM, PRODUCT):
             return {"+": plus, "-": minus, "*": times}[sign](a, b)
         if binds == 3:
+            if sign == "&" and b.is_known and 0 <= b.value < NARROW:
+                kind = "int"
             return Number(kind, f"{a.within(ATOM)} {sign} {b.within(ATOM)}", binds)
         return Number(kind, f"{a.within(binds)} {sign} {b.within(binds + 1)}", binds)
 

@@ -187,6 +187,7 @@ def files_of(export: Export) -> dict[str, str]:
         "CMakeLists.txt": render("CMakeLists.txt"),
         "qemu_mps2/startup.c": render("startup.c"),
         "qemu_mps2/mps2.ld": render("mps2.ld"),
+        "in_the_loop/link.c": link(export),
     }  # fmt: skip
 
 
@@ -214,18 +215,14 @@ def starts(export: Export) -> list[Root]:
 
 
 def initial(export: Export) -> str:
-    """The lines that give a controller its first values."""
+    """The lines that give a controller its first values, after all bytes were set to zero."""
     lines, tables = list[str](), {t.name for t in starts(export)}
-    zero = {"real": "0.0f" if export.program.real != "double" else "0.0", "int": "0"}
     for m in export.members:
-        has_table = f"start_{m.name}" in tables
-        value = f"law_start_{m.name}[i]" if has_table else zero[m.kind]
-        lines += [
-            f"    for (int32_t i = 0; i < {m.data.size}; i++) {{",
-            f"        self->{m.name}[i] = {value};",
-            "    }",
-        ]
-        for i in np.flatnonzero(m.data) if not has_table else ():
+        if f"start_{m.name}" in tables:
+            text = f"self->{m.name}[i] = law_start_{m.name}[i];"
+            lines += [f"    for (int32_t i = 0; i < {m.data.size}; i++) {{", f"        {text}", "    }"]
+            continue
+        for i in np.flatnonzero(m.data):
             x = m.data[i]
             lines.append(f"    self->{m.name}[{i}] = {spelled(float(x)) if m.kind == 'real' else int(x)};")
     return "\n".join(lines)
@@ -323,6 +320,18 @@ def selftest(export: Export, events: list[Event], answers: list[Answer], name: s
         torques=rows(answer.torque for answer in answers),
         sums=",\n".join(f"    UINT64_C({answer.checksum:#x})" for answer in answers),
     )
+
+
+def link(export: Export) -> str:
+    """The controller as a process."""
+    guide, received = export.stepper.follower.guide, export.stepper.received
+    remembered = [(m.name, m.data.size) for m in export.remembered]
+    return render(
+        "link.c", real=export.program.real, remembered=remembered, measurement_size=received.size,
+        frame=5 + received.size + guide.wanted.size, answer=2 + sum(size for _, size in remembered),
+        measured=ranges(export, "pose velocity q qdot"),
+        asked=ranges(export, "pose velocity acceleration q qdot qddot"),
+    )  # fmt: skip
 
 
 def readme(export: Export, steps: int, ram: int) -> str:
