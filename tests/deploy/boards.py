@@ -10,17 +10,8 @@ import pytest
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 GROUPED = ["-ffunction-sections", "-fdata-sections", "-Wl,--gc-sections"]
 NEWLIB = ["--specs=rdimon.specs", "-nostartfiles", "-T", "qemu_mps2/mps2.ld", "-I.", "qemu_mps2/startup.c"]
-BARE = [
-    "-nographic",
-    "-monitor",
-    "none",
-    "-serial",
-    "none",
-    "-icount",
-    "shift=0",
-    "-semihosting-config",
-    "enable=on,target=native",
-]
+SEMIHOSTING = ["-semihosting-config", "enable=on,target=native"]
+BARE = ["-nographic", "-monitor", "none", "-serial", "none", "-icount", "shift=0", *SEMIHOSTING]
 ARM = "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
 # Name: packages, compiler with its flags, what runs the program.
 TARGETS = {

@@ -27,7 +27,6 @@ from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
 from mmnn_pin.elementary import angles, exponentials, two_doubles
 
-STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off"]
 HAS_GCC = shutil.which("gcc") is not None
 needs_gcc = pytest.mark.skipif(not HAS_GCC, reason="no gcc: apt-get install gcc")
 # The plain Python of the blocks gives the bits of the compiled code, and nothing has to be compiled for it.

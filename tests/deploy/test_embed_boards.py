@@ -125,7 +125,7 @@ def test_a_run_with_an_emulated_processor_in_the_loop_is_pythons(tmp_path, contr
     assert (found.samples, found.status, found.differences) == (300, "completed", [])
 
 
-# -- a second answer -----------------------------------------------------------------------------------------------------
+# -- a second answer --------------------------------------------------------------------------------------------------
 
 DRIVER = """#include <stdint.h>
 #include <stdio.h>
@@ -144,7 +144,7 @@ int main(void)
 
 
 def test_the_c_has_the_bits_of_numbas_own_code_for_another_processor(tmp_path):
-    """The LLVM code that numba makes of the same functions, translated for AArch64 by llvmlite, is the second answer."""
+    """The LLVM code that numba makes of the same functions, for AArch64 by llvmlite, is the second answer."""
     require("aarch64")
     from llvmlite import binding
 
