@@ -173,6 +173,16 @@ def test_the_comments_are_the_docstrings(exported):
     )
 
 
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++: apt-get install g++")
+@pytest.mark.parametrize("flavour", [[], ["-DMMNN_GET_OPTIONAL"]])
+def test_the_plugin_of_ros2_control_compiles_with_both_flavours(exported, tmp_path, flavour):
+    """Against stubs of the headers; what ros2_control does with it is not tried."""
+    folder, _ = exported("two_layer")
+    stubs = ROOT / "tests" / "deploy" / "stubs"
+    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{stubs}", f"-I{folder}", *flavour, "-c"]
+    subprocess.run([*command, folder / "ros2_control" / "plugin.cpp", "-o", tmp_path / "plugin.o"], check=True)
+
+
 # -- the small parts ---------------------------------------------------------------------------------------------------
 
 

@@ -188,6 +188,7 @@ def files_of(export: Export) -> dict[str, str]:
         "qemu_mps2/startup.c": render("startup.c"),
         "qemu_mps2/mps2.ld": render("mps2.ld"),
         "in_the_loop/link.c": link(export),
+        **plugin(export),
     }  # fmt: skip
 
 
@@ -332,6 +333,32 @@ def link(export: Export) -> str:
         measured=ranges(export, "pose velocity q qdot"),
         asked=ranges(export, "pose velocity acceleration q qdot qddot"),
     )  # fmt: skip
+
+
+def plugin(export: Export) -> dict[str, str]:
+    """A plugin of ros2_control to start from."""
+    robot, stepper = export.stepper.robot, export.stepper
+    d, names = robot.dimensions, robot.actuator_names
+    by_row = stepper.setup.interfaces
+    kinds = ["velocity" if by_row.get(name, "effort") != "effort" else "effort" for name in names]
+    parts = {2: ("linear.x", "angular.z"), 3: ("linear.x", "linear.y", "angular.z")}.get(d.base, ())
+    by_kind = ("mmnn_motor_velocity(&controller_)[j]", "mmnn_motor_torque(&controller_)[j]")
+    choice = f'motor_interfaces[j] == "velocity" ? {by_kind[0]} : {by_kind[1]}'
+    return {
+        "ros2_control/plugin.cpp": render(
+            "plugin.cpp", has_base=bool(d.base), motors=quoted(names), motor_interfaces=quoted(kinds),
+            arm=quoted(robot.joint_names),
+            odometry=[f"measurement.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
+            velocity=[f"setpoint.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
+            command=choice if has_split(export) else "mmnn_motor_torque(&controller_)[j]",
+        ),
+        "ros2_control/plugin.xml": render("plugin.xml", title=export.title),
+    }  # fmt: skip
+
+
+def quoted(names: Iterable[str]) -> str:
+    """Names as the entries of a list in C."""
+    return ", ".join(f'"{name}"' for name in names)
 
 
 def readme(export: Export, steps: int, ram: int) -> str:
