@@ -202,7 +202,8 @@ def by_type(stub: F, argument: str, choose: Callable[[type], Callable[..., Any]]
 
 
 def spelled(text: str, **known: Any) -> Any:
-    """The function that a text defines."""
+    """The function that a text defines; its globals keep the text as `__source__`, for those who read it."""
+    known["__source__"] = text
     name = text.removeprefix("def ").partition("(")[0]
     exec(compile(text, f"<{name}>", "exec"), known)
     return known[name]

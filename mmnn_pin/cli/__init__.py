@@ -15,6 +15,7 @@ import click
 
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
+from .embed import embed
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
 from .results import export, plot, prove, replay, report
@@ -65,7 +66,9 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-for command in (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, ros2, list_):
+JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_)
+DEPLOYING = (embed, ros2)
+for command in (*JUDGING, *DEPLOYING):
     mmnn.add_command(command)
 
 

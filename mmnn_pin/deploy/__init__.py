@@ -1,1 +1,1 @@
-"""Out of the simulation: what takes a controller to a robot."""
+"""Out of the simulation: controllers on robots with ROS 2 and on microcontrollers, and what a robot's recordings tell."""

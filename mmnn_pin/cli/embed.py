@@ -1,0 +1,106 @@
+"""`mmnn embed`: a controller as C99 source with a self-test."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from .options import CHANGES, VARIANT, examples, shared, understanding
+from .output import DONE, FAILED, answer
+from .run import about_robot, in_toml
+
+if TYPE_CHECKING:
+    from ..deploy.embed import Embedded
+    from ..deploy.embed.in_the_loop import Comparison
+
+
+@click.command(
+    short_help="Write a controller as C99 source with a self-test.",
+    epilog=examples(
+        "mmnn embed track --controller two_layer --out firmware",
+        "mmnn embed track --robot tiago --controller adaptive --out firmware --cc clang",
+        "mmnn embed track --controller pd --out firmware --single",
+        "mmnn embed track --controller adaptive --out firmware --plant qemu",
+    ),
+)
+@click.argument("experiment")
+@VARIANT
+@click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
+@click.option("--controller", metavar="NAME", required=True, help="The controller, see `mmnn list`.")
+@click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
+@click.option("--force", is_flag=True, help="Write into a folder that exists.")
+@click.option("--single", is_flag=True, help="Numbers of 32 bits: not the bits of Python; the self-test says how far.")
+@click.option("--no-diagnostics", is_flag=True, help="Leave out what only tells how well the motion excites.")
+@click.option("--steps", type=click.IntRange(1, 100_000), default=1000, show_default=True, help="Of the self-test.")
+@click.option("--cc", metavar="COMMAND", default="cc", show_default=True, help="Compiler for the self-test.")
+@click.option("--no-check", is_flag=True, help="Write the files without compiling them.")
+@click.option(
+    "--memory", type=click.IntRange(1), metavar="KB", help="Largest memory of the controller.  [default: 512]"
+)
+@click.option(
+    "--plant",
+    type=click.Choice(["host", "qemu"]),
+    help="Then close the loop: the C as a process here, or on an emulated Cortex-M7, and compare with Python's run.",
+)
+@CHANGES
+@understanding
+@shared
+def embed(
+    experiment: str,
+    variant: str | None,
+    robot: str | None,
+    controller: str,
+    out: Path,
+    force: bool,
+    single: bool,
+    no_diagnostics: bool,
+    steps: int,
+    cc: str,
+    no_check: bool,
+    plant: str | None,
+    memory: int | None,
+    settings: tuple[str, ...],
+    overrides: dict[str, Any],
+    as_json: bool,
+) -> int:
+    """Write one controller of EXPERIMENT with its kinematic layer, motor limits and supervisor as C99 source.
+
+    The source is translated from the Python functions that the loops run. The folder has a self-test with the answers
+    of Python; it is compiled and run before the folder appears, and all its torques and states must agree bit for bit.
+    """
+    from ..deploy.embed import embed as export
+    from ..deploy.embed.export import MEMORY, supervised
+    from ..deploy.embed.in_the_loop import compared, require_tools
+    from ..lab.experiments.config import load_experiment
+
+    changes = [*about_robot(robot, overrides), *settings, *in_toml(robot=robot, controllers=[controller])]
+    found = load_experiment(experiment, changes, variant)
+    loaded = found.load_robot()
+    loop = found.loop(loaded, found.controller(found.controllers[0], robot=loaded))
+    if plant is not None:
+        require_tools(plant)
+    made = export(
+        loop, out, force=force, single=single, diagnostics=not no_diagnostics, steps=steps,
+        compiler=None if no_check else cc, memory=memory or MEMORY,
+    )  # fmt: skip
+    run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5")
+    more = {} if run is None else {"in_the_loop": asdict(run)}
+    answer(as_json, lambda: made.to_dict() | more, lambda: told(made, run))
+    return DONE if run is None or not run.differences else FAILED
+
+
+def told(made: Embedded, run: Comparison | None) -> str:
+    """What was written, for people, and what came of a run in the loop."""
+    size = "" if made.code_bytes is None else f", {made.code_bytes / 1000:.1f} kB of code and constants"
+    of = f" ({made.initial_bytes / 1000:.1f} kB of them initial values; {made.compiler})" if size else ""
+    checked = f"self-test passed: {made.selftest_steps} samples with the bits of Python\n" if size else ""
+    loop = ""
+    if run is not None:
+        same = f"differs in {', '.join(run.differences)}" if run.differences else "equals Python's, bit for bit"
+        loop = f"in the loop ({run.where}): {run.samples} samples, {run.status}; the recording {same}\n"
+    return (
+        f"{checked}{loop}{made.ram_bytes / 1000:.1f} kB of RAM{size}{of}\nwrote {made.folder}: {', '.join(made.files)}"
+    )

@@ -1,0 +1,234 @@
+"""What a stepper does at a sample, as functions that can be written as C: `Stepper.step` without Python's objects.
+
+    measurement ─▶ [take] ─▶ [follow: a sample, a base velocity, or hold] ─▶ [Control.step] ─▶ [command]
+
+The arithmetic is the blocks' own: `safety.accept`, `reference.guide`, `loop.sample.Control`. Here is only what
+`Stepper` and `Follower` decide between them. Motions and joint goals are planned in Python and handed in as samples.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...loop.sample import Control
+from ...loop.servo import Split
+from ...loop.stepper import Stepper
+from ...reference.follower import LARGEST
+from ...reference.guide import ARM, BASE, HOLD, SAMPLE, VELOCITY, Guide, advance, stand
+from ...safety import HAS_TRIPPED, Supervisor, accept, has_ended, press, release
+from ...safety.supervisor import GOOD, HEARD
+from ...signals import Array, IntArray
+
+# What a sample can be asked: to go on, a full sample, a base velocity, to brake and stand.
+GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND = range(4)
+# What a step answers: done; a time not after the last one; a setpoint that is not finite or does not exist.
+DONE, BAD_TIME, BAD_SETPOINT = range(3)
+LAST, RENEWED, STANDS, STEPPED = 0, 1, 3, 4  # of the clock
+CLOCK = 5
+
+
+class Board(NamedTuple):
+    """What a stepper has in memory.
+
+    Attributes:
+        row: (width,) signals of the sample.
+        at: Their offsets.
+        received: (m,) pose, velocity, q, qdot in the row.
+        incoming: (m,) the measurement that comes in.
+        asked: (w,) the setpoint that comes in: a full sample, or the base velocity at its place.
+        control: Kinematic layer, torque law and supervisor.
+        guide: What makes the reference.
+        supervisor: The supervisor.
+        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped.
+        losses: (1,) how often a setpoint was not renewed.
+        timeout: Age of a setpoint that has to be renewed at which it holds [s].
+        command: (motors,) torques that reach the motors.
+        motor_torque: (motors,) the same in the row.
+        split: The rows that take a velocity; None where all take effort.
+        to_motors: (motors, p) velocities of the motors from nu.
+        motor_velocity: (motors,) commanded velocities [rad/s or m/s].
+    """
+
+    row: Array
+    at: IntArray
+    received: Array
+    incoming: Array
+    asked: Array
+    control: Control
+    guide: Guide
+    supervisor: Supervisor
+    clock: Array
+    losses: Array
+    timeout: float
+    command: Array
+    motor_torque: Array
+    split: Split | None
+    to_motors: Array
+    motor_velocity: Array
+
+
+class Fresh(Stepper):
+    """A stepper that has not rehearsed: its memory is as a board's is after a reset."""
+
+    def _rehearse(self) -> None:
+        """Nothing: nobody steps it."""
+
+
+def board_of(stepper: Stepper) -> Board:
+    """The memory of a stepper."""
+    guide, hardware = stepper.follower.guide, stepper.hardware
+    clock = np.zeros(CLOCK)
+    clock[: RENEWED + 2] = -math.inf
+    return Board(
+        row=stepper.row,
+        at=stepper.at,
+        received=stepper.received,
+        incoming=np.zeros(stepper.received.size),
+        asked=np.zeros(guide.wanted.size),
+        control=stepper.control,
+        guide=guide,
+        supervisor=hardware.supervisor,
+        clock=clock,
+        losses=np.zeros(1),
+        timeout=stepper.follower.timeout,
+        command=hardware.totals.command,
+        motor_torque=stepper.motor_torque,
+        split=hardware.split,
+        to_motors=stepper.to_motors,
+        motor_velocity=np.zeros(len(stepper.to_motors)),
+    )
+
+
+def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -> int:
+    """One control sample: measurement, setpoint, kinematic layer, torque law, supervisor; `Stepper.step`.
+
+    Args:
+        b: The board; `incoming` is the measurement, `asked` the setpoint.
+        time: [s], larger than at the last call.
+        is_measured: Whether a measurement came.
+        measured: When it was taken, at most `time` [s].
+        wish: What came as a setpoint: `GO_ON` where none did.
+    """
+    clock = b.clock
+    if not clock[LAST] < time < math.inf:
+        return BAD_TIME
+    if not is_possible(b, wish):
+        return BAD_SETPOINT
+    if is_measured:
+        take(b, time, measured)
+    if clock[STANDS] == 0.0 and b.supervisor.state[GOOD] > 0.0:
+        stand(b.received, b.guide)
+        clock[STANDS] = 1.0
+    follow(b, time, wish)
+    advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
+    b.control.step(time, b.guide.now)
+    for j in range(b.motor_torque.size):
+        b.motor_torque[j] = b.command[j]
+    if b.split is not None:
+        for j in range(b.motor_velocity.size):
+            speed = 0.0
+            for i in range(b.split.command.size):
+                speed += b.to_motors[j, i] * b.split.command[i]
+            b.motor_velocity[j] = speed
+    clock[LAST], clock[STEPPED] = time, 1.0
+    return DONE
+
+
+def is_possible(b: Board, wish: int) -> bool:
+    """Whether a setpoint is one that can be followed; `Follower.check`."""
+    fine = wish in (GO_ON, STAND)
+    nb = b.guide.base.shape[1]
+    pose = 3 if nb else 0
+    if wish == FOLLOW_SAMPLE:
+        fine = True
+        for i in range(b.asked.size):
+            fine = fine and abs(b.asked[i]) < LARGEST
+    elif wish == FOLLOW_VELOCITY:
+        fine = nb > 0
+        for i in range(pose, pose + nb):
+            fine = fine and math.isfinite(b.asked[i])
+    return fine
+
+
+def take(b: Board, time: float, measured: float) -> None:
+    """A measurement into the row and before the supervisor; `Stepper._take`."""
+    state = b.supervisor.state
+    if state[GOOD] > 0.0 and measured < state[HEARD]:
+        return
+    fine = not math.isnan(measured)
+    for i in range(b.received.size):
+        b.received[i] = b.incoming[i]
+        fine = fine and abs(b.incoming[i]) < LARGEST
+    if not fine:
+        b.received[0] = math.nan
+    when = min(measured, time)
+    accept(b.row, b.at, when, when, True, b.supervisor.message, state)
+
+
+def follow(b: Board, time: float, wish: int) -> None:
+    """A setpoint that came, and those that were not renewed; `Follower.step`."""
+    guide, clock = b.guide, b.clock
+    nb = guide.base.shape[1]
+    pose = 3 if nb else 0
+    if wish == FOLLOW_SAMPLE:
+        for i in range(b.asked.size):
+            guide.wanted[i] = b.asked[i]
+        guide.kind[:] = SAMPLE
+        guide.fresh[:] = 1
+        guide.clock[:] = 0.0
+        clock[RENEWED + BASE], clock[RENEWED + ARM] = time, time
+    elif wish == FOLLOW_VELOCITY:
+        leave(b, BASE)
+        for i in range(nb):
+            guide.wanted[pose + i] = min(max(b.asked[pose + i], -guide.base[0, i]), guide.base[0, i])
+        guide.kind[BASE] = VELOCITY
+        clock[RENEWED + BASE] = time
+    elif wish == STAND:
+        leave(b, BASE)
+        leave(b, ARM)
+    for part in range(2):
+        kind = guide.kind[part]
+        if kind in (SAMPLE, VELOCITY) and time - clock[RENEWED + part] > b.timeout:
+            leave(b, part)
+            b.losses[0] += 1.0
+
+
+def leave(b: Board, part: int) -> None:
+    """Base or arm holds, from the reference as it is; `Follower._leave`."""
+    nb = b.guide.base.shape[1]
+    q = (3 if nb else 0) + 2 * nb
+    first, last = (0, q) if part == BASE else (q, b.guide.aim.size)
+    for i in range(first, last):
+        b.guide.aim[i] = b.guide.now[i]
+    b.guide.kind[part] = HOLD
+
+
+def stop(b: Board) -> None:
+    """An emergency stop from outside, from the next sample on; `Stepper.stop`."""
+    if b.supervisor.state[HAS_TRIPPED] == 0.0:
+        press(max(b.clock[LAST], 0.0), b.supervisor)
+
+
+def reset(b: Board) -> bool:
+    """Go on after a trip from where the robot is measured; false without a fresh measurement; `Stepper.reset`."""
+    if b.supervisor.state[HAS_TRIPPED] == 0.0 or not release(b.clock[LAST], b.supervisor):
+        return False
+    stand(b.received, b.guide)
+    return True
+
+
+def is_over(b: Board) -> bool:
+    """Whether the supervisor has stopped the robot and shown its stop; `Stepper.is_over`."""
+    return has_ended(b.clock[LAST], b.supervisor.numbers, b.supervisor.state)
+
+
+def run(b: Board, time: float, received: Any, wish: int, asked: Any, measured: float | None = None) -> int:
+    """A step from Python: arrays of the measurement and of the setpoint, or None."""
+    if received is not None:
+        b.incoming[:] = received
+    if asked is not None:
+        b.asked[:] = asked
+    return step(b, time, received is not None, time if measured is None else measured, wish)

@@ -1,0 +1,253 @@
+"""`mmnn embed`: from a loop to a folder of C99 whose self-test has been compiled and run."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import subprocess
+import tempfile
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import ConfigError, MmnnError
+from ...loop.loop import Loop
+from ...model.tree.body import body_of
+from ...safety import Safety
+from ...torque.controller import CompiledController
+from .board import Fresh
+from .files import Export, files_of, readme, selftest, starts, translated
+from .golden import answers, usual_events
+
+FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off", "-O2")
+CORTEX_M7 = ("-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-ffunction-sections")
+MEMORY = 512  # kB: the largest block of RAM of the usual Cortex-M7
+LONGEST = 600.0  # time for the self-test [s]
+
+
+@dataclass(frozen=True)
+class Embedded:
+    """An exported controller.
+
+    Attributes:
+        controller: Its name.
+        robot: Name of the robot.
+        folder: Where the files are.
+        files: Their names.
+        ram_bytes: Size of the controller's struct.
+        code_bytes: Code and constants, the initial values among them; None where nothing was compiled.
+        initial_bytes: Constants that are only the initial values of what is learned.
+        compiler: What `code_bytes` is of.
+        selftest_steps: Samples of the self-test.
+    """
+
+    controller: str
+    robot: str
+    folder: str
+    files: list[str]
+    ram_bytes: int
+    code_bytes: int | None
+    initial_bytes: int
+    compiler: str
+    selftest_steps: int
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def embed(
+    loop: Loop,
+    folder: str | Path,
+    *,
+    force: bool = False,
+    single: bool = False,
+    diagnostics: bool = True,
+    steps: int = 1000,
+    compiler: str | None = "cc",
+    memory: int = MEMORY,
+) -> Embedded:
+    """Write the controller of a loop, its kinematic layer and its supervisor as C99 source, and run its self-test.
+
+    The supervisor is that of the loop, or one that holds the motors within the URDF's effort limits.
+
+    Args:
+        loop: Robot, controller, gains and supervisor; what it simulates beside is left out.
+        folder: For the files.
+        force: Write into a folder that exists.
+        single: Numbers of 32 bits; the self-test then tells how far the torques are off.
+        diagnostics: Keep what only tells how well the motion excites (the Gram matrix of `adaptive`).
+        steps: Samples of the self-test.
+        compiler: With its flags, for the self-test; None writes the files alone.
+        memory: Largest size of what the controller remembers [kB].
+
+    Raises:
+        ConfigError: The controller is plain Python or too large, the plant has contacts, motors have no limits, the
+            folder exists, there is no such compiler.
+        Untranslatable: Something in the controller's functions cannot be said in C.
+        MmnnError: The self-test fails.
+    """
+    folder = Path(folder)
+    require_embeddable(loop)
+    if folder.exists() and not force:
+        fix = "give another one, or --force to write into it"
+        raise ConfigError(f"{folder} exists", fix=fix, key="out")
+    tool = found_compiler(compiler)
+    stepper = Fresh.of(supervised(loop))
+    require_limits(stepper)
+    title = f"{loop.controller.name} for {loop.robot.name}"
+    export = translated(stepper, title, "float" if single else "double", diagnostics)
+    require_small(export, memory)
+    texts = files_of(export)
+    events = usual_events(loop, stepper.period, steps)
+    answered = answers(stepper, events, [m.live for m in export.remembered])
+    texts["selftest.c"] = selftest(export, events, answered, title)
+    texts["README.md"] = readme(export, steps, ram_bytes(export))
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".embed-") as made:
+        for name, text in texts.items():
+            (Path(made) / name).parent.mkdir(exist_ok=True)
+            (Path(made) / name).write_text(text)
+        code, of = None, ""
+        if tool:
+            check(Path(made), tool)
+            code, of = size_of_code(Path(made), tool)
+        place(Path(made), folder, list(texts))
+    initial = sum(root.data.size * width(export, root.kind) for root in starts(export))
+    return Embedded(
+        loop.controller.name, loop.robot.name, str(folder), sorted(texts), ram_bytes(export), code, initial, of, steps
+    )
+
+
+def supervised(loop: Loop) -> Loop:
+    """A loop with its supervisor, or with one that holds the motors within the URDF's effort limits."""
+    return replace(loop, safety=loop.safety or Safety(torque="urdf"))
+
+
+def require_embeddable(loop: Loop) -> None:
+    """Refuse what has no C.
+
+    Raises:
+        ConfigError: A controller in plain Python, a plant with contacts.
+        RobotError: A joint that cannot be flattened.
+    """
+    if not isinstance(loop.controller, CompiledController):
+        why, fix = "it is plain Python", "use one of the package, or write its arithmetic as compiled functions"
+        raise ConfigError(f"'{loop.controller.name}' cannot be written as C", why=why, fix=fix, key="controller")
+    if loop.plant != "ideal":
+        why = "the self-test follows the reference on wheels that roll"
+        raise ConfigError(
+            f"an experiment with the plant '{loop.plant}'", why=why, fix="use plant = 'ideal'", key="plant"
+        )
+    body_of(loop.robot)
+
+
+def require_limits(stepper: Fresh) -> None:
+    """Refuse a robot whose motors nothing limits.
+
+    Raises:
+        ConfigError: A motor without a limit.
+    """
+    torque, robot = stepper.hardware.supervisor.torque, stepper.robot
+    free = [name for name, limit in zip(robot.actuator_names, torque, strict=True) if not np.isfinite(limit)]
+    if free:
+        why = f"no effort limit of {', '.join(free)} is known"
+        fix = "state <limit effort=...> in the URDF, or --set 'safety.torque=[...]'"
+        raise ConfigError("motors that nothing limits", why=why, fix=fix, key="safety.torque")
+
+
+def require_small(export: Export, memory: int) -> None:
+    """Refuse a controller that does not fit a microcontroller.
+
+    Raises:
+        ConfigError: With the sizes of its largest arrays.
+    """
+    size = ram_bytes(export)
+    if size > 1000 * memory:
+        largest = sorted(export.members, key=lambda m: -m.data.size)[:3]
+        parts = ", ".join(f"{m.name} {m.data.size * width(export, m.kind) / 1000:.0f} kB" for m in largest)
+        why = f"it remembers {size / 1000:.0f} kB ({parts}), and {memory} kB is the limit"
+        fix = "use another controller, fewer features, or --memory"
+        raise ConfigError(f"{export.title} does not fit a microcontroller", why=why, fix=fix, key="controller")
+
+
+def width(export: Export, kind: str) -> int:
+    """Bytes of a number."""
+    return 8 if kind == "real" and export.program.real == "double" else 4
+
+
+def ram_bytes(export: Export) -> int:
+    """Size of the controller's struct: what it remembers, and its room to work in."""
+    size, ends = 0, 8 if export.program.real == "double" else 4
+    for member in export.members:
+        one = width(export, member.kind)
+        size = -(-size // one) * one + member.data.size * one
+    return -(-size // ends) * ends
+
+
+def found_compiler(compiler: str | None) -> list[str]:
+    """The command of a compiler; empty for none.
+
+    Raises:
+        ConfigError: It is not there.
+    """
+    words = shlex.split(compiler) if compiler else []
+    if words and shutil.which(words[0]) is None:
+        fix = "install gcc or clang, name another with --cc, or give --no-check to write the files alone"
+        raise ConfigError(f"no compiler '{words[0]}'", why="the self-test is to be run", fix=fix, key="cc")
+    return words
+
+
+def check(folder: Path, compiler: list[str]) -> str:
+    """Compile the self-test of a folder and run it; what it prints.
+
+    Raises:
+        MmnnError: It does not compile, or a sample differs from Python.
+    """
+    with tempfile.TemporaryDirectory() as made:
+        program = Path(made) / "selftest"
+        sources = [str(file) for file in sorted(folder.glob("*.c"))]
+        run([*compiler, *FLAGS, *sources, "-o", str(program)], "the export does not compile")
+        return run([str(program)], "the self-test of the export fails")
+
+
+def run(command: list[str], what: str) -> str:
+    """Run a command; what it prints.
+
+    Raises:
+        MmnnError: It fails.
+    """
+    done = subprocess.run(command, capture_output=True, text=True, timeout=LONGEST)
+    if done.returncode:
+        said = (done.stdout + done.stderr).strip().splitlines()
+        raise MmnnError(f"{what}: {' '.join(said[:3]) or f'exit status {done.returncode}'}")
+    return done.stdout
+
+
+def size_of_code(folder: Path, compiler: list[str]) -> tuple[int | None, str]:
+    """Code and constants: on a Cortex-M7 where there is a compiler for it, else on this machine; and which it is."""
+    is_board = shutil.which("arm-none-eabi-gcc") is not None
+    tool = ["arm-none-eabi-gcc", *CORTEX_M7] if is_board else compiler
+    measure = "arm-none-eabi-size" if is_board else "size"
+    if shutil.which(measure) is None:
+        return None, ""
+    total = 0
+    with tempfile.TemporaryDirectory() as made:
+        for name in ("controller", "robot_law", "mmnn_math"):
+            made_of = str(Path(made) / f"{name}.o")
+            run([*tool, *FLAGS, "-c", str(folder / f"{name}.c"), "-o", made_of], "the export does not compile")
+            total += int(run([measure, made_of], "no size").splitlines()[1].split()[0])
+    return total, "arm-none-eabi-gcc -O2, Cortex-M7" if is_board else f"{compiler[0]} -O2, this machine"
+
+
+def place(made: Path, folder: Path, names: list[str]) -> None:
+    """Put files where they belong: the whole folder at once, or into one that exists."""
+    if not folder.exists():
+        made.chmod(0o755)
+        shutil.copytree(made, folder)
+        return
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (made / name).replace(folder / name)

@@ -1,0 +1,381 @@
+"""The files of an exported controller."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from ... import __version__
+from ...loop.stepper import Stepper
+from ...signals import SIGNALS, Array
+from . import board, body
+from .golden import Answer, Event
+from .program import Function, Program
+from .values import Number, Root, Static, spelled
+
+TEMPLATES = jinja2.Environment(
+    loader=jinja2.PackageLoader("mmnn_pin.deploy.embed"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
+)
+FEW = 8  # numbers that are set one by one at the start
+TOLERANCE = 1e-3  # of torques in single precision, over the largest
+
+
+@dataclass(frozen=True)
+class Export:
+    """A translated controller.
+
+    Attributes:
+        stepper: The stepper that it was made from.
+        program: Its functions.
+        title: Controller and robot in words.
+    """
+
+    stepper: board.Fresh
+    program: Program
+    title: str
+
+    @property
+    def members(self) -> list[Root]:
+        """What the controller remembers, in the order of the struct."""
+        roots = [*self.program.roots.values(), *self.program.pieces.values()]
+        return [root for root in roots if root.name in self.program.written and not root.parts]
+
+    @property
+    def remembered(self) -> list[Root]:
+        """The same without integers and room to work in: what a checksum covers."""
+        lasting = {id(root) for root in self.program.pieces.values()}
+        first = ("row", "guide_now", "guide_aim", "guide_wanted")
+        return [m for m in self.members if m.kind == "real" and (m.name in first or id(m) in lasting)]
+
+    @property
+    def tables(self) -> list[Root]:
+        """Constant tables that the functions read."""
+        text = "\n".join(function.text for function in self.functions)
+        roots = [*self.program.roots.values(), *self.program.pieces.values()]
+        return [r for r in roots if r.name not in self.program.written and re.search(rf"\blaw_{r.name}\b", text)]
+
+    @property
+    def functions(self) -> list[Function]:
+        """All functions that do something, callees first."""
+        return [function for function in self.program.functions.values() if not function.is_empty]
+
+
+def translated(stepper: board.Fresh, title: str, real: str = "double", diagnostics: bool = True) -> Export:
+    """Translate the step of a stepper; without diagnostics what only tells of the excitation is left out.
+
+    Raises:
+        Untranslatable: Something in its functions cannot be said in C.
+    """
+    program, b = Program(body.write, real), board.board_of(stepper)
+    program.memory(b.row, "row")
+    for i, name in enumerate(name for name, *_ in SIGNALS):
+        program.hints["at", i] = f"MMNN_ROW_{name}"
+    program.memory(b.at, "at")
+    for name in ("incoming", "asked"):
+        program.memory(getattr(b, name), name)
+        program.written.add(name)
+    program.dropped.add(program.memory(b.guide.clock, "guide_clock").name)  # nothing fades without motions
+    learned = stepper.state
+    if getattr(learned, "values", None) is not None and learned.values.size:
+        sizes = {name: int(np.prod(shape)) for name, shape in learned.shapes.items()}
+        program.memory(learned.values, "learned", sizes)
+        program.dropped |= {"gram"} if not diagnostics else set()
+    program.memory(stepper.hardware.state, "hardware", parts_of(stepper))
+    whole = Static(b, "board")
+    time, measured = Number("real", "time"), Number("real", "measured")
+    is_measured, wish = Number("bool", "is_measured"), Number("int", "wish")
+    calls: list[tuple[Any, dict[str, Any]]] = [
+        (board.step, {"time": time, "is_measured": is_measured, "measured": measured, "wish": wish}),
+        *((function, {}) for function in (board.stop, board.reset, board.is_over)),
+    ]
+
+    def call_all() -> None:
+        for function, arguments in calls:
+            program.function(program.source(function), {"b": whole, **arguments})
+
+    program.translate(call_all)
+    return Export(stepper, program, title)
+
+
+def parts_of(stepper: Stepper) -> dict[str, int]:
+    """The members that the state of supervisor, motors and servos is split into, in the order of its memory."""
+    hardware = stepper.hardware
+    named = {f"supervisor_{name}": part for name, part in hardware.supervisor._asdict().items() if name != "values"}
+    named |= {"motor_states": hardware.motors.states, "sent": hardware.sent}
+    if hardware.split is not None:
+        named |= {f"servo_{name}": part for name, part in hardware.split._asdict().items()}
+    whole, found = hardware.state, list[tuple[int, str, int]]()
+    first = whole.__array_interface__["data"][0]
+    for name, part in named.items():
+        if isinstance(part, np.ndarray) and part.size and np.shares_memory(part, whole):
+            found.append(((part.__array_interface__["data"][0] - first) // 8, name, part.size))
+    sizes, end = dict[str, int](), 0
+    for start, name, size in [*sorted(found), (whole.size, "", 0)]:
+        if start > end:
+            sizes[f"unused{end}"] = start - end
+        if size:
+            sizes[name] = size
+        end = max(end, start + size)
+    return sizes
+
+
+# -- text ------------------------------------------------------------------------------------------------------------
+
+
+def numbers(values: Array, kind: str, single: bool, per_line: int = 6) -> str:
+    """Numbers as the lines of a table."""
+    end = "f" if single and kind == "real" else ""
+    texts = [str(int(x)) if kind == "int" else spelled(float(x)) + (end if np.isfinite(x) else "") for x in values]
+    lines = (", ".join(texts[i : i + per_line]) for i in range(0, len(texts), per_line))
+    return ",\n".join(f"    {line}" for line in lines)
+
+
+def definition(function: Function, is_static: bool) -> str:
+    """A function with its comment."""
+    return f"{function.comment}\n{'static ' if is_static else ''}{function.head}\n{{\n{function.text}\n}}\n"
+
+
+def constants_in(program: Program, text: str) -> str:
+    """Definitions of the named constants that a text mentions."""
+    used = set(re.findall(r"\b[A-Z][A-Z0-9_]+\b", text))
+    single = program.real != "double"
+    lines = []
+    for name, value in program.constants.items():
+        if name in used and not name.startswith("MMNN_ROW_"):
+            said = str(value) if isinstance(value, int) else spelled(value)
+            said += "f" if single and isinstance(value, float) and np.isfinite(value) else ""
+            lines.append(f"#define {name} {f'({said})' if said.startswith('-') else said}")
+    return "\n".join(lines)
+
+
+def files_of(export: Export) -> dict[str, str]:
+    """Names and texts of the files, without the self-test."""
+    program, real = export.program, export.program.real
+    ours = [f for f in export.functions if not f.is_math]
+    maths = [f for f in export.functions if f.is_math]
+    math_text, text = "\n".join(f.text for f in maths), "\n".join(f.text for f in ours)
+    tables = [t for t in export.tables if re.search(rf"\blaw_{t.name}\b", text)]
+    own_tables = [t for t in export.tables if t not in tables]
+    about = {"title": export.title, "version": __version__, "real": real, "has_split": has_split(export)}
+    init = initial(export)
+    double = Program(body.write)
+    double.constants = program.constants
+    return {
+        "controller.h": render("controller.h", **about, **interface(export)),
+        "controller.c": render(
+            "controller.c", **about, **interface(export), functions=[definition(f, True) for f in ours], init=init,
+            constants=constants_in(program, text),
+        ),
+        "robot_law.h": render("robot_law", is_header=True, **about, tables="\n".join(
+            f"extern const {program.c_type(t.kind)} law_{t.name}[{t.data.size}];" for t in [*tables, *starts(export)]
+        )),
+        "robot_law.c": render("robot_law", is_header=False, **about, tables="\n\n".join(
+            table(program, t) for t in [*tables, *starts(export)]
+        )),
+        "mmnn_math.h": render("mmnn_math.h", types=types(program), prototypes="\n".join(
+            f"{f.comment}\n{f.head};\n" for f in maths
+        )),
+        "mmnn_math.c": render(
+            "mmnn_math.c", functions=[definition(f, False) for f in maths], constants=constants_in(double, math_text),
+            tables="\n\n".join("static " + table(double, t) for t in own_tables),
+        ),
+        "CMakeLists.txt": render("CMakeLists.txt"),
+        "qemu_mps2/startup.c": render("startup.c"),
+        "qemu_mps2/mps2.ld": render("mps2.ld"),
+        "in_the_loop/link.c": link(export),
+        **plugin(export),
+    }  # fmt: skip
+
+
+def render(template: str, **values: Any) -> str:
+    """A file from its template; runs of empty lines become one."""
+    text = TEMPLATES.get_template(f"{template}.j2").render(**values)
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(line.rstrip() for line in text.splitlines())).strip("\n") + "\n"
+
+
+def table(program: Program, root: Root) -> str:
+    """The definition of a constant table."""
+    kind = program.c_type(root.kind)
+    body = numbers(root.data, root.kind, program.real != "double")
+    body = body.replace("MMNN_INF", "(1.0 / 0.0)").replace("MMNN_NAN", "(0.0 / 0.0)")
+    return f"const {kind} law_{root.name}[{root.data.size}] = {{\n{body}\n}};"
+
+
+def starts(export: Export) -> list[Root]:
+    """Tables of what members hold at the start, of those that are not mostly zeros."""
+    found = []
+    for member in export.members:
+        if np.count_nonzero(member.data) > FEW:
+            found.append(Root(f"start_{member.name}", member.data, member.kind, member.data))
+    return found
+
+
+def initial(export: Export) -> str:
+    """The lines that give a controller its first values, after all bytes were set to zero."""
+    lines, tables = list[str](), {t.name for t in starts(export)}
+    for m in export.members:
+        if f"start_{m.name}" in tables:
+            text = f"self->{m.name}[i] = law_start_{m.name}[i];"
+            lines += [f"    for (int32_t i = 0; i < {m.data.size}; i++) {{", f"        {text}", "    }"]
+            continue
+        for i in np.flatnonzero(m.data):
+            x = m.data[i]
+            lines.append(f"    self->{m.name}[{i}] = {spelled(float(x)) if m.kind == 'real' else int(x)};")
+    return "\n".join(lines)
+
+
+def types(program: Program) -> str:
+    """The structs of several numbers."""
+    lines = []
+    for size in sorted(program.vecs):
+        lines.append(f"typedef struct {{\n    double v[{size}];\n}} mmnn_vec{size};\n")
+        if program.real != "double":
+            lines.append(f"typedef struct {{\n    float v[{size}];\n}} mmnn_single{size};\n")
+            parts = ", ".join(f"(float)x.v[{i}]" for i in range(size))
+            lines.append(
+                f"static inline mmnn_single{size} mmnn_to_single{size}(mmnn_vec{size} x)\n{{\n"
+                f"    return (mmnn_single{size}){{{{{parts}}}}};\n}}\n"
+            )
+    for kinds in sorted(program.records, key=str):
+        is_math = all(isinstance(kind, str) for kind in kinds)  # functions of controllers return structs side by side
+        members = "\n".join(f"    {program.c_type(kind, is_math=is_math)} n{i};" for i, kind in enumerate(kinds))
+        lines.append(f"typedef struct {{\n{members}\n}} {program.record_type(kinds)};\n")
+    return "\n".join(lines)
+
+
+def interface(export: Export) -> dict[str, Any]:
+    """What the header says."""
+    stepper, program = export.stepper, export.program
+    layout, robot = stepper.setup.layout, stepper.robot
+    unit = layout.unit
+    here = [(name, layout.where(name)) for name, *_ in SIGNALS]
+    signals = [
+        (name.upper(), at.start, f"{at.stop - at.start} {unit(name)}".strip()) for name, at in here
+    ]  # fmt: skip
+    measured, asked = ranges(export, "pose velocity q qdot"), ranges(export, "pose velocity acceleration q qdot qddot")
+    words = {name: unit(name) for name in ("pose", "velocity", "q", "qdot")}
+    words |= {"acceleration": unit("acceleration_ref"), "qddot": unit("qddot_ref")}
+    about = {m.name: str(m.data.size) for m in export.members}
+    return {
+        "period": f"{stepper.period!r}",
+        "motors": layout.motors,
+        "motor_names": [f"{name}" for name in robot.actuator_names],
+        "timeout": stepper.follower.timeout,
+        "measurement": [(name, size, words[name]) for name, _, size in measured],
+        "setpoint": [(name, size, words[name]) for name, _, size in asked],
+        "measured": measured,
+        "asked": asked,
+        "signals": signals,
+        "width": layout.width,
+        "members": [
+            {"type": program.c_type(m.kind), "name": m.name, "size": m.data.size, "what": ""} for m in export.members
+        ],
+        "about": about,
+    }
+
+
+def ranges(export: Export, names: str) -> list[tuple[str, int, int]]:
+    """Name, start and size of the parts of a measurement or a setpoint that the robot has."""
+    d = export.stepper.robot.dimensions
+    sizes = {"pose": d.pose, "velocity": d.base, "acceleration": d.base, "q": d.arm, "qdot": d.arm, "qddot": d.arm}
+    found, start = [], 0
+    for name in names.split():
+        if sizes[name]:
+            found.append((name, start, sizes[name]))
+        start += sizes[name]
+    return found
+
+
+def has_split(export: Export) -> bool:
+    """Whether some motors take a velocity."""
+    return export.stepper.hardware.split is not None
+
+
+def selftest(export: Export, events: list[Event], answers: list[Answer], name: str) -> str:
+    """The self-test with its golden vectors."""
+    received = [e.received for e in events if e.received is not None]
+    asked = [e.asked for e in events if e.wish]
+    return render(
+        "selftest.c",
+        steps=len(events),
+        real=export.program.real,
+        is_exact=export.program.real == "double",
+        tolerance=TOLERANCE,
+        name=name,
+        remembered=[(m.name, m.data.size) for m in export.remembered],
+        measured=ranges(export, "pose velocity q qdot"),
+        asked=ranges(export, "pose velocity acceleration q qdot qddot"),
+        events=",\n".join(
+            f"    {{{exact(e.time)}, {exact(e.measured)}, {int(e.received is not None)}, {e.wish}, {e.action}}}"
+            for e in events
+        ),
+        measurement_size=len(received[0]) if received else 0,
+        measurements=rows(received),
+        setpoint_size=len(asked[0]) if asked else 0,
+        setpoints=rows(asked),
+        torques=rows(answer.torque for answer in answers),
+        sums=",\n".join(f"    UINT64_C({answer.checksum:#x})" for answer in answers),
+    )
+
+
+def link(export: Export) -> str:
+    """The controller as a process."""
+    guide, received = export.stepper.follower.guide, export.stepper.received
+    remembered = [(m.name, m.data.size) for m in export.remembered]
+    return render(
+        "link.c", real=export.program.real, remembered=remembered, measurement_size=received.size,
+        frame=5 + received.size + guide.wanted.size, answer=2 + sum(size for _, size in remembered),
+        measured=ranges(export, "pose velocity q qdot"),
+        asked=ranges(export, "pose velocity acceleration q qdot qddot"),
+    )  # fmt: skip
+
+
+def plugin(export: Export) -> dict[str, str]:
+    """A plugin of ros2_control to start from."""
+    robot, stepper = export.stepper.robot, export.stepper
+    d, names = robot.dimensions, robot.actuator_names
+    by_row = stepper.setup.interfaces
+    kinds = ["velocity" if by_row.get(name, "effort") != "effort" else "effort" for name in names]
+    parts = {2: ("linear.x", "angular.z"), 3: ("linear.x", "linear.y", "angular.z")}.get(d.base, ())
+    by_kind = ("mmnn_motor_velocity(&controller_)[j]", "mmnn_motor_torque(&controller_)[j]")
+    choice = f'motor_interfaces[j] == "velocity" ? {by_kind[0]} : {by_kind[1]}'
+    return {
+        "ros2_control/plugin.cpp": render(
+            "plugin.cpp", has_base=bool(d.base), motors=quoted(names), motor_interfaces=quoted(kinds),
+            arm=quoted(robot.joint_names),
+            odometry=[f"measurement.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
+            velocity=[f"setpoint.velocity[{i}] = twist.{part};" for i, part in enumerate(parts)],
+            command=choice if has_split(export) else "mmnn_motor_torque(&controller_)[j]",
+        ),
+        "ros2_control/plugin.xml": render("plugin.xml", title=export.title),
+    }  # fmt: skip
+
+
+def quoted(names: Iterable[str]) -> str:
+    """Names as the entries of a list in C."""
+    return ", ".join(f'"{name}"' for name in names)
+
+
+def readme(export: Export, steps: int, ram: int) -> str:
+    """What a firmware engineer reads first."""
+    stepper = export.stepper
+    return render(
+        "README.md", title=export.title, version=__version__, steps=steps, ram=ram, period=stepper.period,
+        real=export.program.real, is_exact=export.program.real == "double", tolerance=TOLERANCE,
+        motors=", ".join(stepper.robot.actuator_names),
+    )  # fmt: skip
+
+
+def exact(value: float) -> str:
+    """A number as C reads it back exactly."""
+    return float(value).hex() if np.isfinite(value) else spelled(value)
+
+
+def rows(arrays: Iterable[Array]) -> str:
+    """The rows of a table of exact numbers."""
+    return ",\n".join("    {" + ", ".join(exact(x) for x in array) + "}" for array in arrays)

@@ -1,0 +1,130 @@
+"""Golden vectors: samples with measurements and setpoints as they come on a robot, and what the stepper answers.
+
+The measurements are those of a robot that follows its reference with an error that wanders, so that a learner has
+something to learn. Some are lost or are no numbers; towards the end the supervisor trips, brakes, and is reset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import ConfigError
+from ...loop.loop import Loop
+from ...loop.stepper import Stepper
+from ...reference.wishes import HOLD, BaseVelocity, Wish
+from ...signals import Array, Dimensions, Measurement, Setpoint
+from .board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND
+
+STOP, RESET = 1, 2
+PRIME = np.uint64(0x9E3779B97F4A7C15)
+
+
+@dataclass(frozen=True)
+class Event:
+    """What comes at a sample.
+
+    Attributes:
+        time: [s].
+        received: (m,) pose, velocity, q, qdot; None where no measurement came.
+        measured: When it was taken [s].
+        wish: Of `board`.
+        asked: (w,) the setpoint.
+        action: `STOP`, `RESET`, or 0.
+    """
+
+    time: float
+    received: Array | None
+    measured: float
+    wish: int = GO_ON
+    asked: Array = field(default_factory=lambda: np.zeros(0))
+    action: int = 0
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the stepper answers.
+
+    Attributes:
+        torque: (motors,) [N m or N].
+        checksum: Of all that it remembers.
+    """
+
+    torque: Array
+    checksum: int
+
+
+def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[Event]:
+    """Samples along the trajectory of a loop, with what goes wrong on a robot now and then."""
+    rng, d = np.random.default_rng(seed), loop.robot.dimensions
+    times = np.arange(steps) * period
+    table = loop.trajectory.table(times, d)
+    away = np.zeros(d.pose + d.base + 2 * d.arm)
+    events = []
+    for k, asked in enumerate(table):
+        away = 0.995 * away + 0.002 * rng.standard_normal(away.size)
+        received: Array | None = np.asarray(as_measured(asked, d) + away)
+        last = k >= int(0.85 * steps)
+        chance, wish, action = rng.random(), FOLLOW_SAMPLE, 0
+        if 0.3 < k / steps < 0.35 and d.base:
+            wish = FOLLOW_VELOCITY
+        elif 0.35 <= k / steps < 0.37:
+            wish = STAND if chance < 0.5 else GO_ON
+        if last and received is not None:
+            received[-1] += 100.0 * (k == int(0.86 * steps))
+            action = RESET if k == int(0.93 * steps) else STOP if k == int(0.97 * steps) else 0
+        if chance < 0.01 and received is not None:
+            received[int(rng.integers(received.size))] = rng.choice([np.nan, np.inf, 1e12])
+        elif chance < 0.03:
+            received = None
+        measured = times[k] - period * (chance > 0.98)
+        events.append(Event(float(times[k]), received, float(measured), wish, asked.copy(), action))
+    return events
+
+
+def as_measured(asked: Array, d: Dimensions) -> Array:
+    """The measurement of a robot that is where a setpoint wants it, (pose, velocity, q, qdot)."""
+    setpoint = Setpoint.side_by_side(asked, d)
+    return np.concatenate((setpoint.pose, setpoint.velocity, setpoint.q, setpoint.qdot))
+
+
+def answers(stepper: Stepper, events: list[Event], remembered: Iterable[Array]) -> list[Answer]:
+    """What a stepper answers to events; `remembered` is the memory that goes into the checksums."""
+    d, arrays, found = stepper.robot.dimensions, list(remembered), []
+    powers = powers_of(sum(array.size for array in arrays))
+    ends = np.cumsum((d.pose, d.base, d.arm))
+    for event in events:
+        measurement = None if event.received is None else Measurement(*np.split(event.received, ends))
+        setpoint = Setpoint.side_by_side(event.asked, d)
+        wishes: dict[int, Wish] = {FOLLOW_SAMPLE: setpoint, STAND: HOLD}
+        wishes[FOLLOW_VELOCITY] = BaseVelocity(setpoint.velocity)
+        with suppress(ConfigError):  # refused, and nothing has changed
+            if event.action == STOP:
+                stepper.stop()
+            elif event.action == RESET:
+                stepper.reset()
+        with suppress(ConfigError):
+            stepper.step(event.time, measurement, wishes.get(event.wish), measured=event.measured)
+        found.append(Answer(stepper.motor_torque.copy(), checksum(np.concatenate(arrays), powers)))
+    return found
+
+
+def powers_of(size: int) -> NDArray[np.uint64]:
+    """What every number of a checksum is multiplied with."""
+    powers = np.ones(size, np.uint64)
+    with np.errstate(over="ignore"):
+        for i in range(size - 2, -1, -1):
+            powers[i] = powers[i + 1] * PRIME
+    return powers
+
+
+def checksum(numbers: Array, powers: NDArray[np.uint64]) -> int:
+    """A checksum of the bits of some numbers; all that are no numbers count alike."""
+    bits = np.where(np.isnan(numbers), np.nan, numbers).view(np.uint64)
+    bits = np.where(np.isnan(numbers), np.uint64(0x7FF8000000000000), bits)
+    with np.errstate(over="ignore"):
+        return int(np.sum(bits * powers, dtype=np.uint64))

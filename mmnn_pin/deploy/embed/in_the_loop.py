@@ -1,0 +1,244 @@
+"""The exported controller in a closed loop: as a process on this machine, or on an emulated board, in lockstep.
+
+`Linked` is a stepper whose samples are computed elsewhere: it sends a measurement and a setpoint, and fills its own
+memory with all that the controller remembers. So what reads that memory, the recording among it, need not know.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from ...elementary.matrices import product
+from ...errors import ConfigError, MmnnError
+from ...loop.loop import Loop
+from ...loop.stepper import Command, Stepper
+from ...plant.ideal import IdealPlant
+from ...recording.recording import Recording
+from ...reference.wishes import BaseVelocity, Stand, Wish
+from ...signals import Array, Measurement, Setpoint
+from .board import BAD_SETPOINT, BAD_TIME, FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND, Fresh
+from .files import Export, translated
+
+SAMPLE, STOP, RESET = 0.0, 1.0, 2.0  # kinds of frames
+HOST, QEMU = "host", "qemu"
+BOARD = (
+    "qemu-system-arm -M mps2-an500 -nographic -monitor none -serial none -semihosting-config enable=on,target=native"
+)
+M7 = "-mcpu=cortex-m7 -mthumb -mfpu=fpv5-d16 -mfloat-abi=hard --specs=rdimon.specs -nostartfiles"
+NEEDED = {HOST: (), QEMU: ("arm-none-eabi-gcc", "qemu-system-arm")}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two runs of the same loop, by Python and by an exported controller.
+
+    Attributes:
+        where: `HOST` or `QEMU`.
+        samples: Of the run.
+        status: How it ended.
+        differences: Signals, weights and states that are not equal bit for bit.
+    """
+
+    where: str
+    samples: int
+    status: str
+    differences: list[str]
+
+
+class Linked(Fresh):
+    """A stepper whose samples are computed by an exported controller; arguments as of `Stepper`.
+
+    Attributes:
+        process: Where they are computed.
+    """
+
+    process: subprocess.Popen[bytes]
+    export: Export
+
+    def link(self, export: Export, command: Sequence[str]) -> Self:
+        """Start the controller's process.
+
+        Args:
+            export: The controller, translated from this stepper.
+            command: What starts it.
+        """
+        self.export = export
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        return self
+
+    def step(
+        self,
+        time: float,
+        measurement: Measurement | None = None,
+        setpoint: Wish | tuple[Wish, ...] | None = None,
+        *,
+        measured: float | None = None,
+    ) -> Command:
+        """See `Stepper.step`.
+
+        Raises:
+            ConfigError: Also for motions and joint goals, which are planned in Python.
+            MmnnError: The process has ended.
+        """
+        kind, asked = self._wish(setpoint)
+        received = np.zeros(self.received.size)
+        if measurement is not None:
+            parts = [getattr(measurement, name) for name in ("pose", "velocity", "q", "qdot")]
+            received[:] = np.concatenate([np.ravel(part) for part in parts])
+        head = (SAMPLE, time, float(measurement is not None), time if measured is None else measured, float(kind))
+        result = self._exchange(np.concatenate((head, received, asked)))
+        if result == BAD_TIME:
+            raise ConfigError(f"a control sample at t = {time:g} s", fix="go forward in time", key="time")
+        if result == BAD_SETPOINT:
+            raise ConfigError("a setpoint that is not finite", fix="give finite numbers", key="setpoint")
+        self.hardware.totals.command[:] = self.motor_torque
+        self._command()
+        self.time, self.k = float(time), self.k + 1
+        return self.command
+
+    def stop(self, why: str = "") -> None:
+        """See `Stepper.stop`."""
+        super().stop(why)
+        self._exchange(np.concatenate(([STOP], np.zeros(self._width() - 1))))
+
+    def reset(self) -> None:
+        """See `Stepper.reset`."""
+        super().reset()
+        self._exchange(np.concatenate(([RESET], np.zeros(self._width() - 1))))
+
+    def __exit__(self, *given: Any) -> None:
+        """Close the recording, and end the process."""
+        super().__exit__(*given)
+        self.process.communicate()
+
+    def _width(self) -> int:
+        return 5 + self.received.size + self.follower.guide.wanted.size
+
+    def _wish(self, setpoint: Wish | tuple[Wish, ...] | None) -> tuple[int, Array]:
+        """Number and sample of a setpoint."""
+        asked = np.zeros(self.follower.guide.wanted.size)
+        if setpoint is None:
+            return GO_ON, asked
+        if isinstance(setpoint, Setpoint):
+            asked[:] = np.concatenate([np.ravel(getattr(setpoint, name)) for name in setpoint.__slots__])
+            return FOLLOW_SAMPLE, asked
+        if isinstance(setpoint, BaseVelocity):
+            d = self.robot.dimensions
+            asked[d.pose : d.pose + d.base] = setpoint.velocity
+            return FOLLOW_VELOCITY, asked
+        if isinstance(setpoint, Stand):
+            return STAND, asked
+        why, fix = "motions are planned in Python", "hand in their samples as full setpoints"
+        raise ConfigError(f"a {type(setpoint).__name__} for an exported controller", why=why, fix=fix, key="setpoint")
+
+    def _exchange(self, frame: Array) -> int:
+        """Send a frame, take over what is remembered; the result of the step."""
+        members = self.export.remembered
+        size = 8 * (2 + sum(member.data.size for member in members))
+        assert self.process.stdin is not None and self.process.stdout is not None
+        try:
+            self.process.stdin.write(np.asarray(frame, "<f8").tobytes())
+            self.process.stdin.flush()
+        except OSError as error:
+            raise MmnnError("the exported controller has ended") from error
+        answer = np.frombuffer(self.process.stdout.read(size), "<f8")
+        if answer.size * 8 != size:
+            raise MmnnError("the exported controller has ended")
+        self.follower.losses = int(answer[1])
+        at = 2
+        for member in members:
+            member.live[:] = answer[at : at + member.data.size]
+            at += member.data.size
+        return int(answer[0])
+
+
+def require_tools(where: str) -> None:
+    """Refuse a place that nothing can be compiled for.
+
+    Raises:
+        ConfigError: A tool is missing.
+    """
+    for tool in NEEDED[where]:
+        if shutil.which(tool) is None:
+            fix = "apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm, or use --plant host"
+            raise ConfigError(f"no '{tool}'", why="the emulated board needs it", fix=fix, key="plant")
+
+
+def build(folder: Path, where: str, compiler: Sequence[str], program: Path) -> list[str]:
+    """Compile the link of an exported controller; the command that starts it.
+
+    Raises:
+        ConfigError: A tool is missing.
+        MmnnError: It does not compile.
+    """
+    require_tools(where)
+    ours = [str(folder / f"{name}.c") for name in ("controller", "robot_law", "mmnn_math", "in_the_loop/link")]
+    common = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{folder}", *ours, "-o", str(program)]
+    start = [str(folder / "qemu_mps2" / "startup.c"), "-T", str(folder / "qemu_mps2" / "mps2.ld")]
+    command = [*compiler, *common] if where == HOST else ["arm-none-eabi-gcc", *M7.split(), *common, *start]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise MmnnError(f"the link does not compile: {' '.join(done.stderr.splitlines()[:2])}")
+    return [str(program)] if where == HOST else [*BOARD.split(), "-kernel", str(program)]
+
+
+def closed(loop: Loop, stepper: Stepper, steps: int) -> Recording:
+    """A run of a loop's robot along its trajectory, controlled by a stepper.
+
+    Args:
+        loop: Robot, trajectory, start and plant; sensors and motors are perfect.
+        stepper: Of this loop.
+        steps: Control samples.
+    """
+    robot, timing, d = loop.robot, loop.timing, loop.robot.dimensions
+    table = loop.trajectory.table(np.arange(steps) * timing.control_period, d)
+    plant = IdealPlant(robot, timing.plant_step, timing.integrator)
+    plant.start(*loop.start.state(robot, table[0]))
+    with stepper:
+        for k, asked in enumerate(table):
+            position, nu = plant.position, plant.nu
+            measurement = Measurement(position[: d.pose], nu[: d.base], position[robot.arm_index], nu[d.base :])
+            command = stepper.step(k * timing.control_period, measurement, Setpoint.side_by_side(asked, d))
+            stepper.record()
+            tau = product(robot.E, command.motor_effort)
+            for _ in range(timing.steps_per_control):
+                plant.step(tau)
+                plant.refresh()
+            if stepper.is_over or not np.isfinite(plant.y).all():
+                break
+        return stepper.finish()
+
+
+def compared(loop: Loop, folder: Path, where: str, compiler: Sequence[str], steps: int, path: Path) -> Comparison:
+    """Run a loop with an exported controller and with Python, and compare the recordings.
+
+    Args:
+        loop: With a supervisor, as it was exported.
+        folder: Of the export.
+        where: `HOST`, or `QEMU` for the emulated board.
+        compiler: For the former.
+        steps: Control samples.
+        path: For the recording of the exported controller's run.
+    """
+    linked = Linked.of(loop, path=path, force=True)
+    export = translated(linked, "")
+    linked.link(export, build(folder, where, compiler, path.with_suffix(".elf" if where == QEMU else "")))
+    ours, theirs = closed(loop, Stepper.of(loop), steps), closed(loop, linked, steps)
+    return Comparison(where, len(theirs["time"]), theirs.outcome.status, differences(ours, theirs))
+
+
+def differences(a: Recording, b: Recording) -> list[str]:
+    """What of two recordings is not equal bit for bit."""
+    found = [name for name in a.names if np.asarray(a[name]).tobytes() != np.asarray(b[name]).tobytes()]
+    found += [name for name in a.weights if a.weights[name].tobytes() != b.weights[name].tobytes()]
+    for name, values in a.final.items():
+        if np.asarray(values).tobytes() != np.asarray(b.final[name]).tobytes():
+            found.append(name)
+    return found + [f"outcome {b.outcome}, not {a.outcome}"] * (a.outcome != b.outcome)

@@ -1,0 +1,348 @@
+"""The exported C: the bits of the stepper on this machine, readable, refused where it cannot be."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from functools import cache
+
+import numpy as np
+import pytest
+from deploy.boards import STRICT, on_target, require
+from hypothesis import given
+from hypothesis import strategies as st
+from places import ROOT
+
+from mmnn_pin import Recording
+from mmnn_pin.cli import main
+from mmnn_pin.deploy.embed.body import write
+from mmnn_pin.deploy.embed.program import Program
+from mmnn_pin.deploy.embed.source import Untranslatable
+from mmnn_pin.deploy.embed.values import Number
+from mmnn_pin.elementary import angles, exponentials, two_doubles
+
+HAS_GCC = shutil.which("gcc") is not None
+needs_gcc = pytest.mark.skipif(not HAS_GCC, reason="no gcc: apt-get install gcc")
+# The plain Python of the blocks gives the bits of the compiled code, and nothing has to be compiled for it.
+PLAIN = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+
+
+def embedded(folder, controller, *more, experiment="track"):
+    """The JSON of `mmnn embed` in a process without numba."""
+    start = [sys.executable, "-c", "from mmnn_pin.cli import main; raise SystemExit(main())", "embed", experiment]
+    command = [*start, "--controller", controller, "--out", str(folder), "--json"]
+    done = subprocess.run([*command, *more], env=PLAIN, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The folder of a controller's export, made once."""
+
+    @cache
+    def make(controller, steps=120, *more):
+        folder = tmp_path_factory.mktemp("embed") / controller
+        return folder, embedded(folder, controller, "--steps", str(steps), *more)
+
+    return make
+
+
+# -- the same bits -----------------------------------------------------------------------------------------------------
+
+
+@needs_gcc
+@pytest.mark.parametrize("controller", ["computed_torque", "two_layer", "adaptive_composite"])
+def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
+    """`mmnn embed` itself compiles and runs it: torques and checksums of weights and supervisor at every sample."""
+    folder, told = exported(controller)
+    assert told["controller"] == controller and told["robot"] == "platform_arm" and told["selftest_steps"] == 120
+    assert set(told["files"]) <= {str(file.relative_to(folder)) for file in folder.rglob("*")}
+    assert 0 < told["ram_bytes"] < 120_000
+
+
+@pytest.mark.parametrize("target", ["clang", "cortex-m7"])
+def test_another_compiler_and_an_emulated_board_have_the_same_bits(exported, tmp_path, target):
+    require(target)
+    folder, _ = exported("two_layer")
+    shutil.copytree(folder, tmp_path / "c")
+    status, said = on_target(tmp_path / "c", target)
+    assert status == 0 and "120 samples, 0 differ" in said
+
+
+@needs_gcc
+def test_a_changed_number_fails_the_self_test(exported, tmp_path):
+    folder, _ = exported("two_layer")
+    shutil.copytree(folder, tmp_path / "changed")
+    law = tmp_path / "changed" / "robot_law.c"
+    text = law.read_text()
+    start = text.index("law_control_gains")
+    law.write_text(text[:start] + re.sub(r"\d+\.\d+", "3.0000001", text[start:], count=1))
+    subprocess.run(["gcc", *STRICT, *tmp_path.glob("changed/*.c"), "-o", tmp_path / "selftest"], check=True)
+    done = subprocess.run([tmp_path / "selftest"], capture_output=True, text=True)
+    assert done.returncode == 1 and "differ" in done.stdout and "expected" in done.stdout
+
+
+@needs_gcc
+@pytest.mark.parametrize("flags", [["-O0"], ["-O3"], ["-Os", "-DMMNN_PORTABLE_SQRT"]])
+def test_the_bits_do_not_depend_on_the_optimiser(exported, tmp_path, flags):
+    folder, _ = exported("adaptive_composite")
+    subprocess.run(["gcc", *STRICT, *flags, *folder.glob("*.c"), "-o", tmp_path / "selftest"], check=True)
+    subprocess.run([tmp_path / "selftest"], check=True)
+
+
+@needs_gcc
+def test_controllers_run_side_by_side(exported, tmp_path):
+    """Two of them, stepped in turns, do what each does alone: there is no memory outside of the struct."""
+    folder, _ = exported("two_layer")
+    (tmp_path / "main.c").write_text(
+        """#include "controller.h"
+#include <string.h>
+static mmnn_controller a, b, alone;
+int main(void)
+{
+    mmnn_measurement m;
+    memset(&m, 0, sizeof m);
+    mmnn_init(&a); mmnn_init(&b); mmnn_init(&alone);
+    for (int k = 0; k < 50; k++) {
+        const double time = 0.001 * k;
+        m.q[0] = 0.01; mmnn_step(&a, time, &m, time, 0);
+        m.q[0] = 0.02; mmnn_step(&b, time, &m, time, 0);
+    }
+    for (int k = 0; k < 50; k++) { m.q[0] = 0.01; mmnn_step(&alone, 0.001 * k, &m, 0.001 * k, 0); }
+    return memcmp(&a, &alone, sizeof a) != 0 || memcmp(&a, &b, sizeof a) == 0;
+}
+"""
+    )
+    sources = [file for file in folder.glob("*.c") if file.name != "selftest.c"]
+    command = ["gcc", *STRICT, f"-I{folder}", tmp_path / "main.c", *sources, "-o", tmp_path / "both"]
+    subprocess.run(command, check=True)
+    subprocess.run([tmp_path / "both"], check=True)
+
+
+@needs_gcc
+def test_single_precision_is_near(exported):
+    folder, _ = exported("pd", 120, "--single")
+    done = subprocess.run(["gcc", *STRICT, *folder.glob("*.c"), "-o", folder / "selftest"], check=True)
+    done = subprocess.run([folder / "selftest"], capture_output=True, text=True, check=True)
+    largest, deviation = map(float, re.search(r"largest torque (\S+), largest deviation (\S+)", done.stdout).groups())
+    assert 0 < deviation < 1e-3 * largest
+    assert "double" not in (folder / "controller.c").read_text()
+
+
+# -- in the loop -------------------------------------------------------------------------------------------------------
+
+
+@needs_gcc
+def test_a_run_with_the_exported_controller_is_pythons(tmp_path):
+    """Software in the loop: signals, weights, states and outcome of the recording are equal."""
+    told = embedded(tmp_path / "two_layer", "two_layer", "--steps", "60", "--plant", "host", "--cc", "gcc")
+    assert told["in_the_loop"] == {"where": "host", "samples": 60, "status": "completed", "differences": []}
+    run = Recording.open(tmp_path / "two_layer" / "run.h5")
+    assert np.abs(run["torque"]).max() > 0 and np.ptp(run["weight_norm"][:, 0]) > 0
+
+
+# -- what the files hold -----------------------------------------------------------------------------------------------
+
+
+@needs_gcc
+def test_nothing_is_allocated_printed_or_kept_outside(exported, tmp_path):
+    folder, _ = exported("adaptive_composite")
+    for name in ("controller", "robot_law", "mmnn_math"):
+        subprocess.run(["gcc", *STRICT, "-O2", "-c", folder / f"{name}.c", "-o", tmp_path / f"{name}.o"], check=True)
+    symbols = subprocess.run(["nm", *tmp_path.glob("*.o")], capture_output=True, text=True, check=True).stdout
+    defined = set(re.findall(r"^\w+ [A-TV-Za-z] (\w+)$", symbols, re.M))
+    wanted = set(re.findall(r"^ +U (\w+)$", symbols, re.M)) - defined
+    assert wanted <= {"memcpy", "memset", "memmove", "_GLOBAL_OFFSET_TABLE_"}  # which gcc puts in for loops
+    assert re.findall(r"^\w+ [bBdDcC] (\w+)$", symbols, re.M) == []  # no variables
+
+
+def test_the_comments_are_the_docstrings(exported):
+    folder, _ = exported("two_layer")
+    text = (folder / "controller.c").read_text()
+    assert "One step of the update law (3.48), (3.49)" in text and "mmnn_pin.torque.two_layer.two_layer_update" in text
+    assert (
+        "pose: (3,)" in (folder / "controller.h").read_text()
+        or "[3]; /* m, m, rad */" in text + (folder / "controller.h").read_text()
+    )
+
+
+@pytest.mark.skipif(shutil.which("g++") is None, reason="no g++: apt-get install g++")
+@pytest.mark.parametrize("flavour", [[], ["-DMMNN_GET_OPTIONAL"]])
+def test_the_plugin_of_ros2_control_compiles_with_both_flavours(exported, tmp_path, flavour):
+    """Against stubs of the headers; what ros2_control does with it is not tried."""
+    folder, _ = exported("two_layer")
+    stubs = ROOT / "tests" / "deploy" / "stubs"
+    command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{stubs}", f"-I{folder}", *flavour, "-c"]
+    subprocess.run([*command, folder / "ros2_control" / "plugin.cpp", "-o", tmp_path / "plugin.o"], check=True)
+
+
+# -- the small parts ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def library(exported, tmp_path_factory):
+    """`mmnn_math.c` as a library, with the small parts of Python that stand in its header."""
+    if not HAS_GCC:
+        pytest.skip("no gcc: apt-get install gcc")
+    folder, _ = exported("adaptive_composite")
+    made = tmp_path_factory.mktemp("library")
+    (made / "parts.c").write_text(
+        '#include "mmnn_math.h"\n'
+        "double smaller(double a, double b) { return mmnn_min(a, b); }\n"
+        "double larger(double a, double b) { return mmnn_max(a, b); }\n"
+        "int64_t rest(int64_t a, int64_t b) { return mmnn_rest_long(a, b); }\n"
+        "int64_t quotient(int64_t a, int64_t b) { return mmnn_quotient_long(a, b); }\n"
+    )
+    command = ["gcc", *STRICT, "-O2", "-shared", "-fPIC", f"-I{folder}", folder / "mmnn_math.c", made / "parts.c"]
+    subprocess.run([*command, "-o", made / "lib.so"], check=True)
+    found = ctypes.CDLL(str(made / "lib.so"))
+    for name in ("mmnn_portable_sqrt", "mmnn_modulo", "mmnn_exp", "mmnn_tanh", "mmnn_hypot", "smaller", "larger"):
+        getattr(found, name).restype = ctypes.c_double
+        one = name in ("mmnn_portable_sqrt", "mmnn_exp", "mmnn_tanh")
+        getattr(found, name).argtypes = [ctypes.c_double] * (1 if one else 2)
+    for name in ("rest", "quotient"):
+        getattr(found, name).restype, getattr(found, name).argtypes = ctypes.c_int64, [ctypes.c_int64] * 2
+
+    class Pair(ctypes.Structure):
+        _fields_ = (("v", ctypes.c_double * 2),)
+
+    found.mmnn_cos_sin.restype, found.mmnn_cos_sin.argtypes = Pair, [ctypes.c_double]
+    return found
+
+
+def same(a, b):
+    """Equal bits, or both no numbers."""
+    return (a != a and b != b) or np.float64(a).tobytes() == np.float64(b).tobytes()
+
+
+ANY = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
+TINY = [0.0, -0.0, 5e-324, -5e-324, 2.2250738585072014e-308, 1.7976931348623157e308, math.inf, -math.inf, math.nan]
+
+
+@given(ANY)
+def test_the_portable_root_is_rounded_correctly(library, x):
+    assert same(library.mmnn_portable_sqrt(x), math.sqrt(x) if x >= 0 else math.nan)
+
+
+@given(ANY, ANY)
+def test_the_rest_of_a_division_is_pythons(library, x, y):
+    fine = math.isfinite(x) and y == y and y != 0
+    assert same(library.mmnn_modulo(x, y), x % y if fine else math.nan)
+
+
+def test_the_rest_of_tiny_and_huge_numbers_is_exact(library):
+    for x in TINY[:6]:
+        for y in (5e-324, 1.5e-323, 2.2250738585072014e-308, 3.0, -7e300):
+            assert same(library.mmnn_modulo(x, y), x % y), (x, y)
+
+
+@given(st.integers(-(10**9), 10**9), st.integers(-1000, 1000).filter(bool))
+def test_whole_divisions_are_pythons(library, a, b):
+    assert (library.rest(a, b), library.quotient(a, b)) == (a % b, a // b)
+
+
+@given(ANY, ANY)
+def test_min_and_max_keep_their_first_argument_as_python_does(library, a, b):
+    assert same(library.smaller(a, b), min(a, b)) and same(library.larger(a, b), max(a, b))
+
+
+def test_the_elementary_functions_have_the_bits_of_python(library):
+    rng = np.random.default_rng(4)
+    points = [*TINY, *(rng.standard_normal(300) * 10.0 ** rng.uniform(-12, 12, 300)), *rng.uniform(-700, 700, 100)]
+    for x in map(float, points):
+        assert same(library.mmnn_exp(x), exponentials.exp(x)), x
+        assert same(library.mmnn_tanh(x), exponentials.tanh(x)), x
+        assert same(library.mmnn_hypot(x, points[3]), two_doubles.hypot(x, float(points[3]))), x
+        pair, (c, s) = library.mmnn_cos_sin(x), angles.cos_sin(x)
+        assert same(pair.v[0], c) and same(pair.v[1], s), x
+
+
+# -- what is refused ---------------------------------------------------------------------------------------------------
+
+
+def unknown_construct(x: float) -> float:
+    """A function with something that C cannot say."""
+    y = 2.0 * x
+    return [y, x][0]
+
+
+def unknown_name(x: float) -> float:
+    """A function that calls what is nowhere."""
+    return not_there(x)  # noqa: F821
+
+
+def library_call(x: float) -> float:
+    """A function that calls a libm."""
+    return math.sin(x)
+
+
+def assertion(x: float) -> float:
+    """A function that raises."""
+    if x > 0.0:
+        raise ValueError("no")
+    return x
+
+
+@pytest.mark.parametrize(
+    ("function", "what", "line"),
+    [
+        (unknown_construct, "a List", 3),
+        (unknown_name, "'not_there'", 2),
+        (library_call, "a call of <built-in function sin>", 2),
+        (assertion, "'raise'", 3),
+    ],
+)
+def test_an_unknown_construct_stops_the_export_with_function_and_line(function, what, line):
+    program = Program(write)
+    with pytest.raises(Untranslatable, match=re.escape(what)) as caught:
+        program.function(program.source(function), {"x": Number("real", "x")})
+    assert f"in '{function.__name__}'" in caught.value.what
+    assert caught.value.line == function.__code__.co_firstlineno + line
+    assert str(caught.value.file).endswith("test_embed.py")
+
+
+FREE = """<robot name="free"><link name="base_link"><inertial><mass value="1"/>
+<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="arm"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="lift" type="revolute"><parent link="base_link"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="0"/></joint></robot>"""
+
+
+def refused(capsys, *arguments):
+    assert main(["embed", *arguments]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    errors = [line for line in lines if "error:" in line]
+    assert len(errors) == 1, lines
+    return errors[0]
+
+
+def test_what_cannot_be_embedded_is_refused_in_one_line(tmp_path, capsys):
+    (tmp_path / "exists").mkdir()
+    (tmp_path / "free.urdf").write_text(FREE)
+    own = f"{ROOT / 'examples' / 'own_law.py'}:LeastSquares"
+    out = ["--out", str(tmp_path / "c")]
+    pd = ["track", "--controller", "pd"]
+    cases = {
+        "exists": [*pd, "--out", str(tmp_path / "exists")],
+        "no compiler 'nocc'": [*pd, *out, "--cc", "nocc"],
+        "motors that nothing limits": [*pd, *out, "--robot", str(tmp_path / "free.urdf"), "--no-check"],
+        "an experiment with the plant 'contact'": [*pd, *out, "--set", "plant=contact"],
+        "cannot be written as C": ["track", "--controller", own, *out, "--no-check"],
+        "unknown controller": ["track", "--controller", "pdd", *out],
+    }
+    for text, arguments in cases.items():
+        assert text in refused(capsys, *arguments)
+        assert not (tmp_path / "c").exists()
+
+
+def test_what_does_not_fit_is_refused_with_the_numbers(tmp_path, capsys):
+    line = refused(capsys, "track", "--controller", "kalman_features", "--out", str(tmp_path / "c"), "--no-check")
+    assert re.search(r"remembers \d{3,} kB \(u \d+ kB.*512 kB is the limit", line)

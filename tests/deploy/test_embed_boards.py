@@ -1,0 +1,196 @@
+"""The exported C on emulated processors: seven controllers, three robots, the bits that Python printed. Minutes."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+from deploy.boards import STRICT, TARGETS, on_target, require
+from numba import float64
+
+from mmnn_pin import load_experiment
+from mmnn_pin.deploy.embed.board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND, Fresh
+from mmnn_pin.deploy.embed.export import embed, supervised
+from mmnn_pin.deploy.embed.files import files_of, selftest, translated
+from mmnn_pin.deploy.embed.golden import RESET, STOP, Event, answers, as_measured
+from mmnn_pin.deploy.embed.in_the_loop import QEMU, compared
+from mmnn_pin.elementary import exponentials, two_doubles
+
+pytestmark = pytest.mark.long
+CONTROLLERS = (
+    "pd", "computed_torque", "one_layer", "two_layer", "adaptive", "adaptive_composite", "kalman_regressor",
+)  # fmt: skip
+ROBOTS = ("platform_arm", "two_axis_arm", "tiago")
+
+
+def loop_of(robot, controller, **changes):
+    experiment = msgspec.structs.replace(load_experiment("track"), robot=robot, **changes)
+    loaded = experiment.load_robot()
+    return supervised(experiment.loop(loaded, experiment.controller(controller, robot=loaded)))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_a_thousand_samples_have_the_same_bits_everywhere(tmp_path, robot, controller):
+    made = embed(loop_of(robot, controller), tmp_path / "c", compiler=None)
+    for target in TARGETS:
+        require(target)
+        status, said = on_target(tmp_path / "c", target)
+        assert status == 0 and "1000 samples, 0 differ" in said, (target, said)
+    assert made.selftest_steps == 1000
+
+
+LIMITS = {  # kB of RAM, kB of stack, thousand instructions mean and worst: the issue's
+    "two_layer": (12.0, 1.0, 40.0, 40.0),
+    "adaptive": (52.0, None, 120.0, 250.0),
+    "kalman_regressor": (52.0, None, 120.0, 250.0),
+}
+
+
+@pytest.mark.parametrize("controller", LIMITS)
+def test_memory_and_instructions_of_a_sample_keep_within_what_a_cortex_m7_has(tmp_path, controller):
+    require("cortex-m7")
+    embed(loop_of("platform_arm", controller), tmp_path / "c", compiler=None)
+    status, said = on_target(tmp_path / "c", "cortex-m7", "-DMMNN_COUNT")
+    mean, worst, stack, ram = map(int, re.findall(r": (\d+) mean, (\d+) worst; stack: (\d+) .*: (\d+) bytes", said)[0])
+    most_ram, most_stack, most_mean, most_worst = LIMITS[controller]
+    assert status == 0 and ram <= 1000 * most_ram and mean <= 1000 * most_mean and worst <= 1000 * most_worst
+    assert most_stack is None or stack <= 1000 * most_stack
+
+
+def fuzzed(loop, period, steps, seed):
+    """Samples of which anything may go wrong: numbers, times, setpoints; trips, stops and resets."""
+    rng, d = np.random.default_rng(seed), loop.robot.dimensions
+    table = loop.trajectory.table(np.arange(steps) * period, d)
+    time, events = 0.0, []
+    for asked in table:
+        time += period * rng.choice(
+            [1.0, 1.0, 1.0, 0.0, -1.0, 3.0, 400.0], p=[0.9, 0.05, 0.0, 0.02, 0.01, 0.015, 0.005]
+        )
+        received = as_measured(asked, d) + 0.01 * rng.standard_normal(d.pose + d.base + 2 * d.arm)
+        sent = asked.copy()
+        for numbers in (received, sent):
+            if rng.random() < 0.03:
+                strange = [np.nan, np.inf, -np.inf, 1e308, 1e9, -1e5, 5e-324, -0.0, 3e7]
+                numbers[int(rng.integers(numbers.size))] = rng.choice(strange)
+        wishes = [FOLLOW_SAMPLE, GO_ON, STAND, FOLLOW_VELOCITY]
+        wish = int(rng.choice(wishes[: 4 if d.base else 3], p=[0.8, 0.1, 0.05, 0.05] if d.base else [0.8, 0.1, 0.1]))
+        action = int(rng.choice([0, STOP, RESET], p=[0.96, 0.005, 0.035]))
+        measured = time + period * rng.choice([0.0, -1.0, 5.0, -900.0, np.nan], p=[0.9, 0.06, 0.02, 0.01, 0.01])
+        is_lost = rng.random() < 0.05
+        events.append(Event(float(time), None if is_lost else received, float(measured), wish, sent, action))
+    return events
+
+
+@pytest.mark.parametrize(
+    ("robot", "controller", "seed"),
+    [("platform_arm", "two_layer", 1), ("platform_arm", "adaptive", 2), ("tiago", "computed_torque", 3),
+     ("two_axis_arm", "kalman_regressor", 4), ("platform_arm", "adaptive_composite", 5)],
+)  # fmt: skip
+def test_two_thousand_fuzzed_samples_have_the_same_bits(tmp_path, robot, controller, seed):
+    loop = loop_of(robot, controller)
+    stepper = Fresh.of(replace(loop, safety=msgspec.structs.replace(loop.safety, timeout=0.02, joint_error=0.3)))
+    export = translated(stepper, controller)
+    for name, text in files_of(export).items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    events = fuzzed(loop, stepper.period, 2000, seed)
+    found = answers(stepper, events, [m.live for m in export.remembered])
+    (tmp_path / "selftest.c").write_text(selftest(export, events, found, "fuzzed"))
+    assert len({answer.checksum for answer in found}) > 1000
+    for target in ("gcc", "cortex-m7"):
+        require(target)
+        status, said = on_target(tmp_path, target)
+        assert status == 0, (target, said)
+
+
+def test_velocity_interfaces_have_the_same_bits(tmp_path):
+    wheels = {"wheel_left_joint": "velocity", "wheel_right_joint": "velocity", "arm_7_joint": "position"}
+    embed(loop_of("tiago", "two_layer", interfaces=wheels), tmp_path / "c", steps=400, compiler="gcc")
+    header = (tmp_path / "c" / "controller.h").read_text()
+    assert "mmnn_motor_velocity" in header
+
+
+@pytest.mark.parametrize("controller", ["two_layer", "adaptive"])
+def test_a_run_with_an_emulated_processor_in_the_loop_is_pythons(tmp_path, controller):
+    require("cortex-m7")
+    loop = loop_of("platform_arm", controller)
+    embed(loop, tmp_path / "c", steps=10, compiler=None)
+    found = compared(loop, tmp_path / "c", QEMU, ["gcc"], 300, tmp_path / "run.h5")
+    assert (found.samples, found.status, found.differences) == (300, "completed", [])
+
+
+# -- a second answer --------------------------------------------------------------------------------------------------
+
+DRIVER = """#include <stdint.h>
+#include <stdio.h>
+%s
+int main(void)
+{
+    double x, y;
+    while (fread(&x, 8, 1, stdin) == 1 && fread(&y, 8, 1, stdin) == 1) {
+        double out[3];
+        %s
+        fwrite(out, 8, 3, stdout);
+    }
+    return 0;
+}
+"""
+
+
+def test_the_c_has_the_bits_of_numbas_own_code_for_another_processor(tmp_path):
+    """The LLVM code that numba makes of the same functions, for AArch64 by llvmlite, is the second answer."""
+    require("aarch64")
+    from llvmlite import binding
+
+    binding.initialize_all_targets()
+    binding.initialize_all_asmprinters()
+    machine = binding.Target.from_triple("aarch64-linux-gnu").create_target_machine(opt=2, reloc="static")
+    functions = {"exp": (exponentials.exp, 1), "tanh": (exponentials.tanh, 1), "hypot": (two_doubles.hypot, 2)}
+    objects, declared, called = [], [], []
+    for i, (name, (function, count)) in enumerate(functions.items()):
+        signature = (float64,) * count
+        function.compile(signature)
+        text = function.inspect_llvm(signature)
+        text = re.sub(r"^target (triple|datalayout) = .*$", "", text, flags=re.M)
+        text = re.sub(r'"target-(cpu|features)"="[^"]*"', "", text)
+        symbol = re.search(rf'define i32 @("?)(_ZN[^"( ]*{name}[^"( ]*)\1\(', text).group(2)
+        module = binding.parse_assembly(text)
+        module.triple = machine.triple
+        module.data_layout = str(machine.target_data)
+        for other in module.functions:
+            if not other.is_declaration and other.name != symbol and not other.name.startswith("_ZN"):
+                other.linkage = binding.Linkage.internal
+        (tmp_path / f"{name}.o").write_bytes(machine.emit_object(module))
+        objects.append(str(tmp_path / f"{name}.o"))
+        arguments = ", ".join(["double"] * count)
+        declared.append(f'int32_t f{i}(double *, void **, {arguments}) __asm__("{symbol}");')
+        called.append(f"{{ void *e; f{i}(&out[{i}], &e, {'x, y' if count == 2 else 'x'}); }}")
+    theirs = DRIVER % ("\n".join(declared), "\n".join(called))
+    (tmp_path / "theirs.c").write_text(theirs)
+    embed(loop_of("platform_arm", "adaptive_composite"), tmp_path / "c", steps=5, compiler=None)
+    calls = "out[0] = mmnn_exp(x); out[1] = mmnn_tanh(x); out[2] = mmnn_hypot(x, y);"
+    (tmp_path / "ours.c").write_text(DRIVER % ('#include "mmnn_math.h"', calls))
+    rng = np.random.default_rng(0)
+    points = np.column_stack((rng.standard_normal(3000) * 10.0 ** rng.uniform(-8, 3, 3000), rng.uniform(-9, 9, 3000)))
+    given, found = points.astype("<f8").tobytes(), []
+    for name, more in (("theirs", objects), ("ours", [str(tmp_path / "c" / "mmnn_math.c"), f"-I{tmp_path / 'c'}"])):
+        command = ["aarch64-linux-gnu-gcc", *STRICT, "-O2", "-static", str(tmp_path / f"{name}.c"), *more]
+        subprocess.run([*command, "-o", str(tmp_path / name)], check=True)
+        found.append(subprocess.run(["qemu-aarch64", str(tmp_path / name)], input=given, capture_output=True).stdout)
+    assert len(found[0]) == 3000 * 24 and found[0] == found[1]
+
+
+def test_cppcheck_is_quiet(tmp_path):
+    if shutil.which("cppcheck") is None:
+        pytest.skip("no cppcheck: apt-get install cppcheck")
+    embed(loop_of("platform_arm", "adaptive_composite"), tmp_path / "c", steps=20, compiler=None)
+    checks = ["--enable=warning,performance,portability", "--std=c99", "--error-exitcode=1", "--inline-suppr", "-q"]
+    files = [str(tmp_path / "c" / name) for name in ("controller.c", "robot_law.c", "mmnn_math.c")]
+    done = subprocess.run(["cppcheck", *checks, *files], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
