@@ -15,6 +15,7 @@ import click
 
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
+from .identify import identify
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
 from .results import export, plot, prove, replay, report
@@ -64,7 +65,22 @@ def mmnn(context: click.Context) -> None:
         say(context.get_help())
 
 
-for command in (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_):
+for command in (
+    run,
+    study,
+    tune,
+    readings,
+    model,
+    plot,
+    prove,
+    replay,
+    report,
+    export,
+    inspect,
+    check,
+    identify,
+    list_,
+):
     mmnn.add_command(command)
 
 

@@ -334,6 +334,7 @@ def has_display() -> bool:
         "mmnn report runs/robustness --html robustness.html          a study",
         "mmnn report runs/contest --html contest.html                a contest, all tasks",
         "mmnn report runs/contest/eight --html eight.html            the runs of one of its tasks, first seed",
+        "mmnn report identified --html identified.html               what mmnn identify wrote",
     ),
 )
 @RUNS
@@ -349,7 +350,7 @@ def report(
     """Write a report on runs of one task: verdict, numbers, plots, replay, robot, origin, in one HTML file.
 
     RUN is a recording, or a folder with recordings; or one study: its folder or its database; or the folder of one
-    contest: its page has the tables of all tasks, the targets and the figures. The page needs no network and no server.
+    contest: tables of all tasks, targets and figures; or what `mmnn identify` wrote. The page needs no network.
     """
     from ..lab.show.files import require_free
     from ..lab.show.report import report as make
@@ -367,6 +368,10 @@ def report(
         from ..lab.show.contest import page as contest_page
 
         about, made = {"contest": str(contest)}, contest_page(opened(contest), command)
+    elif (identified := found_in(runs, "identification")) is not None:
+        from ..lab.show.identified import page as identified_page
+
+        about, made = {"identification": str(identified)}, identified_page(identified, command)
     else:
         recordings = by_name(open_runs(runs))
         about = {"runs": [str(recording.path) for recording in recordings.values()]}
