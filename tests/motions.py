@@ -36,7 +36,6 @@ def efforts(robot: Robot, x: Array, v: Array, a: Array, rotors: Array | float = 
     model, data, T = robot.model, robot.model.createData(), np.array(robot.T)
     offset, arm = robot.arm_map()
     nb, found = robot.dimensions.base, np.zeros_like(v)
-    full = np.zeros(model.nv)
     armature = np.array(model.armature)
     armature[robot.arm_index] += rotors
     for i in range(len(x)):

@@ -2,7 +2,8 @@
 
 Positions and efforts are low-passed at the cutoff (Butterworth of order 4, forth and back), positions differentiated
 by a quintic spline, the regressor is evaluated along them, and both sides are low-passed once more and thinned
-(Gautier 1997, ICRA: parallel filtering). What is linear in the motion is filtered alike on both sides: no bias.
+(Gautier 1997, ICRA: parallel filtering). What is linear in the motion is filtered alike on both sides: no bias. Dry
+friction is a step where a joint turns back: it is filtered as the effort is, twice, and ahead of all thinning.
 
 Where a joint stands still its dry friction is any force below the largest one: its row does not count there.
 """
@@ -85,17 +86,30 @@ class Unknowns:
         """(joints, p) rows of T of the regressor's joints."""
         return np.array(self.regressor.massless.joints)
 
-    def matrix(self, q: Array, nu: Array, nudot: Array) -> Array:
-        """Columns of all parameters along a motion, (N, r, k); arguments as of `Regressor.along`."""
+    def rubbing(self, nu: Array) -> Array:
+        """Dry friction of every joint over its largest one, then what Stribeck adds, (N, joints) or twice that."""
+        speed = nu @ self.joint_rows.T
+        sign = np.tanh(speed / COULOMB_SPEED)
+        return np.hstack((sign, sign * np.exp(-((speed / self.stribeck) ** 2)))) if self.stribeck else sign
+
+    def matrix(self, q: Array, nu: Array, nudot: Array, rubbing: Array | None = None) -> Array:
+        """Columns of all parameters along a motion, (N, r, k).
+
+        Args:
+            q: (N, n) the arm's joints.
+            nu: (N, p) velocities.
+            nudot: (N, p) their time derivative.
+            rubbing: Dry friction, filtered; by default that of nu.
+        """
         Y = np.zeros((len(q), len(self.rows), self.size))
-        first, last = self.regressor.size, self.regressor.size + len(self.rows)
-        Y[:, :, :first] = self.regressor.along(q, nu, nudot)[:, self.rows]
-        for i in range(len(self.rows)):
+        first, rows = self.regressor.size, list(self.rows)
+        Y[:, :, :first] = self.regressor.along(q, nu, nudot)[:, rows]
+        for i in range(len(rows)):
             Y[:, i, first + i] = 1.0
-        if self.stribeck:
-            speed = nu @ self.joint_rows.T
-            force = np.tanh(speed / COULOMB_SPEED) * np.exp(-((speed / self.stribeck) ** 2))
-            Y[:, :, last:] = force[:, None, :] * self.joint_rows.T[list(self.rows)][None]
+        dry = self.rubbing(nu) if rubbing is None else rubbing
+        lever = np.tile(self.joint_rows.T[rows], (1, dry.shape[1] // len(self.joint_rows)))
+        columns = self.columns("coulomb", "stribeck")
+        Y[:, :, columns] = dry[:, None, :] * lever[None]
         return Y
 
 
@@ -289,7 +303,8 @@ def of_stretch(log: Log, unknowns: Unknowns, cutoff: float, still: Array) -> Equ
     stride = max(1, int(rate / (FINE * cutoff)))
     fine, spline = time[::stride], make_interp_spline(time, x, 5)
     nu, nudot = spline(fine, 1), spline(fine, 2)
-    Y = unknowns.matrix(x[::stride, robot.dimensions.base :], nu, nudot)
+    dry = low_pass(unknowns.rubbing(spline(time, 1)), cutoff, rate)[::stride]
+    Y = unknowns.matrix(x[::stride, robot.dimensions.base :], nu, nudot, dry)
     rate /= stride
     apart = np.abs(nu @ unknowns.joint_rows.T) < still
     rests = (apart.astype(float) @ np.abs(unknowns.joint_rows[:, list(unknowns.rows)])) > 0

@@ -1,13 +1,13 @@
 """Weighted least squares in the base parameters, with standard deviations that hold.
 
 Base parameters are the combinations of parameters that the torques depend on (Gautier 1991, J. Robotic Systems 8(4)):
-`Y = Y_b (1 C)`, so `beta = theta_b + C theta_d`. Every row is weighted by its residual variance, equations far off
-count less (Huber). The residuals of filtered torques are correlated in time, so the covariance of the estimate is not
+`Y = Y_b (1 C)`, so `beta = theta_b + C theta_d`. Every row is weighted by its residual variance; what is far
+off does not count. The residuals of filtered torques are correlated in time, so the covariance of the estimate is not
 `(X' W X)^-1` but
 
     A^-1 B A^-1,     A = sum_i X_i' X_i / s_i^2,     B = sum_i X_i' R_i X_i / s_i^4,
 
-with R_i the autocovariance of row i's residuals, estimated from them and tapered (Parzen).
+with R_i the autocovariance of row i's noise: that of white noise behind the filter, and what the residuals show beyond.
 """
 
 from __future__ import annotations
@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 from scipy.linalg import qr
 
 from ...signals import Array
-from .equations import Bools, Equations, Unknowns
+from .equations import ORDER, Bools, Equations, Unknowns
 
 RANK = 1e-9  # relative size of a column's new part under which it depends on the others
 NAMED = 1e-7  # coefficient of a combination, relative, under which it is rounding
 UNSEEN = 1e-10  # relative eigenvalue of the information under which a direction was not moved
-HUBER = 4.0  # deviations from which an equation counts less
-ROUNDS = 5  # of weights
-LAGS = 4.0  # reach of the taper over the residuals' correlation time
+FAR = 4.0  # deviations (of the median) from which an equation counts less; from twice that not at all
+ROUNDS = 8  # of weights
+LAGS = 4.0  # reach of the taper over the correlation time of what residuals have beyond white noise
+LONGEST = 60  # lags that are looked at
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,7 @@ class Fit:
 
 
 def weighted_fit(equations: Equations, base: Base) -> Fit:
-    """Least squares with weights by residual variance, and Huber's on what is far off."""
+    """Least squares with weights by residual variance, and less weight on what is far off."""
     X, y, use = equations.Y[:, :, base.independent], equations.y, equations.use
     there: Bools = np.asarray(use.any(axis=0))
     deviation, weights = np.where(there, 1.0, np.nan), use.astype(float)
@@ -137,12 +138,12 @@ def weighted_fit(equations: Equations, base: Base) -> Fit:
         free = np.maximum(weights.sum(axis=0) - used, 1.0)
         deviation = np.where(there, np.sqrt((weights * residual**2).sum(axis=0) / free), np.nan)
         deviation = np.where(there, np.maximum(deviation, 1e-12 * (1 + np.abs(y).max(axis=0))), np.nan)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            far = np.abs(residual) / np.where(there, deviation, 1.0)
-        weights = use * np.minimum(1.0, HUBER / np.maximum(far, 1e-12))
+        middle = [1.4826 * np.median(np.abs(residual[use[:, i], i])) if there[i] else 1.0 for i in range(len(there))]
+        far = np.abs(residual) / np.maximum(np.minimum(middle, np.where(there, deviation, 1.0)), 1e-300)
+        weights = use * np.clip(2.0 - far / FAR, 0.0, 1.0)
     A, _ = normal(X, y, weights, deviation)
     inverse, seen, condition = inverted(A)
-    B = meat(X, residual, weights, deviation, equations.run, free)
+    B = meat(X, residual, weights, deviation, equations, inverse)
     covariance = inverse @ B @ inverse
     inflation = float(np.trace(covariance @ A) / max(1, np.count_nonzero(seen)))
     return Fit(base, value, covariance, seen, condition, deviation, weights, max(1.0, inflation))
@@ -176,43 +177,94 @@ def inverted(A: Array) -> tuple[Array, Bools, float]:
     return inverse * np.outer(scale, scale), seen, condition
 
 
-def meat(X: Array, residual: Array, weights: Array, deviation: Array, run: NDArray[np.int64], free: Array) -> Array:
-    """B: what residuals that are correlated in time do to the normal equations, see the module."""
-    B = np.zeros((X.shape[2], X.shape[2]))
-    for i in np.flatnonzero(np.isfinite(deviation)):
-        Z = X[:, i] * (weights[:, i] / deviation[i] ** 2)[:, None]
-        covariance = autocovariance(residual[:, i], weights[:, i] > 0, run, float(free[i]))
-        B += covariance[0] * gram(X[:, i], (weights[:, i] / deviation[i] ** 2) ** 2)
-        for lag in range(1, len(covariance)):
-            pairs = run[lag:] == run[:-lag]
-            cross = Z[lag:][pairs].T @ Z[:-lag][pairs]
-            B += covariance[lag] * (cross + cross.T)
-    return B
+# -- residuals that are correlated in time -----------------------------------------------------------------------------
 
 
-def autocovariance(residual: Array, use: Bools, run: NDArray[np.int64], free: float) -> Array:
-    """Autocovariance of residuals at lags 0, 1, ..., tapered where it is lost in noise.
+def meat(X: Array, residual: Array, weights: Array, deviation: Array, equations: Equations, inverse: Array) -> Array:
+    """B of the module's formula: what residuals that are correlated in time do to the normal equations.
+
+    The fit takes more out of slow residuals than of fast ones, as motions are slow. So what the fit leaves of noise
+    that is white ahead of the filter is computed (`expected`), its variance matched, and only what the residuals have
+    beyond that is estimated from them.
 
     Args:
-        residual: (M,) zero where not used.
-        use: (M,) which count.
-        run: (M,) stretches without gaps.
-        free: Degrees of freedom that the residuals have.
+        X: (M, r, b) base regressor.
+        residual: (M, r).
+        weights: (M, r) of the equations.
+        deviation: (r,) of the rows; nan for those that do not count.
+        equations: For times and runs.
+        inverse: (b, b) A^-1.
     """
-    count = max(1.0, float(use.sum()))
-    variance = float((residual[use] ** 2).sum()) / free
-    longest = max(1, min(len(residual) // 10, 200))
-    found = [1.0]
-    for lag in range(1, longest):
-        both = use[lag:] & use[:-lag] & (run[lag:] == run[:-lag])
-        n = int(both.sum())
-        if n < 20:
+    rows, run = np.flatnonzero(np.isfinite(deviation)), equations.run
+    spacing = float(np.median(np.diff(equations.time)[np.diff(run) == 0]))
+    white = echo(equations.cutoff, spacing, min(LONGEST, len(run) // 10))
+    Z = {i: X[:, i] * (weights[:, i] / deviation[i] ** 2)[:, None] for i in rows}
+    smeared = {i: toeplitz(white * deviation[i] ** 2, Z[i], run) for i in rows}
+    B: Array = np.sum([Z[i].T @ smeared[i] for i in rows], axis=0)
+    total = np.zeros_like(B)
+    for i in rows:
+        use = weights[:, i] > 0
+        found, count = products(residual[:, i], residual[:, i], use, run, len(white))
+        model = white * deviation[i] ** 2
+        left = model + expected(X[:, i], smeared[i], inverse, B, use, run, len(white))
+        scale = found[0] / max(left[0], 1e-300)
+        total += Z[i].T @ toeplitz(scale * model + beyond(found - scale * left, found[0], count), Z[i], run)
+    return total
+
+
+def echo(cutoff: float, spacing: float, lags: int) -> Array:
+    """Autocorrelation of white noise behind the filters of `equations`, at multiples of a spacing [s], (lags,)."""
+    f = np.linspace(0.0, 3.0 * cutoff, 2000)
+    power = (1.0 + (f / cutoff) ** (2 * ORDER)) ** -4
+    waves = np.cos(2 * np.pi * np.outer(np.arange(max(lags, 2)) * spacing, f))
+    return np.asarray(waves @ power / power.sum())
+
+
+def toeplitz(covariance: Array, Z: Array, run: NDArray[np.int64]) -> Array:
+    """`R Z` with R_ts = covariance[|t - s|] within a run, (M, b)."""
+    out = covariance[0] * Z
+    for lag in range(1, min(len(covariance), len(Z))):
+        if abs(covariance[lag]) > 1e-4 * covariance[0]:
+            pairs = (run[lag:] == run[:-lag])[:, None]
+            out[lag:] += covariance[lag] * (Z[:-lag] * pairs)
+            out[:-lag] += covariance[lag] * (Z[lag:] * pairs)
+    return out
+
+
+def products(a: Array, b: Array, use: Bools, run: NDArray[np.int64], lags: int) -> tuple[Array, float]:
+    """Mean of `a_t b_t+l` over rows that both count, for every lag, (lags,), and how many count.
+
+    a and b may have columns, whose products are summed.
+    """
+    found = np.zeros(lags)
+    for lag in range(lags):
+        both = use[lag:] & use[: len(use) - lag] & (run[lag:] == run[: len(run) - lag])
+        if both.sum() < 20:
             break
-        found.append(float((residual[lag:] * residual[:-lag])[both].sum()) / n / max(variance * free / count, 1e-300))
-    rho = np.array(found)
-    quiet = np.flatnonzero(np.abs(rho) < 2 / np.sqrt(count))
-    last = int(quiet[0]) if quiet.size else len(rho)
-    reach = min(len(rho), max(2, int(np.ceil(LAGS * last))))
-    u = np.arange(reach) / reach
-    taper = np.where(u < 0.5, 1 - 6 * u**2 + 6 * u**3, 2 * (1 - u) ** 3)
-    return np.asarray(variance * rho[:reach] * taper)
+        product = a[: len(a) - lag][both] * b[lag:][both]
+        found[lag] = product.sum() / both.sum()
+    return found, float(use.sum())
+
+
+def expected(X: Array, smeared: Array, inverse: Array, B: Array, use: Bools, run: NDArray[np.int64], lags: int) -> Array:
+    """What the fit takes out of the autocovariance of a row's noise, at every lag, (lags,).
+
+    Of `e = n - X A^-1 sum_j Z_j' n_j` it is `-X A^-1 Z' R` and its transpose, and `X A^-1 B A^-1 X'`.
+    """
+    half = X @ inverse
+    one, _ = products(half, smeared, use, run, lags)
+    other, _ = products(smeared, half, use, run, lags)
+    both, _ = products(half @ B, half, use, run, lags)
+    return np.asarray(both - one - other)
+
+
+def beyond(excess: Array, variance: float, count: float) -> Array:
+    """An excess of autocovariance, tapered (Parzen) where it is lost in noise, (lags,)."""
+    quiet = np.flatnonzero(np.abs(excess[1:]) < 2 * variance / np.sqrt(count))
+    last = int(quiet[0]) if quiet.size else len(excess) - 1
+    if last == 0:
+        return np.zeros_like(excess)
+    reach = min(len(excess), int(np.ceil(LAGS * last)) + 1)
+    u = np.arange(len(excess)) / reach
+    taper = np.where(u < 0.5, 1 - 6 * u**2 + 6 * u**3, np.where(u < 1, 2 * np.maximum(1 - u, 0) ** 3, 0.0))
+    return np.asarray(excess * taper)

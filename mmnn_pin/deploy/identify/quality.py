@@ -26,7 +26,7 @@ SHORTEST = 2.0  # [s] of motion
 UNITS = ((1e6, 1e-9, "nanoseconds"), (1e3, 1e-6, "microseconds"), (0.9, 1e-3, "milliseconds"))  # median period from
 SPIKE = 10.0  # deviations from the median of five that count as a spike
 SATURATED = 0.02  # share of rows at one extreme
-CLEAR = 0.5  # correlation from which a comparison counts
+CLEAR, OPPOSITE = 0.5, 0.8  # correlation from which a comparison counts; from which a signal is another one's negative
 
 
 def sound(log: Log, robot: Robot) -> Log:
@@ -143,7 +143,7 @@ def compared(log: Log, name: str, q: Array, velocity: Array) -> Iterator[str]:
         return
     correlation = float((smooth * given).mean()) / size
     ratio = float(np.sqrt((given**2).mean() / (smooth**2).mean()))
-    if correlation < -CLEAR:
+    if correlation < -OPPOSITE:
         fix = "negate one of the two: is the joint's direction that of the URDF?"
         raise RecordingError(f"velocity.{name} has the opposite sign of its position's rate", fix=fix, file=log.name)
     if correlation < CLEAR:
@@ -165,8 +165,9 @@ def delay(first: Array, second: Array, period: float, most: float = 0.3) -> floa
     reach = min(round(most / period), len(first) // 4)
     shifts = range(-reach, reach + 1)
     middle = slice(reach, len(first) - reach)
-    products = [float(first[middle] @ second[reach + k : len(second) - reach + k]) for k in shifts]
-    return (int(np.argmax(products)) - reach) * period
+    parts = [second[reach + k : len(second) - reach + k] for k in shifts]
+    like = [float(first[middle] @ part) / (float(np.linalg.norm(part)) or 1.0) for part in parts]
+    return (int(np.argmax(like)) - reach) * period
 
 
 def saturated(effort: Array) -> Bools:
