@@ -82,7 +82,7 @@ def identify(
     NAME.mmnn.toml, unless the fit predicts the motion held out no better than the URDF or friction alone: exit code 1.
     """
     from ..deploy.identify import corrected, identification
-    from ..deploy.identify.log import read_columns, read_logs
+    from ..deploy.identify.reading import read_columns, read_logs
     from ..lab.show.identified import text_of
     from ..model.loading import load
 

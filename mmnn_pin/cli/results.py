@@ -333,7 +333,7 @@ def has_display() -> bool:
         "mmnn report runs/track --html track.html --no-replay        without the robot's meshes",
         "mmnn report runs/robustness --html robustness.html          a study",
         "mmnn report runs/contest --html contest.html                a contest, all tasks",
-        "mmnn report runs/contest/eight --html eight.html            the runs of one of its tasks, first seed",
+        "mmnn report runs/contest/eight --html eight.html            the runs of one of its tasks",
         "mmnn report identified --html identified.html               what mmnn identify wrote",
     ),
 )
@@ -349,8 +349,7 @@ def report(
 ) -> int:
     """Write a report on runs of one task: verdict, numbers, plots, replay, robot, origin, in one HTML file.
 
-    RUN is a recording, or a folder with recordings; or one study: its folder or its database; or the folder of one
-    contest: tables of all tasks, targets and figures; or what `mmnn identify` wrote. The page needs no network.
+    RUN is a recording or a folder of them, one study, one contest, or what `mmnn identify` wrote; the page needs no net.
     """
     from ..lab.show.files import require_free
     from ..lab.show.report import report as make

@@ -30,6 +30,7 @@ from ...model.urdf.packages import is_xacro
 from ...signals import Array
 from ...torque.pseudo_inertia import pseudo_inertias
 from .identification import Identification
+from .programme import thickened
 from .report import inertia_of, links_of, report_of
 
 CHANGED = 1e-9  # relative change of a body below which its links stay as they are
@@ -65,20 +66,19 @@ def new_links(of: Identification) -> dict[str, Array]:
     first, bodies = of.unknowns.regressor.inertial, of.unknowns.regressor.bodies
     after, made = pseudo_inertias(of.theta[:first]), {}
     links = links_of(of.robot)
-    before = pseudo_inertias(of.unknowns.prior[:first])
-    thick = pseudo_inertias(of.prior.centre[:first])
-    for name, P, start, P_new in zip(bodies, before, thick, after, strict=True):
-        if np.abs(P_new - start).max() <= CHANGED * np.abs(start).max():
+    for name, P_new in zip(bodies, after, strict=True):
+        parts = [(link, H, pseudo_inertia_of(elements[link])) for link, H in links.get(name, [])]
+        before = np.sum([np.zeros((4, 4)), *(H @ own @ H.T for _, H, own in parts)], axis=0)
+        start = thickened(before)
+        if not parts or np.abs(P_new - start).max() <= CHANGED * np.abs(start).max():
             continue
-        parts = [(link, H, pseudo_inertia_of(elements[link])) for link, H in links[name]]
-        parts = [part for part in parts if part[2][3, 3] > 0]
-        extra = start - P  # what made a thin body thick goes to the heaviest link
-        heaviest = max(range(len(parts)), key=lambda i: parts[i][2][3, 3]) if parts else -1
+        heaviest = max(range(len(parts)), key=lambda i: parts[i][2][3, 3])  # it takes what makes a thin body thick
         G = transport(start, P_new)
         for i, (link, H, own) in enumerate(parts):
-            inside = H @ own @ H.T + (extra if i == heaviest else 0.0)
+            inside = H @ own @ H.T + (start - before if i == heaviest else 0.0)
             back = np.linalg.inv(H)
-            made[link] = back @ G @ inside @ G.T @ back.T
+            if inside[3, 3] > 0:
+                made[link] = back @ G @ inside @ G.T @ back.T
     return made
 
 
@@ -124,7 +124,7 @@ def header(of: Identification, changed: Mapping[str, Array]) -> str:
     with_all, without, before = (f"{100 * of.error(model):.1f} %" for model in ("identified", "urdf_file", "urdf"))
     logs = ", ".join(Path(log.name).name for log in of.logs)
     return (
-        f"Identified by mmnn_pin on {when} from {logs} ({len(of.training)} rows, low-pass {of.training.cutoff:.3g} Hz): "
+        f"Identified by mmnn_pin on {when} from {logs} ({len(of.training)} rows, below {of.training.cutoff:.3g} Hz): "
         f"inertias of {', '.join(changed) or 'none'}; friction of {', '.join(joint_friction(of)) or 'none'}; "
         f"from the torques of {followed}. Held-out torque error {with_all} with the constants and rotors of the TOML "
         f"file beside it, {without} without, {before} before."

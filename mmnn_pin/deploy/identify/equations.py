@@ -82,6 +82,12 @@ class Unknowns:
         return np.array([i for i, name in enumerate(self.labels) if name.rpartition(".")[2] in kinds], dtype=np.int64)
 
     @cached_property
+    def of_base(self) -> NDArray[np.int64]:
+        """Viscous friction of the base's velocities, which is not fitted: that of the wheels says the same."""
+        places = self.columns("viscous")
+        return places[[self.labels[i].rpartition(".")[0] not in self.regressor.joints for i in places]]
+
+    @cached_property
     def joint_rows(self) -> Array:
         """(joints, p) rows of T of the regressor's joints."""
         return np.array(self.regressor.massless.joints)
@@ -110,6 +116,7 @@ class Unknowns:
         lever = np.tile(self.joint_rows.T[rows], (1, dry.shape[1] // len(self.joint_rows)))
         columns = self.columns("coulomb", "stribeck")
         Y[:, :, columns] = dry[:, None, :] * lever[None]
+        Y[:, :, self.of_base] = 0.0
         return Y
 
 

@@ -27,6 +27,7 @@ NAMED = 1e-7  # coefficient of a combination, relative, under which it is roundi
 UNSEEN = 1e-10  # relative eigenvalue of the information under which a direction was not moved
 FAR = 4.0  # deviations (of the median) from which an equation counts less; from twice that not at all
 ROUNDS = 8  # of weights
+FINEST = 1e-5  # least deviation, of a row's RMS
 LAGS = 4.0  # reach of the taper over the correlation time of what residuals have beyond white noise
 LONGEST = 60  # lags that are looked at
 
@@ -137,7 +138,7 @@ def weighted_fit(equations: Equations, base: Base) -> Fit:
         used = used / np.where(there, deviation, 1.0) ** 2
         free = np.maximum(weights.sum(axis=0) - used, 1.0)
         deviation = np.where(there, np.sqrt((weights * residual**2).sum(axis=0) / free), np.nan)
-        deviation = np.where(there, np.maximum(deviation, 1e-12 * (1 + np.abs(y).max(axis=0))), np.nan)
+        deviation = np.where(there, np.maximum(deviation, FINEST * np.sqrt((y**2).mean(axis=0))), np.nan)
         middle = [1.4826 * np.median(np.abs(residual[use[:, i], i])) if there[i] else 1.0 for i in range(len(there))]
         far = np.abs(residual) / np.maximum(np.minimum(middle, np.where(there, deviation, 1.0)), 1e-300)
         weights = use * np.clip(2.0 - far / FAR, 0.0, 1.0)
@@ -246,7 +247,9 @@ def products(a: Array, b: Array, use: Bools, run: NDArray[np.int64], lags: int) 
     return found, float(use.sum())
 
 
-def expected(X: Array, smeared: Array, inverse: Array, B: Array, use: Bools, run: NDArray[np.int64], lags: int) -> Array:
+def expected(
+    X: Array, smeared: Array, inverse: Array, B: Array, use: Bools, run: NDArray[np.int64], lags: int
+) -> Array:
     """What the fit takes out of the autocovariance of a row's noise, at every lag, (lags,).
 
     Of `e = n - X A^-1 sum_j Z_j' n_j` it is `-X A^-1 Z' R` and its transpose, and `X A^-1 B A^-1 X'`.

@@ -75,11 +75,10 @@ class Prior:
         for kind, size in (("rotor", inertia), ("viscous", force / speed), ("coulomb", force), ("stribeck", force)):
             places = [i for i in unknowns.columns(kind) if unknowns.labels[i].rpartition(".")[0] in regressor.joints]
             scale[places] = size[: len(places)]
-        base = [i for i in unknowns.columns("viscous") if unknowns.labels[i].rpartition(".")[0] not in regressor.joints]
         offsets = unknowns.columns("offset")
         scale[offsets] = np.maximum(np.sqrt((equations.y**2).mean(axis=0)), 1e-9)
         B[np.arange(first, k), np.arange(first, k)] = scale[first:]
-        B[base] = 0.0  # the wheels' friction says the same
+        B[unknowns.of_base] = 0.0
         strength = np.ones(k)
         strength[unknowns.columns("viscous", "coulomb", "stribeck", "offset")] = 1e-4
         positive = -centre[first:] / scale[first:]

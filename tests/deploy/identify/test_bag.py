@@ -10,7 +10,8 @@ import pytest
 from motions import simulated
 
 from mmnn_pin import load
-from mmnn_pin.deploy.identify.log import Log, read_logs
+from mmnn_pin.deploy.identify.log import Log
+from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.model.robot import Robot
 

@@ -10,8 +10,9 @@ import pytest
 from motions import simulated
 
 from mmnn_pin import load
-from mmnn_pin.deploy.identify.log import Log, found_columns, read_columns, read_logs
+from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.quality import delay, misnamed, saturated, sound
+from mmnn_pin.deploy.identify.reading import found_columns, read_columns, read_logs
 from mmnn_pin.errors import InputError, RecordingError, UnknownName
 from mmnn_pin.model.robot import Robot
 
@@ -71,7 +72,9 @@ def test_columns_are_mapped_by_pattern_name_and_file(log: Log, arm: Robot, tmp_p
 
 
 def test_tables_with_the_same_times_are_one_motion(log: Log, arm: Robot, tmp_path: Path) -> None:
-    parts = [{k: v for k, v in log.signals.items() if k.startswith(kind)} for kind in ("position", "velocity", "effort")]
+    parts = [
+        {k: v for k, v in log.signals.items() if k.startswith(kind)} for kind in ("position", "velocity", "effort")
+    ]
     for i, part in enumerate(parts):
         rows = np.column_stack([log.time, *part.values()])
         np.savetxt(tmp_path / f"{i}.csv", rows, "%.17g", ",", header=",".join(["time", *part]), comments="")
@@ -148,7 +151,7 @@ def test_times_are_put_right(log: Log, arm: Robot) -> None:
 def test_impossible_logs_are_refused(log: Log, arm: Robot) -> None:
     with pytest.raises(RecordingError, match="the time goes back 1 times, first at row 501"):
         sound(log.rows(np.concatenate([np.arange(500), np.arange(300, 500)])), arm)
-    with pytest.raises(RecordingError, match="shuffled|goes back"):
+    with pytest.raises(RecordingError, match="the time goes back"):
         sound(log.rows(np.random.default_rng(0).permutation(1000)), arm)
     with pytest.raises(RecordingError, match="time stands still"):
         sound(log.with_signals(log.signals, np.zeros(1000)), arm)
@@ -172,7 +175,9 @@ def test_spikes_constants_saturation_and_lag_are_told(log: Log, arm: Robot) -> N
     found = sound(changed(log, effort__arm_1_joint=spiked), arm)
     assert "effort.arm_1_joint: 2 spikes replaced, the first at t = 1 s" in found.notes
     assert np.abs(found.effort["arm_1_joint"] - effort).max() < 0.1
-    assert "effort.arm_2_joint is 3 all the time" in sound(changed(log, effort__arm_2_joint=np.full(1000, 3.0)), arm).notes
+    assert (
+        "effort.arm_2_joint is 3 all the time" in sound(changed(log, effort__arm_2_joint=np.full(1000, 3.0)), arm).notes
+    )
     limit = 0.7 * np.abs(effort).max()
     clipped = np.clip(effort, -limit, limit)
     assert any("saturated" in note for note in sound(changed(log, effort__arm_1_joint=clipped), arm).notes)
