@@ -349,7 +349,7 @@ def report(
 ) -> int:
     """Write a report on runs of one task: verdict, numbers, plots, replay, robot, origin, in one HTML file.
 
-    RUN is a recording or a folder of them, one study, one contest, or what `mmnn identify` wrote; the page needs no net.
+    RUN is a recording or a folder of them, one study, one contest, or what `mmnn identify` wrote.
     """
     from ..lab.show.files import require_free
     from ..lab.show.report import report as make
