@@ -59,6 +59,8 @@ _HOME = {
     "loop.before_run": ("Bounds", "Start"),
     "loop.batch": ("Run", "simulate_many"),
     "recording.recording": ("Outcome", "Recording"),
+    "deploy.identify.identification": ("Identification", "identify"),
+    "deploy.identify.log": ("Log",),
     "lab.experiments.config": ("load_experiment",),
     "lab.experiments.runner": ("run_experiment",),
     "errors": ("InputError", "MmnnError"),

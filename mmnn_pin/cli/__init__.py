@@ -16,6 +16,7 @@ import click
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
 from .embed import embed
+from .identify import identify
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
 from .results import export, plot, prove, replay, report
@@ -67,7 +68,7 @@ def mmnn(context: click.Context) -> None:
 
 
 JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_)
-DEPLOYING = (embed, ros2)
+DEPLOYING = (ros2, embed, identify)
 for command in (*JUDGING, *DEPLOYING):
     mmnn.add_command(command)
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
-STUDY, CONTEST = "study.sqlite", ("contest.json", "rows.json")  # names of their files
+STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
 
 
 def say(text: str) -> None:
@@ -145,11 +145,11 @@ def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
 
 
 def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
-    """The database of a study, or the folder of a contest, among some paths; None without one.
+    """The database of a study, the folder of a contest or the JSON of an identification among some paths; None without.
 
     Args:
-        paths: As the user named them: a database, a folder that holds one, or the folder of a contest.
-        what: "study" or "contest".
+        paths: As the user named them: a database or such a JSON, a folder that holds one, or the folder of a contest.
+        what: "study", "contest" or "identification".
 
     Raises:
         ConfigError: It is not the only path.
@@ -157,9 +157,11 @@ def found_in(paths: tuple[Path, ...], what: str) -> Path | None:
     if what == "study":
         inside = [path / STUDY for path in paths if (path / STUDY).is_file()]
         found = [*(path for path in paths if path.suffix == ".sqlite"), *inside]
-    else:
+    elif what == "contest":
         found = [path for path in paths if any((path / name).is_file() for name in CONTEST)]
-    if found and len(paths) > 1:
+    else:
+        found = [file for path in paths for file in (path, *path.glob(IDENTIFIED)) if file.match(IDENTIFIED)]
+    if found and max(len(paths), len(found)) > 1:
         raise ConfigError(f"a {what} among other runs", fix="name it alone", file=found[0])
     return found[0] if found else None
 

@@ -333,7 +333,8 @@ def has_display() -> bool:
         "mmnn report runs/track --html track.html --no-replay        without the robot's meshes",
         "mmnn report runs/robustness --html robustness.html          a study",
         "mmnn report runs/contest --html contest.html                a contest, all tasks",
-        "mmnn report runs/contest/eight --html eight.html            the runs of one of its tasks, first seed",
+        "mmnn report runs/contest/eight --html eight.html            the runs of one of its tasks",
+        "mmnn report identified --html identified.html               what mmnn identify wrote",
     ),
 )
 @RUNS
@@ -348,8 +349,7 @@ def report(
 ) -> int:
     """Write a report on runs of one task: verdict, numbers, plots, replay, robot, origin, in one HTML file.
 
-    RUN is a recording, or a folder with recordings; or one study: its folder or its database; or the folder of one
-    contest: its page has the tables of all tasks, the targets and the figures. The page needs no network and no server.
+    RUN is a recording or a folder of them, one study, one contest, or what `mmnn identify` wrote.
     """
     from ..lab.show.files import require_free
     from ..lab.show.report import report as make
@@ -367,6 +367,10 @@ def report(
         from ..lab.show.contest import page as contest_page
 
         about, made = {"contest": str(contest)}, contest_page(opened(contest), command)
+    elif (identified := found_in(runs, "identification")) is not None:
+        from ..lab.show.identified import page as identified_page
+
+        about, made = {"identification": str(identified)}, identified_page(identified, command)
     else:
         recordings = by_name(open_runs(runs))
         about = {"runs": [str(recording.path) for recording in recordings.values()]}

@@ -158,6 +158,20 @@ class Regressor:
         regress(own, np.array(nu_ref, float), np.array(nudot_ref, float))
         return own.Y
 
+    def along(self, q: Array, nu: Array, nudot: Array) -> Array:
+        """Y along a motion, (N, p, k): `Y theta = M nudot + C(q, nu) nu + gravity + friction`, the base at the origin.
+
+        Args:
+            q: (N, n) the arm's joints [rad or m].
+            nu: (N, p) velocities.
+            nudot: (N, p) their time derivative.
+        """
+        own = self.workspace()
+        out = np.zeros((len(q), *own.Y.shape))
+        q, nu, nudot = (np.ascontiguousarray(part, float) for part in (q, nu, nudot))
+        regress_along(own, np.zeros(3 if own.base else 0), q, nu, nudot, out)
+        return out
+
     def gram(self, samples: int = 200, seed: int = 0) -> Array:
         """Mean of `Y' Y` over random states and references of unit size, (k, k)."""
         rng, m = np.random.default_rng(seed), self.massless
@@ -305,6 +319,17 @@ def regress(known: Massless, nu_ref: Array, nudot_ref: Array) -> None:
     for i in range(known.first, len(tree.links)):
         body_columns(known, i)
     joint_columns(known, nudot_ref, BODY * (len(tree.links) - known.first))
+
+
+@compiled
+def regress_along(known: Massless, pose: Array, q: Array, nu: Array, nudot: Array, out: Array) -> None:
+    """Y at every row of a motion at one pose, see `Regressor.along`, into out (N, p, k)."""
+    for i in range(len(q)):
+        measured(known, pose, nu[i, : known.base], q[i], nu[i, known.base :])
+        regress(known, nu[i], nudot[i])
+        for j in range(known.Y.shape[0]):
+            for k in range(known.Y.shape[1]):
+                out[i, j, k] = known.Y[j, k]
 
 
 @compiled

@@ -75,7 +75,7 @@ def flatten(
     rest = _array("position_rest", np.zeros(model.nv) if position_rest is None else position_rest, (model.nv,))
     frame = _array("control_frame", control_frame, (3,))
     _refuse(model)
-    bodies = _lump(model, T, rest)
+    bodies, _ = _lump(model, T, rest)
     rotors = product(T.T, model.armature[:, None] * T)
     if absorb:
         rotors = rotors + _absorb_wheels(bodies, T, _mobile(model))
@@ -123,8 +123,18 @@ def _refuse(model: pin.Model) -> None:
             )
 
 
-def _lump(model: pin.Model, T: Array, rest: Array) -> list[_Body]:
-    """The bodies that move, the base first, each with what stands still on it."""
+def carriers(model: pin.Model, T: Array, rest: Array) -> list[tuple[int, Array]]:
+    """For every joint of a model the body that carries its link, 0 for the base, and the link's placement in it (4, 4).
+
+    Arguments as of `flatten(..., absorb=False)`, whose order of bodies this is.
+    """
+    bodies, where = _lump(model, T, rest)
+    index = {id(body): i for i, body in enumerate(bodies)}
+    return [(index[id(body)], at) for body, at in where[1:]]
+
+
+def _lump(model: pin.Model, T: Array, rest: Array) -> tuple[list[_Body], list[tuple[_Body, Array]]]:
+    """The bodies that move, the base first, each with what stands still on it; and what carries each joint's link."""
     bodies = [_Body()]
     where = [(bodies[0], np.eye(4))]  # body that carries each joint's link, and the link's placement in it
     for j in range(1, model.njoints):
@@ -141,7 +151,7 @@ def _lump(model: pin.Model, T: Array, rest: Array) -> list[_Body]:
                 at = product(at, _displaced(kind, axis, rest[k]))
         body.moments += product(at, _moments(model.inertias[j]), at.T)
         where.append((body, at))
-    return bodies
+    return bodies, where
 
 
 def _absorb_wheels(bodies: list[_Body], T: Array, mobile: bool) -> Array:

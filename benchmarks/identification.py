@@ -1,0 +1,124 @@
+"""Identification on recorded motion of real robots: held-out torque error of ours, least squares, friction alone, URDF.
+
+    python benchmarks/identification.py tiago FIGAROH_PLUS        # thanhndv212/figaroh-plus, Apache-2.0
+    python benchmarks/identification.py ur10 INVERSE_DYNAMICS     # unisa-acg/inverse-dynamics-solver, BSD-3
+    python benchmarks/identification.py panda INVERSE_DYNAMICS
+    python benchmarks/identification.py other --robot R LOG...    # any log, read as it is
+
+The path is a clone of the repository that the data lies in; nothing of it is kept here. With figaroh installed (`pip
+install --no-deps figaroh==1.0.2`) plain least squares in the base parameters that it chooses stands beside ours, on the
+same equations.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import resource
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mmnn_pin import Identification, identify, load
+from mmnn_pin.deploy.identify.identification import MODELS, together
+from mmnn_pin.deploy.identify.reading import read_logs
+
+# Gear ratio times motor constant [N m / A], of the data's own script (examples/tiago/identification.py).
+TIAGO = {"arm_1_joint": 13.6, "arm_2_joint": 13.6, "arm_3_joint": -8.7, "arm_4_joint": -8.7}
+TIAGO |= {f"arm_{i}_joint": -336 * 0.0613 for i in (5, 6, 7)}
+CASES: dict[str, dict[str, Any]] = {
+    "tiago": {
+        "robot": "examples/tiago/urdf/tiago_48_schunk.urdf",
+        "logs": [
+            f"examples/tiago/data/identification/dynamic/tiago_{k}.csv" for k in ("position", "velocity", "effort")
+        ],
+        "constants": TIAGO,
+    },
+    "ur10": {"robot": "ur10", "logs": ["ur10_inverse_dynamics_solver/bagfiles/ur10_exciting_trajectory.db3"]},
+    "panda": {
+        "robot": "panda",
+        "logs": ["franka_inria_inverse_dynamics_solver/bagfiles/panda_exciting_trajectory.db3"],
+        "columns": {f"joint.panda_joint{i}": f"fer_joint{i}" for i in range(1, 8)},
+    },
+}
+
+
+def eliminated(found: Identification) -> float | None:
+    """Held-out error of least squares in the base parameters that figaroh chooses; None where it is not installed.
+
+    Its module is read alone: the package needs libraries that no registry of Python has.
+    """
+    there = importlib.util.find_spec("figaroh")
+    if there is None or not there.submodule_search_locations:
+        return None
+    place = Path(there.submodule_search_locations[0]) / "tools" / "qrdecomposition.py"
+    spec = importlib.util.spec_from_file_location("qrdecomposition", place)
+    assert spec is not None and spec.loader is not None
+    theirs = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = theirs
+    spec.loader.exec_module(theirs)
+    rows, test = found.training.only(found.follows), found.held_out.only(found.follows)
+    active = np.flatnonzero(np.abs(rows.Y[rows.use]).max(axis=0) > 1e-6)
+    W, tau = rows.Y[rows.use][:, active], rows.y[rows.use]
+    kept = active[list(theirs.get_baseIndex(W, [found.unknowns.labels[i] for i in active]))]
+    theta = np.zeros(found.unknowns.size)
+    theta[kept] = np.linalg.lstsq(rows.Y[rows.use][:, kept], tau, rcond=None)[0]
+    return together(test, test.Y @ theta)
+
+
+def report(found: Identification) -> dict[str, Any]:
+    """Errors of all models, over what was identified and over all that moves, and joint by joint."""
+    models = [*MODELS]
+    table: dict[str, Any] = {
+        "cutoff_hz": found.training.cutoff,
+        "equations": [len(found.training), len(found.held_out)],
+        "follow": [name for name, follows in zip(found.names, found.follows, strict=True) if follows],
+        "identified": {model: found.error(model) for model in models},
+        "all_moving": {model: found.error(model, found.moving) for model in models},
+        "joints": {
+            name: {model: float(found.errors(model)[i]) for model in models} for i, name in enumerate(found.names)
+        },
+    }
+    if (theirs := eliminated(found)) is not None:
+        table["identified"]["figaroh"] = theirs
+    return table
+
+
+def main() -> None:
+    """Print the errors as a table, or as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("case", choices=[*CASES, "other"])
+    parser.add_argument("paths", nargs="+", type=Path)
+    parser.add_argument("--robot")
+    parser.add_argument("--cutoff", type=float)
+    parser.add_argument("--json", action="store_true")
+    given = parser.parse_args()
+    case = CASES.get(given.case, {"robot": given.robot, "logs": given.paths})
+    folder = given.paths[0] if given.case in CASES else Path()
+    name = folder / case["robot"] if "/" in case["robot"] and given.case in CASES else case["robot"]
+    robot = load(name)
+    logs = read_logs([folder / log for log in case["logs"]], robot, case.get("columns"))
+    identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))  # compiles
+    before = time.perf_counter()
+    found = identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))
+    table = report(found) | {"seconds": time.perf_counter() - before, "rows": [len(log.time) for log in logs]}
+    table["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    if given.json:
+        print(json.dumps(table))
+        return
+    print(f"{given.case}: {table['rows']} rows, low-pass {table['cutoff_hz']:.3g} Hz, {table['seconds']:.2f} s")
+    models = list(table["identified"])
+    print(f"{'':22s}" + "".join(f"{model:>15s}" for model in models))
+    for title, errors in (("identified joints", table["identified"]), ("all that move", table["all_moving"])):
+        print(f"{title:22s}" + "".join(f"{100 * errors.get(model, np.nan):14.1f}%" for model in models))
+    for joint, errors in table["joints"].items():
+        mark = "" if joint in table["follow"] else "  not identified"
+        print(f"{joint:22s}" + "".join(f"{100 * errors.get(model, np.nan):14.1f}%" for model in models) + mark)
+
+
+if __name__ == "__main__":
+    main()

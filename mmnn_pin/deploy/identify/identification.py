@@ -1,0 +1,359 @@
+"""`identify`: recorded motion in, parameters out, judged on motion that the fit never saw.
+
+1. Logs are made sound (`quality`), then equations (`equations`); the last third of each log is held out.
+2. A joint whose effort the rigid body explains no better than friction alone, on blocks left out, does not follow it: a
+   sensor in another unit, a spring, a dead zone. Its rows are dropped, and it is named.
+3. The rest is fitted twice: base parameters by weighted least squares, with standard deviations, and all parameters by
+   the consistent programme, from the URDF.
+4. Held-out errors of the fit, the URDF, friction alone and least squares are compared, joint by joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ...errors import ConfigError, RecordingError, UnknownName
+from ...model.regressor import Regressor
+from ...model.robot import Robot
+from ...signals import Array
+from .equations import (
+    Bools,
+    Equations,
+    Unknowns,
+    chosen_cutoff,
+    coordinates,
+    equations,
+    measured_rows,
+    still_speeds,
+)
+from .least_squares import Fit, base_parameters, weighted_fit
+from .log import Log
+from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
+from .quality import misnamed, sound
+
+HELD_OUT = 1 / 3  # of each log
+FEWEST = 40  # equations of a joint
+WORSE = 1.03  # error over that of friction alone from which a joint does not follow the rigid body
+POOR = 0.6  # error from which nothing is explained
+MODELS = ("identified", "urdf", "friction", "least_squares", "urdf_file")
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What came out.
+
+    Attributes:
+        robot: The robot as its URDF has it.
+        logs: The logs, sound, with their notes.
+        unknowns: What was fitted.
+        training: Equations of the fit.
+        held_out: Equations that it never saw.
+        fit: Base parameters with standard deviations.
+        consistent: All parameters, physically possible.
+        prior: Of the programme.
+        follows: (r,) whether a row was fitted.
+        why: For the other rows, by name, why not.
+        friction: (r, k) friction alone and a constant, fitted to every row.
+        notes: What there is to say beside the logs' own notes.
+    """
+
+    robot: Robot
+    logs: tuple[Log, ...]
+    unknowns: Unknowns
+    training: Equations
+    held_out: Equations
+    fit: Fit
+    consistent: Consistent
+    prior: Prior
+    follows: Bools
+    why: dict[str, str]
+    friction: Array
+    notes: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the r rows."""
+        return self.unknowns.names
+
+    @property
+    def theta(self) -> Array:
+        """All parameters, (k,)."""
+        return self.consistent.theta
+
+    @cached_property
+    def in_urdf(self) -> Array:
+        """The parameters that a URDF can hold, (k,): without rotors, constants and Stribeck friction."""
+        theta = self.theta.copy()
+        theta[self.unknowns.columns("rotor", "offset", "stribeck")] = 0.0
+        return theta
+
+    def predicted(self, model: str, of: Equations) -> Array:
+        """Efforts that a model of `MODELS` predicts, (M, r)."""
+        alone = np.einsum("mrk,rk->mr", of.Y, self.friction)
+        if model == "friction":
+            return alone
+        if model == "least_squares":
+            made = of.Y @ self.fit.theta(self.unknowns.size)
+            return np.where(self.follows, made, alone)
+        theta = {"identified": self.theta, "urdf": self.unknowns.prior, "urdf_file": self.in_urdf}[model]
+        made = of.Y @ theta
+        return np.where(self.follows, made, alone) if model == "identified" else made
+
+    def errors(self, model: str) -> Array:
+        """Held-out error of every row, (r,): RMS of measured minus predicted over RMS of measured; nan if it stands."""
+        return relative(self.held_out, self.predicted(model, self.held_out))
+
+    def error(self, model: str, rows: Bools | None = None) -> float:
+        """The same over some rows together, by default all that follow."""
+        kept = self.held_out.only(self.follows if rows is None else rows)
+        return together(kept, self.predicted(model, self.held_out))
+
+    @property
+    def moving(self) -> Bools:
+        """Rows that move in the motion held out, (r,)."""
+        return np.asarray(self.held_out.use.sum(axis=0) >= FEWEST // 4)
+
+    @property
+    def better(self) -> bool:
+        """Whether the fit predicts better than the URDF and than friction alone."""
+        ours = self.error("identified")
+        return bool(ours < self.error("urdf") and ours < self.error("friction"))
+
+
+def relative(of: Equations, predicted: Array) -> Array:
+    """RMS of measured minus predicted over RMS of measured, row by row, (r,); nan where nothing counts."""
+    error, size = (np.where(of.use, part, 0.0) for part in (of.y - predicted, of.y))
+    square = (size**2).sum(axis=0)
+    return np.where(square > 0, np.sqrt((error**2).sum(axis=0) / np.where(square > 0, square, 1.0)), np.nan)
+
+
+def together(of: Equations, predicted: Array) -> float:
+    """The same over all rows that count."""
+    error, size = (np.where(of.use, part, 0.0) for part in (of.y - predicted, of.y))
+    return float(np.sqrt((error**2).sum() / (size**2).sum())) if size.any() else float("nan")
+
+
+def identify(
+    robot: Robot,
+    logs: Log | Sequence[Log],
+    *,
+    held_out: Log | Sequence[Log] = (),
+    cutoff: float | None = None,
+    stribeck: float | None = None,
+    torque_constants: Mapping[str, float] | None = None,
+    weight: float | None = None,
+) -> Identification:
+    """Inertias and friction of a robot from recorded motion.
+
+    Args:
+        robot: As its URDF has it: where to start, and what holds for all that the motion does not tell.
+        logs: Recorded motions.
+        held_out: Motions to judge on; without any the last third of every log is held out.
+        cutoff: Of the low-pass on positions and efforts [Hz]; by default ten times the motion's own frequencies.
+        stribeck: Velocity of Stribeck friction [rad/s or m/s]; by default there is none.
+        torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named.
+        weight: Of the URDF in the consistent fit; by default chosen on blocks left out.
+
+    Raises:
+        RecordingError: A log that cannot be used.
+        UnknownName: A torque constant of no motor.
+        ConfigError: A number that cannot be.
+        SolverError: The programme has no solution.
+    """
+    given, judged = as_list(logs), as_list(held_out)
+    require_settings(cutoff, stribeck, weight)
+    given, judged = (
+        [sound(scaled(log, robot, torque_constants or {}), robot) for log in some] for some in (given, judged)
+    )
+    every = [*given, *judged]
+    unknowns = Unknowns(robot, Regressor.of(robot), measured_rows(robot, every), stribeck)
+    cutoff = chosen_cutoff(every, robot) if cutoff is None else cutoff
+    still = still_speeds(every, unknowns, cutoff)
+    training, test = divided([equations(log, unknowns, cutoff, still) for log in given])
+    if judged:
+        training = Equations.stacked([training, test])
+        test = Equations.stacked([equations(log, unknowns, cutoff, still) for log in judged])
+    return fitted(robot, every, unknowns, training, test, weight)
+
+
+def fitted(
+    robot: Robot, logs: Sequence[Log], unknowns: Unknowns, training: Equations, test: Equations, weight: float | None
+) -> Identification:
+    """The fit to some equations, judged on others; see `identify`."""
+    prior, friction = Prior.of(unknowns, training), friction_alone(training, unknowns)
+    follows, why, chosen = following(training, unknowns, prior, friction)
+    moves = np.array(
+        [
+            np.ptp(np.concatenate([coordinates(log, robot)[0][:, i] for log in logs])) > 1e-3
+            for i in range(robot.dimensions.dof)
+        ]
+    )
+    used = training.only(follows)
+    fit = weighted_fit(used, base_parameters(unknowns, follows, moves))
+    chosen = chosen if weight is None else weight
+    consistent = consistent_fit(used, prior, follows, fit.deviation, chosen, fit.inflation)
+    notes = [*missing_notes(logs, robot), *misnamed_notes(training, unknowns)]
+    return Identification(
+        robot, tuple(logs), unknowns, training, test, fit, consistent, prior, follows, why, friction, tuple(notes)
+    )
+
+
+def as_list(logs: Log | Sequence[Log]) -> list[Log]:
+    """One log or several as a list."""
+    return [logs] if isinstance(logs, Log) else list(logs)
+
+
+def require_settings(cutoff: float | None, stribeck: float | None, weight: float | None) -> None:
+    """Refuse numbers that cannot be.
+
+    Raises:
+        ConfigError: With the option.
+    """
+    for name, value in (("cutoff", cutoff), ("stribeck", stribeck), ("weight", weight)):
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise ConfigError(f"{value}", fix="give a finite number > 0", key=f"--{name}")
+
+
+def scaled(log: Log, robot: Robot, constants: Mapping[str, float]) -> Log:
+    """The log with efforts in N m and N.
+
+    Raises:
+        UnknownName: A constant of no motor.
+        ConfigError: A constant that is 0 or not finite.
+    """
+    for name, value in constants.items():
+        if name not in robot.actuator_names:
+            raise UnknownName("motor", name, robot.actuator_names, key="--torque-constant")
+        if not (np.isfinite(value) and value != 0):
+            raise ConfigError(f"{name}={value}", fix="give a finite number that is not 0", key="--torque-constant")
+    if not constants:
+        return log
+    signals = log.signals
+    for name, value in constants.items():
+        if f"effort.{name}" in signals:
+            signals[f"effort.{name}"] = signals[f"effort.{name}"] * value
+    return log.with_signals(signals)
+
+
+def divided(parts: Sequence[Equations]) -> tuple[Equations, Equations]:
+    """The first two thirds of every motion, and the last one; what the filter mixes of both is in neither."""
+    first, last = [], []
+    for part in parts:
+        end = part.time[0] + (1 - HELD_OUT) * (part.time[-1] - part.time[0])
+        first.append(part.rows(part.time < end - 0.5 / part.cutoff))
+        last.append(part.rows(part.time > end + 0.5 / part.cutoff))
+    return Equations.stacked(first), Equations.stacked(last)
+
+
+def friction_alone(of: Equations, unknowns: Unknowns) -> Array:
+    """Viscous and dry friction and a constant fitted to every row by itself, (r, k)."""
+    theta = np.zeros((len(unknowns.rows), unknowns.size))
+    for i in range(len(unknowns.rows)):
+        use, columns = of.use[:, i], friction_columns(unknowns, i)
+        if np.count_nonzero(use) >= FEWEST:
+            theta[i, columns] = np.linalg.lstsq(of.Y[use, i][:, columns], of.y[use, i], rcond=None)[0]
+    return theta
+
+
+def friction_columns(unknowns: Unknowns, i: int) -> Array:
+    """Places of the friction of the joints that row i moves, and of its constant."""
+    names = [unknowns.regressor.joints[j] for j in np.flatnonzero(unknowns.joint_rows[:, unknowns.rows[i]])]
+    wanted = {f"{name}.{kind}" for name in names for kind in ("viscous", "coulomb", "stribeck")}
+    wanted.add(f"{unknowns.names[i]}.offset")
+    return np.array([j for j, label in enumerate(unknowns.labels) if label in wanted])
+
+
+# -- which joints follow the rigid body --------------------------------------------------------------------------------
+
+
+def following(
+    training: Equations, unknowns: Unknowns, prior: Prior, friction: Array
+) -> tuple[Bools, dict[str, str], float]:
+    """Rows that the rigid body explains better than friction alone, why the others do not, and the prior's weight.
+
+    Raises:
+        RecordingError: No row is left.
+    """
+    counts, why = training.use.sum(axis=0), {}
+    follows = counts >= FEWEST
+    for i in np.flatnonzero(~follows):
+        why[unknowns.names[i]] = "it hardly moves"
+    if not follows.any():
+        raise RecordingError(
+            "too still a motion",
+            why=f"no joint moves in {FEWEST} rows of the filtered log",
+            fix="record a motion of all joints, see `mmnn excite`",
+        )
+    blocks = Blocks.of(training, prior)
+    alone = friction_left_out(training, unknowns)
+    deviation = np.sqrt(np.maximum(alone / np.maximum(counts, 1), 1e-18))
+    while True:
+        for _ in range(3):
+            chosen, errors = blocks.chosen(follows, deviation, prior.strength)
+            deviation = np.where(follows, np.sqrt(np.maximum(errors / np.maximum(counts, 1), 1e-18)), deviation)
+        size = np.maximum(blocks.square.sum(axis=0), 1e-300)
+        ours, theirs = np.sqrt(errors / size), np.sqrt(alone / size)
+        badness = np.where(follows, np.maximum(ours / np.maximum(theirs, 1e-12) / WORSE, ours / POOR), 0.0)
+        worst = int(np.argmax(badness))
+        if badness[worst] <= 1:
+            return follows, why, chosen
+        follows[worst] = False
+        why[unknowns.names[worst]] = (
+            f"its effort does not follow the rigid body: error {100 * ours[worst]:.0f} %, {100 * theirs[worst]:.0f} % "
+            "by friction alone (another unit, a spring, a dead zone?)"
+        )
+        deviation = np.sqrt(np.maximum(alone / np.maximum(counts, 1), 1e-18))
+        if not follows.any():
+            fix = "check units and names of the efforts, see the notes"
+            raise RecordingError(
+                "no effort follows the rigid body", why="; ".join(f"{n}: {w}" for n, w in why.items()), fix=fix
+            )
+
+
+def friction_left_out(of: Equations, unknowns: Unknowns) -> Array:
+    """Squared errors of friction alone on blocks that it was not fitted to, (r,)."""
+    block = np.arange(len(of)) * BLOCKS // len(of)
+    errors = np.zeros(len(unknowns.rows))
+    for i in range(len(unknowns.rows)):
+        columns = friction_columns(unknowns, i)
+        for n in range(BLOCKS):
+            rest, this = of.use[:, i] & (block != n), of.use[:, i] & (block == n)
+            if not this.any():
+                continue
+            X, y = of.Y[rest, i][:, columns], of.y[rest, i]
+            x = np.linalg.lstsq(X, y, rcond=None)[0]
+            errors[i] += float(((of.y[this, i] - of.Y[this, i][:, columns] @ x) ** 2).sum())
+    return errors
+
+
+# -- notes -------------------------------------------------------------------------------------------------------------
+
+
+def missing_notes(logs: Sequence[Log], robot: Robot) -> list[str]:
+    """What is not in the logs and was taken as still."""
+    found = []
+    for log in logs:
+        _, missing = coordinates(log, robot)
+        if missing:
+            found.append(f"{log.name}: not in the log, taken as still: {', '.join(missing)}")
+        frozen = [name for name in log.position if name not in robot.joint_names and name in robot.arm.locked]
+        moved = [name for name in frozen if np.ptp(log.position[name]) > 0.02]
+        if moved:
+            found.append(f"{log.name}: locked in the model, but they move: {', '.join(moved)}: --free JOINT frees one")
+    return found
+
+
+def misnamed_notes(training: Equations, unknowns: Unknowns) -> list[str]:
+    """Efforts with another sign or of another joint."""
+    first = unknowns.regressor.inertial
+    predicted = training.Y[:, :, :first] @ unknowns.prior[:first]
+    return list(misnamed(unknowns.names, training.y, predicted, training.speed, training.use))
+
+
+def with_notes(of: Identification, *notes: str) -> Identification:
+    """The same with more to say."""
+    return replace(of, notes=(*of.notes, *notes))

@@ -1,0 +1,121 @@
+"""A recorded motion: time, joints, efforts, base; from arrays, or by `reading` and `bag` from files.
+
+Names of signals: `time`, `position.JOINT`, `velocity.JOINT`, `effort.JOINT`, `base.x` to `base.w` (odometry), and
+`reference.x`, `reference.y`, `reference.phi` (a reference pose, such as that of a motion capture system).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...errors import RecordingError
+from ...model.robot import Robot
+from ...signals import Array
+
+BASE = tuple(f"base.{name}" for name in ("x", "y", "phi", "v", "vx", "vy", "w"))
+REFERENCE = tuple(f"reference.{name}" for name in ("x", "y", "phi"))
+Columns = Mapping[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """One recorded motion.
+
+    Attributes:
+        name: What it is called in messages.
+        time: (N,) [s].
+        position: (N,) of every measured joint [rad or m].
+        velocity: Likewise [rad/s or m/s]; it is only compared with the positions, where there are some.
+        effort: Likewise, of every measured motor [N m or N, or its current].
+        base: (N,) of `base.x` and so on, see `BASE` [m, rad, m/s, rad/s].
+        reference: (N,) of `reference.x` and so on [m, rad].
+        effort_delay: How much later than its time an effort acts [s].
+        notes: What there is to say about it.
+    """
+
+    name: str
+    time: Array
+    position: dict[str, Array]
+    velocity: dict[str, Array] = field(default_factory=dict)
+    effort: dict[str, Array] = field(default_factory=dict)
+    base: dict[str, Array] = field(default_factory=dict)
+    reference: dict[str, Array] = field(default_factory=dict)
+    effort_delay: float = 0.0
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        time: ArrayLike,
+        position: Mapping[str, ArrayLike],
+        effort: Mapping[str, ArrayLike],
+        velocity: Mapping[str, ArrayLike] | None = None,
+        base: Mapping[str, ArrayLike] | None = None,
+        reference: Mapping[str, ArrayLike] | None = None,
+        name: str = "arrays",
+    ) -> Log:
+        """A log of arrays.
+
+        Args:
+            time: (N,) [s].
+            position: (N,) by joint [rad or m].
+            effort: (N,) by joint [N m or N].
+            velocity: (N,) by joint [rad/s or m/s].
+            base: (N,) by `x`, `y`, `phi`, `v`, `vx`, `vy`, `w` [m, rad, m/s, rad/s].
+            reference: (N,) by `x`, `y`, `phi` [m, rad].
+            name: What it is called in messages.
+
+        Raises:
+            RecordingError: Arrays of different lengths.
+        """
+        signals = {"time": np.asarray(time, float)}
+        for kind, given in (
+            ("position", position), ("velocity", velocity), ("effort", effort), ("base", base), ("reference", reference)
+        ):  # fmt: skip
+            signals |= {f"{kind}.{key}": np.asarray(values, float) for key, values in (given or {}).items()}
+        return from_signals(name, signals)
+
+    @property
+    def signals(self) -> dict[str, Array]:
+        """All signals but the time, by their full names."""
+        found = {f"position.{name}": values for name, values in self.position.items()}
+        found |= {f"velocity.{name}": values for name, values in self.velocity.items()}
+        found |= {f"effort.{name}": values for name, values in self.effort.items()}
+        return found | self.base | self.reference
+
+    def with_signals(self, signals: Mapping[str, Array], time: Array | None = None, *notes: str) -> Log:
+        """The same log with other numbers for its signals, and more notes."""
+        made = from_signals(self.name, {"time": self.time if time is None else time, **signals})
+        return replace(made, effort_delay=self.effort_delay, notes=(*self.notes, *notes))
+
+    def rows(self, keep: Array | slice, *notes: str) -> Log:
+        """Some rows of it, and more notes."""
+        return self.with_signals({name: values[keep] for name, values in self.signals.items()}, self.time[keep], *notes)
+
+
+def from_signals(name: str, signals: Mapping[str, Array]) -> Log:
+    """A log of signals by their full names.
+
+    Raises:
+        RecordingError: Signals of another length than the time's.
+    """
+    time = np.asarray(signals["time"], float)
+    parts: dict[str, Any] = {key: {} for key in ("position", "velocity", "effort", "base", "reference")}
+    for signal, values in signals.items():
+        if np.shape(values) != time.shape or time.ndim != 1:
+            what = f"{signal} has shape {np.shape(values)}, the time {time.shape}"
+            raise RecordingError(what, fix="give one number per time", file=name)
+        kind, _, rest = signal.partition(".")
+        if kind in parts:
+            parts[kind][signal if kind in ("base", "reference") else rest] = np.asarray(values, float)
+    return Log(name, time, **parts)
+
+
+def revolves(robot: Robot, joint: str) -> bool:
+    """Whether a joint of the model turns, and does not slide."""
+    return bool(robot.model.joints[robot.model.getJointId(joint)].shortname().startswith("JointModelR"))

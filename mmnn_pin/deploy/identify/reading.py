@@ -1,0 +1,283 @@
+"""Motions in files: CSV tables with headers of any kind, recordings of this package, and bags by `bag`."""
+
+from __future__ import annotations
+
+import csv
+import re
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...errors import InputError, RecordingError, UnknownName
+from ...model.robot import Robot
+from ...recording.recording import Recording, as_columns
+from ...signals import Array
+from .bag import read_bag
+from .log import BASE, REFERENCE, Columns, Log, from_signals, revolves
+
+# Words of other headers that say what is measured; the first word of a list is our own.
+WORDS = {
+    "position": ("position", "positions", "pos", "q", "angle"),
+    "velocity": ("velocity", "velocities", "vel", "dq", "qd", "qdot", "speed"),
+    "effort": ("effort", "efforts", "torque", "torques", "tau", "eff", "current", "force"),
+}
+TIMES = ("time", "t", "timestamp", "stamp", "sec", "seconds")
+BAGS = (".db3", ".mcap", ".bag")
+
+
+def read_logs(
+    paths: Sequence[str | Path],
+    robot: Robot,
+    columns: Columns | None = None,
+    rate: float | None = None,
+    degrees: bool = False,
+) -> list[Log]:
+    """The motions of some files; tables with the same times and different signals are one motion.
+
+    Args:
+        paths: CSV files, bags (rosbag2 with sqlite3 or MCAP, or their folder; ROS 1), recordings of this package.
+        robot: Whose joints are looked for.
+        columns: Signal to header: `position.JOINT = HEADER`, with `{joint}` in both for all joints; `joint.JOINT =
+            NAME` for what a bag calls a joint; `topic.joints`, `topic.odometry`, `topic.reference` for its topics.
+        rate: Rows per second of a table without times [Hz].
+        degrees: Whether angles are in degrees.
+
+    Raises:
+        InputError: A file that cannot be read, or in which nothing of the robot is found; with the line.
+    """
+    columns, logs = columns or {}, []
+    for path in map(Path, paths):
+        if not path.exists():
+            raise RecordingError("no such file", fix="name a CSV file, a bag or a recording", file=path)
+        if path.suffix == ".h5":
+            logs.append(from_recording(path, robot))
+        elif path.suffix in BAGS or path.is_dir():
+            logs.append(read_bag(path, robot, columns))
+        else:
+            logs.append(read_csv(path, robot, columns, rate))
+    made = joined(logs)
+    for log in made:
+        require_joints(log, robot)
+    return [in_radians(log, robot) if degrees else log for log in made]
+
+
+def in_radians(log: Log, robot: Robot) -> Log:
+    """A log whose angles were in degrees."""
+    signals = log.signals
+    for signal, values in signals.items():
+        kind, _, name = signal.partition(".")
+        turns = name in robot.full_velocity_names and kind in ("position", "velocity") and revolves(robot, name)
+        if turns or signal in ("base.phi", "base.w", "reference.phi"):
+            signals[signal] = np.deg2rad(values)
+    return log.with_signals(signals, None, "angles were in degrees")
+
+
+def joined(logs: Iterable[Log]) -> list[Log]:
+    """Logs with those made one that have the same times and no signal in common."""
+    made: list[Log] = []
+    for log in logs:
+        for i, other in enumerate(made):
+            if np.array_equal(log.time, other.time) and not set(log.signals) & set(other.signals):
+                made[i] = replace(
+                    other.with_signals(other.signals | log.signals), notes=tuple(dict.fromkeys(other.notes + log.notes))
+                )
+                break
+        else:
+            made.append(log)
+    return made
+
+
+def require_joints(log: Log, robot: Robot) -> None:
+    """Refuse a log that has no positions of the robot's joints, or no efforts of its motors.
+
+    Raises:
+        RecordingError: It has none.
+    """
+    names = [*robot.joint_names, *(wheel.joint for wheel in robot.base.wheels)]
+    for kind, there, wanted in (("position", log.position, names), ("effort", log.effort, robot.actuator_names)):
+        moves = kind == "position" and {"base.v", "base.vx", "base.w"} & set(log.base)
+        if not set(there) & set(wanted) and not moves:
+            why = f"it has {kind}s of {', '.join(there)}" if there else f"it has no {kind}s at all"
+            raise RecordingError(
+                f"no {kind} of a joint of {robot.name} that moves",
+                why=why,
+                fix=f"its joints are {', '.join(wanted)}; map names with --columns",
+                file=log.name,
+            )
+
+
+# -- CSV ---------------------------------------------------------------------------------------------------------------
+
+
+def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = None) -> Log:
+    """A table with a header.
+
+    Raises:
+        InputError: As `read_logs`.
+    """
+    header, table = read_table(path)
+    joints = [*robot.joint_names, *(n for n in robot.full_velocity_names if n not in robot.joint_names)]
+    where = found_columns(header, joints, columns, path)
+    if "time" not in where:
+        if rate is None:
+            fix = f"map one of {', '.join(header)} with --columns time=HEADER, or give --rate HZ"
+            raise RecordingError("no column of times", fix=fix, file=path, line=1)
+        time = np.arange(len(table)) / rate
+    else:
+        time = table[:, where["time"]]
+    signals = {signal: table[:, i] for signal, i in where.items() if signal != "time"}
+    return from_signals(str(path), {"time": time, **signals})
+
+
+def read_table(path: Path) -> tuple[list[str], Array]:
+    """Header and numbers of a CSV file; separated by commas, semicolons, tabs or blanks. An empty cell is NaN.
+
+    Raises:
+        RecordingError: The file cannot be read, has no header, or a row has other cells than numbers; with the line.
+    """
+    try:
+        text = path.read_text("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError("cannot be read", why=str(error), fix="give a CSV file as text", file=path) from None
+    lines = text.splitlines()
+    if not lines or not any(c.isalpha() for c in lines[0]):
+        raise RecordingError("no header", fix="name the columns in the first line", file=path, line=1)
+    mark = next((c for c in ",;\t" if c in lines[0]), " ")
+    rows = csv.reader(lines, delimiter=mark, skipinitialspace=True)
+    header = [name.strip() for name in next(rows)]
+    numbers = []
+    for row in rows:
+        if not any(cell.strip() for cell in row):
+            continue
+        try:
+            numbers.append([float(cell) if cell.strip() else np.nan for cell in row])
+        except ValueError as error:
+            what = str(error).replace("could not convert string to float:", "not a number:")
+            raise RecordingError(what, fix="give numbers below the header", file=path, line=rows.line_num) from None
+        if len(row) != len(header):
+            what = f"{len(row)} cells under {len(header)} headers"
+            raise RecordingError(what, fix="give one cell per column", file=path, line=rows.line_num)
+    if len(numbers) < 2:
+        raise RecordingError(f"{len(numbers)} rows of numbers", fix="give a recorded motion", file=path)
+    return header, np.array(numbers)
+
+
+def found_columns(header: Sequence[str], joints: Sequence[str], columns: Columns, path: Path) -> dict[str, int]:
+    """Place of every signal that a header has, by what the user says, our names, or words in the header.
+
+    Raises:
+        UnknownName: The user names a column that is not there, or a joint that the robot does not have.
+        RecordingError: Two columns for one signal.
+    """
+    known = ("time", *BASE, *REFERENCE, *(f"{kind}.{joint}" for kind in WORDS for joint in joints))
+    found: dict[str, int] = {}
+    for signal, name in spelled_out(columns, joints).items():
+        if signal.partition(".")[0] in ("joint", "topic"):
+            continue
+        if signal not in known:
+            raise UnknownName("signal", signal, known, key="--columns")
+        if name in header:
+            found[signal] = header.index(name)
+        elif "{joint}" not in "".join(columns) and signal in columns:
+            raise UnknownName("column", name, header, file=path, key=f"--columns {signal}")
+    taken = set(found.values())
+    for i, name in enumerate(header):
+        signal = name if name in known else meant(name, joints)
+        if i in taken or not signal or (signal in found and found[signal] in taken):
+            continue
+        if signal in found:
+            what = f"two columns for {signal}: '{header[found[signal]]}' and '{name}'"
+            raise RecordingError(what, fix=f"choose with --columns {signal}=HEADER", file=path, line=1)
+        found[signal] = i
+    return found
+
+
+def spelled_out(columns: Columns, joints: Sequence[str]) -> dict[str, str]:
+    """The user's mapping with a line of every joint for one with `{joint}`."""
+    found: dict[str, str] = {}
+    for signal, name in columns.items():
+        if "{joint}" in signal:
+            found |= {signal.replace("{joint}", joint): name.replace("{joint}", joint) for joint in joints}
+    return found | {signal: name for signal, name in columns.items() if "{joint}" not in signal}
+
+
+def meant(header: str, joints: Sequence[str]) -> str:
+    """The signal that a header names with other words: a joint's name and a word for what is measured; or empty."""
+    plain = header.strip().strip("'\"").lower()
+    if re.sub(r"[^a-z]+", " ", plain).strip() in TIMES:
+        return "time"
+    names = [joint for joint in joints if re.search(rf"(?<![a-z0-9]){re.escape(joint.lower())}(?![a-z0-9])", plain)]
+    if not names:
+        return ""
+    joint = max(names, key=len)
+    words = re.split(r"[^a-z]+", plain.replace(joint.lower(), " ", 1))
+    kinds = [kind for kind, synonyms in WORDS.items() if set(words) & set(synonyms)]
+    return f"{kinds[0]}.{joint}" if len(kinds) == 1 else ""
+
+
+# -- recordings of this package ----------------------------------------------------------------------------------------
+
+
+def from_recording(path: Path, robot: Robot) -> Log:
+    """What the sensors of a recorded run said, and the torques of its motors.
+
+    Raises:
+        RecordingError: It cannot be read, is of another robot, or holds too few signals.
+    """
+    recording = Recording.open(path)
+    needed = ("q", "qdot", "velocity", "motor_torque")
+    size = {"q": robot.dimensions.arm, "qdot": robot.dimensions.arm, "velocity": robot.dimensions.base}
+    missing = [name for name in needed if name not in recording and size.get(name, 1)]
+    if missing:
+        what = f"the recording has no {', '.join(missing)}"
+        raise RecordingError(what, fix="record all signals", file=path)
+    if len(recording) < 2:
+        raise RecordingError("the recording has no rows", fix="name one of a longer run", file=path)
+    torque = "applied" if "applied" in recording else "motor_torque"
+    signals = {"time": recording.time}
+    for signal, kind in (("q", "position"), ("qdot", "velocity"), (torque, "effort"), ("velocity", "base")):
+        if signal in recording:
+            table = as_columns(recording[signal])
+            signals |= {f"{kind}.{name}": table[:, i] for i, name in enumerate(recording.labels(signal))}
+    period = float(np.median(np.diff(recording.time)))
+    known = {*robot.joint_names, *robot.actuator_names}
+    others = [name for name in recording.labels("q") if name not in known] if "q" in recording else []
+    if others:
+        what = f"the recording is of a robot with the joint '{others[0]}'"
+        raise RecordingError(what, fix=f"name it with --robot; {robot.name} has {', '.join(known)}", file=path)
+    return replace(from_signals(str(path), signals), effort_delay=period / 2)
+
+
+def read_columns(given: Sequence[str]) -> dict[str, str]:
+    """The mapping of `--columns`: `SIGNAL=HEADER`, several separated by commas, or TOML files of such lines.
+
+    Raises:
+        InputError: Neither.
+    """
+    found: dict[str, str] = {}
+    for text in given:
+        if text.endswith(".toml"):
+            try:
+                read = tomllib.loads(Path(text).read_text("utf-8"))
+            except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+                raise InputError("cannot be read", why=str(error), fix="give a TOML file", file=text) from None
+            found |= flat(read)
+            continue
+        for part in text.split(","):
+            signal, equals, name = part.partition("=")
+            if not (equals and signal.strip() and name):
+                fix = "write SIGNAL=HEADER, such as position.arm_1_joint=q1, or a file NAME.toml"
+                raise InputError(f"'{part}' is no mapping", fix=fix, key="--columns")
+            found[signal.strip()] = name
+    return found
+
+
+def flat(table: Mapping[str, object], before: str = "") -> dict[str, str]:
+    """A table of tables as one, with dots between the keys."""
+    found: dict[str, str] = {}
+    for key, value in table.items():
+        found |= flat(value, f"{before}{key}.") if isinstance(value, Mapping) else {f"{before}{key}": str(value)}
+    return found

@@ -1,0 +1,196 @@
+"""What an identification found: tables for terminal and page, a figure of the motion held out, and the page."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...errors import RecordingError
+from .figure import RC, svg
+from .files import HtmlPage, fill_template
+from .table import Cell, Column, Kind, Line, Table, number, row_of, terminal_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MODELS = {
+    "identified": ("identified", "#0072B2"),
+    "urdf": ("URDF", "#D55E00"),
+    "friction": ("friction alone", "#999999"),
+}
+WORDS = (
+    "Held out: motion that the fit never saw. Error: RMS of measured minus predicted torque over RMS of measured, both "
+    "through the same low-pass, where the joint moves."
+)
+PRIOR = 0.5  # share known below which a number is mostly the URDF's
+
+
+def text_of(report: dict[str, Any], colour: bool = False) -> str:
+    """The report of an identification for a terminal."""
+    parts: list[Any] = [headline(report)]
+    for table in (joints_table(report), bodies_table(report), friction_table(report)):
+        parts += ["", Line(table.title, "bold"), table, *table.notes]
+    condition, count = report["condition"], len(report["base_parameters"])
+    parts += [
+        "",
+        f"{count} base parameters, condition number {'infinite' if condition is None else f'{condition:.3g}'}",
+    ]
+    parts += [f"- {note}" for note in (*unidentified(report), *report["notes"])]
+    return terminal_text(parts, colour)
+
+
+def headline(report: dict[str, Any]) -> str:
+    """The verdict in a sentence."""
+    ours, urdf, alone = (percent(report[key]) for key in ("held_out", "urdf_held_out", "friction_held_out"))
+    count = sum(joint["identified"] for joint in report["joints"].values())
+    word = "better than" if report["better"] else "NOT better than both"
+    return (
+        f"{report['robot']}: {count} of {len(report['joints'])} efforts identified; held-out error {ours}, {word} "
+        f"the URDF ({urdf}) and friction alone ({alone})"
+    )
+
+
+def percent(share: float | None) -> str:
+    """A share in percent."""
+    return "-" if share is None or not math.isfinite(share) else f"{100 * share:.3g} %"
+
+
+def joints_table(report: dict[str, Any]) -> Table:
+    """Held-out errors joint by joint."""
+    keys = ("held_out", "without_toml_held_out", "least_squares_held_out", "friction_held_out", "urdf_held_out")
+    heads = ("identified", "in the URDF", "least squares", "friction alone", "URDF before")
+    columns = (Column("joint", text=True), *(Column(head) for head in heads), Column("", text=True))
+    rows = []
+    for name, joint in report["joints"].items():
+        best = min((joint[key] for key in keys if joint[key] is not None), default=None)
+        cells = [Cell(percent(joint[key]), "best" if joint[key] == best else "") for key in keys]
+        rows.append(row_of(name, *cells, "" if joint["identified"] else "not identified"))
+    rows.append(row_of("all identified", *(percent(report[key]) for key in keys), ""))
+    note = (
+        f"Low-pass at {report['cutoff']:.3g} Hz. 'In the URDF': without rotors and constants, which a URDF cannot hold."
+    )
+    return Table("Held-out torque error", columns, tuple(rows), (WORDS, note))
+
+
+def bodies_table(report: dict[str, Any]) -> Table:
+    """Masses and centres with their intervals."""
+    columns = (
+        Column("body", text=True), Column("mass", "kg"), Column("URDF", "kg"),
+        Column("x", "mm", "centre"), Column("y", "mm", "centre"), Column("z", "mm", "centre"), Column("known", "%"),
+    )  # fmt: skip
+    rows = []
+    for name, body in report["bodies"].items():
+        kind: Kind = "dim" if body["known"] < PRIOR else ""
+        texts = [f"{body['mass']:.3g} ± {1.96 * body['mass_sd']:.2g}", f"{body['urdf_mass']:.3g}"]
+        for value, sd in zip(body["com"], body["com_sd"], strict=True):
+            texts.append(f"{1e3 * value:.0f} ± {1.96e3 * sd:.0f}")
+        rows.append(row_of(name, *(Cell(text, kind) for text in (*texts, f"{100 * body['known']:.0f}"))))
+    note = (
+        "Intervals of 95 %. A single mass is seldom visible in torques: where little is known it is the URDF's, and "
+        "the interval that of a URDF trusted within 50 %. Known: of the body's best known number, how much of the "
+        "doubt the motion took away."
+    )
+    return Table("Bodies", columns, tuple(rows), (note,))
+
+
+def friction_table(report: dict[str, Any]) -> Table:
+    """Friction, rotors and constants with their intervals."""
+    kinds = [
+        kind
+        for kind in ("viscous", "coulomb", "stribeck", "rotor", "offset")
+        if any(kind in j for j in report["friction"].values())
+    ]
+    columns = (Column("joint", text=True), *(Column(kind) for kind in kinds))
+    rows = [row_of(name, *(interval(joint.get(kind)) for kind in kinds)) for name, joint in report["friction"].items()]
+    return Table("Friction, rotors, constants", columns, tuple(rows), ("Intervals of 95 %; SI units.",))
+
+
+def interval(value: dict[str, float] | None) -> str:
+    """A number with its interval."""
+    return "" if value is None else f"{value['value']:.3g} ± {1.96 * value['sd']:.2g}"
+
+
+def base_table(report: dict[str, Any]) -> Table:
+    """Base parameters with standard deviations."""
+    columns = (Column("combination", text=True, fold=True), Column("value"), Column("sd"), Column("URDF"))
+    rows = [
+        row_of(
+            one["combination"],
+            *(number(one[key]) if one[key] is not None else "not moved" for key in ("value", "sd", "urdf")),
+        )
+        for one in report["base_parameters"]
+    ]
+    condition = "infinite" if report["condition"] is None else f"{report['condition']:.3g}"
+    note = f"Weighted least squares without the URDF; condition number of the weighted regressor {condition}."
+    return Table("Base parameters", columns, tuple(rows), (note,))
+
+
+def unidentified(report: dict[str, Any]) -> list[str]:
+    """What stays at the URDF, a line each."""
+    return [f"{name}: stays at the URDF: {why}" for name, why in report["not_identified"].items()]
+
+
+def curves_figure(curves: dict[str, Any]) -> Figure:
+    """Measured and predicted efforts of the motion held out, and what is left, joint by joint."""
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure as NewFigure
+
+    names = [str(name) for name in curves["names"]]
+    with rc_context(RC):
+        figure = NewFigure(figsize=(11, 1.9 * len(names) + 0.6), layout="constrained")
+        panels = figure.subplots(len(names), 2, sharex=True, squeeze=False)
+        for i, (name, (left, right)) in enumerate(zip(names, panels, strict=True)):
+            measured = np.where(curves["use"][:, i], curves["measured"][:, i], np.nan)
+            left.plot(curves["time"], measured, color="0.65", lw=3, label="measured")
+            for model, (label, colour) in MODELS.items():
+                predicted = curves[model][:, i]
+                if model == "identified" or np.nanmax(np.abs(predicted), initial=0) < 5 * np.nanmax(
+                    np.abs(measured), initial=1e-9
+                ):
+                    left.plot(curves["time"], predicted, color=colour, lw=1.1, label=label)
+                    right.plot(curves["time"], measured - predicted, color=colour, lw=1.1)
+            left.set(ylabel=name.replace("$", r"\$"))
+        panels[0, 0].set_title("Measured and predicted efforts [N m or N]")
+        panels[0, 1].set_title("Measured minus predicted")
+        panels[-1, 0].set_xlabel("time [s]")
+        panels[-1, 1].set_xlabel("time [s]")
+        handles = list(panels[0, 0].get_lines())
+        figure.legend(handles, [str(line.get_label()) for line in handles], loc="outside upper center", ncols=4)
+    return figure
+
+
+def page(file: Path, command: str) -> HtmlPage:
+    """The page of an identification that `mmnn identify` wrote.
+
+    Args:
+        file: Its JSON.
+        command: What the user typed.
+
+    Raises:
+        RecordingError: The file, or the curves beside it, cannot be read.
+    """
+    try:
+        report = json.loads(file.read_text("utf-8"))
+        with np.load(file.with_suffix(".npz"), allow_pickle=False) as stored:
+            curves = {name: stored[name] for name in stored.files}
+        picture = {
+            "svg": svg(curves_figure(curves)),
+            "caption": "Motion held out; where a joint stands still it does not count.",
+        }
+        tables = [joints_table(report), bodies_table(report), friction_table(report), base_table(report)]
+        points = [*unidentified(report), *report["notes"]]
+        first = headline(report)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        fix = "run mmnn identify again"
+        raise RecordingError(
+            "not an identification", why=f"{type(error).__name__}: {error}", fix=fix, file=file
+        ) from None
+    html = fill_template(
+        "identified.html", title=f"{report['robot']} identified", headline=first, points=points, tables=tables,
+        pictures=[picture], command=command, file=report.get("file", ""),
+    )  # fmt: skip
+    return HtmlPage(html)

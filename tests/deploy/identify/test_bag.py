@@ -1,0 +1,107 @@
+"""Bags: what rosbags writes is read back, from sqlite3 and MCAP; bags without a motion are refused in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from motions import simulated
+
+from mmnn_pin import load
+from mmnn_pin.deploy.identify.log import Log
+from mmnn_pin.deploy.identify.reading import read_logs
+from mmnn_pin.errors import RecordingError
+from mmnn_pin.model.robot import Robot
+
+rosbags = pytest.importorskip("rosbags", reason="pip install 'mmnn_pin[identify]'")
+
+
+@pytest.fixture(scope="module")
+def arm() -> Robot:
+    return load("two_axis_arm")
+
+
+@pytest.fixture(scope="module")
+def log(arm: Robot) -> Log:
+    return simulated(arm, 5.0)
+
+
+def write(path: Path, storage: str, messages: list[tuple[str, str, int, Any]]) -> Path:
+    """A bag of (topic, type, nanoseconds, message)."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Writer(path, version=9, storage_plugin=StoragePlugin[storage]) as writer:
+        topics: dict[str, Any] = {}
+        for topic, kind, time, message in messages:
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(topics[topic], time, store.serialize_cdr(message, kind))
+    return path
+
+
+def states(log: Log, joints: list[str], start: int = 1_700_000_000, every: int = 1, shift: float = 0.0) -> list[Any]:
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_HUMBLE).types
+    made = []
+    for i in range(0, len(log.time), every):
+        ns = round((log.time[i] + shift) * 1e9)
+        stamp = types["builtin_interfaces/msg/Time"](start + ns // 10**9, ns % 10**9)
+        parts = [np.array([table[j][i] for j in joints]) for table in (log.position, log.velocity, log.effort)]
+        message = types["sensor_msgs/msg/JointState"](types["std_msgs/msg/Header"](stamp, ""), joints, *parts)
+        made.append(("/joint_states", "sensor_msgs/msg/JointState", start * 10**9 + ns, message))
+    return made
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+def test_joint_states_are_read_back(storage: str, log: Log, arm: Robot, tmp_path: Path) -> None:
+    folder = write(tmp_path / "bag", storage, states(log, list(arm.joint_names)))
+    (file,) = [f for f in folder.iterdir() if f.suffix in (".db3", ".mcap")]
+    for path in (folder, file):
+        (found,) = read_logs([path], arm)
+        assert set(found.signals) == set(log.signals)
+        for name, values in log.signals.items():
+            np.testing.assert_array_equal(found.signals[name], values)
+        np.testing.assert_allclose(found.time, log.time, atol=1e-9)
+
+
+def test_joints_in_messages_of_their_own_are_interpolated(log: Log, arm: Robot, tmp_path: Path) -> None:
+    one, two = arm.joint_names
+    messages = states(log, [one]) + states(log, [two], every=2, shift=0.003)
+    found = read_logs([write(tmp_path / "bag", "SQLITE3", messages)], arm)[0]
+    assert any(f"{two}: in messages of their own" in note for note in found.notes)
+    shown = np.interp(found.time, log.time[::2] + 0.003, log.position[two][::2])
+    np.testing.assert_allclose(found.position[two], shown, atol=1e-9)
+    np.testing.assert_array_equal(found.effort[one], log.effort[one])
+
+
+def test_other_names_are_mapped(log: Log, arm: Robot, tmp_path: Path) -> None:
+    one, two = arm.joint_names
+    messages = states(log, [one, two])
+    for *_, message in messages:
+        message.name[:] = ["a", "b"]
+    path = write(tmp_path / "bag", "MCAP", messages)
+    with pytest.raises(RecordingError, match=r"no joint of the robot in /joint_states.*joint.OURS=THEIRS"):
+        read_logs([path], arm)
+    (found,) = read_logs([path], arm, {f"joint.{one}": "a", f"joint.{two}": "b"})
+    np.testing.assert_array_equal(found.position[two], log.position[two])
+
+
+def test_bags_without_a_motion_are_refused(log: Log, arm: Robot, tmp_path: Path) -> None:
+    from rosbags.typesys import Stores, get_typestore
+
+    said = get_typestore(Stores.ROS2_HUMBLE).types["std_msgs/msg/String"]("hello")
+    path = write(tmp_path / "talk", "SQLITE3", [("/chatter", "std_msgs/msg/String", 5, said)])
+    with pytest.raises(RecordingError, match=r"without joint states: it has /chatter \(std_msgs/msg/String\)"):
+        read_logs([path], arm)
+    (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\nno more")
+    (tmp_path / "broken.db3").write_bytes(b"nothing")
+    (tmp_path / "empty").mkdir()
+    for name in ("broken.mcap", "broken.db3", "empty"):
+        with pytest.raises(RecordingError, match="the bag cannot be read") as error:
+            read_logs([tmp_path / name], arm)
+        assert "\n" not in str(error.value)

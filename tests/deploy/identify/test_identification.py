@@ -1,0 +1,319 @@
+"""From a log to a corrected URDF: a wrong robot is found, what stays unknown is named, files are whole."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from lxml import etree
+from motions import efforts, rubbing, simulated, sines
+
+from mmnn_pin import Log, identify, load
+from mmnn_pin.cli import main
+from mmnn_pin.deploy.identify import programme
+from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, transport, write
+from mmnn_pin.deploy.identify.identification import Identification
+from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
+from mmnn_pin.errors import InputError, MmnnError, RecordingError, UnknownName
+from mmnn_pin.model.inspection import inspection_of
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.torque.pseudo_inertia import pseudo_inertias
+
+ROTORS = np.array([0.05, 0.02])
+
+
+@pytest.fixture(scope="module")
+def urdf() -> Robot:
+    """What the maker says."""
+    return load("two_axis_arm")
+
+
+@pytest.fixture(scope="module")
+def truth(urdf: Robot) -> Robot:
+    """The robot itself: 30 % heavier and lighter, with friction."""
+    return rubbing(urdf.with_masses({"arm_1_joint": 1.3, "arm_2_joint": 0.7}), 0.2, 0.1)
+
+
+@pytest.fixture(scope="module")
+def found(urdf: Robot, truth: Robot) -> Identification:
+    return identify(urdf, simulated(truth, 40.0, 0.02, rotors=ROTORS))
+
+
+def test_a_robot_whose_file_is_30_percent_off_is_found(found: Identification, truth: Robot) -> None:
+    assert found.follows.all() and found.better
+    assert found.error("urdf") > 0.2 and found.error("friction") > 0.1
+    assert found.error("identified") < 0.02  # the filtered noise
+    new = simulated(truth, 15.0, seed=7, rotors=ROTORS)
+    again = identify(found.robot, new, cutoff=found.training.cutoff)  # its equations: of another motion
+    error = np.where(again.training.use, again.training.y - again.training.Y @ found.theta, 0.0)
+    assert np.sqrt((error**2).sum() / (again.training.use * again.training.y**2).sum()) < 0.01
+
+
+def test_base_parameters_are_the_truth_within_their_intervals(found: Identification, truth: Robot) -> None:
+    theta = np.concatenate((parameters(truth.with_armature(ROTORS)), np.zeros(2)))
+    away = (found.fit.value - found.fit.base.combination @ theta) / found.fit.sd
+    assert np.abs(away).max() < 4.0 and found.fit.seen.all()
+    assert min(programme.positive_bodies(found.theta, found.unknowns.regressor.inertial)) > 0
+
+
+def test_the_constrained_fit_is_the_truth_in_all_that_matters(found: Identification, truth: Robot) -> None:
+    theta = np.concatenate((parameters(truth.with_armature(ROTORS)), np.zeros(2)))
+    C = found.fit.base.combination
+    sd = np.sqrt(np.diag(C @ found.consistent.covariance @ C.T))
+    assert (np.abs(C @ (found.theta - theta)) < 4 * sd + 1e-3).all()
+
+
+# -- what is written ---------------------------------------------------------------------------------------------------
+
+
+def test_the_written_urdf_is_the_fit_and_loads_like_the_robot(found: Identification, tmp_path: Path) -> None:
+    files = write(found, tmp_path)
+    robot = load(files["urdf"])
+    meant, read = found.in_urdf[: found.unknowns.regressor.size], parameters(robot)
+    np.testing.assert_allclose(read, meant, rtol=1e-9, atol=1e-9)
+    assert robot.velocity_names == found.robot.velocity_names
+    kinds = [finding["severity"] for finding in inspection_of(robot)["findings"]]
+    assert "error" not in kinds
+    toml = tomllib.loads(files["toml"].read_text())
+    np.testing.assert_allclose([toml["rotor"][name] for name in robot.joint_names], ROTORS, atol=0.02)
+    assert toml["held_out_with"] < toml["held_out_without"]
+    report = json.loads(files["json"].read_text())
+    assert set(report["joints"]) == set(robot.joint_names) and report["file"] == str(files["urdf"])
+    assert np.shape(report["covariance"]) == (len(report["labels"]),) * 2
+    np.testing.assert_allclose(report["covariance"], np.transpose(report["covariance"]), atol=1e-12)
+
+
+def test_only_inertias_and_dynamics_change_and_comments_stay(found: Identification, tmp_path: Path) -> None:
+    files = write(found, tmp_path)
+    before, after = found.robot.path.read_text(), files["urdf"].read_text()
+    comments = re.findall(r"(?s)<!--.*?-->", before)
+    assert [c for c in re.findall(r"(?s)<!--.*?-->", after) if "Identified by mmnn_pin" not in c] == comments
+    (said,) = [c for c in re.findall(r"(?s)<!--.*?-->", after) if "Identified by mmnn_pin" in c]
+    assert "inertias of arm_2;" in said and "from simulated" in said and "--" not in said[4:-3]
+
+    def rest(text: str) -> list[Any]:
+        root = etree.fromstring(text.encode())
+        for name in ("inertial", "dynamics"):
+            for element in list(root.iter(name)):
+                element.getparent().remove(element)
+        return [(e.tag, dict(e.attrib)) for e in root.iter() if isinstance(e.tag, str)]
+
+    assert rest(before) == rest(after)
+
+
+HAND = """<link name="hand"><inertial><origin xyz="0 0.05 0.1" rpy="0.3 0 0.2"/><mass value="0.4"/>
+<inertia ixx="0.002" ixy="0" ixz="0.0001" iyy="0.003" iyz="0" izz="0.001"/></inertial></link><link name="frame"/>
+<link name="finger"><inertial><mass value="0.1"/><inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/>
+</inertial></link>
+<joint name="palm" type="fixed"><origin xyz="0.1 0 0.4" rpy="0 0.5 0"/><parent link="arm_2"/><child link="hand"/>
+</joint>
+<joint name="sight" type="fixed"><parent link="hand"/><child link="frame"/></joint>
+<joint name="grip" type="prismatic"><origin xyz="0 0 0.2"/><parent link="hand"/><child link="finger"/>
+<axis xyz="1 0 0"/>
+<limit lower="0" upper="0.05" effort="5" velocity="1"/></joint></robot>"""
+
+
+def test_a_body_of_several_links_is_laid_on_them(tmp_path: Path) -> None:
+    """Also on links that hang on locked joints; the sum is the body, every part stays possible."""
+    (tmp_path / "hand.urdf").write_text(load("two_axis_arm").path.read_text().replace("</robot>", HAND))
+    robot = load(tmp_path / "hand.urdf", lock=["grip=0.02"])
+    found = identify(robot, simulated(rubbing(robot.with_masses({"arm_1_joint": 1.5, "arm_2_joint": 0.7})), 30.0, 0.01))
+    files = write(found, tmp_path / "out")
+    again = parameters(load(files["urdf"]))  # with the lock that is written beside it
+    np.testing.assert_allclose(again, found.in_urdf[: found.unknowns.regressor.size], rtol=1e-7, atol=1e-8)
+    links, made = links_of(robot), new_links(found)
+    assert [name for name, _ in links["arm_2_joint"]] == ["arm_2", "hand", "finger"]
+    root = etree.fromstring(robot.urdf.encode())
+    own = {e.get("name"): pseudo_inertia_of(e) for e in root.iter("link") if e.find("inertial") is not None}
+    for b, name in enumerate(found.unknowns.regressor.bodies):
+        total = np.sum([H @ made.get(link, own[link]) @ H.T for link, H in links[name]], axis=0)
+        P = pseudo_inertias(found.theta[10 * b : 10 * b + 10])[0]
+        np.testing.assert_allclose(total, P, rtol=1e-7, atol=1e-8 * np.abs(P).max())
+    assert set(made) >= {"arm_2", "hand", "finger"}
+    assert all(np.linalg.eigvalsh(P)[0] > 0 for P in made.values())
+
+
+def test_transport_is_exact_and_the_identity_where_nothing_changes() -> None:
+    rng = np.random.default_rng(0)
+    A, B = ((lambda M: M @ M.T)(rng.standard_normal((4, 4))) for _ in range(2))
+    G = transport(A, B)
+    np.testing.assert_allclose(G @ A @ G.T, B, rtol=1e-8)
+    np.testing.assert_allclose(transport(A, A), np.eye(4), atol=1e-8)
+    mass, centre, inertia = inertia_of(np.diag([0.1, 0.2, 0.3, 2.0]))
+    assert mass == 2.0 and not centre.any()
+    np.testing.assert_allclose(np.diag(inertia), [0.5, 0.4, 0.3])
+
+
+def test_nothing_is_replaced_unasked_and_nothing_is_half_written(
+    found: Identification, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(RecordingError, match="would replace the URDF itself"):
+        write(found, found.robot.path, force=True)
+    write(found, tmp_path)
+    with pytest.raises(RecordingError, match="the file exists"):
+        write(found, tmp_path)
+    monkeypatch.setattr("mmnn_pin.deploy.identify.corrected.curves_of", lambda of: {"a": object()})
+    monkeypatch.setattr(
+        "mmnn_pin.deploy.identify.corrected.np.savez_compressed", lambda *a, **k: (_ for _ in ()).throw(OSError("full"))
+    )
+    with pytest.raises(RecordingError, match="cannot be written: full"):
+        write(found, tmp_path / "other")
+    assert list((tmp_path / "other").iterdir()) == []
+
+
+# -- what is not identified --------------------------------------------------------------------------------------------
+
+
+def test_a_joint_that_stands_still_stays_at_the_urdf_and_is_named(urdf: Robot, truth: Robot) -> None:
+    t, x, v, a = sines(truth, 30.0)
+    x[:, 1], v[:, 1], a[:, 1] = 0.4, 0.0, 0.0
+    tau = efforts(truth, x, v, a) + 0.02 * np.random.default_rng(0).standard_normal(v.shape)
+    names = urdf.joint_names
+    log = Log.of(t, dict(zip(names, x.T, strict=True)), dict(zip(names, tau.T, strict=True)))
+    found = identify(urdf, log)
+    assert found.follows.tolist() == [True, False] and found.why == {"arm_2_joint": "it hardly moves"}
+    report = report_of(found)
+    assert not report["joints"]["arm_2_joint"]["identified"]
+    assert "arm_2_joint" not in report["friction"]
+
+
+def test_an_effort_of_another_unit_does_not_spoil_the_others(urdf: Robot, truth: Robot) -> None:
+    log = simulated(truth, 40.0, 0.02)
+    noise = np.random.default_rng(0).standard_normal(len(log.time))
+    wrong = log.with_signals(log.signals | {"effort.arm_2_joint": noise})
+    found = identify(urdf, wrong)
+    assert found.follows.tolist() == [True, False]
+    assert "does not follow the rigid body" in found.why["arm_2_joint"]
+    assert found.errors("identified")[0] < 0.05
+    at = found.unknowns.labels.index("arm_2_joint.viscous")
+    assert found.theta[at] == found.unknowns.prior[at]
+
+
+def test_currents_become_torques_by_their_constants(urdf: Robot, truth: Robot, found: Identification) -> None:
+    log = simulated(truth, 40.0, 0.02, rotors=ROTORS)
+    currents = log.with_signals(log.signals | {"effort.arm_1_joint": log.effort["arm_1_joint"] / -13.6})
+    again = identify(urdf, currents, torque_constants={"arm_1_joint": -13.6})
+    np.testing.assert_allclose(again.theta, found.theta, rtol=1e-3, atol=1e-4)  # of the solver
+    with pytest.raises(UnknownName, match="unknown motor 'elbow'"):
+        identify(urdf, log, torque_constants={"elbow": 2.0})
+    with pytest.raises(InputError, match="not 0"):
+        identify(urdf, log, torque_constants={"arm_1_joint": 0.0})
+
+
+def test_a_motion_too_still_and_a_solver_without_answer_are_one_line(
+    urdf: Robot, truth: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(RecordingError, match="too still a motion"):
+        identify(urdf, simulated(truth, 20.0, 0.01, speed=0.01), cutoff=4.0)
+    log = simulated(truth, 20.0, 0.02)
+
+    def never(self: Any, **how: Any) -> None:
+        self._status = "infeasible"
+
+    monkeypatch.setattr("cvxpy.Problem.solve", never)
+    with pytest.raises(MmnnError, match="the solver says infeasible") as error:
+        identify(urdf, log)
+    assert "\n" not in str(error.value)
+
+
+def test_stribeck_friction_is_found(urdf: Robot) -> None:
+    rough = replace(rubbing(urdf), breakaway=np.full(2, 1.8), stribeck=0.1)
+    t, x, v, a = sines(rough, 40.0, speed=0.4)
+    tau = efforts(rough, x, v, a)
+    more = rough.coulomb * 0.8 * np.exp(-((v / 0.1) ** 2)) * np.tanh(v / 0.01)
+    names = urdf.joint_names
+    log = Log.of(t, dict(zip(names, x.T, strict=True)), dict(zip(names, (tau + more).T, strict=True)))
+    found = identify(urdf, log, stribeck=0.1)
+    at = [found.unknowns.labels.index(f"{name}.stribeck") for name in names]
+    np.testing.assert_allclose(found.theta[at], 0.8 * rough.coulomb, rtol=0.1)
+    assert found.error("identified") < 0.5 * identify(urdf, log).error("identified")
+
+
+# -- the command -------------------------------------------------------------------------------------------------------
+
+
+def csv_of(log: Log, path: Path) -> Path:
+    rows = np.column_stack([log.time, *log.signals.values()])
+    np.savetxt(path, rows, "%.9g", ",", header=",".join(["time", *log.signals]), comments="")
+    return path
+
+
+def test_the_command_writes_and_reports(truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = csv_of(simulated(truth, 30.0, 0.02), tmp_path / "log.csv")
+    command = ["identify", str(log), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")]
+    assert main([*command, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert {
+        "robot",
+        "rows",
+        "joints",
+        "held_out",
+        "urdf_held_out",
+        "base_parameters",
+        "bodies",
+        "friction",
+        "file",
+    } <= set(report)
+    assert main(["inspect", report["file"], "--json"]) == 0
+    assert main([*command, "--force"]) == 0
+    text = capsys.readouterr().out
+    assert "Held-out torque error" in text and "wrote" in text
+    page = tmp_path / "page.html"
+    assert main(["report", str(tmp_path / "out"), "--html", str(page)]) == 0
+    html = page.read_text()
+    assert "two_axis_arm identified" in html and html.count("<svg") == 1 and "arm_2_joint.viscous" in html
+    assert main(command) == 2
+    assert "the file exists" in capsys.readouterr().err
+
+
+def test_a_fit_that_is_worse_writes_nothing(truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The URDF is the truth, and the training is of another load: the fit cannot win."""
+    fit, test = simulated(truth.with_masses({"arm_2_joint": 3.0}), 20.0, 0.02), simulated(truth, 20.0, 0.0, seed=3)
+    paths = [csv_of(log, tmp_path / f"{name}.csv") for name, log in (("fit", fit), ("test", test))]
+    found = identify(truth, fit, held_out=test)
+    assert not found.better
+    write(found, tmp_path / "true.urdf")
+    command = [
+        "identify",
+        str(paths[0]),
+        "--held-out",
+        str(paths[1]),
+        "--robot",
+        "two_axis_arm",
+        "--out",
+        str(tmp_path / "o"),
+    ]
+    found_again = main(command)
+    err = capsys.readouterr().err
+    assert (found_again, "nothing written" in err, (tmp_path / "o").exists()) in ((0, False, True), (1, True, False))
+
+
+def test_bad_input_is_one_line_and_exit_code_2(
+    truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = simulated(truth, 10.0)
+    still = log.with_signals(
+        log.signals | {k: np.full_like(v, 0.1) for k, v in log.signals.items() if "effort" not in k}
+    )
+    bad = {
+        "missing": tmp_path / "none.csv",
+        "names": csv_of(replace(log, position={"leg": log.time}, velocity={}), tmp_path / "names.csv"),
+        "short": csv_of(log.rows(slice(0, 50)), tmp_path / "short.csv"),
+        "still": csv_of(still, tmp_path / "still.csv"),
+        "zero": csv_of(replace(log, effort={k: 0 * v for k, v in log.effort.items()}), tmp_path / "zero.csv"),
+        "nan": csv_of(replace(log, effort={k: np.nan * v for k, v in log.effort.items()}), tmp_path / "nan.csv"),
+        "shuffled": csv_of(log.rows(np.random.default_rng(0).permutation(1000)), tmp_path / "shuffled.csv"),
+    }
+    for name, path in bad.items():
+        code = main(["identify", str(path), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")])
+        said = capsys.readouterr()
+        assert code == 2, name
+        assert said.out == "" and said.err.count("\n") == 1 and "error:" in said.err, (name, said.err)
+        assert not (tmp_path / "out").exists()

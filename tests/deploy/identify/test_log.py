@@ -1,0 +1,208 @@
+"""Reading motion: tables, bags, arrays, and every bad one in one line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from motions import simulated
+
+from mmnn_pin import load
+from mmnn_pin.deploy.identify.log import Log
+from mmnn_pin.deploy.identify.quality import delay, misnamed, saturated, sound
+from mmnn_pin.deploy.identify.reading import found_columns, read_columns, read_logs
+from mmnn_pin.errors import InputError, RecordingError, UnknownName
+from mmnn_pin.model.robot import Robot
+
+JOINTS = ("arm_1_joint", "arm_2_joint")
+
+
+@pytest.fixture(scope="module")
+def arm() -> Robot:
+    return load("two_axis_arm")
+
+
+@pytest.fixture(scope="module")
+def log(arm: Robot) -> Log:
+    return simulated(arm, 10.0)
+
+
+def table(log: Log, headers: dict[str, str] | None = None) -> str:
+    """A log as CSV, its headers renamed."""
+    names = {"time": log.time, **log.signals}
+    rows = [",".join((headers or {}).get(name, name) for name in names)]
+    rows += [",".join(map(repr, map(float, row))) for row in np.column_stack(list(names.values()))]
+    return "\n".join(rows) + "\n"
+
+
+def read(text: str, folder: Path, arm: Robot, **how: Any) -> Log:
+    (folder / "log.csv").write_text(text)
+    return read_logs([folder / "log.csv"], arm, **how)[0]
+
+
+def assert_same(one: Log, other: Log) -> None:
+    assert set(one.signals) == set(other.signals)
+    for name, values in one.signals.items():
+        np.testing.assert_array_equal(values, other.signals[name])
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_a_table_with_our_names_is_read_as_it_is(mark: str, log: Log, arm: Robot, tmp_path: Path) -> None:
+    found = read(table(log).replace(",", mark), tmp_path, arm)
+    assert_same(found, log)
+    np.testing.assert_array_equal(found.time, log.time)
+
+
+def test_headers_with_other_words_are_understood(log: Log, arm: Robot, tmp_path: Path) -> None:
+    words = {"time": "t"}
+    for joint in JOINTS:
+        words |= {f"position.{joint}": f"- {joint}_position", f"velocity.{joint}": f"{joint} dq"}
+        words |= {f"effort.{joint}": f"tau[{joint}]"}
+    assert_same(read(table(log, words), tmp_path, arm), log)
+
+
+def test_columns_are_mapped_by_pattern_name_and_file(log: Log, arm: Robot, tmp_path: Path) -> None:
+    words = {f"position.{joint}": f"a{joint}" for joint in JOINTS} | {f"effort.{JOINTS[0]}": "m0"}
+    words |= {f"effort.{JOINTS[1]}": "m1", "time": "clock"}
+    (tmp_path / "map.toml").write_text(f'time = "clock"\n[effort]\n{JOINTS[0]} = "m0"\n{JOINTS[1]} = "m1"\n')
+    columns = read_columns(["position.{joint}=a{joint}", str(tmp_path / "map.toml")])
+    assert_same(read(table(log, words), tmp_path, arm, columns=columns), log)
+
+
+def test_tables_with_the_same_times_are_one_motion(log: Log, arm: Robot, tmp_path: Path) -> None:
+    parts = [
+        {k: v for k, v in log.signals.items() if k.startswith(kind)} for kind in ("position", "velocity", "effort")
+    ]
+    for i, part in enumerate(parts):
+        rows = np.column_stack([log.time, *part.values()])
+        np.savetxt(tmp_path / f"{i}.csv", rows, "%.17g", ",", header=",".join(["time", *part]), comments="")
+    found = read_logs([tmp_path / f"{i}.csv" for i in range(3)], arm)
+    assert len(found) == 1
+    assert_same(found[0], log)
+
+
+def test_degrees_become_radians_and_are_noticed_without(log: Log, arm: Robot, tmp_path: Path) -> None:
+    turned = {k: np.rad2deg(v) if not k.startswith("effort") else v for k, v in log.signals.items()}
+    text = table(log.with_signals(turned))
+    found = read(text, tmp_path, arm, degrees=True)
+    np.testing.assert_allclose(found.position[JOINTS[0]], log.position[JOINTS[0]], rtol=1e-12)
+    mixed = log.with_signals(turned | {f"position.{JOINTS[0]}": log.position[JOINTS[0]]})
+    with pytest.raises(RecordingError, match="velocity in degrees"):
+        sound(mixed, arm)
+
+
+def test_a_table_without_times_needs_a_rate(log: Log, arm: Robot, tmp_path: Path) -> None:
+    lines = [line.partition(",")[2] for line in table(log).splitlines()]
+    with pytest.raises(RecordingError, match=r"log.csv:1: error: no column of times.*--rate HZ"):
+        read("\n".join(lines), tmp_path, arm)
+    np.testing.assert_allclose(read("\n".join(lines), tmp_path, arm, rate=100.0).time, log.time, atol=1e-9)
+
+
+BAD = {
+    "empty": (lambda text: "", "no header"),
+    "numbers only": (lambda text: "\n".join(text.splitlines()[1:]), "no header"),
+    "a word among numbers": (lambda text: text.replace("\n0.02,", "\nsoon,", 1), ":4: error: not a number: 'soon'"),
+    "a short row": (lambda text: text.replace("\n0.02,", "\n", 1), ":4: error: 6 cells under 7 headers"),
+    "no rows": (lambda text: text.splitlines()[0], "0 rows"),
+    "other joints": (lambda text: text.replace("arm_", "leg_"), "no position of a joint of two_axis_arm"),
+    "no efforts": (lambda text: text.replace("effort.", "warmth."), "no effort of a joint"),
+    "twice": (lambda text: text.replace("velocity.arm_1_joint", "position_arm_1_joint", 1), "two columns for"),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_bad_tables_are_refused_in_one_line(what: str, log: Log, arm: Robot, tmp_path: Path) -> None:
+    change, message = BAD[what]
+    with pytest.raises(InputError) as error:
+        read(change(table(log)), tmp_path, arm)
+    assert message in str(error.value) and "\n" not in str(error.value) and "log.csv" in str(error.value)
+
+
+def test_unknown_columns_and_signals_are_refused(log: Log, arm: Robot, tmp_path: Path) -> None:
+    with pytest.raises(UnknownName, match="unknown column 'q7'"):
+        read(table(log), tmp_path, arm, columns={"position.arm_1_joint": "q7"})
+    with pytest.raises(UnknownName, match=r"unknown signal 'position.arm_1'.*did you mean 'position.arm_1_joint'"):
+        found_columns(["leg"], JOINTS, {"position.arm_1": "leg"}, tmp_path)
+    with pytest.raises(InputError, match="is no mapping"):
+        read_columns(["arm_1_joint"])
+
+
+# -- what is wrong with a sound table ----------------------------------------------------------------------------------
+
+
+def changed(log: Log, **signals: Any) -> Log:
+    return log.with_signals(log.signals | {k.replace("__", "."): v for k, v in signals.items()})
+
+
+def test_times_are_put_right(log: Log, arm: Robot) -> None:
+    rows = np.sort(np.concatenate([np.arange(1000), [300, 300]]))
+    rows = rows[(rows < 500) | (rows > 540)]
+    found = sound(log.rows(rows).with_signals(log.rows(rows).signals, (7.0 + log.time[rows]) * 1e9), arm)
+    text = "; ".join(found.notes)
+    assert "counts nanoseconds" in text and "2 rows repeat" in text and "1 gaps, the longest 0.42 s at t = 4.99" in text
+    np.testing.assert_allclose(found.time, log.time[np.unique(rows)], atol=1e-5)
+    shaken = log.time + 0.002 * np.random.default_rng(0).uniform(-1, 1, 1000)
+    notes = "; ".join(sound(log.with_signals(log.signals, shaken), arm).notes)
+    assert "the period jitters by 16 %" in notes or "the period jitters by 17 %" in notes  # 2 ms sqrt(2 / 3) of 10 ms
+
+
+def test_impossible_logs_are_refused(log: Log, arm: Robot) -> None:
+    with pytest.raises(RecordingError, match="the time goes back 1 times, first at row 501"):
+        sound(log.rows(np.concatenate([np.arange(500), np.arange(300, 500)])), arm)
+    with pytest.raises(RecordingError, match="the time goes back"):
+        sound(log.rows(np.random.default_rng(0).permutation(1000)), arm)
+    with pytest.raises(RecordingError, match="time stands still"):
+        sound(log.with_signals(log.signals, np.zeros(1000)), arm)
+    with pytest.raises(RecordingError, match=r"1.5 s of motion"):
+        sound(log.rows(slice(0, 151)), arm)
+    holed = np.where(np.arange(1000) == 20, np.nan, log.effort["arm_1_joint"])
+    with pytest.raises(RecordingError, match=r"effort.arm_1_joint has 1 values.*first at t = 0.2 s"):
+        sound(changed(log, effort__arm_1_joint=holed), arm)
+    with pytest.raises(RecordingError, match="all efforts are zero"):
+        sound(changed(log, effort__arm_1_joint=np.zeros(1000), effort__arm_2_joint=np.zeros(1000)), arm)
+    with pytest.raises(RecordingError, match="opposite sign of its position's rate"):
+        sound(changed(log, velocity__arm_1_joint=-log.velocity["arm_1_joint"]), arm)
+    with pytest.raises(RecordingError, match="is not the rate of"):
+        sound(changed(log, velocity__arm_1_joint=log.velocity["arm_2_joint"]), arm)
+
+
+def test_spikes_constants_saturation_and_lag_are_told(log: Log, arm: Robot) -> None:
+    effort = log.effort["arm_1_joint"] + 0.01 * np.random.default_rng(0).standard_normal(1000)
+    spiked = effort.copy()
+    spiked[[100, 400]] += 5 * np.ptp(effort)
+    found = sound(changed(log, effort__arm_1_joint=spiked), arm)
+    assert "effort.arm_1_joint: 2 spikes replaced, the first at t = 1 s" in found.notes
+    assert np.abs(found.effort["arm_1_joint"] - effort).max() < 0.1
+    assert (
+        "effort.arm_2_joint is 3 all the time" in sound(changed(log, effort__arm_2_joint=np.full(1000, 3.0)), arm).notes
+    )
+    limit = 0.7 * np.abs(effort).max()
+    clipped = np.clip(effort, -limit, limit)
+    assert any("saturated" in note for note in sound(changed(log, effort__arm_1_joint=clipped), arm).notes)
+    assert not saturated(effort).any() and (np.abs(clipped[saturated(clipped)]) == limit).all()
+    late = np.roll(log.velocity["arm_2_joint"], 8)
+    found = sound(changed(log, velocity__arm_2_joint=late).rows(slice(10, None)), arm)
+    assert any("arm_2_joint lags its position by 80 ms" in note for note in found.notes)
+    assert delay(effort, np.roll(effort, 5), 0.01) == pytest.approx(0.05)
+
+
+def test_exchanged_and_negated_efforts_are_found() -> None:
+    rng, t = np.random.default_rng(0), np.linspace(0, 20, 2000)
+    speed = np.column_stack([np.sin(t), np.cos(1.3 * t), np.sin(0.7 * t + 1)])
+    torque = np.column_stack([np.cos(2.1 * t), np.sin(1.7 * t), np.cos(0.9 * t)])
+    measured = torque + 0.5 * speed + 0.2 * np.sign(speed) + 0.05 * rng.standard_normal(torque.shape)
+    names, use = ("a", "b", "c"), np.ones(torque.shape, bool)
+    assert list(misnamed(names, measured, torque, speed, use)) == []
+    exchanged = list(misnamed(names, measured[:, [1, 0, 2]], torque, speed, use))
+    assert [text.split(" explains")[0] for text in exchanged] == ["effort.a fits b: it", "effort.b fits a: it"]
+    (negated,) = misnamed(names, measured * [1, 1, -1], torque, speed, use)
+    assert negated.startswith("effort.c has the opposite sign")
+
+
+def test_arrays_make_a_log() -> None:
+    log = Log.of([0, 1], {"a": [1, 2]}, {"a": [3, 4]}, base={"v": [0, 0]}, reference={"x": [5, 6]})
+    assert sorted(log.signals) == ["base.v", "effort.a", "position.a", "reference.x"]
+    with pytest.raises(RecordingError, match=r"effort.a has shape \(3,\)"):
+        Log.of([0, 1], {"a": [1, 2]}, {"a": [3, 4, 5]})
