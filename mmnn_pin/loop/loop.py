@@ -41,6 +41,7 @@ from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, servo_gains
 from .setup import Streams, believed_by, facts_of, new_context, new_streams
+from .suited import suited
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -64,7 +65,8 @@ class Loop:
     Args:
         robot: The true robot, simulated by the plant.
         trajectory: What it should do.
-        controller: A controller of this package or a `TorqueController` of your own.
+        controller: A controller of this package or a `TorqueController` of your own; gains that it is not given suit
+            the robot (`loop.suited`), with the delay margin that the latency asks for.
         kinematic: Gains of the kinematic layer.
         timing: Periods.
         start: Where the run starts.
@@ -113,6 +115,10 @@ class Loop:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
+        held = max(self.timing.control_period, self.timing.measurement_period)
+        delay = self.latency.total + self.latency.margin
+        made = suited(self.controller, self.robot, self.kinematic, held, delay, self.actuator.lag)
+        object.__setattr__(self, "controller", made)
 
     @cached_property
     def layout(self) -> Layout:

@@ -20,8 +20,8 @@ from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.experiments.references import Swing
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show import comparison as table
-from mmnn_pin.loop.before_run import effective_inertia
 from mmnn_pin.loop.sampled import SampledLoop, sampled_loop
+from mmnn_pin.loop.suited import effective_inertia
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.plant.ideal import IdealPlant
