@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -41,7 +41,7 @@ from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, servo_gains
 from .setup import Streams, believed_by, facts_of, new_context, new_streams
-from .suited import suited
+from .suited import Given, suited
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -115,9 +115,8 @@ class Loop:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
-        held = max(self.timing.control_period, self.timing.measurement_period)
-        delay = self.latency.total + self.latency.margin
-        made = suited(self.controller, self.robot, self.kinematic, held, delay, self.actuator.lag)
+        given = partial(Given.of, self, self.trajectory, self.timing, self.robot.dimensions)
+        made = suited(self.controller, self.robot, given)
         object.__setattr__(self, "controller", made)
 
     @cached_property

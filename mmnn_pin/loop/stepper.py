@@ -43,7 +43,7 @@ from .sample import Control, Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, interfaces_of, servo_gains
 from .setup import Outside, believed_by, facts_of
-from .suited import MARGIN, postures, suited
+from .suited import MARGIN, Given, postures, suited
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -152,7 +152,7 @@ class Stepper:
         require_gain(setpoint_timeout, "setpoint_timeout")
         timing = Timing(duration=period, control_period=period, plant_step=period)
         require_gain(latency, "latency")
-        controller = suited(controller, robot, kinematic, period, latency + MARGIN)
+        controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN))
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
             interfaces=dict(interfaces or {}), servo=servo,
@@ -298,7 +298,7 @@ class Stepper:
         kinematic = kinematic or self.setup.kinematic
         made = self.setup.controller
         if controller is not None:
-            made = suited(controller, self.robot, kinematic, self.period, self.latency + MARGIN)
+            made = suited(controller, self.robot, lambda: Given(kinematic, self.period, self.latency + MARGIN))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
 

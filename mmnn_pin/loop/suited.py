@@ -2,9 +2,9 @@
 
 **Gains.** A gain k on a velocity is a bandwidth `k / I` times its effective inertia I. What a sampled loop bears is a
 matter of bandwidth, so one rule fits a gripper of grams and a base of a hundred kilograms: `BANDWIDTHS` (of
-`torque.controller`) times the smallest effective inertias at some postures, all times the largest share up to 1 with
-which the loop bears the delay that it has to, at every posture, with the feedback inside Psi and `ROOM` for the gain
-that a learner adds. Loops, steppers and experiments take it for every gain that is not given.
+`torque.controller`) times the smallest effective inertias, at some postures and along the reference, all times the
+largest share up to 1 with which the loop bears the delay that it has to, where it bears least, with the feedback inside
+Psi and `ROOM` for the gain that a learner adds. Loops, steppers and experiments take it for gains that are not given.
 
 **Pace.** A reference is slowed until whoever follows it exactly needs of every motor no more than a share of its
 effort and speed limits: the rest is for errors. What gravity and dry friction alone ask for no slowness saves; so the
@@ -27,8 +27,8 @@ from ..kinematic import Kinematic
 from ..model.robot import Robot, speed_limits
 from ..model.tree.twin import terms_of
 from ..reference import Trajectory
-from ..settings import Numbers
-from ..signals import Array, Setpoint
+from ..settings import Numbers, Timing
+from ..signals import Array, Dimensions, Setpoint
 from ..torque.controller import Feedback
 from ..torque.neural import Neural, Robust
 from .before_run import Start, viscous_friction
@@ -43,7 +43,38 @@ OFTEN = 0.025  # that is how far they are apart between these [s]
 LEFT = (
     0.5  # share of what gravity and friction leave of a motor, where they take so much that it is more than the share
 )
+POSTURES, JUDGED = 60, 6  # postures at which inertias are looked at, and those at which the loop is judged
+PLACES = 10  # along a reference, likewise
 TRIALS = 100  # postures that are looked at where the middle is too heavy
+
+
+class Given(NamedTuple):
+    """The loop that gains have to suit.
+
+    Attributes:
+        kinematic: Gains of the kinematic layer.
+        period: How long a torque is held [s].
+        delay: That the loop has to bear [s].
+        lag: Time constants of the motors [s].
+        reference: Setpoints where the robot will be, beside `postures`: rows of a `Trajectory.table`, as bytes.
+    """
+
+    kinematic: Kinematic
+    period: float
+    delay: float = MARGIN
+    lag: Numbers = 0.0
+    reference: bytes = b""
+
+    @classmethod
+    def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> Given:
+        """What a `Loop` or an experiment says of itself: `kinematic`, `latency`, `actuator`.
+
+        Raises:
+            TrajectoryError: The base cannot follow the trajectory.
+        """
+        held, delay = max(timing.control_period, timing.measurement_period), loop.latency.total + loop.latency.margin
+        rows = trajectory.table(np.linspace(0.0, timing.duration, PLACES), layout)
+        return cls(loop.kinematic, held, delay, loop.actuator.lag, rows.tobytes())
 
 
 class Fit(NamedTuple):
@@ -53,14 +84,7 @@ class Fit(NamedTuple):
     share: float
 
 
-def suited(
-    controller: Any,
-    robot: Robot,
-    kinematic: Kinematic,
-    period: float,
-    delay: float = MARGIN,
-    lag: Numbers = 0.0,
-) -> Any:
+def suited(controller: Any, robot: Robot, given: Callable[[], Given]) -> Any:
     """A controller with gains: what was not given suits the robot, bandwidths are multiplied with its inertias.
 
     A network whose gains come from inertias is scaled by them, too; a robust term that was not given as well.
@@ -68,17 +92,14 @@ def suited(
     Args:
         controller: Any; one without a `Feedback`, or with complete gains, is returned as it is.
         robot: Its robot.
-        kinematic: Gains of the kinematic layer.
-        period: How long a torque is held [s].
-        delay: That the loop has to bear [s].
-        lag: Time constants of the motors [s].
+        given: The loop around them; asked only where gains are missing.
     """
     learner, feedback = getattr(controller, "learner", None), getattr(controller, "feedback", None)
     if isinstance(learner, Neural):
-        return replace(controller, learner=suited(learner, robot, kinematic, period, delay, lag))
+        return replace(controller, learner=suited(learner, robot, given))
     if not isinstance(feedback, Feedback) or feedback.complete(robot.dimensions):
         return controller
-    inertia, share = fit(robot, kinematic, feedback, period, delay, lag)
+    inertia, share = fit(robot, feedback, given())
     changed: dict[str, Any] = {"feedback": feedback.scaled(robot.dimensions, inertia, share)}
     if getattr(controller, "inertia", inertia) is None:
         changed["inertia"] = tuple(inertia.tolist())
@@ -92,45 +113,49 @@ SCALED = Robust(1.0, 1.0)  # a robust term that was not given, beside gains from
 
 @lru_cache(16)
 @one_thread
-def fit(robot: Robot, kinematic: Kinematic, feedback: Feedback, period: float, delay: float, lag: Numbers) -> Fit:
-    """Inertias, and the share of the bandwidths that are not given with which the loop bears a delay; see the top."""
-    layout, table, h = robot.dimensions, postures(robot), period
-    positions = [Start().state(robot, row)[0] for row in table]
-    inertia = effective_inertia(robot, positions, h)
+def fit(robot: Robot, feedback: Feedback, given: Given) -> Fit:
+    """Inertias, and the share of the bandwidths that are not given with which the loop bears its delay; see the top.
+
+    The loop is judged where its gains are largest for what they move.
+    """
+    layout, h, table = robot.dimensions, given.period, postures(robot, POSTURES)
+    table = np.vstack((table, np.frombuffer(given.reference).reshape(-1, table.shape[1])))
+    masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in table))
+    friction = viscous_friction(robot)
+    held = [held_velocities(M, friction, h) for M in masses]
+    inertia: Array = np.min([h / np.diag(Gamma) for Gamma in held], axis=0)
     if feedback.given(layout):
         return Fit(inertia, 1.0)
-    gains, K = kinematic.base_gains(layout.base), kinematic.arm_gains(layout)
-    friction, slow, velocities = (
-        viscous_friction(robot),
-        lags(robot, lag),
-        Setpoint.side_by_side(table, layout).velocity,
-    )
-    loops = [
-        held_loop(M, velocity, gains, K, h, friction, slow)
-        for M, velocity in zip(mass_matrices(robot, positions), velocities, strict=True)
-    ]
+    full = feedback.scaled(layout, inertia).vector(layout)
+    worst = np.argsort([-np.abs(np.linalg.eigvals(Gamma * full)).max() for Gamma in held])[:JUDGED]
+    gains, K, slow = given.kinematic.base_gains(layout.base), given.kinematic.arm_gains(layout), lags(robot, given.lag)
+    velocities = Setpoint.side_by_side(table, layout).velocity
+    loops = [held_loop(masses[i], velocities[i], gains, K, h, friction, slow) for i in worst]
     share = 1.0
     while share > LEAST:
         k = ROOM * feedback.scaled(layout, inertia, share).vector(layout)
-        if all(margin_at(held, k, h, True) >= delay for held in loops):
+        if all(margin_at(one, k, h, True) >= given.delay for one in loops):
             break
         share *= LESS
     return Fit(inertia, share)
 
 
-def postures(robot: Robot, speed: float = 0.5, count: int = 9) -> Array:
+def postures(robot: Robot, count: int = 9, speed: float = 0.5) -> Array:
     """Setpoints at which gains are judged where there is no reference: at rest, and joints anywhere, (count, w).
+
+    Every other one has joints at quarter turns: there arms are stretched, and feel lightest about their own axes.
 
     Args:
         robot: The robot.
-        speed: Of the base, forwards, but for the first, which stands [m/s].
         count: How many.
+        speed: Of the base, forwards, but for the first, which stands [m/s].
     """
-    d, rng = robot.dimensions, np.random.default_rng(0)
+    d, rng, quarter = robot.dimensions, np.random.default_rng(0), np.pi / 2
     table = np.zeros((count, d.pose + 2 * d.base + 3 * d.arm))
     setpoints, arm = Setpoint.side_by_side(table, d), robot.arm_index
     lower, upper = np.maximum(robot.lower[arm], -np.pi), np.minimum(robot.upper[arm], np.pi)
     setpoints.q[:] = rng.uniform(lower, upper, (count, d.arm))
+    setpoints.q[1::2] = np.clip(quarter * np.round(setpoints.q[1::2] / quarter), lower, upper)
     setpoints.q[0] = robot.neutral_position()[arm]
     if d.base:
         setpoints.velocity[1:, 0] = speed
@@ -149,17 +174,25 @@ def mass_matrices(robot: Robot, positions: Iterable[Array]) -> list[Array]:
 def effective_inertia(robot: Robot, positions: Iterable[Array], period: float) -> Array:
     """Effective inertia of every velocity, the smallest one at some positions (nv,), (p,) [kg, kg m^2].
 
-    It is `period / Gamma_ii`, with `Gamma = int_0^period exp(-M^-1 D t) dt M^-1` the velocity that a torque held for
-    one control period gives, M the reduced mass matrix and D its viscous friction. Without friction this is
-    `1 / (M^-1)_ii`: what a torque on that velocity alone accelerates while all others move freely. A link of a few
-    milligram square metres in a joint with 1 N m s weighs what its friction makes of it.
+    It is `period / Gamma_ii` of `held_velocities`. Without friction this is `1 / (M^-1)_ii`: what a torque on that
+    velocity alone accelerates while all others move freely. A link of a few milligram square metres in a joint with
+    1 N m s weighs what its friction makes of it.
     """
-    D, p, found = viscous_friction(robot), robot.dimensions.dof, []
-    for M in mass_matrices(robot, positions):
-        M_inv = inverse(M)
-        held = exponential(np.block([[-product(M_inv, D), M_inv], [np.zeros((p, 2 * p))]]) * period)
-        found.append(period / np.diag(held[:p, p:]))
-    return np.min(found, axis=0)
+    friction, masses = viscous_friction(robot), mass_matrices(robot, positions)
+    return np.min([period / np.diag(held_velocities(M, friction, period)) for M in masses], axis=0)
+
+
+def held_velocities(M: Array, friction: Array, period: float) -> Array:
+    """`Gamma = int_0^period exp(-M^-1 D t) dt M^-1`: the velocities that torques held for a period give, (p, p).
+
+    Args:
+        M: Reduced mass matrix.
+        friction: D, viscous friction on nu, (p, p).
+        period: [s].
+    """
+    M_inv, p = inverse(M), len(M)
+    held = exponential(np.block([[-product(M_inv, friction), M_inv], [np.zeros((p, 2 * p))]]) * period)
+    return held[:p, p:]
 
 
 class Load:

@@ -14,7 +14,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.loop.hardware import Latency
-from mmnn_pin.loop.suited import MARGIN, SLOWEST, Load, effective_inertia, fit, followable
+from mmnn_pin.loop.suited import MARGIN, SLOWEST, Given, Load, effective_inertia, fit, followable
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import extra
@@ -23,7 +23,7 @@ from mmnn_pin.torque.classical import PID
 from mmnn_pin.torque.controller import BANDWIDTHS
 from mmnn_pin.torque.neural import Neural, Robust
 
-ROBOTS = ["platform_arm", "two_axis_arm", *(name for name in ("tiago_no_hand", "so101", "ur5") if name in extra())]
+ROBOTS = ["platform_arm", "two_axis_arm", *(name for name in ("tiago_no_hand", "so101", "kinova") if name in extra())]
 H = 0.002
 
 
@@ -62,7 +62,7 @@ def test_a_slow_loop_has_lower_gains(period: float) -> None:
     timing = Timing(duration=1.0, control_period=period, plant_step=0.001)
     loop = loop_of(robot, PD(), timing=timing)
     assert loop.delay_margin() >= MARGIN
-    assert (fit(robot, loop.kinematic, Feedback(), period, MARGIN, 0.0).share == 1.0) == (period == 0.001)
+    assert (fit(robot, Feedback(), Given(loop.kinematic, period)).share == 1.0) == (period == 0.001)
 
 
 def test_gains_follow_the_inertia() -> None:

@@ -19,7 +19,7 @@ from ...loop.before_run import Bounds, Start
 from ...loop.hardware import Latency
 from ...loop.loop import PLANTS, Loop
 from ...loop.servo import Servo
-from ...loop.suited import Fit, effective_inertia, fit, followable
+from ...loop.suited import PLACES, Fit, Given, effective_inertia, fit, followable
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -44,8 +44,6 @@ from .controllers import (
 )
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
-
-PLACES = 10  # along the reference at which inertias are looked at
 
 
 @lru_cache(16)
@@ -300,9 +298,7 @@ class Experiment(LearnerTables, frozen=True):
             table = self.trajectory_of(robot).table(np.linspace(0.0, self.time.duration, PLACES), robot.dimensions)
             positions = (Start().state(robot, row)[0] for row in table)
             return Fit(effective_inertia(robot, positions, self.time.control_period), 1.0)
-        held = max(self.time.control_period, self.time.measurement_period)
-        delay = self.latency.total + self.latency.margin
-        return fit(robot, self.kinematic, self.feedback, held, delay, self.actuator.lag)
+        return fit(robot, self.feedback, Given.of(self, self.trajectory_of(robot), self.time, robot.dimensions))
 
     def controller(
         self, name: str, gains: Array | None = None, robot: Robot | None = None
