@@ -2,9 +2,10 @@
 
 **Gains.** A gain k on a velocity is a bandwidth `k / I` times its effective inertia I. What a sampled loop bears is a
 matter of bandwidth, so one rule fits a gripper of grams and a base of a hundred kilograms: `BANDWIDTHS` (of
-`torque.controller`) times the smallest effective inertias, at some postures and along the reference, all times the
-largest share up to 1 with which the loop bears the delay that it has to, where it bears least, with the feedback inside
-Psi and `ROOM` for the gain that a learner adds. Loops, steppers and experiments take it for gains that are not given.
+`torque.controller`) times the smallest effective inertias, along the reference, or at some postures where there is
+none, all times the largest share up to 1 with which the loop bears the delay that it has to, where it bears least, with
+the feedback inside Psi and `ROOM` for what a learner adds. Loops, steppers and experiments take it for gains that are
+not given. Light enough anywhere is too light elsewhere: gains that suit any posture leave an arm weak where it works.
 
 **Pace.** A reference is slowed until whoever follows it exactly needs of every motor no more than a share of its
 effort and speed limits: the rest is for errors. What gravity and dry friction alone ask for no slowness saves; so the
@@ -44,7 +45,7 @@ LEFT = (
     0.5  # share of what gravity and friction leave of a motor, where they take so much that it is more than the share
 )
 POSTURES, JUDGED = 60, 6  # postures at which inertias are looked at, and those at which the loop is judged
-PLACES = 10  # along a reference, likewise
+PLACES = 20  # along a reference, likewise
 TRIALS = 100  # postures that are looked at where the middle is too heavy
 
 
@@ -56,7 +57,7 @@ class Given(NamedTuple):
         period: How long a torque is held [s].
         delay: That the loop has to bear [s].
         lag: Time constants of the motors [s].
-        reference: Setpoints where the robot will be, beside `postures`: rows of a `Trajectory.table`, as bytes.
+        reference: Setpoints where the robot will be, rows of a `Trajectory.table` as bytes; empty for `postures`.
     """
 
     kinematic: Kinematic
@@ -119,7 +120,8 @@ def fit(robot: Robot, feedback: Feedback, given: Given) -> Fit:
     The loop is judged where its gains are largest for what they move.
     """
     layout, h, table = robot.dimensions, given.period, postures(robot, POSTURES)
-    table = np.vstack((table, np.frombuffer(given.reference).reshape(-1, table.shape[1])))
+    if given.reference:
+        table = np.frombuffer(given.reference).reshape(-1, table.shape[1])
     masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in table))
     friction = viscous_friction(robot)
     held = [held_velocities(M, friction, h) for M in masses]

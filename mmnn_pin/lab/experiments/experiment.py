@@ -19,7 +19,7 @@ from ...loop.before_run import Bounds, Start
 from ...loop.hardware import Latency
 from ...loop.loop import PLANTS, Loop
 from ...loop.servo import Servo
-from ...loop.suited import PLACES, Fit, Given, effective_inertia, fit, followable
+from ...loop.suited import Fit, Given, effective_inertia, fit, followable
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -44,6 +44,9 @@ from .controllers import (
 )
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
+
+
+PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
 
 
 @lru_cache(16)
