@@ -45,7 +45,6 @@ from .controllers import (
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
 
-
 PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
 
 
