@@ -24,7 +24,7 @@ from mmnn_pin.model.robots import bundled, extra
 from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Array
 
-LAPS, PERIOD = 4, 6.0  # of the arm's swing [s]
+LAPS, PERIOD = 3, 6.0  # of the arm's swing [s]
 NAMES = ("pd", "pd_gravity", "pid", "two_layer", "adaptive", "computed_torque")
 
 

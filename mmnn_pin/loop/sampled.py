@@ -26,12 +26,14 @@ from ..model.dynamics import Dynamics
 from ..model.robot import Robot
 from ..settings import Numbers
 from ..signals import Array, Setpoint
+from ..torque.classical import Gravity, Integrator
 from ..torque.controller import CompiledController
 from ..torque.learning_law import LearningLaw
 from .before_run import Start, viscous_friction
 from .sample import Plan
 
 TOLERANCE = 1e-9
+WITHOUT_RATES = (Gravity, Integrator)  # their Psi_hat does not answer to nudot_ref, and the errors in it
 LARGEST = 700.0  # exponents up to here have an exponential
 FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
 SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
@@ -234,7 +236,10 @@ def adds_inside(plan: Plan) -> bool:
     controller = plan.controller
     if not isinstance(controller, CompiledController):
         return True
-    return controller.uses_model or controller.networks is not None or controller.law(plan.context).learner is not None
+    if controller.uses_model or controller.networks is not None:
+        return True
+    learner = controller.law(plan.context).learner
+    return learner is not None and not isinstance(learner, WITHOUT_RATES)
 
 
 def judges(plan: Plan) -> bool:

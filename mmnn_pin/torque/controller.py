@@ -26,7 +26,7 @@ from ..signals import Array, Dimensions, Layout, Measurement, Setpoint, Velocity
 from .law import MotorLimits, Packed
 
 T = TypeVar("T")
-BANDWIDTHS = 30.0, 100.0  # of a base and of joints whose gains are not given [1/s]
+BANDWIDTHS = 30.0, 60.0  # of a base and of joints whose gains are not given [1/s]
 
 
 @dataclass(frozen=True)

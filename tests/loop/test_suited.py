@@ -29,7 +29,7 @@ H = 0.002
 
 def loop_of(robot: Robot, controller, **more) -> Loop:
     timing = Timing(duration=0.2, control_period=H)
-    kinematic = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=10.0, holonomic=(3.0, 3.0, 3.0))
+    kinematic = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=7.0, holonomic=(3.0, 3.0, 3.0))
     return Loop(robot, trajectory(robot), controller, **({"timing": timing, "kinematic": kinematic} | more))
 
 

@@ -173,7 +173,7 @@ def test_bandwidths_are_not_taken_for_gains():
     plain = Feedback(1.0, 1.0)
     assert plain.scaled(layout, np.full(4, 7.0)) is plain
     with pytest.raises(ConfigError, match="give 4 inertias > 0"):
-        Neural(inertia=(1.0, -1.0, 1.0, 1.0)).law(Context(layout, 0.001, 1))
+        Neural(feedback=plain, inertia=(1.0, -1.0, 1.0, 1.0)).law(Context(layout, 0.001, 1))
 
 
 @pytest.mark.parametrize("coulomb", [0.0, 1.0])
