@@ -45,7 +45,7 @@ LEFT = (
     0.5  # share of what gravity and friction leave of a motor, where they take so much that it is more than the share
 )
 POSTURES, JUDGED = 60, 6  # postures at which inertias are looked at, and those at which the loop is judged
-PLACES = 10  # along a reference, likewise
+PLACES = 41  # along a reference, likewise
 TRIALS = 100  # postures that are looked at where the middle is too heavy
 
 
