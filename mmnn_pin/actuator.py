@@ -26,6 +26,7 @@ import math
 from functools import cache
 from typing import Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from .compiled import spliced
@@ -48,7 +49,7 @@ class Actuator(Settings, frozen=True):
     """Imperfect motors; every number may be one for all motors or one for each (drive wheels from left to right, arm).
 
     Args:
-        torque_limit: Largest torque [N m or N]; "urdf" takes the effort limits of the URDF; None for none.
+        torque_limit: Largest torque [N m or N]; "urdf" takes the effort limits of the URDF; "none", or None, for none.
         speed_limit: Speed at which a motor gives no more torque in the direction of its motion [rad/s or m/s]; "urdf"
             takes the velocity limits of the URDF; None for none.
         torque_gain: Real torque over commanded torque: a torque constant that the drive does not know.
@@ -70,7 +71,7 @@ class Actuator(Settings, frozen=True):
         ConfigError: A number is out of its range or missing, with the key path.
     """
 
-    torque_limit: Literal["urdf"] | Numbers | None = None
+    torque_limit: Literal["urdf", "none"] | Numbers | None = None
     speed_limit: Literal["urdf"] | Numbers | None = None
     torque_gain: Numbers = 1.0
     lag: Numbers = 0.0
@@ -87,6 +88,8 @@ class Actuator(Settings, frozen=True):
     brake: Numbers = 0.0
 
     def __post_init__(self) -> None:
+        if self.torque_limit == "none":
+            msgspec.structs.force_setattr(self, "torque_limit", None)
         positive = ("torque_limit", "speed_limit", "torque_constant", "resistance", "stiffness", "voltage")
         require_numbers(self, "actuator", positive)
         for name, unset in (("torque_constant", 1), ("resistance", 1), ("battery_resistance", 0), ("pwm_levels", 0)):

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
-from mmnn_pin import PD, Circle, Loop, Sine, Start, Timing, Trajectory, load
+from mmnn_pin import PD, Circle, Feedback, Loop, Sine, Start, Timing, Trajectory, load
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import Layout
 
+THESIS = Feedback(500.0, 30.0)
 MOBILE, FIXED = Layout(base=2, arm=2, full=7, motors=4), Layout(base=0, arm=2, full=2, motors=2)
 
 
@@ -30,6 +32,12 @@ def trajectory(robot: Robot, ramp: float = 0.5) -> Trajectory:
     return Trajectory(Circle(1.0, 0.4, ramp=ramp) if robot.dimensions.base else None, tuple(arm))
 
 
+def with_gains(controller: Any) -> Any:
+    """A controller that is given no gains, with the thesis's; any other as it is."""
+    feedback = getattr(controller, "feedback", None)
+    return replace(controller, feedback=THESIS) if feedback == Feedback() else controller
+
+
 def loop(controller: Any = None, *, robot: Robot | None = None, duration: float = 0.2, **more: Any) -> Loop:
     """A closed loop of PD on the thesis's robot, started a little off its trajectory; `more` as in `Loop`."""
     robot = robot or thesis_robot()
@@ -38,7 +46,7 @@ def loop(controller: Any = None, *, robot: Robot | None = None, duration: float 
         "timing": Timing(duration=duration),
         "start": Start(pose_offset=(-0.02, 0.01, 0.03), joint_offset=0.04),
     }
-    return Loop(robot=robot, controller=controller or PD(), **(settings | more))
+    return Loop(robot=robot, controller=with_gains(controller or PD()), **(settings | more))
 
 
 def recording(

@@ -83,6 +83,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
+    if arguments is None and given[:1] == ["inspect"]:  # a process of its own, over before a compiler has begun
+        os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
     try:
         return int(mmnn.main(given, prog_name="mmnn", standalone_mode=False) or DONE)
     except (click.Abort, KeyboardInterrupt):

@@ -1,24 +1,19 @@
-"""What is settled before a run: where it starts, where its state counts as lost, gains from bandwidths.
+"""What is settled before a run: where it starts, and where its state counts as lost.
 
 Refused are a nominal robot of another shape and a first sample without a measurement; `sampled` judges the gains.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import replace
-
 import numpy as np
 
 from ..elementary import cos_sin
-from ..elementary.matrices import exponential, inverse, product
+from ..elementary.matrices import product
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.robot import Robot
-from ..model.tree.twin import Twin
 from ..settings import Settings, Timing, one_or_each, require_gains
 from ..signals import Array, Dimensions, Setpoint
-from ..torque.controller import CompiledController, Feedback, TorqueController
 
 
 class Start(Settings, frozen=True):
@@ -88,53 +83,6 @@ class Bounds(Settings, frozen=True):
 def viscous_friction(robot: Robot) -> Array:
     """Viscous friction of a robot's joints and base on nu, (p, p); Coulomb friction has none once it slides."""
     return product(robot.T.T, robot.damping[:, None] * robot.T) + np.diag(robot.viscous)
-
-
-def postures(robot: Robot, speed: float = 0.5, count: int = 9) -> Array:
-    """Setpoints at which gains are judged where there is no reference: at rest, and joints anywhere, (count, w).
-
-    Args:
-        robot: The robot.
-        speed: Of the base, forwards, but for the first, which stands [m/s].
-        count: How many.
-    """
-    d, rng = robot.dimensions, np.random.default_rng(0)
-    table = np.zeros((count, d.pose + 2 * d.base + 3 * d.arm))
-    setpoints, arm = Setpoint.side_by_side(table, d), robot.arm_index
-    lower, upper = np.maximum(robot.lower[arm], -np.pi), np.minimum(robot.upper[arm], np.pi)
-    setpoints.q[:] = rng.uniform(lower, upper, (count, d.arm))
-    setpoints.q[0] = robot.neutral_position()[arm]
-    if d.base:
-        setpoints.velocity[1:, 0] = speed
-    return table
-
-
-def with_gains_of(
-    controller: CompiledController | TorqueController, robot: Robot, period: float
-) -> CompiledController | TorqueController:
-    """A controller whose bandwidths are gains: times the robot's smallest effective inertias at `postures`."""
-    feedback = getattr(controller, "feedback", None)
-    if not isinstance(feedback, Feedback) or feedback.scaling == "none":
-        return controller
-    inertia = effective_inertia(robot, (Start().state(robot, row)[0] for row in postures(robot)), period)
-    return replace(controller, feedback=feedback.scaled(robot.dimensions, inertia))  # type: ignore[type-var]
-
-
-def effective_inertia(robot: Robot, positions: Iterable[Array], period: float) -> Array:
-    """Effective inertia of every velocity, the smallest one at some positions (nv,), (p,) [kg, kg m^2].
-
-    It is `period / Gamma_ii`, with `Gamma = int_0^period exp(-M^-1 D t) dt M^-1` the velocity that a torque held for
-    one control period gives, M the reduced mass matrix and D its viscous friction. Without friction this is
-    `1 / (M^-1)_ii`: what a torque on that velocity alone accelerates while all others move freely. A link of a few
-    milligram square metres in a joint with 1 N m s weighs what its friction makes of it.
-    """
-    twin, D, p = Twin(robot), viscous_friction(robot), robot.dimensions.dof
-    found = []
-    for position in positions:
-        M_inv = inverse(twin.mass_matrix(position))
-        held = exponential(np.block([[-product(M_inv, D), M_inv], [np.zeros((p, 2 * p))]]) * period)
-        found.append(period / np.diag(held[:p, p:]))
-    return np.min(found, axis=0)
 
 
 def require_nominal(nominal: Robot, robot: Robot) -> None:

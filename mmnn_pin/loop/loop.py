@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -41,6 +41,7 @@ from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, servo_gains
 from .setup import Streams, believed_by, facts_of, new_context, new_streams
+from .suited import Given, suited
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -64,7 +65,8 @@ class Loop:
     Args:
         robot: The true robot, simulated by the plant.
         trajectory: What it should do.
-        controller: A controller of this package or a `TorqueController` of your own.
+        controller: A controller of this package or a `TorqueController` of your own; gains that it is not given suit
+            the robot (`loop.suited`), with the delay margin that the latency asks for.
         kinematic: Gains of the kinematic layer.
         timing: Periods.
         start: Where the run starts.
@@ -113,6 +115,9 @@ class Loop:
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
+        given = partial(Given.of, self, self.trajectory, self.timing, self.robot.dimensions)
+        made = suited(self.controller, self.robot, given)
+        object.__setattr__(self, "controller", made)
 
     @cached_property
     def layout(self) -> Layout:

@@ -26,7 +26,7 @@ from ..recording.metrics import accumulate
 from ..sensing import exact
 from ..signals import INDEX, Layout
 from ..torque import law
-from ..torque.controller import Context
+from ..torque.controller import Context, Feedback
 from ..torque.neural import Neural
 from .sample import after_torque, before_torque
 
@@ -51,7 +51,7 @@ def call_control_blocks() -> None:
     """Call exact measurement, velocity command, torque and the integrators."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
-    controller, context = Neural(), Context(layout, 0.001, 1)
+    controller, context = Neural(feedback=Feedback(1.0, 1.0)), Context(layout, 0.001, 1)
     numbers, state = controller.law(context).numbers, controller.init(context)
     setpoint = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)

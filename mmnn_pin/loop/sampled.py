@@ -23,13 +23,17 @@ from ..compiled import one_thread
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
+from ..model.robot import Robot
+from ..settings import Numbers
 from ..signals import Array, Setpoint
+from ..torque.classical import Gravity, Integrator
 from ..torque.controller import CompiledController
 from ..torque.learning_law import LearningLaw
 from .before_run import Start, viscous_friction
 from .sample import Plan
 
 TOLERANCE = 1e-9
+WITHOUT_RATES = (Gravity, Integrator)  # their Psi_hat does not answer to nudot_ref, and the errors in it
 LARGEST = 700.0  # exponents up to here have an exponential
 FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
 SHARES = np.geomspace(1.0, 0.01, 25)  # of the gains that are tried
@@ -199,16 +203,16 @@ def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h
     )
 
 
-def lags(plan: Plan) -> Array:
+def lags(robot: Robot, lag: Numbers) -> Array:
     """Time constants of the motors, seen from the velocities (p,); the longest of those that move one [s]."""
-    motors = np.broadcast_to(np.asarray(plan.lag, float), plan.layout.motors)
-    return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in plan.robot.E])
+    motors = np.broadcast_to(np.asarray(lag, float), robot.dimensions.motors)
+    return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in robot.E])
 
 
 def linearised(plan: Plan, places: int) -> list[HeldLoop | None]:
     """The loop at some places along the setpoints of a plan, judged at the slower of control and sensor."""
     robot, dynamics = plan.robot, Dynamics(plan.robot)
-    friction, lag, h, found = viscous_friction(robot), lags(plan), slowest(plan), []
+    friction, lag, h, found = viscous_friction(robot), lags(robot, plan.lag), slowest(plan), []
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, places).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
@@ -232,7 +236,10 @@ def adds_inside(plan: Plan) -> bool:
     controller = plan.controller
     if not isinstance(controller, CompiledController):
         return True
-    return controller.uses_model or controller.networks is not None or controller.law(plan.context).learner is not None
+    if controller.uses_model or controller.networks is not None:
+        return True
+    learner = controller.law(plan.context).learner
+    return learner is not None and not isinstance(learner, WITHOUT_RATES)
 
 
 def judges(plan: Plan) -> bool:

@@ -35,7 +35,7 @@ from ..settings import Timing, require_gain
 from ..signals import SIGNALS, Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import postures, require_nominal, with_gains_of
+from .before_run import require_nominal
 from .controller import state_from, with_findings
 from .loop import Loop
 from .new_hardware import new_hardware
@@ -43,6 +43,7 @@ from .sample import Control, Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, interfaces_of, servo_gains
 from .setup import Outside, believed_by, facts_of
+from .suited import MARGIN, Given, postures, suited
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
 UNKNOWN = (
@@ -87,8 +88,8 @@ class Stepper:
 
     Args:
         robot: The robot.
-        controller: A controller of this package or a `TorqueController` of your own. Feedback given as bandwidths
-            (`scaling = "inertia"`) is multiplied with the robot's effective inertias.
+        controller: A controller of this package or a `TorqueController` of your own. Gains that it is not given suit
+            the robot (`loop.suited`); those given as bandwidths are multiplied with the robot's effective inertias.
         kinematic: Gains of the kinematic layer.
         safety: Limits of the supervisor.
         period: Control period [s].
@@ -150,13 +151,13 @@ class Stepper:
             raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
         require_gain(setpoint_timeout, "setpoint_timeout")
         timing = Timing(duration=period, control_period=period, plant_step=period)
-        controller = with_gains_of(controller, robot, period)
+        require_gain(latency, "latency")
+        controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN))
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
             interfaces=dict(interfaces or {}), servo=servo,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
-        require_gain(latency, "latency")
         self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
         self.follower = Follower(robot, limits, setpoint_timeout)
         self.row, self.at = layout.new_row(), layout.offsets
@@ -294,8 +295,11 @@ class Stepper:
         Raises:
             ConfigError: A controller that remembers something else, gains that are unstable; nothing has changed then.
         """
-        made = self.setup.controller if controller is None else with_gains_of(controller, self.robot, self.period)
-        setup = replace(self.setup, controller=made, kinematic=kinematic or self.setup.kinematic)
+        kinematic = kinematic or self.setup.kinematic
+        made = self.setup.controller
+        if controller is not None:
+            made = suited(controller, self.robot, lambda: Given(kinematic, self.period, self.latency + MARGIN))
+        setup = replace(self.setup, controller=made, kinematic=kinematic)
         self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
 
     def snapshot(self) -> Any:

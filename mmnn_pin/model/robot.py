@@ -329,9 +329,11 @@ def speed_limits(robot: Robot) -> Array:
     return np.array([limit if 0 < limit < 1e30 else math.inf for limit in found], float)
 
 
-def limits(value: Literal["urdf"] | Numbers | None, urdf: Array, kind: str, key: str) -> Array:
+def limits(value: Literal["urdf", "none"] | Numbers | None, urdf: Array, kind: str, key: str) -> Array:
     """Limits of all motors or joints: those of the URDF, given ones, or inf for None; errors as in `one_or_each`."""
-    return urdf if isinstance(value, str) else one_or_each(math.inf if value is None else value, urdf.size, kind, key)
+    if value == "urdf":
+        return urdf
+    return one_or_each(math.inf if value is None or isinstance(value, str) else value, urdf.size, kind, key)
 
 
 def read_only(array: Array) -> Array:

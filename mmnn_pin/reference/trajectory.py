@@ -166,13 +166,16 @@ class Trajectory:
     Args:
         base: Path of the base; None for a fixed arm.
         arm: One profile per arm joint, in the order of the robot's arm joints.
+        slowness: How much more time everything takes than base and arm say.
     """
 
     base: BasePath | None
     arm: tuple[JointProfile, ...] = ()
+    slowness: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "arm", tuple(self.arm))
+        require_positive(slowness=self.slowness)
 
     def table(self, t: ArrayLike, layout: Dimensions) -> Array:
         """Setpoints ahead of a run: rows with pose, velocity, acceleration, q, qdot, qddot side by side.
@@ -187,7 +190,7 @@ class Trajectory:
         Raises:
             TrajectoryError: The base cannot follow, or it is for another kind of base or another number of joints.
         """
-        t = times(t)
+        t = times(t) / self.slowness
         self._require_fit(layout)
         table = np.zeros((len(t), layout.pose + 2 * layout.base + 3 * layout.arm))
         setpoints = Setpoint.side_by_side(table, layout)
@@ -200,17 +203,26 @@ class Trajectory:
         for i, profile in enumerate(self.arm):
             joint = profile.sample(t)
             setpoints.q[:, i], setpoints.qdot[:, i], setpoints.qddot[:, i] = joint.q, joint.qdot, joint.qddot
+        self._slow(setpoints)
         return table
 
     def write(self, time: float, measurement: Measurement, setpoint: Setpoint) -> None:
         """See `SetpointSource.write`."""
         if self.base is not None:
-            base = self.base.sample([time])
+            base = self.base.sample([time / self.slowness])
             setpoint.pose[:], setpoint.velocity[:] = base.pose[0], base.velocity[0]
             setpoint.acceleration[:] = base.acceleration[0]
         for i, profile in enumerate(self.arm):
-            joint = profile.sample([time])
+            joint = profile.sample([time / self.slowness])
             setpoint.q[i], setpoint.qdot[i], setpoint.qddot[i] = joint.q[0], joint.qdot[0], joint.qddot[0]
+        self._slow(setpoint)
+
+    def _slow(self, setpoint: Setpoint) -> None:
+        """Rates of one setpoint or of many by the slower clock."""
+        for rates in (setpoint.velocity, setpoint.qdot):
+            rates /= self.slowness
+        for rates in (setpoint.acceleration, setpoint.qddot):
+            rates /= self.slowness * self.slowness
 
     def _require_fit(self, layout: Dimensions) -> None:
         nb = self.base.nb if self.base is not None else 0

@@ -21,11 +21,12 @@ from numpy.typing import ArrayLike
 
 from ..compiled import fields_of
 from ..errors import ConfigError
-from ..settings import Settings, one_or_each, plain, require_gains
+from ..settings import Settings, one_or_each, plain, require_gain
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint, VelocityCommand
 from .law import MotorLimits, Packed
 
 T = TypeVar("T")
+BANDWIDTHS = 30.0, 60.0  # of a base and of joints whose gains are not given [1/s]
 
 
 @dataclass(frozen=True)
@@ -158,46 +159,64 @@ class Feedback(Settings, frozen=True):
     """Gain on `[z; r]`: `k1` for the base, `k2` for the arm (3.39).
 
     Args:
-        base: k1, one number or one per base velocity [N s/m, N m s; 1/s when scaled].
-        arm: k2, one number or one per joint [N m s or N s/m; 1/s when scaled].
+        base: k1, one number or one per base velocity [N s/m, N m s; 1/s when scaled]; None for what suits the robot.
+        arm: k2, one number or one per joint [N m s or N s/m; 1/s when scaled]; None for what suits the robot.
         scaling: "none" takes the numbers as they are. "inertia" takes them as bandwidths and multiplies each with the
-            effective inertia of its velocity, `1 / (M^-1)_ii` (see `scaled`).
+            effective inertia of its velocity, `1 / (M^-1)_ii` (see `scaled`). `loop.suited` does so for what is None.
 
     Raises:
         ConfigError: A gain is negative or not finite.
     """
 
-    base: float | tuple[float, ...] = 500.0
-    arm: float | tuple[float, ...] = 30.0
+    base: float | tuple[float, ...] | None = None
+    arm: float | tuple[float, ...] | None = None
     scaling: Literal["none", "inertia"] = "none"
 
     def __post_init__(self) -> None:
-        require_gains(self, "feedback", "base", "arm")
+        for name in ("base", "arm"):
+            require_gain(0.0 if getattr(self, name) is None else getattr(self, name), f"feedback.{name}")
 
-    def scaled(self, layout: Dimensions, inertia: Array) -> Feedback:
-        """The feedback with its bandwidths turned into gains; itself when it is not to be scaled.
+    def complete(self, layout: Dimensions) -> bool:
+        """Whether every velocity has its gain, as a number that stands for itself."""
+        return self.scaling == "none" and self.given(layout)
+
+    def given(self, layout: Dimensions) -> bool:
+        """Whether every velocity has its number, a gain or a bandwidth."""
+        return not (layout.base and self.base is None) and not (layout.arm and self.arm is None)
+
+    def scaled(self, layout: Dimensions, inertia: Array, share: float = 1.0) -> Feedback:
+        """The feedback with its bandwidths turned into gains; itself when there is nothing to turn.
 
         Every velocity alone then has the bandwidth asked for, a joint of grams like a base of a hundred kilograms, and
-        the sampled loop is stable for any M while `bandwidth h p < 2`.
+        the sampled loop is stable for any M while `bandwidth h p < 2`. What is None has `BANDWIDTHS`.
 
         Args:
             layout: Sizes.
             inertia: (p,) effective inertias [kg, kg m^2].
+            share: Of `BANDWIDTHS`, in place of what is None.
         """
-        if self.scaling == "none":
+        if self.complete(layout):
             return self
-        gains = per_velocity(self.base, self.arm, layout, "feedback") * inertia
-        return Feedback(*split(gains, layout))
+        parts, sizes = [], (layout.base, layout.arm)
+        for part, own, each in zip(("base", "arm"), split(inertia, layout), BANDWIDTHS, strict=True):
+            value = getattr(self, part)
+            numbers = one_or_each(share * each if value is None else value, len(own), "velocity", f"feedback.{part}")
+            parts.append(numbers * (1.0 if value is not None and self.scaling == "none" else np.array(own)))
+        base, arm = (tuple(part.tolist()) if size else None for part, size in zip(parts, sizes, strict=True))
+        return Feedback(base, arm)
 
     def vector(self, layout: Dimensions) -> Array:
         """Gains of all p velocities.
 
         Raises:
-            ConfigError: Neither one number nor as many as velocities, or bandwidths that are not scaled yet.
+            ConfigError: Neither one number nor as many as velocities, bandwidths that are not scaled yet, or none.
         """
         if self.scaling != "none":
             raise ConfigError("bandwidths, not gains", fix="call scaled(layout, inertia) first", key="feedback.scaling")
-        return per_velocity(self.base, self.arm, layout, "feedback")
+        if not self.given(layout):
+            what, why = "no gains", "a loop or a stepper chooses them for its robot"
+            raise ConfigError(what, why=why, fix="give both: Feedback(base=..., arm=...)", key="feedback")
+        return per_velocity(self.base or 0.0, self.arm or 0.0, layout, "feedback")
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Every learner with its defaults on every robot of `mmnn list`, along the eight of `track`: error over PD's.
+"""Every learner with its defaults on every robot of `mmnn list`, on an eight (robots.toml): error over PD's.
 
 For base (position) and arm (all joints together) the RMS error after 2 s over that of PD, and the largest peak torque
 over its motor's limit. Arguments are robots and controllers, none for all, and `key=value`s; `--table` prints it once
@@ -10,6 +10,7 @@ more as the table of docs/learners.md, with "!" where a motor was asked for more
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -45,7 +46,7 @@ def peak(run: Run, limits: Array) -> float:
 
 def tell(robot_name: str, controllers: tuple[str, ...], settings: list[str]) -> list[str]:
     """Run PD and controllers on a robot and print what they reached; the same as the cells of a table's row."""
-    experiment = load_experiment("track", [f"robot={robot_name}", *settings])
+    experiment = load_experiment(Path(__file__).with_suffix(".toml"), [f"robot={robot_name}", *settings])
     try:
         robot = experiment.load_robot()
         loops = [experiment.loop(robot, experiment.controller(name, robot=robot)) for name in ("pd", *controllers)]

@@ -104,6 +104,15 @@ def test_help_imports_nothing_slow() -> None:
 # -- run ---------------------------------------------------------------------------------------------------------------
 
 
+def test_inspect_waits_for_no_compiler_and_says_the_same(call: Call) -> None:
+    """In a process of its own numba is off, which must change nothing; in this one it is as it was."""
+    code = "import sys; from mmnn_pin.cli import main; main(); import numba; assert numba.config.DISABLE_JIT"
+    done = subprocess.run(
+        [sys.executable, "-c", code, "inspect", "platform_arm", "--json"], capture_output=True, text=True, check=True
+    )
+    assert json.loads(done.stdout) == json.loads(call("inspect", "platform_arm", "--json")[1])
+
+
 def test_run_writes_recordings_and_plot_and_prints_a_table(call: Call) -> None:
     code, out, _ = call("run", "chapter4", *SHORT)
     assert code == 0

@@ -7,6 +7,7 @@ from dataclasses import fields
 import h5py
 import numpy as np
 import pytest
+from builders import with_gains
 from numba import config
 
 from mmnn_pin import (
@@ -52,7 +53,7 @@ engines = pytest.mark.parametrize("engine", ["ordinary", "compiled"])
 def loop(controller=None, duration: float = SHORT, **more) -> Loop:
     timing = more.pop("timing", None) or Timing(duration=duration)
     settings = {"robot": ROBOT, "trajectory": PATH, "start": BEHIND} | more
-    return Loop(controller=controller or PD(), timing=timing, **settings)
+    return Loop(controller=with_gains(controller or PD()), timing=timing, **settings)
 
 
 class Mine(TorqueController):

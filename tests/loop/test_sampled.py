@@ -17,10 +17,11 @@ from scipy.signal import cont2discrete
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop import sampled
-from mmnn_pin.loop.before_run import Start, with_gains_of
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.hardware import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, require_stable, sampled_loop
+from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model import Robot, load
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robots import extra
@@ -290,7 +291,7 @@ def late(share: float, latency: Latency, controller: type = PD) -> Loop:
     timing = Timing(duration=0.5, control_period=0.002, plant_step=0.0005)
     gains = Feedback(base=share * 50.0, arm=share * 80.0, scaling="inertia")
     robot = load("platform_arm")
-    made = with_gains_of(controller(gains), robot, 0.002)
+    made = suited(controller(gains), robot, lambda: Given(Kinematic(), 0.002))
     return Loop(robot, Trajectory(Line(speed=0.3), (Hold(0.3), Hold(0.4))), made, timing=timing, latency=latency)
 
 
@@ -354,7 +355,7 @@ def swaying(robot: Robot, delay: float) -> Loop:
     """PD at rest, or along a line, from a small offset, its commands late."""
     timing, d = Timing(5.0, 0.002, STEP, integrator="implicit_friction"), robot.dimensions
     arm = tuple(Hold(value) for value in robot.neutral_position()[robot.arm_index])
-    controller = with_gains_of(PD(Feedback(base=60.0, arm=60.0, scaling="inertia")), robot, 0.002)
+    controller = suited(PD(Feedback(base=60.0, arm=60.0, scaling="inertia")), robot, lambda: Given(Kinematic(), 0.002))
     start = Start(pose_offset=(0.001, 0.001, 0.001), joint_offset=0.001)
     kinematic = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0)
     line = Trajectory(Line(speed=0.3) if d.base else None, arm)

@@ -121,7 +121,7 @@ def test_no_motor_is_asked_for_more_than_its_limit_by_the_integral(seed, size, r
 
 def held(name):
     """The loop of a fixed arm that holds still under gravity, from rest."""
-    still = ["reference.arm.amplitude=0.0", "time.duration=12.0", "weights_interval=0.5", "time.plant_step=0.001"]
+    still = ["reference.arm.amplitude=0.0", "time.duration=12.0", "weights_interval=0.5", "pid.rate=1.0"]
     experiment = load_experiment("track", ["robot=so101", *still])
     robot = experiment.load_robot().without_friction()
     return experiment.loop(robot, experiment.controller(name, robot=robot))

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from builders import THESIS, with_gains
 from places import ROOT
 from scipy.special import expit
 
@@ -55,7 +56,7 @@ class Bench:
 
     def __init__(self, controller: CompiledController, layout: Layout = LAYOUT, seed: int = 1) -> None:
         self.layout, self.row = layout, layout.new_row()
-        context = Context(layout, H, SAMPLES, np.random.default_rng(seed))
+        controller, context = with_gains(controller), Context(layout, H, SAMPLES, np.random.default_rng(seed))
         self.law, self.state = controller.law(context), controller.init(context)
 
     def step(self, seed: int, **signals: Any) -> Bench:
@@ -398,8 +399,8 @@ def test_weights_are_views_into_the_memory_that_learns() -> None:
         (lambda: Robust(ZB=(1.0, -1.0)), "robust.ZB"),
         (lambda: Feedback(-500.0), "feedback.base"),
         (lambda: Feedback(arm=(1.0, float("inf"))), "feedback.arm"),
-        (lambda: Feedback((1.0, 2.0, 3.0)).vector(LAYOUT), "feedback.base"),
-        (lambda: Neural(robust=Robust(arm=(1.0,))).feedback_gain(LAYOUT), "robust.arm"),
+        (lambda: Feedback((1.0, 2.0, 3.0), 1.0).vector(LAYOUT), "feedback.base"),
+        (lambda: Neural(feedback=GAINS, robust=Robust(arm=(1.0,))).feedback_gain(LAYOUT), "robust.arm"),
     ],
 )
 def test_impossible_settings_are_refused_with_their_key(make: Callable[[], object], key: str) -> None:
@@ -422,7 +423,7 @@ def closed_loop(
     return Loop(
         load("platform_arm"),
         Trajectory(Line(0.3), (Sine(0.78, 4.0), Hold(0.78))),
-        controller,
+        with_gains(controller),
         timing=Timing(samples * H, H, 0.001),
         start=Start((-0.01, 0.0, 0.0)),
         seed=seed,
@@ -544,7 +545,7 @@ class Recital(TorqueController):
         state["count"] += 1
         assert np.array_equal(command.e, reference.q - measurement.q)
         assert np.array_equal(command.z, command.alpha - measurement.velocity)
-        return Feedback().vector(LAYOUT) * np.concatenate((command.z, command.r))
+        return THESIS.vector(LAYOUT) * np.concatenate((command.z, command.r))
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         return {"count": state["count"]}

@@ -18,7 +18,7 @@ from .task import Demand
 from .trial import Trial, TrialResult, as_json, middle, nan
 
 BASELINE = "pd"
-FIXED = (BASELINE, "nominal")  # they learn nothing
+FIXED = (BASELINE, "pd_gravity", "pid", "nominal")  # they learn nothing of Psi
 THESIS, ORACLE = "two_layer", "computed_torque"
 PRIOR = {
     "kinematics": "told the kinematics, not masses and friction",

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...elementary.matrices import product
 from ...errors import ConfigError, InputError, UnknownName
+from ...loop.suited import SCALED
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.regressor import Regressor
@@ -306,7 +307,9 @@ def new_controller(
 def scaled(experiment: Any, name: str, robot: Robot | None) -> tuple[Feedback, Robust, Array | None]:
     """Feedback and robust term of a controller, and the effective inertias (p,) that both are scaled by, or None."""
     feedback, robust = experiment.feedback, experiment.robust_term(name)
-    inertia = None if robot is None else experiment.inertia(robot)
-    if robot is not None and inertia is not None:
-        feedback, robust = feedback.scaled(robot.dimensions, inertia), robust.scaled(robot.dimensions, inertia)
-    return feedback, robust, inertia
+    found = None if robot is None else experiment.fit(robot)
+    if robot is None or found is None:
+        return feedback, robust, None
+    robust = SCALED if robust == Robust() and not feedback.given(robot.dimensions) else robust
+    gains = feedback.scaled(robot.dimensions, found.inertia, found.share)
+    return gains, robust.scaled(robot.dimensions, found.share * found.inertia), found.inertia

@@ -5,6 +5,7 @@ Its TOML has exactly these keys.
 
 from __future__ import annotations
 
+from functools import lru_cache, partial
 from typing import Any
 
 import msgspec
@@ -14,10 +15,11 @@ from ...actuator import Actuator
 from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
-from ...loop.before_run import Bounds, Start, effective_inertia
+from ...loop.before_run import Bounds, Start
 from ...loop.hardware import Latency
 from ...loop.loop import PLANTS, Loop
 from ...loop.servo import Servo
+from ...loop.suited import Fit, Given, effective_inertia, fit, followable
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -43,7 +45,14 @@ from .controllers import (
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
 
-PLACES = 10  # along the reference at which inertias are looked at
+PLACES = 10  # along the reference at which inertias are looked at that scale bandwidths
+
+
+@lru_cache(16)
+def made_for(robot: Robot, tables: bytes, duration: float) -> Trajectory:
+    """The reference of some tables (JSON) for a robot; errors as in `Experiment.trajectory`."""
+    reference = msgspec.json.decode(tables, type=ReferenceTables)
+    return followable(robot, partial(reference.trajectory, robot.dimensions), duration, reference.share)
 
 
 class Friction(Settings, frozen=True):
@@ -132,8 +141,8 @@ class Experiment(LearnerTables, frozen=True):
         bounds: Where a run counts as diverged.
         reference: The reference.
         kinematic: Gains of the kinematic layer.
-        feedback: k1, k2.
-        robust: Kz, ZB.
+        feedback: k1, k2; what is not given suits the robot (`loop.suited`).
+        robust: Kz, ZB, scaled as the feedback is.
         robust_of: Kz, ZB of single learners.
         nominal: The model that is wrong on purpose, for those that have one.
         laws: Controllers of a user by name: `law`, where the class is, and its settings.
@@ -266,13 +275,13 @@ class Experiment(LearnerTables, frozen=True):
         return self.reference.trajectory(layout, limits)
 
     def trajectory_of(self, robot: Robot) -> Trajectory:
-        """The reference for a robot, within the limits of its joints; errors as in `trajectory`."""
-        return self.trajectory(robot.dimensions, (robot.lower[robot.arm_index], robot.upper[robot.arm_index]))
+        """The reference for a robot, within the limits of its joints and motors; errors as in `trajectory`."""
+        return made_for(robot, msgspec.json.encode(self.reference), self.time.duration)
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:
         """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
         given = self.held_out[name]
-        tables = ReferenceTables(given.base, given.heading, given.arm)
+        tables = ReferenceTables(given.base, given.heading, given.arm, given.share)
         try:
             return msgspec.structs.replace(self, reference=tables).trajectory_of(robot)
         except InputError as error:
@@ -280,14 +289,18 @@ class Experiment(LearnerTables, frozen=True):
             error.fix = error.fix.replace("[reference.", f"[held_out.{name}.")
             raise
 
-    def inertia(self, robot: Robot) -> Array | None:
-        """Effective inertias along the reference, (p,); None when nothing is scaled by them."""
-        if self.feedback.scaling == "none":
+    def fit(self, robot: Robot) -> Fit | None:
+        """Effective inertias and the share of the bandwidths that suits a robot; None when all gains are given.
+
+        Bandwidths that are given are scaled by the inertias along the reference; see `loop.suited` for the rest.
+        """
+        if self.feedback.complete(robot.dimensions):
             return None
-        instants = np.linspace(0.0, self.time.duration, PLACES)
-        table = self.trajectory_of(robot).table(instants, robot.dimensions)
-        positions = (Start().state(robot, row)[0] for row in table)
-        return effective_inertia(robot, positions, self.time.control_period)
+        if self.feedback.given(robot.dimensions):
+            table = self.trajectory_of(robot).table(np.linspace(0.0, self.time.duration, PLACES), robot.dimensions)
+            positions = (Start().state(robot, row)[0] for row in table)
+            return Fit(effective_inertia(robot, positions, self.time.control_period), 1.0)
+        return fit(robot, self.feedback, Given.of(self, self.trajectory_of(robot), self.time, robot.dimensions))
 
     def controller(
         self, name: str, gains: Array | None = None, robot: Robot | None = None
@@ -297,7 +310,7 @@ class Experiment(LearnerTables, frozen=True):
         Args:
             name: One of `CONTROLLERS` or of `laws`.
             gains: (samples, p) schedule of a PD at an effective gain.
-            robot: The robot whose effective inertias scale the gains; needed when `feedback.scaling` is "inertia".
+            robot: The robot that gains suit which are not given, and whose effective inertias scale bandwidths.
 
         Raises:
             ConfigError: Gains that are to be scaled, and no robot.

@@ -24,7 +24,7 @@ from ...reference import (
     Waypoints,
 )
 from ...reference.trajectory import JointProfile
-from ...settings import Settings, wrong_type
+from ...settings import Settings, require_gain, wrong_type
 from ...signals import Array, Dimensions
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
@@ -38,11 +38,17 @@ class ReferenceTables(Settings, frozen=True):
         base: The base's path.
         heading: Profile of a holonomic base's heading [rad]; None turns it along the path.
         arm: One profile per arm joint, or one table for all of them (type "swing", see `Swing`).
+        share: Share of every motor's effort and speed limits that whoever follows exactly may need: swings move to
+            another posture, and the whole reference is slower, where it would be more (`loop.suited`). 0 for any.
     """
 
     base: dict[str, Any] | None = None
     heading: dict[str, Any] | None = None
     arm: tuple[dict[str, Any], ...] | dict[str, Any] = ()
+    share: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_gain(self.share, "reference.share")
 
     def trajectory(self, layout: Dimensions, limits: tuple[Array, Array] | None = None) -> Trajectory:
         """The reference for a robot; arguments and errors as in `Experiment.trajectory`."""

@@ -258,9 +258,11 @@ def words(windows: Sequence[Window]) -> str:
 
 def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     """What to know of the reference, such as stretches without stabilisation."""
-    path = experiment.trajectory_of(robot).base
-    times = np.arange(experiment.time.samples) * experiment.time.control_period
-    return warnings(path.sample(times)) if path is not None else []
+    reference, notes = experiment.trajectory_of(robot), []
+    path, times = reference.base, np.arange(experiment.time.samples) * experiment.time.control_period
+    if reference.slowness > 1.0:
+        notes.append(f"the reference takes {reference.slowness:.3g} times as long: the motors' limits ask for it")
+    return notes + (warnings(path.sample(times / reference.slowness)) if path is not None else [])
 
 
 def has_hardware(experiment: Experiment) -> bool:

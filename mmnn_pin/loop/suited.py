@@ -1,0 +1,264 @@
+"""What suits a robot: gains of a controller that is given none, and a reference that its motors can follow.
+
+**Gains.** A gain k on a velocity is a bandwidth `k / I` times its effective inertia I. What a sampled loop bears is a
+matter of bandwidth, so one rule fits a gripper of grams and a base of a hundred kilograms: `BANDWIDTHS` (of
+`torque.controller`) times the smallest effective inertias, along the reference, or at some postures where there is
+none, all times the largest share up to 1 with which the loop bears the delay that it has to, where it bears least, with
+the feedback inside Psi and `ROOM` for what a learner adds. Loops, steppers and experiments take it for gains that are
+not given. Light enough anywhere is too light elsewhere: gains that suit any posture leave an arm weak where it works.
+
+**Pace.** A reference is slowed until whoever follows it exactly needs of every motor no more than a share of its
+effort and speed limits: the rest is for errors. What gravity and dry friction alone ask for no slowness saves; so the
+arm swings about the middle of its range only where its motors hold it there within that share, else about the posture,
+of some, where they are loaded least.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..compiled import one_thread
+from ..elementary.matrices import exponential, inverse, product, pseudo_inverse
+from ..kinematic import Kinematic
+from ..model.robot import Robot, speed_limits
+from ..model.tree.twin import terms_of
+from ..reference import Trajectory
+from ..settings import Numbers, Timing
+from ..signals import Array, Dimensions, Setpoint
+from ..torque.controller import Feedback
+from ..torque.neural import Neural, Robust
+from .before_run import Start, viscous_friction
+from .sampled import held_loop, lags, margin_at
+
+MARGIN = 0.003  # delay that default gains bear, beside the delay that is known [s]
+ROOM = 1.2  # times the gains: what a learner adds to them at first
+LESS, LEAST = 0.8, 0.01  # a share of the bandwidths is a power of this, and at least that
+SLOWER, SLOWEST = 1.25, 16.0  # a slowness is a power of this, and at most that
+INSTANTS = 100, 400  # at which a reference is looked at, at least and at most
+OFTEN = 0.025  # that is how far they are apart between these [s]
+LEFT = (
+    0.5  # share of what gravity and friction leave of a motor, where they take so much that it is more than the share
+)
+POSTURES, JUDGED = 60, 6  # postures at which inertias are looked at, and those at which the loop is judged
+PLACES = 41  # along a reference, likewise
+TRIALS = 100  # postures that are looked at where the middle is too heavy
+
+
+class Given(NamedTuple):
+    """The loop that gains have to suit.
+
+    Attributes:
+        kinematic: Gains of the kinematic layer.
+        period: How long a torque is held [s].
+        delay: That the loop has to bear [s].
+        lag: Time constants of the motors [s].
+        reference: Setpoints where the robot will be, rows of a `Trajectory.table` as bytes; empty for `postures`.
+    """
+
+    kinematic: Kinematic
+    period: float
+    delay: float = MARGIN
+    lag: Numbers = 0.0
+    reference: bytes = b""
+
+    @classmethod
+    def of(cls, loop: Any, trajectory: Trajectory, timing: Timing, layout: Dimensions) -> Given:
+        """What a `Loop` or an experiment says of itself: `kinematic`, `latency`, `actuator`.
+
+        Raises:
+            TrajectoryError: The base cannot follow the trajectory.
+        """
+        held, delay = max(timing.control_period, timing.measurement_period), loop.latency.total + loop.latency.margin
+        rows = trajectory.table(np.linspace(0.0, timing.duration, PLACES), layout)
+        return cls(loop.kinematic, held, delay, loop.actuator.lag, rows.tobytes())
+
+
+class Fit(NamedTuple):
+    """Effective inertias of a robot (p,) [kg, kg m^2], and the share of `BANDWIDTHS` that its loop bears."""
+
+    inertia: Array
+    share: float
+
+
+def suited(controller: Any, robot: Robot, given: Callable[[], Given]) -> Any:
+    """A controller with gains: what was not given suits the robot, bandwidths are multiplied with its inertias.
+
+    A network whose gains come from inertias is scaled by them, too; a robust term that was not given as well.
+
+    Args:
+        controller: Any; one without a `Feedback`, or with complete gains, is returned as it is.
+        robot: Its robot.
+        given: The loop around them; asked only where gains are missing.
+    """
+    learner, feedback = getattr(controller, "learner", None), getattr(controller, "feedback", None)
+    if isinstance(learner, Neural):
+        return replace(controller, learner=suited(learner, robot, given))
+    if not isinstance(feedback, Feedback) or feedback.complete(robot.dimensions):
+        return controller
+    inertia, share = fit(robot, feedback, given())
+    changed: dict[str, Any] = {"feedback": feedback.scaled(robot.dimensions, inertia, share)}
+    if getattr(controller, "inertia", inertia) is None:
+        changed["inertia"] = tuple(inertia.tolist())
+    if isinstance(controller, Neural) and controller.robust == Robust():
+        changed["robust"] = SCALED.scaled(robot.dimensions, share * inertia)
+    return replace(controller, **changed)
+
+
+SCALED = Robust(1.0, 1.0)  # a robust term that was not given, beside gains from bandwidths
+
+
+@lru_cache(16)
+@one_thread
+def fit(robot: Robot, feedback: Feedback, given: Given) -> Fit:
+    """Inertias, and the share of the bandwidths that are not given with which the loop bears its delay; see the top.
+
+    The loop is judged where its gains are largest for what they move.
+    """
+    layout, h, table = robot.dimensions, given.period, postures(robot, POSTURES)
+    if given.reference:
+        table = np.frombuffer(given.reference).reshape(-1, table.shape[1])
+    masses = mass_matrices(robot, (Start().state(robot, row)[0] for row in table))
+    friction = viscous_friction(robot)
+    held = [held_velocities(M, friction, h) for M in masses]
+    inertia: Array = np.min([h / np.diag(Gamma) for Gamma in held], axis=0)
+    if feedback.given(layout):
+        return Fit(inertia, 1.0)
+    full = feedback.scaled(layout, inertia).vector(layout)
+    worst = np.argsort([-np.abs(np.linalg.eigvals(Gamma * full)).max() for Gamma in held])[:JUDGED]
+    gains, K, slow = given.kinematic.base_gains(layout.base), given.kinematic.arm_gains(layout), lags(robot, given.lag)
+    velocities = Setpoint.side_by_side(table, layout).velocity
+    loops = [held_loop(masses[i], velocities[i], gains, K, h, friction, slow) for i in worst]
+    share = 1.0
+    while share > LEAST:
+        k = ROOM * feedback.scaled(layout, inertia, share).vector(layout)
+        if all(margin_at(one, k, h, True) >= given.delay for one in loops):
+            break
+        share *= LESS
+    return Fit(inertia, share)
+
+
+def postures(robot: Robot, count: int = 9, speed: float = 0.5) -> Array:
+    """Setpoints at which gains are judged where there is no reference: at rest, and joints anywhere, (count, w).
+
+    Every other one has joints at quarter turns: there arms are stretched, and feel lightest about their own axes.
+
+    Args:
+        robot: The robot.
+        count: How many.
+        speed: Of the base, forwards, but for the first, which stands [m/s].
+    """
+    d, rng, quarter = robot.dimensions, np.random.default_rng(0), np.pi / 2
+    table = np.zeros((count, d.pose + 2 * d.base + 3 * d.arm))
+    setpoints, arm = Setpoint.side_by_side(table, d), robot.arm_index
+    lower, upper = np.maximum(robot.lower[arm], -np.pi), np.minimum(robot.upper[arm], np.pi)
+    setpoints.q[:] = rng.uniform(lower, upper, (count, d.arm))
+    setpoints.q[1::2] = np.clip(quarter * np.round(setpoints.q[1::2] / quarter), lower, upper)
+    setpoints.q[0] = robot.neutral_position()[arm]
+    if d.base:
+        setpoints.velocity[1:, 0] = speed
+    return table
+
+
+def mass_matrices(robot: Robot, positions: Iterable[Array]) -> list[Array]:
+    """Reduced mass matrices (p, p) at some positions (nv,)."""
+    terms, still, found = terms_of(robot), np.zeros(robot.dimensions.dof), []
+    for position in positions:
+        terms.refresh(position, still)
+        found.append(terms.M.copy())
+    return found
+
+
+def effective_inertia(robot: Robot, positions: Iterable[Array], period: float) -> Array:
+    """Effective inertia of every velocity, the smallest one at some positions (nv,), (p,) [kg, kg m^2].
+
+    It is `period / Gamma_ii` of `held_velocities`. Without friction this is `1 / (M^-1)_ii`: what a torque on that
+    velocity alone accelerates while all others move freely. A link of a few milligram square metres in a joint with
+    1 N m s weighs what its friction makes of it.
+    """
+    friction, masses = viscous_friction(robot), mass_matrices(robot, positions)
+    return np.min([period / np.diag(held_velocities(M, friction, period)) for M in masses], axis=0)
+
+
+def held_velocities(M: Array, friction: Array, period: float) -> Array:
+    """`Gamma = int_0^period exp(-M^-1 D t) dt M^-1`: the velocities that torques held for a period give, (p, p).
+
+    Args:
+        M: Reduced mass matrix.
+        friction: D, viscous friction on nu, (p, p).
+        period: [s].
+    """
+    M_inv, p = inverse(M), len(M)
+    held = exponential(np.block([[-product(M_inv, friction), M_inv], [np.zeros((p, 2 * p))]]) * period)
+    return held[:p, p:]
+
+
+class Load:
+    """What a robot's motors have to give, over their limits.
+
+    Args:
+        robot: The robot.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot, self.terms = robot, terms_of(robot)
+        self.to_motors, self.psi = pseudo_inverse(robot.E), np.zeros(robot.dimensions.dof)
+        self.limits, self.speeds = robot.effort_limits, speed_limits(robot)
+
+    def along(self, trajectory: Trajectory, duration: float) -> Array:
+        """Largest torque and speed of every motor over its limits, (2, motors), a reference followed exactly.
+
+        The whole motion counts, also what a slower one does not reach in the duration [s] that it has when not slowed.
+        """
+        robot, layout = self.robot, self.robot.dimensions
+        instants = int(np.clip(duration / OFTEN, *INSTANTS))
+        table = trajectory.table(np.linspace(0.0, duration * trajectory.slowness, instants), layout)
+        found = np.zeros((2, layout.motors))
+        for row in table:
+            setpoint = Setpoint.side_by_side(row, layout)
+            position, nu = Start(moving=True).state(robot, row)
+            self.terms.refresh(position, nu)
+            self.terms.refresh_psi(nu, np.concatenate((setpoint.acceleration, setpoint.qddot)), self.psi)
+            torque, speed = product(self.to_motors, self.psi), product(robot.E.T, nu)
+            found = np.maximum(found, (over(torque, self.limits), over(speed, self.speeds)))
+        return found
+
+
+def over(value: Array, limit: Array) -> Array:
+    """|value| over its limit, 0 where nothing is asked for."""
+    return np.divide(np.abs(value), limit, out=np.zeros_like(value), where=value != 0)
+
+
+Limits = tuple[Array, Array]
+
+
+@one_thread
+def followable(robot: Robot, reference: Callable[[Limits], Trajectory], duration: float, share: float) -> Trajectory:
+    """A reference within the limits of a robot's joints that its motors can follow with a share of theirs; see the top.
+
+    Args:
+        robot: The robot.
+        reference: The reference within lower and upper limits of the arm's joints, (n,) each.
+        duration: Of the run [s].
+        share: Of every motor's effort and speed limits; 0 for any.
+    """
+    lower, upper = (limit[robot.arm_index] for limit in (robot.lower, robot.upper))
+    given = reference((lower, upper))
+    if not share:
+        return given
+    load, rng, half = Load(robot), np.random.default_rng(0), (upper - lower) / 2
+    best, static = given, load.along(replace(given, slowness=SLOWEST), duration)
+    for _ in range(TRIALS if static.max(initial=0.0) > share and np.isfinite(half).any() else 0):
+        off = np.where(np.isfinite(half), rng.uniform(-0.5, 0.5, len(half)) * half, 0.0)
+        tried = reference((lower + np.maximum(2 * off, 0.0), upper + np.minimum(2 * off, 0.0)))
+        held = load.along(replace(tried, slowness=SLOWEST), duration)
+        if held.max(initial=0.0) < static.max(initial=0.0):
+            best, static = tried, held
+    slowness, enough = 1.0, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
+    while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration) > enough).any():
+        slowness = min(SLOWER * slowness, SLOWEST)
+    return replace(best, slowness=slowness)
