@@ -27,6 +27,10 @@ TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"
 
 # What is replaced by what, then the severity, the line, the code and the words.
 SUSPECT = {
+    "colour": (SHAPE + "</geometry>", SHAPE + '</geometry><material name="m"><color rgba="1 1 1"/></material>',
+               "warning", 10, "color", "rgba of <color>.*taken as grey"),
+    "negative effort": ('effort="5"', 'effort="-1"', "warning", 16, "limit-negative", "is negative: taken as no limit"),
+    "negative velocity": ('velocity="1"', 'velocity="-1"', "warning", 16, "limit-negative", "velocity is negative"),
     "zero effort": ('effort="5"', 'effort="0"', "warning", 16, "zero-effort", "assumed: no limit"),
     "transposed": ('ixy="0"', 'iyx="0"', "warning", 8, "transposed-inertia", "'iyx' of <inertia> is taken as 'ixy'"),
     "no effort of a wheel": (HINGE, HINGE.replace("revolute", "continuous").replace('effort="5" ', ""), "warning", 16,

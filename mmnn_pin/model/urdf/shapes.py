@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from ...elementary.matrices import length, product
 from ...signals import Array
 from .document import Document, Joint, placement
 from .packages import locate
-from .xml import number, numbers, vector
+from .xml import number, numbers, read_numbers, vector
 
 PRIMITIVES = ("cylinder", "sphere", "box")
 
@@ -41,6 +42,8 @@ MOST_BYTES = 200_000_000  # of a mesh; no wheel needs more
 CHUNK = 65_536  # bytes looked at, at either end of a file
 
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
+
+UNIT = re.compile(rb"<unit\b[^>]*?\bmeter\s*=\s*[\"']([^\"']+)[\"']")  # of a COLLADA file
 
 NO_SHAPE = "assumed: no shape; only the radius of a wheel needs it"
 
@@ -286,9 +289,20 @@ def vertices_of(file: Path, changed: int) -> Array:
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # of textures that are not there
     try:
         with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
-            return np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
+            vertices = np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
+        return vertices * unit_of(file)
     except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
         return np.zeros((0, 3))
+
+
+def unit_of(file: Path) -> float:
+    """Metres in the unit of a COLLADA file, by which RViz and Gazebo scale it; 1 where none is stated."""
+    if file.suffix.lower() != ".dae":
+        return 1.0
+    with file.open("rb") as stream:
+        hit = UNIT.search(stream.read(CHUNK))
+    value = read_numbers(hit[1].decode(errors="replace")) if hit else ()
+    return value[0] if len(value) == 1 and value[0] > 0 else 1.0
 
 
 def stl_corners(file: Path) -> Array | None:
