@@ -278,7 +278,7 @@ def test_corrupt_meshes_are_told(tmp_path, name, data, words):
     ("a.stl", b"solid by an exporter".ljust(80) + (1).to_bytes(4, "little") + b"\0" * 50),
     ("a.dae", b"<?xml?><COLLADA></COLLADA>"),
     ("a.obj", b"v 0 0 0\n"),
-    ("a.other", b"anything"),
+    ("a.ply", b"anything"),
 ])  # fmt: skip
 def test_whole_meshes_are_not(tmp_path, name, data):
     put(tmp_path / name, data)
