@@ -19,6 +19,9 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.plant.contact.plant import ContactPlant
+from mmnn_pin.torque.adaptive import Adaptive
+from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.prior import scales
 
 RADIUS = 0.15
 
@@ -200,5 +203,9 @@ def test_its_turning_friction_is_a_linear_parameter():
         psi = dynamics.mass_matrix(position) @ nudot_ref + dynamics.coriolis_matrix(position, nu) @ nu_ref
         psi = psi + dynamics.gravity(position) + dynamics.friction(nu)
         np.testing.assert_allclose(regressor.matrix(position, nu, nu_ref, nudot_ref) @ theta, psi, atol=1e-9)
+    K = np.arange(1.0, 1.0 + robot.dimensions.dof)
+    felt = scales(regressor, K)
+    assert felt.size == regressor.size - regressor.inertial and felt[-1] == K[1]  # the gain of the yaw rate
+    assert sum(Adaptive(regressor=regressor, feedback=Feedback(1.0, 1.0)).counts()) == felt.size
     plain = Regressor.of(robot_of(rover(), base="holonomic"))
     assert "w.coulomb" not in plain.labels
