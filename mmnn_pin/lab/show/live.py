@@ -55,6 +55,7 @@ class LiveView:
         robot = stepper.robot
         self.stepper, self.robot, self.period, self.due = stepper, robot, 1 / rate, -np.inf
         self.position, self.wanted, self.frames = robot.rest.copy(), robot.rest.copy(), 0
+        self.still, self.arm = robot.arm_map()
         self.rolling = [robot.full_velocity_names.index(wheel.joint) for wheel in robot.base.wheels]
         numbers, page = FIRST + 2 * self.position.size, live_page(robot, self.position, package_dirs)
         memory = new_memory(numbers)
@@ -90,8 +91,8 @@ class LiveView:
         nu = np.concatenate((measured.velocity, measured.qdot))
         turned = self.position[self.rolling] + passed * product(robot.T[self.rolling], nu)
         for table, pose_of, q in ((self.position, measured.pose, measured.q), (self.wanted, asked.pose, asked.q)):
-            table[:pose], table[robot.arm_index], table[self.rolling] = pose_of, q, turned
-            robot.follow(table)
+            table[:] = self.still + product(self.arm, q)  # mimic joints follow
+            table[:pose], table[self.rolling] = pose_of, turned
         self.frames += 1
         self.numbers[SEQUENCE] = 2 * self.frames - 1  # odd: it is being written
         self.numbers[TIME], self.numbers[TRIPPED] = stepper.time, stepper.tripped
