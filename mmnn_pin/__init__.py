@@ -23,7 +23,7 @@ _HOME = {
     "model.loading": ("load",),
     "model.robot": ("Robot",),
     "model.dynamics": ("Dynamics",),
-    "reference": ("Circle", "Eight", "Line", "Table", "Trajectory", "Waypoints"),
+    "reference": ("Circle", "Eight", "Line", "Table", "Timed", "Trajectory", "Waypoints"),
     "reference.guide": ("Limits",),
     "reference.wishes": ("HOLD", "BaseVelocity", "JointGoal", "Motion"),
     "reference.trajectory": ("Hold", "MinimumJerk", "Sine", "Sines"),

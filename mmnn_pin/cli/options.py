@@ -87,7 +87,7 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),
 )
 OVERRIDES = (
-    "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro",
+    "base", "wheels", "radius", "track", "roller", "lock", "free", "arm_tip", "package_dirs", "xacro", "without",
     "controllers_file", "mu", "strict",
 )  # fmt: skip
 ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
@@ -108,6 +108,7 @@ ROBOT_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--arm-tip", metavar="LINK", help="End of the arm; joints that do not lead to it are locked."),
     PACKAGE_DIRS,
     click.option("--xacro", metavar="NAME:=VALUE", multiple=True, help="Argument of a xacro file; repeatable."),
+    click.option("--without", metavar="MACRO", multiple=True, help="Macro of a xacro file to leave out; repeatable."),
     click.option(
         "--controllers",
         "controllers_file",

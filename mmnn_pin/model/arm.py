@@ -27,6 +27,8 @@ from .urdf.xml import number
 
 SHORT = 1 / 3  # a branch is short below this fraction of the longest chain's reach
 
+BUTTON = 0.02  # [m] longest travel of a button
+
 HEAD_JOINTS, ARM_JOINTS = 4, 3  # a head has fewer joints than the first, fingers have at least the second before them
 
 WHY = {
@@ -34,6 +36,7 @@ WHY = {
     "user": "locked as you said",
     "tip": "it does not lead to the arm's tip",
     "short": "taken as a head or finger: a short branch",
+    "button": "taken as a button or bumper: it slides by two centimetres at most and carries no joint",
 }
 
 
@@ -148,10 +151,19 @@ def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], overrides: 
         still = dict.fromkeys([name for name in own if name not in leading], WHY["tip"])
     else:
         still = dict.fromkeys(short_branches(rest, set(own), slaves), WHY["short"])
+        still |= {name: WHY["button"] for name in own if name not in still and is_button(rest, name)}
     idle = [name for name in overrides.free if name not in still and name != "all"]
     if idle:
         raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
     return {name: why for name, why in still.items() if not freed(name, overrides)}
+
+
+def is_button(rest: AtRest, name: str) -> bool:
+    """Whether a joint slides a little on the root's body, and carries no other."""
+    joint = rest.document.joints[name]
+    if joint.type != "prismatic" or not joint.upper - joint.lower <= BUTTON:
+        return False
+    return not rest.document.moving_children(joint.child) and len(rest.document.moving_ancestors(joint.child)) == 1
 
 
 def freed(name: str, overrides: Overrides) -> bool:

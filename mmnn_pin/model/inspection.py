@@ -77,7 +77,10 @@ def hash_of(path: Path) -> str | None:
 def audited(path: Path, overrides: Overrides) -> list[Finding]:
     """What there is to say about a file that the audit accepts, beside what the robot was refused for."""
     overrides, notes = with_file(path, overrides)
-    return [*audit_file(path, overrides.strict, folders_of(path, overrides), overrides.xacro)[1], *notes]
+    return [
+        *audit_file(path, overrides.strict, folders_of(path, overrides), overrides.xacro, overrides.without)[1],
+        *notes,
+    ]
 
 
 def as_dict(finding: Finding) -> dict[str, Any]:

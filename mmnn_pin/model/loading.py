@@ -30,7 +30,7 @@ from ..signals import Array, Dimensions
 from .arm import Arm, choose_arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import arm_notes, printed_notes, settle, weld_notes
+from .base.report import arm_notes, printed_notes, settle, unsupported, weld_notes
 from .base.understanding import find_base
 from .maps import configuration_indices, constraint_rows, motion_map, motor_map
 from .robot import Robot, read_only
@@ -66,6 +66,7 @@ def load(
     arm_tip: str | None = None,
     package_dirs: Sequence[str | Path] = (),
     xacro: Sequence[str] = (),
+    without: Sequence[str] = (),
     strict: bool = False,
     controllers_file: str | Path | None = None,
     mu: float | None = None,
@@ -84,6 +85,7 @@ def load(
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
+        without: Macros of a xacro file whose calls are left out, for want of a package.
         strict: Whether impossible inertias and implausible sizes are errors.
         controllers_file: YAML file of the robot's controllers, see `Overrides`.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base, 1 by default.
@@ -104,6 +106,7 @@ def load(
         arm_tip=arm_tip,
         package_dirs=tuple(map(str, package_dirs)),
         xacro=tuple(xacro),
+        without=tuple(without),
         strict=strict,
         controllers_file=None if controllers_file is None else str(controllers_file),
         mu=mu,
@@ -115,7 +118,9 @@ def load_with(robot: str | Path, overrides: Overrides) -> Robot:
     """`load` with all that is said in one; arguments and errors as there."""
     path = find(robot)
     overrides, notes = with_file(path, overrides)
-    built = build(read(path, overrides.strict, folders_of(path, overrides), overrides.xacro), overrides)
+    built = build(
+        read(path, overrides.strict, folders_of(path, overrides), overrides.xacro, overrides.without), overrides
+    )
     return replace(built, findings=(*built.findings, *notes))
 
 
@@ -136,8 +141,12 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     rest = AtRest(document, folders_of(document.path, overrides))
     found = find_base(rest, overrides)
     arm = choose_arm(rest, found.base, overrides)
+    if not found.base.columns and not arm.joints:
+        raise unsupported(
+            rest, "single rigid body", "no joint of it moves", (), "--free JOINT moves one that is locked"
+        )
     model, printed = pinocchio_model(document, mobile=found.base.root_size > 0)
-    audited = excused(document.findings, arm.locked)
+    audited = excused(document.findings, arm.locked, arm.joints)
     require_sane(document, model, set(arm.locked))
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
     findings = (*settle(audited, found.findings, overrides.strict), *notes)

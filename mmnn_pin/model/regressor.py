@@ -6,7 +6,8 @@ theta of a robot that is known; a controller does not import it.
 
 theta: ten numbers `m, mc, Sigma` per body that moves (the pseudo-inertia, in the joint's frame turned so that its axis
 is z; joints that stand still are lumped into the body that carries them), then the inertia of every joint's rotor,
-viscous friction of the base's velocities, viscous and dry friction of every joint [kg, kg m, kg m^2; N s/m; N m].
+viscous friction of the base's velocities, viscous and dry friction of every joint, and the dry friction of a skid-steer
+base against turning [kg, kg m, kg m^2; N s/m; N m].
 
 A particle m of a body, at x in the axes of the body and with `xbar = (x, 1)`, moves at `V_j xbar` when joint j turns at
 rate 1, `V_j = [w x, v]`, and the reference asks it for the acceleration `A xbar`, `A = [alpha x + omega_r x omega x,
@@ -113,14 +114,15 @@ class Regressor:
         full = flatten(model, T, robot.neutral_position(), frame, absorb=False)
         theta, moving = inertial_parameters(full, layout.base), moving_joints(T, layout.base)
         offset, arm = robot.arm_map()
-        massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed)
+        turning = robot.base.kind == "skid_steer"
+        massless = without_masses(full, T, layout.base, offset, arm, coulomb_speed, turning)
         names = robot.full_velocity_names
         bodies = ("root",) * bool(layout.base) + tuple(names[i] for i in full.links[BASE.w + 1 :, 2])
         joints = tuple(names[i] for i in moving)
         labels = [f"{body}.{moment}" for body in bodies for moment in MOMENTS]
         labels += [f"{joint}.rotor" for joint in joints]
         labels += [f"{name}.viscous" for name in (*robot.velocity_names[: layout.base], *joints)]
-        labels += [f"{joint}.coulomb" for joint in joints]
+        labels += [f"{joint}.coulomb" for joint in joints] + ["w.coulomb"] * turning
         regressor = cls(massless, bodies, joints, tuple(labels))
         regressor.verify(model, T, theta)
         return regressor
@@ -236,7 +238,9 @@ class Regressor:
             )
 
 
-def without_masses(tree: Tree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float) -> Massless:
+def without_masses(
+    tree: Tree, T: Array, base: int, offset: Array, arm: Array, coulomb_speed: float, turning: bool = False
+) -> Massless:
     """What a tree says of the motion, and memory to work in.
 
     Args:
@@ -246,6 +250,7 @@ def without_masses(tree: Tree, T: Array, base: int, offset: Array, arm: Array, c
         offset: (nv,) positions where the arm's joints stand at 0.
         arm: (nv, n) what each arm joint moves.
         coulomb_speed: As in `Regressor.of`.
+        turning: Whether dry friction acts against the turning of the base, too.
     """
     numbers, joints = tree.numbers.copy(), T[moving_joints(T, base)]
     numbers[:, NUMBER.mass : NUMBER.weight] = 0.0
@@ -264,7 +269,7 @@ def without_masses(tree: Tree, T: Array, base: int, offset: Array, arm: Array, c
         position=offset.copy(),
         nu=np.zeros(p),
         out=np.zeros(p),
-        Y=np.zeros((p, BODY * (len(tree.links) - first) + 3 * len(joints) + base)),
+        Y=np.zeros((p, BODY * (len(tree.links) - first) + 3 * len(joints) + base + turning)),
     )
 
 
@@ -374,7 +379,7 @@ def body_columns(known: Massless, i: int) -> None:
 
 @compiled
 def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
-    """Columns of Y of rotors, viscous friction of base and joints, and dry friction of joints, from `first` on."""
+    """Columns of Y of rotors and of viscous and dry friction, from `first` on; a last one is that of turning."""
     joints, nu, Y = known.joints, known.nu, known.Y
     count, p = joints.shape
     for i in range(known.base):
@@ -390,6 +395,9 @@ def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
             Y[i, first + k] = joints[k, i] * acceleration
             Y[i, rough] = joints[k, i] * speed
             Y[i, rough + count] = joints[k, i] * dry
+    turning = first + 3 * count + known.base
+    if turning < Y.shape[1]:
+        Y[1, turning] = tanh(nu[1] / known.coulomb_speed)
 
 
 @compiled

@@ -7,6 +7,7 @@ derivative, all of them analytic. `Trajectory` puts base and arm together.
 from .holonomic import Holonomic
 from .path import BasePath, BaseSamples, Circle, Eight, Line, Waypoints
 from .samples import Table, check_followable, warnings
+from .timed import Timed
 from .trajectory import Hold, JointProfile, JointSamples, MinimumJerk, SetpointSource, Sine, Sines, Trajectory
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "Sine",
     "Sines",
     "Table",
+    "Timed",
     "Trajectory",
     "Waypoints",
     "check_followable",

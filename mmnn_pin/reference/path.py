@@ -246,6 +246,11 @@ class Eight(BasePath):
         progress = start_up(t, 2 * np.pi / self.period, self.ramp)
         return driven(t, progress, self._curve(progress.s))
 
+    @property
+    def span(self) -> float:
+        """What one lap adds to its parameter."""
+        return float(np.copysign(2 * np.pi, self.period))
+
     def _curve(self, s: Array) -> Curve:
         a, b = self.length / 2, self.width / 2
         (c, sine), (c2, sine2) = cos_sin(s), cos_sin(2 * s)
@@ -363,6 +368,11 @@ class Waypoints(BasePath):
     def length(self) -> float:
         """Length of the path [m]."""
         return float(self._pieces.s[-1] + self._pieces.length[-1])
+
+    @property
+    def span(self) -> float:
+        """What the path adds to its parameter, its length [m]."""
+        return self.length
 
     @property
     def duration(self) -> float:

@@ -316,8 +316,8 @@ class Adaptive(ParameterLearner):
 
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""
-        count = len(self.regressor.joints)
-        return count, self.regressor.massless.base + count, count
+        count, base = len(self.regressor.joints), self.regressor.massless.base
+        return count, base + count, self.regressor.size - self.regressor.inertial - 2 * count - base
 
     @cached_property
     def unit(self) -> Array:

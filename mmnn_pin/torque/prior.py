@@ -184,4 +184,5 @@ def scales(regressor: Regressor, K: Array) -> Array:
     """c_j of rotors, viscous and dry friction, (k - 10 bodies,): the gain that each of them feels."""
     known = regressor.massless
     joints = 1.0 / product(known.joints**2, 1.0 / K)
-    return np.concatenate((joints, K[: known.base], joints, joints))
+    alone = regressor.size - regressor.inertial - 3 * len(joints) - known.base  # dry friction of the base's turning
+    return np.concatenate((joints, K[: known.base], joints, joints, K[1 : 1 + alone]))

@@ -22,8 +22,11 @@ from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
 
 TOLERANCE = 0.03  # of the maker's radius and track
-WAY = re.compile(r"--(base|wheels|radius|track) ([A-Za-z0-9_,.]*[A-Za-z0-9_])")  # options in the fix of a refusal
+WAY = re.compile(
+    r"--(base|wheels|radius|track|without|lock) ([A-Za-z0-9_,.-]*[A-Za-z0-9_])"
+)  # options in the fix of a refusal
 READ: dict[str, Any] = {"wheels": lambda text: text.split(","), "radius": float, "track": float}
+READ |= dict.fromkeys(("without", "lock"), lambda text: (text,))
 
 
 @dataclass(frozen=True)
@@ -44,20 +47,60 @@ class Outcome:
 
 
 def judge(entry: dict[str, Any], folder: Path) -> Outcome:
-    """The outcome of one robot, with the command of its refusal followed."""
+    """The outcome of one robot, with the commands of its refusals followed, one after the other."""
     path = place(entry, folder)
     if path is None:
         return Outcome("not there", "", "", 0.0)
     said: dict[str, Any] = {"xacro": entry.get("xacro", ())}
-    start = time.perf_counter()
-    try:
-        robot = load(path, **said)
-    except InputError as error:
-        took = time.perf_counter() - start
-        return refused(entry, path, said, error, took)
-    took = time.perf_counter() - start
-    wrong = faults(entry, robot)
-    return Outcome("ACCEPTED WRONG" if wrong else "right", "; ".join(wrong) or words(robot), "", took)
+    followed, start, took = list[str](), time.perf_counter(), 0.0
+    for _ in range(8):
+        try:
+            robot = load(path, **said)
+        except InputError as error:
+            took = took or time.perf_counter() - start
+            told = " ".join(f"{error.what}: {error.why}: {error.fix}".split())
+            if entry["kind"].startswith("refused: ") and entry["kind"].removeprefix("refused: ") in told.lower():
+                return Outcome("refused rightly", told, " ".join(followed), took)
+            options = way_out(entry, error.fix, said)
+        else:
+            took = took or time.perf_counter() - start
+            wrong = faults(entry, robot)
+            options = told_by(entry, robot) if wrong and not followed else {}
+            told = "; ".join(wrong) or words(robot)
+            if not options:
+                right = "right after the command" if followed else "right"
+                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took)
+        if not options:
+            verdict = "refused, misleading" if entry["kind"].startswith("refused: ") else "refused"
+            return Outcome(verdict, told, " ".join(followed), took)
+        followed += [f"--{name} {text}" for name, text in options.items()]
+        said |= {name: with_more(said.get(name), READ.get(name, str)(text)) for name, text in options.items()}
+    return Outcome("refused", told, " ".join(followed), took)
+
+
+def with_more(known: Any, more: Any) -> Any:
+    """A value of an option, added to what is known of a repeatable one."""
+    return (*(known or ()), *more) if isinstance(more, tuple) else more
+
+
+def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> dict[str, str]:
+    """The options of a refusal that suit the truth; a radius that it asks for is the maker's, as if measured."""
+    if "--radius" in fix and "radius" in entry and "radius" not in said:
+        return {"radius": str(entry["radius"])}
+    kind = entry["kind"]
+    for way in re.split("; |, | or ", fix):
+        options = dict(WAY.findall(way))
+        fits = kind.startswith("refused: ") or options.get("base", kind) == kind
+        ends = kind.startswith("refused: ") and {"base", "wheels"} & options.keys()
+        if options and fits and not ends and not {"METRES", "FOLDER", "VALUE"} & {*options.values()}:
+            return options
+    return {}
+
+
+def told_by(entry: dict[str, Any], robot: Robot) -> dict[str, str]:
+    """The options of a finding that says what else the base may be."""
+    fixes = [f.fix for f in robot.findings if f.code == "base-none"]
+    return next(filter(None, (way_out(entry, fix, {}) for fix in fixes)), {})
 
 
 def place(entry: dict[str, Any], folder: Path) -> str | Path | None:
@@ -66,39 +109,6 @@ def place(entry: dict[str, Any], folder: Path) -> str | Path | None:
         return str(entry["file"])
     path = folder / entry["repository"].split("@")[0].replace("/", "+") / entry["file"]
     return path if path.exists() else None
-
-
-def refused(entry: dict[str, Any], path: str | Path, said: dict[str, Any], error: InputError, took: float) -> Outcome:
-    """The outcome of a robot that was refused."""
-    told = " ".join(str(error).split())
-    kind = entry["kind"]
-    if kind.startswith("refused: "):
-        wanted = kind.removeprefix("refused: ")
-        ok = wanted.lower() in told.lower()
-        return Outcome("refused rightly" if ok else "refused, misleading", told, "", took)
-    if "--radius" in error.fix and "radius" in entry and "radius" not in said:  # measured, as it asks
-        known = said | {"radius": entry["radius"]}
-        try:
-            return followed(entry, load(path, **known), f"--radius {entry['radius']}", took)
-        except InputError as again:
-            return refused(entry, path, known, again, took)
-    for way in re.split("; |, | or ", error.fix):
-        options = dict(WAY.findall(way))
-        if not options or {"METRES", "FOLDER", "VALUE"} & {*options.values()} or options.get("base", kind) != kind:
-            continue
-        try:
-            robot = load(path, **said, **{name: READ.get(name, str)(text) for name, text in options.items()})
-        except InputError as again:
-            return Outcome("refused wrongly", f"{told} THEN {again}", way, took)
-        return followed(entry, robot, " ".join(f"--{name} {text}" for name, text in options.items()), took)
-    return Outcome("refused", told, "", took)
-
-
-def followed(entry: dict[str, Any], robot: Robot, command: str, took: float) -> Outcome:
-    """The outcome of a robot that was accepted after the command of its refusal."""
-    wrong = faults(entry, robot)
-    verdict = "ACCEPTED WRONG" if wrong else "right after the command"
-    return Outcome(verdict, "; ".join(wrong) or words(robot), command, took)
 
 
 def faults(entry: dict[str, Any], robot: Robot) -> list[str]:

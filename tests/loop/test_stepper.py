@@ -530,7 +530,11 @@ def test_the_rehearsal_leaves_no_trace():
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="uncompiled blocks allocate")
-@pytest.mark.parametrize(("name", "samples"), [("two_layer", 4000), ("computed_torque", 4000)])
+@pytest.mark.parametrize(("name", "samples"), [
+    ("two_layer", 4000),
+    ("computed_torque", 4000),
+    *(pytest.param(name, 100_000, marks=pytest.mark.long) for name in CONTROLLERS if name != "python"),
+])  # fmt: skip
 def test_steps_collect_no_garbage_and_keep_no_memory(name, samples):
     loop = closed(CONTROLLERS[name], duration=20.0)
     run, began = closed(CONTROLLERS[name], duration=0.5).run(), []

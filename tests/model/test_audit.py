@@ -27,6 +27,10 @@ TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"
 
 # What is replaced by what, then the severity, the line, the code and the words.
 SUSPECT = {
+    "colour": (SHAPE + "</geometry>", SHAPE + '</geometry><material name="m"><color rgba="1 1 1"/></material>',
+               "warning", 10, "color", "rgba of <color>.*taken as grey"),
+    "negative effort": ('effort="5"', 'effort="-1"', "warning", 16, "limit-negative", "is negative: taken as no limit"),
+    "negative velocity": ('velocity="1"', 'velocity="-1"', "warning", 16, "limit-negative", "velocity is negative"),
     "zero effort": ('effort="5"', 'effort="0"', "warning", 16, "zero-effort", "assumed: no limit"),
     "transposed": ('ixy="0"', 'iyx="0"', "warning", 8, "transposed-inertia", "'iyx' of <inertia> is taken as 'ixy'"),
     "no effort of a wheel": (HINGE, HINGE.replace("revolute", "continuous").replace('effort="5" ', ""), "warning", 16,
@@ -274,7 +278,7 @@ def test_corrupt_meshes_are_told(tmp_path, name, data, words):
     ("a.stl", b"solid by an exporter".ljust(80) + (1).to_bytes(4, "little") + b"\0" * 50),
     ("a.dae", b"<?xml?><COLLADA></COLLADA>"),
     ("a.obj", b"v 0 0 0\n"),
-    ("a.other", b"anything"),
+    ("a.ply", b"anything"),
 ])  # fmt: skip
 def test_whole_meshes_are_not(tmp_path, name, data):
     put(tmp_path / name, data)

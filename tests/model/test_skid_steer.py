@@ -16,7 +16,12 @@ from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.base.skid_steer import GRAVITY, loads, rotation_centre, turning_friction, turning_track
 from mmnn_pin.model.checks.properties import check_properties
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.plant.contact.plant import ContactPlant
+from mmnn_pin.torque.adaptive import Adaptive
+from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.prior import scales
 
 RADIUS = 0.15
 
@@ -185,3 +190,22 @@ def test_a_name_that_steers_is_never_a_skid_steer_by_guess():
         robot_of(rover().replace('name="rover"', 'name="skid_steer_rover"'))
     with pytest.raises(RobotError):
         robot_of(rover())
+
+
+def test_its_turning_friction_is_a_linear_parameter():
+    robot = robot_of(rover(ahead=0.05), base="skid_steer", track=0.8, mu=0.7)
+    regressor, theta, dynamics = Regressor.of(robot), parameters(robot), Dynamics(robot)
+    assert regressor.labels[-1] == "w.coulomb" and theta[-1] == robot.base.turning and regressor.size == theta.size
+    rng = np.random.default_rng(1)
+    for _ in range(5):
+        position, _ = random_state(robot, int(rng.integers(99)))
+        nu, nu_ref, nudot_ref = rng.standard_normal((3, robot.dimensions.dof))
+        psi = dynamics.mass_matrix(position) @ nudot_ref + dynamics.coriolis_matrix(position, nu) @ nu_ref
+        psi = psi + dynamics.gravity(position) + dynamics.friction(nu)
+        np.testing.assert_allclose(regressor.matrix(position, nu, nu_ref, nudot_ref) @ theta, psi, atol=1e-9)
+    K = np.arange(1.0, 1.0 + robot.dimensions.dof)
+    felt = scales(regressor, K)
+    assert felt.size == regressor.size - regressor.inertial and felt[-1] == K[1]  # the gain of the yaw rate
+    assert sum(Adaptive(regressor=regressor, feedback=Feedback(1.0, 1.0)).counts()) == felt.size
+    plain = Regressor.of(robot_of(rover(), base="holonomic"))
+    assert "w.coulomb" not in plain.labels

@@ -82,16 +82,14 @@ def test_a_base_that_is_said_and_not_found_is_not_ignored():
 
 
 @pytest.mark.parametrize("scale", ["", ' scale="1 1 1"'])
-def test_a_wheel_mesh_in_millimetres_is_told(tmp_path: Path, scale: str):
+def test_a_wheel_mesh_in_millimetres_is_refused(tmp_path: Path, scale: str):
     import trimesh
 
     trimesh.creation.cylinder(100.0, 30.0).export(tmp_path / "wheel.stl")
     text = Drive(shape=f'<mesh filename="wheel.stl"{scale}/>').urdf()
-    robot = robot_of(text, tmp_path / "r.urdf")
-    told = next(f for f in robot.findings if f.code == "base-size")
-    assert told.severity == "warning" and "millimetres" in told.why
-    with pytest.raises(RobotError, match=r"radius of 100 m.*\[base-size\]"):
-        robot_of(text, tmp_path / "r.urdf", strict=True)
+    with pytest.raises(RobotError, match=r"radius of 100 m.*millimetres.*\[base-size\]"):
+        robot_of(text, tmp_path / "r.urdf")
+    assert robot_of(text, tmp_path / "r.urdf", radius=0.1).base.wheels[0].radius == 0.1  # as it says
     right = robot_of(text.replace('stl"', 'stl" scale="0.001 0.001 0.001"').replace(scale + "/>", "/>"),
                      tmp_path / "r.urdf", strict=True)  # fmt: skip
     assert right.base.wheels[0].radius == pytest.approx(0.1)

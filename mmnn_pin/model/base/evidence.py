@@ -22,6 +22,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.signals import Array
 
 from ...elementary import atan2
+from ..urdf.packages import package_of
 from ..urdf.shapes import HORIZONTAL, AtRest
 from ..urdf.xml import number_problem
 from .wheels import Candidate
@@ -31,7 +32,7 @@ WORDS: tuple[tuple[Meaning, re.Pattern[str]], ...] = (
     ("holonomic", re.compile(r"mecanum|planar_?move|holonomic|omni|swedish", re.IGNORECASE)),
     ("skid_steer", re.compile(r"skid|diff_?drive", re.IGNORECASE)),
 )
-LONGEST = 1_000_000  # bytes of a controllers' file
+LONGEST, YAMLS = 1_000_000, 40  # bytes of a controllers' file, files looked at beside a robot's
 NO_FRICTION, GRIP = 1e-3, 0.2  # friction coefficients below the first slide, above the second hold
 
 
@@ -283,11 +284,38 @@ def stated(rest: AtRest, controllers: str | None, names: dict[str, float]) -> li
         if element.tag in names and not number_problem(text := (element.text or "").strip(), 1):
             value = float(text) * names[element.tag]
             found.append(Stated(value, f"<{element.tag}> (line {element.sourceline})"))
-    for number, line in lines_of(controllers):
+    found += in_yaml(controllers, names)
+    return list({round(one.value, 9): one for one in reversed(found) if one.value > 0}.values())[::-1]
+
+
+def in_yaml(file: str | None, names: dict[str, float]) -> Iterator[Stated]:
+    """What a controllers' file states under some names.
+
+    Raises:
+        ConfigError: It cannot be read.
+    """
+    for number, line in lines_of(file):
         key, colon, text = (part.strip().strip("'\"") for part in line.partition(":"))
         if colon and key in names and text and not number_problem(text, 1):
-            found.append(Stated(float(text) * names[key], f"{key} ({Path(controllers or '').name}, line {number})"))
-    return list({round(one.value, 9): one for one in reversed(found) if one.value > 0}.values())[::-1]
+            yield Stated(float(text) * names[key], f"{key} ({Path(file or '').name}, line {number})")
+
+
+def beside(rest: AtRest) -> list[Path]:
+    """YAML files of the package that a robot's file is in, and of those beside it that have its name."""
+    own = Path(package_of(str(rest.document.path.parent.absolute())))
+    stem = re.sub(r"_?(description|model|urdf)$", "", own.name)
+    folders = [own, *(f for f in siblings(own) if stem and f.name.startswith(stem) and f != own)]
+    files = [
+        file for folder in folders for place in ("", "config", "params") for file in (folder / place).glob("*.y*ml")
+    ]
+    return [file for file in files[:YAMLS] if file.stat().st_size < LONGEST]
+
+
+def siblings(folder: Path) -> list[Path]:
+    """Packages in the folder that holds one, none where it is no package."""
+    if not (folder / "package.xml").is_file():
+        return []
+    return sorted(file.parent for file in folder.parent.glob("*/package.xml"))
 
 
 def motors_named(rest: AtRest) -> dict[str, str]:

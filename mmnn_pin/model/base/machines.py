@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from ...elementary import hypot
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
+from .wheels import Candidate
 
 MOST_PER_SIDE = 3  # wheels of a skid-steer base
 
@@ -24,13 +25,13 @@ STEERED_NAMES = re.compile(
     r"(?<!skid_)(?<!skid)(?<!skid-)steer|ackermann|racecar|tricycle|bicycle|car[_-]?like", re.IGNORECASE
 )
 
-TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?)([_./ -]|$)", re.IGNORECASE)
+TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|flippers?)([_./ -]|$)", re.IGNORECASE)
 
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
 
-DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|uav|flying", re.IGNORECASE)
+DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])prop_?\d", re.IGNORECASE)
 
 
 def machine(rest: AtRest) -> tuple[str, str] | None:
@@ -60,10 +61,11 @@ def steering_named(rest: AtRest) -> str:
     return f"'{hit.string}' among its names" if hit else ""
 
 
-def tracks(rest: AtRest) -> str:
+def tracks(rest: AtRest, drives: Sequence[Candidate]) -> str:
     """What tells that a machine with parallel wheels runs on tracks, empty when nothing does."""
     on_root = [j for j in trunk_joints(rest) if j.turns_freely and rest.is_horizontal(j)]
-    wheels = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
+    alike = sum(abs(rest.axis(on_root[0]) @ rest.axis(j)) > 0.99 for j in on_root) if on_root else 0
+    wheels = max(alike, len(drives))
     if wheels > 2 * MOST_PER_SIDE:
         return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks"
     files = [

@@ -48,6 +48,7 @@ class Overrides(Settings, frozen=True):
         arm_tip: Link at the end of the arm; joints that do not lead to it are locked.
         package_dirs: Folders that hold the packages of `package://` meshes and of xacro files.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
+        without: Macros of a xacro file whose calls are left out, for want of a package.
         strict: Whether impossible inertias and implausible sizes are errors.
         controllers_file: YAML file of the robot's controllers: evidence of its kind, and opinions on radius and track.
         mu: Friction coefficient between the floor and the wheels of a skid-steer base.
@@ -63,6 +64,7 @@ class Overrides(Settings, frozen=True):
     arm_tip: str | None = None
     package_dirs: tuple[str, ...] = ()
     xacro: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
     strict: bool = False
     controllers_file: str | None = None
     mu: float | None = None

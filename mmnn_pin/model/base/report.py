@@ -20,13 +20,15 @@ from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base
 from .differential import DifferentialDrive
-from .evidence import RADII, TRACKS, Evidence, evidence, stated
+from .evidence import RADII, TRACKS, Evidence, beside, evidence, in_yaml, stated
 from .overrides import Overrides
-from .wheels import HUB, LUMPY, PARTIAL, STATED, Candidate, Candidates, coaxial
+from .wheels import HUB, LUMPY, PARTIAL, STATED, UNSEEN, Candidate, Candidates, coaxial
 
 GO_ON = "name the drive wheels with --wheels LEFT,RIGHT, or say what it is with --base"
 
-LARGE = 2.0  # [m]; no wheel of a robot is larger
+STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
+
+LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
 
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
 
@@ -44,11 +46,14 @@ CODES = {
     "base-evidence": "note",
     "base-roller": "warning",
     "base-omni": "note",
+    "base-none": "note",
     "base-pushed": "warning",
     "base-sides": "warning",
     "base-radius": "warning",
+    "base-heading": "warning",
     "base-hub-height": "warning",
-    "base-size": "strict",
+    "base-size": "error",
+    "base-shapes": "warning",
     "base-joints": "note",
     "base-stated": "warning",
     "base-driven": "note",
@@ -100,13 +105,14 @@ def settle(audited: Sequence[Finding], findings: Sequence[Finding], strict: bool
     return (*audited, *pieces)
 
 
-def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Finding]:
+def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: bool) -> list[Finding]:
     """Warnings about radii that are odd, differ or are not measured, and a floor that is not the root's.
 
     Args:
         rest: The robot at rest.
         base: Its base.
         wheels: Its drive wheels, and maybe others.
+        given: Whether the user states the radius.
     """
     if not base.wheels:
         return []
@@ -122,10 +128,15 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate]) -> list[Fi
         text = f"'{first}' is on the left: does the robot drive along -x?"
         why = "names decide nothing: forward is the rolling direction nearer the root link's x"
         notes.append(note(rest, "base-sides", first, text, why, "check it"))
-    large = [w for w in base.wheels if w.radius > LARGE]
-    if large:
-        text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m"
-        why, fix = "is its mesh in millimetres? taken as it is", "give the mesh a scale of 0.001"
+    if len(base.wheels) != 3 and abs(cos(base.frame[2])) < STRAIGHT:
+        turned = np.degrees(base.frame[2])
+        text = f"the wheels roll at {turned:.3g} degrees from the x of the root link '{rest.document.root_link}'"
+        why, fix = "forward is where they roll", "turn the axes of their joints if they roll along x"
+        notes.append(note(rest, "base-heading", first, text, why, fix))
+    large = [w for w in base.wheels if w.radius > LARGE or 0 < WIDE * base.track < w.radius]
+    if large and not given:
+        text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m on a track of {base.track:.4g} m"
+        why, fix = "is its mesh in millimetres or inches?", "give the mesh its scale, or --radius"
         notes.append(note(rest, "base-size", large[0].joint, text, why, fix))
     if max(radii) - min(radii) > SAME_RADIUS * max(radii):
         sizes = ", ".join(f"'{w.joint}' {w.radius:.4g} m" for w in base.wheels)
@@ -160,6 +171,18 @@ def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overr
     if overrides.track is None and apart(joints, contacts):
         text = f"the wheels touch the floor {contacts:.4g} m apart, their joints are {joints:.4g} m apart"
         yield note(rest, "base-joints", first, text, "the track is that of the contacts", "--track for another")
+    unseen = [c.joint.name for c in own if c.shape in UNSEEN]
+    if unseen and overrides.track is None and len(base.wheels) > 1:
+        text = f"the track of {contacts:.4g} m is that of the joints: where {', '.join(unseen)} touch cannot be seen"
+        fix = "--track for another, or --package-dir where their meshes are"
+        yield note(rest, "base-joints", first, text, "no shape of them can be read whole", fix)
+    for c in own if overrides.radius is None else ():
+        if not math.isnan(c.other) and apart(c.other, c.radius):
+            text = (
+                f"'{c.joint.name}' has a radius of {c.radius:.4g} m by its collision shapes, {c.other:.4g} m by sight"
+            )
+            yield note(rest, "base-shapes", c.joint.name, text, "taken are the former", f"--radius {c.other:.4g}")
+            break
     blind = [c.joint.name for c in own if c.shape == STATED and overrides.radius is None]
     questions = [("track", base.track, stated(rest, overrides.controllers_file, TRACKS)), ("radius", radius, [])]
     questions[1] = ("radius", radius, stated(rest, overrides.controllers_file, RADII))
@@ -172,6 +195,23 @@ def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overr
             elif apart(opinion.value, used):
                 text = f"{opinion.text} states a {name} of {opinion.value:.4g} m, its geometry {used:.4g} m"
                 yield note(rest, "base-stated", first, text, "taken is the geometry", f"--{name} {opinion.value:.6g}")
+
+
+def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]:
+    """What controllers' files beside the robot's state of its track and radius, where none says what its geometry does.
+
+    They are told, not used: a file may be another robot's.
+    """
+    if not base.wheels or base.is_pushed or overrides.controllers_file is not None:
+        return
+    files = beside(rest)
+    for name, used, names in (("track", base.track, TRACKS), ("radius", base.wheels[0].radius, RADII)):
+        found = [(file, one) for file in files for one in in_yaml(str(file), names)]
+        if getattr(overrides, name) is None and found and all(apart(one.value, used) for _, one in found):
+            file, one = found[0]
+            text = f"{file} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
+            fix = f"--controllers {file} where it is this robot's, --{name} {one.value:.6g} to use it"
+            yield note(rest, "base-stated", base.wheels[0].joint, text, "taken is the geometry", fix)
 
 
 def apart(one: float, other: float) -> bool:
@@ -199,7 +239,7 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     notes = []
     for reason in dict.fromkeys(arm.reasons.values()):
         names = [name for name, why in arm.reasons.items() if why == reason]
-        if "short branch" in reason:
+        if "taken as a" in reason:
             text, fix = f"locked: {', '.join(names)}", "--free JOINT moves one, all all"
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
     return notes
@@ -321,7 +361,7 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
         why = "no shape of them can be read, and nothing tells where the floor is"
         if any(c.shape == PARTIAL for c in near_misses):
             why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
-        fix = "give --radius (and --package-dir, where their meshes are); --base fixed parks them"
+        fix = "give --radius METRES, and --package-dir FOLDER where their meshes are; --base fixed parks them"
     else:
         why = f"they end {min(c.bottom for c in near_misses) - candidates.floor:.3g} m above the robot's lowest point"
     return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)

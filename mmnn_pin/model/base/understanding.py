@@ -17,8 +17,17 @@ from ..urdf.document import Joint
 from ..urdf.finding import Finding
 from ..urdf.shapes import AtRest
 from .base import Base, Fixed
-from .evidence import RADII, evidence, follows_on_its_side, motors_named, stated, stated_rollers, verdict
-from .machines import machine, steering_named, tracks
+from .evidence import (
+    RADII,
+    evidence,
+    follows_on_its_side,
+    motors_named,
+    plugins,
+    stated,
+    stated_rollers,
+    verdict,
+)
+from .machines import MOST_PER_SIDE, machine, steering_named, tracks
 from .overrides import Overrides
 from .placing import crossed, declared_wheel, in_order, mecanum, pushed, require_used, skidding, with_wheels
 from .report import (
@@ -33,6 +42,7 @@ from .report import (
     note,
     readings,
     second_opinions,
+    unasked,
     undecided,
     unsupported,
     welded_note,
@@ -58,6 +68,8 @@ STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like", re.IGNORECASE)
 UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
 
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
+
+UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 
 SAME_SIZE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
 
@@ -91,9 +103,14 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     else:
         found = decide(rest, candidates, overrides)
     found = with_strays(rest, found, overrides)
+    require_drive(rest, found.base, overrides)
     require_used(overrides, found.base)
     welds = welded_note(rest, welded_cylinders(rest, candidates.floor)) if found.base.wheels else []
-    notes = [*base_notes(rest, found.base, drives), *second_opinions(rest, found.base, drives, overrides)]
+    notes = [
+        *base_notes(rest, found.base, drives, overrides.radius is not None),
+        *second_opinions(rest, found.base, drives, overrides),
+    ]
+    notes += unasked(rest, found.base, overrides)
     return replace(found, findings=(*found.findings, *notes, *welds))
 
 
@@ -131,6 +148,19 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
     why, fix = "low on the base and endless: no joints of an arm", "name them in --wheels if they drive"
     told = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
     return BaseResult(base, (*found.findings, told))
+
+
+def require_drive(rest: AtRest, base: Base, overrides: Overrides) -> None:
+    """Refuse to take a robot as an arm on a stand though a plugin drives its base.
+
+    Raises:
+        Undecided: One does.
+    """
+    driving = tuple(dict.fromkeys(piece.text for piece in plugins(rest)))
+    if driving and not base.columns and overrides.base is None:
+        why = "no joint could be a wheel, and a plugin drives a base"
+        rolls = Reading("holonomic", driving, ("no wheel can turn in this file",))
+        raise undecided(rest, [], [rolls, Reading("fixed", ("no wheel is found",), driving)], why, UNDRIVEN)
 
 
 def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
@@ -248,25 +278,28 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         names = ", ".join(f"'{joint.name}'" for joint in welded)
         rolls = Reading("holonomic", ("wheels under casters on all sides",), (f"{names} are welded on (fixed joints)",))
         still = Reading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
-        fix = (
-            "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame, "
-            "or make the wheels' joints continuous"
-        )
+        fix = f"{UNDRIVEN}, or make the wheels' joints continuous"
         raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
     if not moving:
-        raise unsupported(rest, "single rigid body", "it has no joint that moves")
+        fix = "--base holonomic drives it by forces on its frame, if it drives at all"
+        raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
     if overrides.base is not None:
         why = "no joint turns without end about a horizontal axis with something round on the floor"
         yours = Reading(overrides.base, ("you said so",), (why,))
         raise undecided(rest, [], [yours], why, "name them with --wheels LEFT,RIGHT")
-    return BaseResult(Fixed())
+    text = "nothing in this file could be a wheel: taken as an arm on a stand"
+    fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
+    return BaseResult(Fixed(), (note(rest, "base-none", "", text, fix=fix),))
 
 
 def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
     """Four or more wheels that roll in one direction: mecanum wheels or a skid-steer, as the evidence has it."""
     told = evidence(rest, drives, overrides.controllers_file)
-    if overrides.wheels is None and (why := tracks(rest)):
-        raise unsupported(rest, "tracked machine", why, drives)
+    if overrides.wheels is None and (why := tracks(rest, drives)):
+        few = len(drives) <= 2 * MOST_PER_SIDE
+        if overrides.base != "skid_steer" or not few:
+            fix = "--base skid_steer if it runs on these wheels, --base fixed takes it as an arm" if few else ""
+            raise unsupported(rest, "tracked machine", why, drives, fix)
     meaning = overrides.base if overrides.base in ("holonomic", "skid_steer") else verdict(told)
     if meaning is None and (why := steering_named(rest)):
         raise unsupported(rest, "car-like base", why, drives)
@@ -372,6 +405,11 @@ def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Cand
     if front and steers and not rolls:
         why = f"{'; '.join(c.text for c in front)} has no trail and steers: {', '.join(steers)}"
         raise unsupported(rest, "car-like base", why, front)
+    if front_axle(front, drives) and not rolls:
+        names = ",".join(c.joint.name for c in drives)
+        fix = f"--wheels {names} if those in front are casters, --base fixed takes it as an arm"
+        why = f"two wheels on one axle are steered, without a trail: {'; '.join(c.text for c in front)}"
+        raise unsupported(rest, "car-like base", why, front, fix)
     if steers or (front and not rolls):
         why = f"the file also speaks of steering: {', '.join(steers)}"
         if not steers:
@@ -379,6 +417,11 @@ def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Cand
         two = Reading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
         car = Reading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
         raise undecided(rest, wheels, [two, car], why)
+
+
+def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
+    """Whether two wheels that could be steered make an axle of their own, parallel to that of two others."""
+    return len(front) == 2 and coaxial(*front) and not coaxial(front[0], drives[0]) and parallel(front[0], drives[0])
 
 
 def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Iterator[tuple[str, str]]:

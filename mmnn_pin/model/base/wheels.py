@@ -28,6 +28,7 @@ TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
 LUMPY = "not round"
 PARTIAL = "mesh missing"  # a shape that is not measured, since a mesh of it cannot be read
 HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body cannot be read
+UNSEEN = (HUB, STATED, PARTIAL, LUMPY, "unknown")
 FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE)  # of frames that stand for the floor
 WHEEL_NAMES, STEER_NAMES = re.compile(r"wheel", re.IGNORECASE), re.compile(r"steer", re.IGNORECASE)
 LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
@@ -51,6 +52,7 @@ class Candidate:
         mount: What it hangs on: a free `swivel`, a `steering` joint, a `leg`, or nothing that turns.
         trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
+        other: Radius of its visual shapes where its collision shapes are measured, nan where it is not known [m].
     """
 
     joint: Joint
@@ -61,6 +63,7 @@ class Candidate:
     mount: Mount = ""
     trail: float = math.inf
     rollers: tuple[str, ...] = ()
+    other: float = math.nan
 
     @property
     def bottom(self) -> float:
@@ -188,8 +191,16 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
         seen, blind = seen or bool(bodies), blind or gone or rims_gone
         if rounds and not gone and not rims_gone:
             radius, travel, kind = max(rounds)
-            return Candidate(joint, axis, hub + travel * axis, radius, kind)
+            other = sight(rest, joint) if tag == "collision" and not rims else math.nan
+            return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other)
     return Candidate(joint, axis, hub, math.nan, PARTIAL if blind else LUMPY if seen else "unknown")
+
+
+def sight(rest: AtRest, joint: Joint) -> float:
+    """Radius of the round visual shapes on a joint, nan where there are none or one of them cannot be read [m]."""
+    bodies, gone = readable(rest, rest.document.body(joint.child), "visual")
+    fits = [fit for s in bodies if (fit := round_about(s, rest.hub(joint), rest.axis(joint)))]
+    return max(fits)[0] if fits and not gone else math.nan
 
 
 def readable(rest: AtRest, links: list[str], tag: str) -> tuple[list[Shape], bool]:

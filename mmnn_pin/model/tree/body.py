@@ -99,10 +99,9 @@ def new_work(body: Body) -> Work:
 
 
 def parameters(robot: Robot) -> Array:
-    """Parameters of a robot, (k,): `Y theta` is its Psi where dry friction is Coulomb's in the joints alone.
+    """Parameters of a robot, (k,): `Y theta` is its Psi where dry friction is Coulomb's, without `breakaway`.
 
-    There is no `breakaway` then, and no friction against the turning of a skid-steer base. Friction on a
-    joint's velocity counts as friction of the joint.
+    Friction on a joint's velocity counts as friction of the joint.
 
     Raises:
         RobotError: A joint that cannot be flattened.
@@ -119,6 +118,7 @@ def parameters(robot: Robot) -> Array:
             robot.viscous[: layout.base],
             viscous[moving],
             robot.coulomb[moving],
+            robot.coulomb[2:3] if robot.base.kind == "skid_steer" else (),
         )
     )
 

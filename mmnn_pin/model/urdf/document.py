@@ -33,7 +33,7 @@ class Joint:
         axis: (3,) unit axis in the child's frame (a fixed joint's may be zero).
         lower: Lower limit [rad or m], -inf when unlimited.
         upper: Upper limit [rad or m], inf when unlimited.
-        effort: Largest torque or force [N m or N]; inf when the file states none or 0.
+        effort: Largest torque or force [N m or N]; inf when the file states none, 0 or a negative one.
         damping: Viscous friction [N m s or N s/m].
         friction: Coulomb friction [N m or N].
         mimics: Joint that it follows, None for an ordinary joint.
@@ -85,7 +85,7 @@ class Joint:
             axis=np.array(axis) / (math.hypot(*axis) or 1.0),
             lower=number(limit, "lower", 0.0) if limited else -math.inf,
             upper=number(limit, "upper", 0.0) if limited else math.inf,
-            effort=number(limit, "effort", 0.0) or math.inf,
+            effort=effort if (effort := number(limit, "effort", 0.0)) > 0 else math.inf,
             damping=number(dynamics, "damping", 0.0),
             friction=number(dynamics, "friction", 0.0),
             mimics=None if mimic is None else mimic.get("joint"),

@@ -21,6 +21,7 @@ CODES = {
     "not-urdf": "error",
     "xacro": "error",
     "expanded": "note",
+    "color": "warning",
     "xacro-package": "warning",
     "namespace": "warning",
     "version": "error",
@@ -54,7 +55,7 @@ CODES = {
     "no-axis": "note",
     "no-limit": "error",
     "limit-order": "error",
-    "limit-negative": "error",
+    "limit-negative": "warning",
     "limit-empty": "warning",
     "zero-effort": "warning",
     "no-effort": "warning",
@@ -160,23 +161,27 @@ def settle(findings: Sequence[Finding], path: Path, strict: bool) -> tuple[Findi
     return tuple(sorted(placed, key=lambda f: f.line))
 
 
-def excused(findings: Sequence[Finding], still: Iterable[str]) -> tuple[Finding, ...]:
+def excused(findings: Sequence[Finding], still: Iterable[str], arm: Iterable[str] = ()) -> tuple[Finding, ...]:
     """Findings where what only matters to joints that stand still is a warning.
 
     Args:
         findings: All of them.
         still: Joints that stand still.
+        arm: Joints that could.
 
     Raises:
         AuditError: An error is left.
     """
-    standing = set(still)
-    judged = tuple(
-        replace(f, severity="warning", why="taken as it is: the joint stands still")
-        if f.severity == "error" and f.joint in standing
-        else f
-        for f in findings
-    )
+    standing, lockable = set(still), set(arm)
+
+    def judge(f: Finding) -> Finding:
+        if f.severity != "error" or f.joint not in standing | lockable:
+            return f
+        if f.joint in standing:
+            return replace(f, severity="warning", why="taken as it is: the joint stands still")
+        return replace(f, fix=f"{f.fix}, or --lock {f.joint}")
+
+    judged = tuple(map(judge, findings))
     if any(f.severity == "error" for f in judged):
         raise AuditError(judged)
     return judged

@@ -188,7 +188,8 @@ def bad_limit(joint: etree._Element, kind: str) -> Iterator[Finding]:
         yield finding("limit-empty", limit, what, "taken as it is: the joint cannot move", fix)
     for key in ("effort", "velocity"):
         if number(limit, key, 0.0) < 0:
-            yield finding("limit-negative", limit, f"{key} is negative", "a limit is at least 0", "give its magnitude")
+            why = "taken as no limit, which it is in SDF"
+            yield finding("limit-negative", limit, f"{key} is negative", why, "give its magnitude, or delete it")
     if kind != "fixed" and limit.get("effort") is not None and number(limit, "effort", 0.0) == 0:
         why = "assumed: no limit, a motor of 0 could not move it"
         yield finding("zero-effort", limit, "effort limit is 0", why, "state the largest torque or force")

@@ -1,4 +1,4 @@
-"""Files as people have them: ROS packages found without ROS, meshes found in them, xacro expanded to URDF.
+"""Files as people have them: ROS packages found without ROS, and meshes found in them.
 
 A package is a folder of its name, or one whose `package.xml` says the name. It is looked for in the folders that are
 given, in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`, and in the folders above the file. Nothing is fetched.
@@ -6,19 +6,13 @@ given, in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`, and in the folders above t
 
 from __future__ import annotations
 
-import contextlib
-import io
 import os
 import re
-import sys
-import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Literal
-
-from ...errors import ConfigError, RobotError
+from typing import Literal
 
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
 
@@ -27,10 +21,6 @@ ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels be
 NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
 FIND = re.compile(r"^(?:file://)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*(.*)$")
-
-XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
-
-_lock = threading.Lock()  # xacro keeps its state in its module
 
 
 # -- packages ----------------------------------------------------------------------------------------------------------
@@ -174,144 +164,3 @@ def first_inside(files: list[str], allowed: list[str]) -> MeshFile:
     if not inside:
         return MeshFile(None, "outside")
     return next((MeshFile(Path(file)) for file in inside if os.path.isfile(file)), MeshFile(None, "missing"))
-
-
-# -- xacro -------------------------------------------------------------------------------------------------------------
-
-
-def is_xacro(path: Path, data: bytes) -> bool:
-    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro."""
-    return path.suffix == ".xacro" or bool(XACRO.search(data))
-
-
-def arguments_of(given: Sequence[str]) -> dict[str, str]:
-    """Arguments of a xacro file, written `NAME:=VALUE`.
-
-    Raises:
-        ConfigError: Something else is given, or a name twice.
-    """
-    table: dict[str, str] = {}
-    for text in given:
-        name, separator, value = text.partition(":=")
-        if not (separator and name) or name in table:
-            raise ConfigError(f"'{text}'", fix="write NAME:=VALUE, each name once", key="xacro")
-        table[name] = value
-    return table
-
-
-def expand(path: Path, given: Sequence[str] = (), package_dirs: Sequence[str | Path] = ()) -> tuple[bytes, list[str]]:
-    """The URDF that a xacro file expands to, and the packages that it names and could do without.
-
-    Args:
-        path: The file.
-        given: Arguments, `NAME:=VALUE`.
-        package_dirs: Folders that hold packages.
-
-    Raises:
-        ConfigError: Arguments that are none.
-        RobotError: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
-    """
-    arguments = arguments_of(given)
-    try:
-        import xacro
-        import xacrodoc  # the extra `xacro`
-    except ImportError:
-        fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
-        raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1) from None
-    known, absent = packages(path, package_dirs), set[str]()
-    with _lock, lenient(xacro, xacrodoc, known, absent), contextlib.redirect_stderr(io.StringIO()):
-        try:
-            return bytes(xacro.process_file(str(path), mappings=arguments).toxml(encoding="utf-8")), sorted(absent)
-        except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
-            place = next((file for file in reversed(xacro.filestack or ()) if file), str(path))
-            raise refusal(Path(place), error, sorted(absent)) from None
-
-
-@contextlib.contextmanager
-def lenient(xacro: Any, xacrodoc: Any, known: dict[str, str], absent: set[str]) -> Iterator[None]:
-    """Have xacro find packages without ROS, and do without those that it does not need.
-
-    A file of a package that is not there is left out: where a macro or property of it is used, xacro refuses all the
-    same. A file that a build would install elsewhere in its package is taken where it is, if there is one alone.
-
-    Args:
-        xacro: The module.
-        xacrodoc: The module that finds packages where ROS is installed.
-        known: Folders of packages.
-        absent: Filled with the packages that are not there.
-    """
-    places: Any = sys.modules["xacro.substitution_args"]
-    parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
-
-    def seek(package: str) -> str:
-        if package not in known:
-            try:
-                known[package] = xacrodoc.packages.get_path(package)
-            except xacrodoc.packages.PackageNotFoundError:
-                absent.add(package)
-        return known.get(package, f"package://{package}")
-
-    def parsed(given: Any, filename: str | None = None) -> Any:
-        document = parse(given, filename)
-        for element in document.getElementsByTagName("xacro:include"):
-            package = re.search(r"\$\(find\s+([^)\s]+)\s*\)", element.getAttribute("filename"))
-            if package and seek(package[1]).startswith("package://"):
-                element.setAttribute("optional", "true")
-        return document
-
-    def files(name: str, symbols: Any) -> Iterator[str]:
-        for file in include_files(name, symbols):
-            yield file if os.path.exists(file) else elsewhere(file, known)
-
-    xacro.parse, xacro.get_include_files, places._eval_find = parsed, files, seek
-    xacro.filestack = None
-    try:
-        yield
-    finally:
-        xacro.parse, xacro.get_include_files, places._eval_find = parse, include_files, find
-
-
-def elsewhere(file: str, known: dict[str, str]) -> str:
-    """The one file of the same package whose path ends like that of a missing one, else the missing one."""
-    root = next((folder for folder in known.values() if file.startswith(os.path.join(folder, ""))), None)
-    if root is None:
-        return file
-    tail = os.path.relpath(file, root)
-    found = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
-    return found[0] if len(found) == 1 else file
-
-
-# What xacro says where a file cannot be expanded, and the way out; the group is the word that its line has.
-WAYS_OUT = (
-    (r"package://([^/'\" ]+)", "give the folder that holds package '{}' with --package-dir"),
-    (r"Undefined substitution argument (\S+)", "give it: --xacro {}:=VALUE"),
-    (
-        r"No such file or directory:? .*?([^/'\" ]+)['\"]?(?: |$)",
-        "is '{}' in a package that --package-dir should name?",
-    ),
-    (r"unknown macro name: xacro:(\S+)", "is the file that defines '{}' included?"),
-    (r"(unbound prefix)", 'declare it: <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'),
-    (r"(maximum recursion depth exceeded)", "files or macros include each other without end: open the circle"),
-)
-
-
-def refusal(place: Path, error: Exception, absent: list[str]) -> RobotError:
-    """Why a file could not be expanded, at the line where the cause is named."""
-    text = " ".join((str(error).strip().splitlines() or [type(error).__name__])[0].split())
-    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", text), "", "mend the file"
-    for pattern, way in WAYS_OUT:
-        if hit := re.search(pattern, text):
-            word, fix = hit[1], way.format(hit[1])
-            break
-    if absent and (fix == "mend the file" or "included" in fix):
-        fix = f"is it in a package that is not found ({', '.join(absent)})? Give its folder with --package-dir"
-    return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
-
-
-def line_of(path: Path, word: str) -> int:
-    """First line of a file that has a word, 1 where none has."""
-    with contextlib.suppress(OSError):
-        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
-            if word and word.encode() in line:
-                return number
-    return 1

@@ -18,7 +18,9 @@ from pathlib import Path
 
 from lxml import etree
 
+from ...errors import ConfigError
 from .document import Document, Tree
+from .expansion import expand, is_xacro
 from .finding import AuditError, Finding, finding, settle
 from .mechanism import (
     bad_bodies,
@@ -31,9 +33,9 @@ from .mechanism import (
     no_inertials,
     too_large,
 )
-from .packages import FIND, MeshFile, expand, is_xacro, locate
+from .packages import FIND, MeshFile, locate
 from .shapes import NO_SHAPE, damage_of
-from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml
+from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml, read_numbers
 
 MAX_BYTES = 50_000_000
 
@@ -69,11 +71,17 @@ REQUIRED: dict[str, tuple[str, ...]] = {
     "mimic": ("joint",),
 }
 
+GREY = "0.5 0.5 0.5 1"
+
 SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",), "box": ("size",)}
 
 
 def read(
-    path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = (), xacro: Sequence[str] = ()
+    path: str | Path,
+    strict: bool = False,
+    package_dirs: Sequence[str | Path] = (),
+    xacro: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> Document:
     """Read and audit a URDF file, or a xacro file that makes one.
 
@@ -82,12 +90,13 @@ def read(
         strict: Whether impossible inertias and implausible sizes are errors rather than warnings.
         package_dirs: Folders that hold the packages of `package://` meshes.
         xacro: Arguments of a xacro file, `NAME:=VALUE`.
+        without: Macros of a xacro file whose calls are left out.
 
     Raises:
         RobotError: The file cannot be read, is not a URDF, or the audit refuses it; its `findings` are all that was
             found, its message tells them one per line.
     """
-    return accepted(*audit_file(path, strict, package_dirs, xacro))
+    return accepted(*audit_file(path, strict, package_dirs, xacro, without))
 
 
 def parse(data: bytes, path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = ()) -> Document:
@@ -117,7 +126,11 @@ def accepted(document: Document | None, findings: tuple[Finding, ...]) -> Docume
 
 
 def audit_file(
-    path: str | Path, strict: bool = False, package_dirs: Sequence[str | Path] = (), xacro: Sequence[str] = ()
+    path: str | Path,
+    strict: bool = False,
+    package_dirs: Sequence[str | Path] = (),
+    xacro: Sequence[str] = (),
+    without: Sequence[str] = (),
 ) -> tuple[Document | None, tuple[Finding, ...]]:
     """Everything there is to say about a file, in one pass, and its document when nothing forbids to load it.
 
@@ -128,6 +141,7 @@ def audit_file(
         strict: As in `read`.
         package_dirs: As in `read`.
         xacro: As in `read`.
+        without: As in `read`.
 
     Raises:
         RobotError: A xacro file that cannot be expanded.
@@ -148,7 +162,7 @@ def audit_file(
         problem = f"cannot be read ({error})"
     else:
         if len(data) <= MAX_BYTES and is_xacro(path, data):
-            data, absent = expand(path, xacro, package_dirs)
+            data, absent = expand(path, xacro, package_dirs, without)
             if len(data) > MAX_BYTES:
                 what = f"expands to more than {MAX_BYTES // 1_000_000} MB"
                 return None, settle([finding("file", 1, what)], path, strict)
@@ -158,8 +172,13 @@ def audit_file(
                 what, why = f"packages not found: {', '.join(absent)}", "what their files would add is left out"
                 fix = "give the folder that holds them with --package-dir"
                 notes.append(finding("xacro-package", 1, what, why, fix))
+            if without:
+                notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", "you said --without"))
             findings = (*settle(notes, path, strict), *findings)
             return document and replace(document, findings=findings), findings
+        if xacro or without:
+            what = "arguments of xacro for a file with nothing to expand"
+            raise ConfigError(what, why="nothing would use them", fix="leave them out", file=path)
         if len(data) <= MAX_BYTES:
             return audit_data(data, path, strict, package_dirs)
         problem = f"has more than {MAX_BYTES // 1_000_000} MB"
@@ -215,7 +234,7 @@ def transposed(root: etree._Element) -> Iterator[Finding]:
     for element in root.iterfind("link/inertial/inertia"):
         for wrong, right in (("iyx", "ixy"), ("izx", "ixz"), ("izy", "iyz")):
             value = element.get(wrong)
-            if value is not None and element.get(right, value) == value:
+            if value is not None and read_numbers(element.get(right, value)) == read_numbers(value):
                 element.set(right, element.attrib.pop(wrong))
                 what = f"'{wrong}' of <inertia> is taken as '{right}'"
                 yield finding("transposed-inertia", element, what, "an inertia is symmetric", f"write '{right}'")
@@ -297,7 +316,10 @@ def bad_numbers(elements: Elements) -> Iterator[Finding]:
             if key not in counts or "$" in text or element.get(key) is None:
                 continue
             problem, plain = number_problem(text, counts[key]), plainly(text)
-            if problem:
+            if problem and tag == "color":
+                element.set(key, GREY)  # Pinocchio's parser drops the robot over it
+                yield finding("color", element, f"{key} of <color> {problem}", "taken as grey", "give 4 numbers")
+            elif problem:
                 code = "vector-length" if "number(s)" in problem else "number"
                 fix = f"give {counts[key]} finite number(s) in SI units"
                 yield finding(code, element, f"{key} of <{tag}> {problem}", why(tag), fix)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from ...elementary.matrices import length, product
 from ...signals import Array
 from .document import Document, Joint, placement
 from .packages import locate
-from .xml import number, numbers, vector
+from .xml import number, numbers, read_numbers, vector
 
 PRIMITIVES = ("cylinder", "sphere", "box")
 
@@ -36,11 +37,17 @@ HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizon
 
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
 
-MOST_BYTES = 200_000_000  # of a mesh; no wheel needs more
+MOST_BYTES = {".stl": 60_000_000, ".dae": 60_000_000, ".obj": 60_000_000}  # of a mesh; no wheel needs more
+
+OTHER_FORMATS = {".ply": 8_000_000, ".glb": 8_000_000, ".gltf": 8_000_000, ".off": 8_000_000}  # read by trimesh
 
 CHUNK = 65_536  # bytes looked at, at either end of a file
 
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
+
+UNIT = re.compile(rb"<unit\b[^>]*?\bmeter\s*=\s*[\"']([^\"']+)[\"']")  # of a COLLADA file
+
+VERTEX = re.compile(rb"^v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.MULTILINE)  # of an OBJ file
 
 NO_SHAPE = "assumed: no shape; only the radius of a wheel needs it"
 
@@ -281,14 +288,27 @@ def vertices_of(file: Path, changed: int) -> Array:
         return np.zeros((0, 3))
     if file.suffix.lower() == ".stl" and (corners := stl_corners(file)) is not None:
         return corners
+    if file.suffix.lower() == ".obj":
+        return obj_vertices(file)
     import trimesh  # comes with yourdfpy; slow to import
 
     logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # of textures that are not there
     try:
         with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
-            return np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
+            vertices = np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
+        return vertices * unit_of(file)
     except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
         return np.zeros((0, 3))
+
+
+def unit_of(file: Path) -> float:
+    """Metres in the unit of a COLLADA file, by which RViz and Gazebo scale it; 1 where none is stated."""
+    if file.suffix.lower() != ".dae":
+        return 1.0
+    with file.open("rb") as stream:
+        hit = UNIT.search(stream.read(CHUNK))
+    value = read_numbers(hit[1].decode(errors="replace")) if hit else ()
+    return value[0] if len(value) == 1 and value[0] > 0 else 1.0
 
 
 def stl_corners(file: Path) -> Array | None:
@@ -298,6 +318,17 @@ def stl_corners(file: Path) -> Array | None:
         return None
     triangles = np.frombuffer(data, dtype=TRIANGLE, count=int.from_bytes(data[80:84], "little"), offset=84)
     return np.asarray(triangles["corners"].reshape(-1, 3), dtype=np.float64)
+
+
+def obj_vertices(file: Path) -> Array:
+    """(k, 3) vertices of an OBJ file; (0, 3) where one is no three numbers."""
+    lines = VERTEX.findall(file.read_bytes())
+    with warnings.catch_warnings(action="ignore"):  # where a word is no number it stops, or refuses all
+        try:
+            values = np.fromstring(b" ".join(lines), sep=" ")
+        except ValueError:
+            return np.zeros((0, 3))
+    return values.reshape(-1, 3) if values.size == 3 * len(lines) else np.zeros((0, 3))
 
 
 def damage_of(file: Path) -> str:
@@ -312,8 +343,11 @@ def damage_of(file: Path) -> str:
         return f"cannot be read ({error.strerror})"
     if not size:
         return "it is empty"
-    if size > MOST_BYTES:
-        return f"it has more than {MOST_BYTES // 1_000_000} MB"
+    most = (MOST_BYTES | OTHER_FORMATS).get(file.suffix.lower())
+    if most is None:
+        return "it is in a format that is not read: use STL, COLLADA or OBJ"
+    if size > most:
+        return f"it has more than {most // 1_000_000} MB"
     check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage}.get(file.suffix.lower())
     return check(head, tail, size) if check else ""
 

@@ -88,6 +88,8 @@ HEADS = {
     b"version https://git-lfs": ("a pointer to a file in Git LFS", "get the file itself: git lfs pull"),
 }
 
+TAGS = 200_000  # of a file; reading more takes minutes and gigabytes
+
 XACRO_FIX = "expand it first: xacro FILE > robot.urdf"
 
 DEFAULT_NAMESPACE = "//*[namespace-uri() != '' and not(contains(name(), ':'))]"
@@ -115,6 +117,10 @@ def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
     for head, (known, fix) in HEADS.items():
         if data.startswith(head):
             return None, [finding("not-urdf", 1, f"this is {known}, not a URDF", fix=fix)]
+    if data.count(b"<") > TAGS:
+        return None, [
+            finding("too-many", 1, f"has more than {TAGS:,} tags", "no robot needs them", "simplify it", of="")
+        ]
     root, findings = parsed(data)
     line = doctype_line(data)
     if line or (root is not None and root.getroottree().docinfo.doctype):

@@ -15,25 +15,24 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from ....errors import ConfigError, RecordingError
+from ....errors import RecordingError
 from ....model.robot import Robot
 from ....model.urdf.reading import parse
 from ....recording.recording import Recording, recorded_robot
+from ....signals import Array
 from ..figure import run_label, scale_rows, styles_of
 from ..files import Blob, HtmlPage, compressed, fill_template, web_file
+from ..serving import HOST, first_free
 from .motion import Tree, drawable, events_of, frames_of, packed
 from .shapes import Shapes
 
 FPS = 60.0
 LARGE = 50_000_000  # bytes of a page that the user is warned of
-HOST = "127.0.0.1"
-PORTS_TRIED = 50
 LOOK = 0.5  # how often it is looked whether the parent lives [s]
 SCRIPTS = ("unpack.js", "geometry.js", "robot.js", "stage.js", "run.js", "player.js", "main.js")
 
@@ -71,7 +70,8 @@ class Scene:
             InputError: Its robot cannot be built.
         """
         rows = frames_of(recording, fps)
-        index, robot, tree = self._robot(recording)
+        robot = recorded_robot(recording)
+        index, tree = self._robot(robot)
         bodies = {body.joint.name: i for i, body in enumerate(tree.bodies) if body.joint}
         events = [event.for_page(bodies) for event in events_of(recording)]
         about = {"name": name, "label": run_label(name, recording), "robot": index, "color": color, "events": events}
@@ -89,8 +89,16 @@ class Scene:
         scene = {"geometries": self._shapes.geometries, "robots": self._for_page, "runs": self._runs}
         return scene | {"extent": extent, "warnings": list(self.warnings)}
 
-    def _robot(self, recording: Recording) -> tuple[int, Robot, Tree]:
-        robot = recorded_robot(recording)
+    def stand(self, robot: Robot, position: Array) -> None:
+        """Add a robot that stands at a position (nv,), and its ghost: one frame, which others replace."""
+        index, _ = self._robot(robot)
+        still = {name: self.blob.add(position[None], "f4") for name in ("position", "reference")}
+        about = {"name": robot.name, "label": robot.name, "robot": index, "color": "#000000", "events": []}
+        time = self.blob.add(np.zeros(1), "f4")
+        self._runs.append(about | {"frames": 1, "width": position.size, "time": time} | still)
+        self.frames += 1
+
+    def _robot(self, robot: Robot) -> tuple[int, Tree]:
         key = f"{robot.frame.tolist()} {robot.urdf}"
         if key not in self._robots:
             tree = Tree.of(parse(robot.urdf.encode(), robot.path))
@@ -105,8 +113,7 @@ class Scene:
                     "tips": tree.tips(robot),
                 }
             )
-        index, tree = self._robots[key]
-        return index, robot, tree
+        return self._robots[key]
 
 
 def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
@@ -185,20 +192,34 @@ def page(
     scene, styles = Scene(package_dirs), styles_of(recordings)
     for name, recording in recordings.items():
         scene.add(name, recording, styles[name].color, fps)
-    text = fill_template(
-        "page.html",
-        __package__,
-        title=title or title_of(recordings),
-        scripts="\n".join(web_file(name, __package__) for name in SCRIPTS),
-        style=web_file("page.css", __package__),
-        viewer=viewer(),
-        data=scene.blob.pack(scene.header(extent_of(recordings))),
-    )
+    text = rendered(scene, title or title_of(recordings), extent_of(recordings))
     warnings = scene.warnings
     if len(text) > LARGE:
         fix = "show fewer runs, keep fewer frames per second (--fps), or use simpler meshes"
         warnings += (f"the page is large, {len(text) / 1e6:.0f} MB: {fix}",)
     return Page(text, warnings, scene.frames, scene.samples)
+
+
+def live_page(robot: Robot, position: Array, package_dirs: Sequence[str | Path] = ()) -> bytes:
+    """The page of a robot that stands at a position (nv,), until the server that it came from tells of others."""
+    scene = Scene(package_dirs)
+    scene.stand(robot, position)
+    x, y = position[:2].tolist() if robot.dimensions.pose else (0.0, 0.0)
+    return rendered(scene, f"{robot.name}, live", [x - 1, y - 1, x + 1, y + 1], ("live.js",)).encode()
+
+
+def rendered(scene: Scene, title: str, extent: list[float], more: Sequence[str] = ()) -> str:
+    """The HTML of a scene; with more scripts it may ask the server that it came from."""
+    return fill_template(
+        "page.html",
+        __package__,
+        title=title,
+        scripts="\n".join(web_file(name, __package__) for name in (*more, *SCRIPTS)),
+        style=web_file("page.css", __package__),
+        connect="; connect-src 'self'" if more else "",
+        viewer=viewer(),
+        data=scene.blob.pack(scene.header(extent)),
+    )
 
 
 def title_of(recordings: Mapping[str, Recording]) -> str:
@@ -226,51 +247,6 @@ def viewer() -> str:
 
 
 # -- the server --------------------------------------------------------------------------------------------------------
-
-
-class Server(ThreadingHTTPServer):
-    """A silent server of one page."""
-
-    daemon_threads = True
-    data: bytes
-
-    def handle_error(self, request: object, client_address: object) -> None:
-        """A browser that leaves in the middle of a page is no error."""
-
-
-class Handler(BaseHTTPRequestHandler):
-    """Answers `/` with the page, anything else with 404."""
-
-    server: Server
-
-    def do_GET(self) -> None:
-        """Answer."""
-        data = self.server.data if self.path.partition("?")[0] == "/" else b""
-        self.send_response(200 if data else 404)
-        self.send_header("Content-Type", "text/html; charset=utf-8")
-        self.send_header("Content-Length", str(len(data)))
-        self.end_headers()
-        self.wfile.write(data)
-
-    def log_message(self, format: str, *arguments: object) -> None:
-        """Say nothing."""
-
-
-def first_free(port: int, data: bytes) -> Server:
-    """Server of a page on a port or on the next that is free.
-
-    Raises:
-        ConfigError: There is none.
-    """
-    for candidate in range(port, min(port + PORTS_TRIED, 65536)):
-        try:
-            server = Server((HOST, candidate), Handler)
-            server.data = data
-            return server
-        except OSError as error:
-            why = error.strerror or str(error)
-    fix = "choose another with --port, or write the page with --html"
-    raise ConfigError(f"no free port in the {PORTS_TRIED} from {port}", why=why, fix=fix, key="--port")
 
 
 def wait_until_left(parent: int) -> None:

@@ -165,6 +165,7 @@ async function main() {
   switches.update();
   if (window.top === window && !matchMedia("(prefers-reduced-motion: reduce)").matches) player.play();
   window.replay = { player, runs, stage, ready: performance.now() };
+  window.live?.(window.replay);
 }
 
 main().catch((error) => {

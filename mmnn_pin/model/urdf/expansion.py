@@ -1,0 +1,293 @@
+"""xacro to URDF, without ROS, in a process of its own that has a time and a memory that it must not exceed.
+
+A xacro file is a program: its macros may call each other without end, its expressions are Python. So it runs where it
+can be ended. Packages are found as `packages` finds them; what is left out for want of one is told.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from lxml import etree
+
+from ...errors import ConfigError, RobotError
+from .packages import package_of, packages
+
+XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
+
+MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
+
+USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
+
+SECONDS, BYTES = 9.0, 1_000_000_000  # what an expansion may take
+
+FILES = 400  # looked at for one that calls a macro
+
+CHILD = "from mmnn_pin.model.urdf.expansion import child; child()"
+
+
+def is_xacro(path: Path, data: bytes) -> bool:
+    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro."""
+    return path.suffix == ".xacro" or bool(XACRO.search(data))
+
+
+def arguments_of(given: Sequence[str]) -> dict[str, str]:
+    """Arguments of a xacro file, written `NAME:=VALUE`.
+
+    Raises:
+        ConfigError: Something else is given, or a name twice.
+    """
+    table: dict[str, str] = {}
+    for text in given:
+        name, separator, value = text.partition(":=")
+        if not (separator and name) or name in table:
+            raise ConfigError(f"'{text}'", fix="write NAME:=VALUE, each name once", key="xacro")
+        table[name] = value
+    return table
+
+
+def expand(
+    path: Path,
+    given: Sequence[str] = (),
+    package_dirs: Sequence[str | Path] = (),
+    without: Sequence[str] = (),
+) -> tuple[bytes, list[str]]:
+    """The URDF that a xacro file expands to, and the packages that it names and could do without.
+
+    Args:
+        path: The file.
+        given: Arguments, `NAME:=VALUE`.
+        package_dirs: Folders that hold packages.
+        without: Macros whose calls are left out.
+
+    Raises:
+        ConfigError: Arguments that are none, a macro to leave out that is never called.
+        RobotError: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
+    """
+    job = {"path": str(path), "arguments": arguments_of(given), "without": list(without)}
+    if find_spec("xacro") is None or find_spec("xacrodoc") is None:  # the extra `xacro`
+        fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
+        raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1)
+    told, data = run(path, job | {"known": packages(path, package_dirs)})
+    if "error" in told:
+        raise refusal(Path(told["place"]), told["error"], told["absent"], told["needed"])
+    if unused := [name for name in without if name not in told["omitted"]]:
+        raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
+    if b"<link" not in data:
+        raise macros_only(path, data)
+    return (pruned(data) if without else data), told["absent"]
+
+
+def pruned(data: bytes) -> bytes:
+    """A URDF without the joints whose parent was left out, and all that they carry."""
+    try:
+        root = etree.fromstring(data)
+    except etree.XMLSyntaxError:
+        return data
+    links = {link.get("name"): link for link in root.iterchildren("link")}
+    ends = [(joint, joint.find("parent"), joint.find("child")) for joint in root.iterchildren("joint")]
+    hanging = [
+        (joint, up.get("link"), down.get("link")) for joint, up, down in ends if up is not None and down is not None
+    ]
+    while lost := [entry for entry in hanging if entry[1] not in links]:
+        for joint, _, child in lost:
+            root.remove(joint)
+            if child in links:
+                root.remove(links.pop(child))
+        hanging = [entry for entry in hanging if entry not in lost]
+    return bytes(etree.tostring(root))
+
+
+def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+    """What the child process tells of a job, and the URDF that it makes.
+
+    Raises:
+        RobotError: It takes too long or too much.
+    """
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, "-P", "-c", CHILD]
+    try:
+        ended = subprocess.run(
+            command, input=json.dumps(job).encode(), capture_output=True, env=environment, timeout=SECONDS, check=False
+        )
+    except subprocess.TimeoutExpired:
+        why = f"it takes more than {SECONDS:g} s: do its macros call each other without end?"
+        raise RobotError("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1) from None
+    head, _, data = ended.stdout.partition(b"\n")
+    if ended.returncode or not head:
+        why = f"it takes more than {BYTES / 1e9:g} GB, or ends the process that expands it"
+        raise RobotError("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1)
+    return json.loads(head), data
+
+
+def child() -> None:
+    """Expand the file of a job on standard input; on standard output a line of JSON, then the URDF."""
+    job, out = json.load(sys.stdin), sys.stdout
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
+    import xacro
+    import xacrodoc
+
+    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": []}
+    data = b""
+    with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
+        try:
+            data = bytes(xacro.process_file(job["path"], mappings=dict(job["arguments"])).toxml(encoding="utf-8"))
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
+            if isinstance(getattr(error, "exc", None), MemoryError):
+                raise
+            told["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            told["place"] = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
+            used, stated = ({name for text in texts for name in pattern.findall(text)} for pattern in (USED, STATED))
+            told["needed"] = sorted(used - stated - set(job["arguments"]))
+    told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
+    out.write(json.dumps(told) + "\n")
+    out.flush()
+    out.buffer.write(data)
+
+
+@contextlib.contextmanager
+def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[list[str]]:
+    """Have xacro find packages without ROS, and do without those that it does not need; gives the files it reads.
+
+    A file of a package that is not there is left out: where a macro or property of it is used, xacro refuses all the
+    same. A file that a build would install elsewhere in its package is taken where it is, if there is one alone.
+
+    Args:
+        xacro: The module.
+        xacrodoc: The module that finds packages where ROS is installed.
+        job: What to expand: `known`, folders of packages; `without`, macros to leave out.
+        told: `absent` is filled with the packages that are not there, `omitted` with macros that are left out.
+    """
+    places: Any = sys.modules["xacro.substitution_args"]
+    parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
+    known, texts = job["known"], list[str]()
+
+    def seek(package: str) -> str:
+        if package not in known:
+            try:
+                known[package] = xacrodoc.packages.get_path(package)
+            except xacrodoc.packages.PackageNotFoundError:
+                told["absent"].add(package)
+        return known.get(package, f"package://{package}")
+
+    def parsed(given: Any, filename: str | None = None) -> Any:
+        document = parse(given, filename)
+        with contextlib.suppress(OSError, TypeError):
+            texts.append(Path(filename or given).read_text(errors="replace"))
+        for element in document.getElementsByTagName("xacro:include"):
+            package = re.search(r"\$\(find\s+([^)\s]+)\s*\)", element.getAttribute("filename"))
+            if package and seek(package[1]).startswith("package://"):
+                element.setAttribute("optional", "true")
+        for name in job["without"]:
+            for element in document.getElementsByTagName(f"xacro:{name}"):
+                element.parentNode.removeChild(element)
+                told["omitted"].add(name)
+        return document
+
+    def files(name: str, symbols: Any) -> Iterator[str]:
+        for file in include_files(name, symbols):
+            yield file if os.path.exists(file) else elsewhere(file, known)
+
+    xacro.parse, xacro.get_include_files, places._eval_find = parsed, files, seek
+    xacro.filestack = None
+    try:
+        yield texts
+    finally:
+        xacro.parse, xacro.get_include_files, places._eval_find = parse, include_files, find
+
+
+def elsewhere(file: str, known: dict[str, str]) -> str:
+    """The one file of the same package whose path ends like that of a missing one, else the missing one."""
+    root = next((folder for folder in known.values() if file.startswith(os.path.join(folder, ""))), None)
+    if root is None:
+        return file
+    tail = os.path.relpath(file, root)
+    found = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
+    return found[0] if len(found) == 1 else file
+
+
+# -- why it cannot be expanded -----------------------------------------------------------------------------------------
+
+# What xacro says where a file cannot be expanded, and the way out; the group is the word that its line has.
+WAYS_OUT = (
+    (r"package://([^/'\" ]+)", "give the folder that holds package '{}' with --package-dir"),
+    (r"Undefined substitution argument (\S+)", "give it: --xacro {}:=VALUE"),
+    (
+        r"No such file or directory:? .*?([^/'\" ]+)['\"]?(?: |$)",
+        "is '{}' in a package that --package-dir should name?",
+    ),
+    (r"unknown macro name: xacro:(\S+)", "is the file that defines '{}' included?"),
+    (r"(unbound prefix)", 'declare it: <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'),
+    (r"(maximum recursion depth exceeded)", "files or macros include each other without end: open the circle"),
+)
+
+
+def refusal(place: Path, error: str, absent: list[str], needed: list[str]) -> RobotError:
+    """Why a file could not be expanded, at the line where the cause is named.
+
+    Args:
+        place: The file that xacro was in.
+        error: Its words.
+        absent: Packages that are not found.
+        needed: Arguments without a value.
+    """
+    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(error.split())), "", "mend the file"
+    for pattern, way in WAYS_OUT:
+        if hit := re.search(pattern, text):
+            word, fix = hit[1], way.format(hit[1])
+            break
+    if "Undefined substitution" in text and len(needed) > 1:
+        fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
+    if absent and (fix == "mend the file" or "included" in fix):
+        leave = f", or leave it out: --without {word}" if "unknown macro" in text else ""
+        fix = f"is it in a package that is not found ({', '.join(absent)})? Give its folder with --package-dir{leave}"
+    return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+
+
+def line_of(path: Path, word: str) -> int:
+    """First line of a file that has a word, 1 where none has."""
+    with contextlib.suppress(OSError):
+        for number, line in enumerate(path.read_bytes().split(b"\n"), 1):
+            if word and word.encode() in line:
+                return number
+    return 1
+
+
+def macros_only(path: Path, data: bytes) -> RobotError:
+    """The refusal of a file that expands to no links, with one beside it that calls its macros."""
+    macros, near = MACRO.findall(read_text(path)), package_of(str(path.parent.absolute()))
+    others = [file for file in sorted(Path(near).rglob("*.xacro"))[:FILES] if file.resolve() != path.resolve()]
+    if not macros:
+        defined = {name for file in others for name in MACRO.findall(read_text(file))}
+        bare = [name for name in re.findall(r"<([\w.-]+)", data.decode(errors="replace")) if name in defined]
+        why = f"it calls macros without their prefix: <{bare[0]}>" if bare else "it expands to none"
+        fix = f"write <xacro:{bare[0]}>, as xacro needs since ROS Jade" if bare else "describe at least one <link>"
+        return RobotError("it has no links", why=why, fix=fix, file=path, line=line_of(path, (bare or [""])[0]))
+    called = re.compile(rf"<xacro:({'|'.join(map(re.escape, macros))})[\s/>]")
+    callers = [file for file in others if called.search(read_text(file))]
+    example = f", such as {callers[0]}" if callers else ""
+    why, fix = f"it only defines macros: {', '.join(macros[:8])}", f"give a file that calls them{example}"
+    return RobotError("it has no links", why=why, fix=fix, file=path, line=1)
+
+
+def read_text(file: Path) -> str:
+    """The text of a file, empty where it cannot be read or is long."""
+    try:
+        return file.read_text(errors="replace") if file.stat().st_size < 1_000_000 else ""
+    except OSError:
+        return ""

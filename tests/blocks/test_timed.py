@@ -1,0 +1,107 @@
+"""Paths of the base timed along their length: they keep to their limits, waste none, and agree with closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mmnn_pin import load
+from mmnn_pin.errors import TrajectoryError
+from mmnn_pin.reference import Circle, Eight, Timed, Trajectory, Waypoints
+from mmnn_pin.reference.guide import Limits
+from mmnn_pin.reference.wishes import Motion
+
+POINTS = ((0.0, 0.0), (3.0, 0.0), (3.0, 2.5), (6.0, 4.0))
+LIMITS = {"speed": 0.8, "yaw_rate": 1.2, "acceleration": 0.6, "yaw_acceleration": 1.5, "lateral": 0.4}
+
+
+def used(path: Timed, count: int = 1001) -> dict[str, np.ndarray]:
+    """Share of every limit over time."""
+    t = np.linspace(0, path.duration, count)[1:-1]
+    one = path.sample(t)
+    (v, w), (vdot, wdot) = one.velocity.T, one.acceleration.T
+    rim = np.maximum(abs(v - w * path.track / 2), abs(v + w * path.track / 2))
+    return {
+        "speed": abs(v) / path.speed, "yaw_rate": abs(w) / path.yaw_rate, "rim": rim / path.rim,
+        "lateral": abs(v * w) / path.lateral, "acceleration": abs(vdot) / path.acceleration,
+        "yaw_acceleration": abs(wdot) / path.yaw_acceleration,
+    }  # fmt: skip
+
+
+@given(
+    radius=st.floats(0.2, 0.6), speed=st.floats(0.2, 2.0), yaw_rate=st.floats(0.3, 3.0), acceleration=st.floats(0.2, 2),
+    yaw_acceleration=st.floats(0.5, 4.0), lateral=st.floats(0.1, 2.0),
+    rim=st.floats(0.3, 2.0), sign=st.sampled_from([1, -1]),
+)  # fmt: skip
+@settings(max_examples=5, deadline=None)
+def test_it_keeps_to_every_limit_and_is_always_at_one(radius, speed, sign, **limits):
+    path = Timed(Waypoints(POINTS, sign * 0.5, radius, ramp=0.0), speed, rim=limits.pop("rim"), track=0.5, **limits)
+    shares = np.array(list(used(path).values()))
+    assert shares.max() < 1.05  # between the points of its grid
+    assert np.mean(shares.max(axis=0) > 0.9) > 0.95  # no faster way: some limit is used up nearly always
+    ends = path.sample([0.0, path.duration, path.duration + 1])
+    assert np.abs(ends.velocity).max() < 1e-6
+    assert ends.pose[-1, :2] == pytest.approx(POINTS[-1], abs=1e-9) and ends.pose[0, :2] == pytest.approx(POINTS[0])
+
+
+@given(st.floats(0.5, 20), st.floats(0.2, 2), st.floats(0.2, 2))
+@settings(max_examples=6, deadline=None)
+def test_a_straight_line_is_driven_by_the_trapezoid(length, speed, acceleration):
+    path = Timed(Waypoints(((0.0, 0.0), (length, 0.0)), 0.5, 0.3, ramp=0.0), speed, acceleration=acceleration)
+    up = speed**2 / acceleration
+    closed = length / speed + speed / acceleration if length > up else 2 * math.sqrt(length / acceleration)
+    assert path.duration == pytest.approx(closed, rel=0.01)
+
+
+def test_a_wheel_that_turns_slowly_sets_the_pace():
+    slow = Timed(Waypoints(((0.0, 0.0), (10.0, 0.0)), 0.5, 0.3, ramp=0.0), 2.0, acceleration=5.0, rim=0.4, track=0.5)
+    assert np.abs(slow.sample(np.linspace(0, slow.duration, 999)).velocity[:, 0]).max() == pytest.approx(0.4, rel=1e-6)
+    corner = Waypoints(POINTS, 0.5, 0.4, ramp=0.0)
+    narrow, wide = (Timed(corner, **LIMITS, rim=0.8, track=track) for track in (0.1, 1.0))
+    assert wide.duration > narrow.duration * 1.01  # the outer wheel is faster on a wide base
+
+
+@pytest.mark.parametrize("period", [10.0, -10.0])
+def test_one_lap_of_an_eight_either_way(period):
+    path = Timed(Eight(3.0, 1.5, period), **LIMITS)
+    shares = np.array(list(used(path).values()))
+    assert shares.max() < 1.05 and np.mean(shares.max(axis=0) > 0.9) > 0.95
+    ends = path.sample([0.0, path.duration]).pose
+    assert ends[1, :2] == pytest.approx(ends[0, :2], abs=1e-6)
+    v = path.sample(np.linspace(0, path.duration, 99)[1:-1]).velocity[:, 0]
+    assert (np.sign(v) == np.sign(period)).all()
+
+
+@given(st.floats(0.05, 0.95))
+@settings(max_examples=4, deadline=None)
+def test_velocities_are_the_derivative_of_the_path(share):
+    path = Timed(Waypoints(POINTS, 0.5, 0.4, ramp=0.0), **LIMITS)
+    t, h = share * path.duration, 1e-6
+    before, here, after = path.sample([t - h, t, t + h]).pose
+    v, w = path.sample([t]).velocity[0]
+    moved = (after - before) / (2 * h)
+    assert moved == pytest.approx([v * math.cos(here[2]), v * math.sin(here[2]), w], abs=1e-4)
+
+
+def test_a_robots_wheels_and_a_motion_of_it():
+    robot = load("platform_arm")
+    path = Timed.of(Waypoints(POINTS, 0.5, 0.4, ramp=0.0), robot, Limits(speed=0.7), lateral=0.5)
+    assert path.speed == 0.7 and path.track == robot.base.track and path.lateral == 0.5
+    motion = Motion.of(Trajectory(path), path.duration, 0.002, robot.dimensions)
+    assert motion.table[-1, :2] == pytest.approx(POINTS[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize(("more", "words"), [
+    ({"speed": 0.0}, "speed = 0.0 is not positive"),
+    ({"lateral": -1.0}, "lateral = -1.0 is not positive"),
+    ({"rim": math.nan}, "rim = nan is not finite"),
+])  # fmt: skip
+def test_bad_limits_are_refused(more, words):
+    with pytest.raises(TrajectoryError, match=words):
+        Timed(Waypoints(POINTS, 0.5, 0.4, ramp=0.0), **more)
+    with pytest.raises(TrajectoryError, match="cannot be timed"):
+        Timed(Circle(1.0, 0.5))
