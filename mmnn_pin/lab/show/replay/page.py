@@ -52,7 +52,7 @@ class Scene:
 
     def __init__(self, package_dirs: Sequence[str | Path] = ()) -> None:
         self.blob, self.frames, self.samples = Blob(), 0, 0
-        self._shapes = Shapes(self.blob, package_dirs)
+        self._shapes, self._package_dirs = Shapes(self.blob, package_dirs), tuple(package_dirs)
         self._robots: dict[str, tuple[int, Tree]] = {}
         self._for_page: list[dict[str, Any]] = []
         self._runs: list[dict[str, Any]] = []
@@ -90,7 +90,7 @@ class Scene:
         return scene | {"extent": extent, "warnings": list(self.warnings)}
 
     def _robot(self, recording: Recording) -> tuple[int, Robot, Tree]:
-        robot = recorded_robot(recording)
+        robot = recorded_robot(recording, self._package_dirs)
         key = f"{robot.frame.tolist()} {robot.urdf}"
         if key not in self._robots:
             tree = Tree.of(parse(robot.urdf.encode(), robot.path))
