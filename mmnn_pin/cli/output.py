@@ -182,7 +182,11 @@ def open_runs(paths: tuple[Path, ...]) -> list[Recording]:
             fix = f"name one of its folders: {', '.join(folders)}" if folders else "name one that `mmnn run` wrote"
             raise RecordingError("no recordings (*.h5) in this folder", fix=fix, file=path)
         files += here
-    return [Recording.open(file) for file in files]
+    recordings = [Recording.open(file) for file in files]
+    for recording in recordings:
+        for where, why in recording.damage.items():
+            warn(printable(f"{recording.path}: {where} is damaged and left out: {why}"))
+    return recordings
 
 
 def folders_of(path: Path) -> list[Path]:

@@ -141,7 +141,12 @@ def accumulate(
 
 
 def metrics(recording: Recording, windows: Windows) -> dict[str, float]:
-    """Numbers of a recording; see `Reducer.result`."""
+    """Numbers of a recording; see `Reducer.result`.
+
+    Raises:
+        RecordingError: It is damaged.
+    """
+    recording.require_whole()
     labels = {name: recording.labels(name) for name in TRACKED if name in recording}
     rows = np.hstack([as_columns(recording[judged(recording, name)]) for name in ("time", *labels)])
     reducer = Reducer(labels, windows, float(recording.meta["control_period"]), np.arange(1, rows.shape[1]))

@@ -21,10 +21,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import UnknownName
+from ..errors import ConfigError, UnknownName
 from ..signals import SIGNALS, Array, Layout
 from .recording import Outcome, Recording
 from .run_file import Arrays, Columns, RunFile, decode, encode
+from .schema import facts_problem
 
 BUFFER_ROWS = 1024  # of a file
 BLOCK_BYTES = 1 << 22  # of a recording in memory: from this size on numpy asks for large pages, which are faster to get
@@ -47,6 +48,7 @@ class Recorder:
     Raises:
         RecordingError: The file exists (without `force`), another run writes it, or it cannot be created.
         UnknownName: A signal that does not exist.
+        ConfigError: A fact of a wrong type.
     """
 
     def __init__(
@@ -228,7 +230,11 @@ def _facts(meta: Mapping[str, Any]) -> dict[str, Any]:
     facts = {"created": datetime.now(UTC).isoformat(timespec="seconds"), "versions": dict(versions()), **meta}
     if "urdf" in facts:
         facts.setdefault("urdf_sha256", hashlib.sha256(facts["urdf"].encode()).hexdigest())
-    return {name: decode(encode(value)) for name, value in facts.items()}
+    facts = {name: decode(encode(value)) for name, value in facts.items()}
+    if problem := facts_problem(facts):
+        key, what, fix = problem
+        raise ConfigError(what, fix=fix, key=f"meta.{key}")
+    return facts
 
 
 def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:

@@ -1,33 +1,41 @@
 """One run, on disk or in memory: signals with units, weights, config, URDF, versions and the outcome.
 
-`Recording` reads it, `recorder.Recorder` writes it, `run_file` describes the HDF5 file. A run that was killed
-is readable up to its last flush.
+`Recording` reads it, `recorder.Recorder` writes it, `run_file` describes the HDF5 file and `schema` what it must be. A
+run that was killed is readable up to its last flush. Whoever made a file: its texts and names are data. Nothing that
+they name is run, and nothing opened but the meshes of a robot whose own file still lies where the run found it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
+from lxml import etree
 
-from ..errors import RecordingError, UnknownName
+from ..errors import InputError, RecordingError, UnknownName
 from ..model.base.overrides import Overrides
 from ..model.loading import build
 from ..model.robot import Robot
-from ..model.urdf.reading import parse
+from ..model.urdf.document import Document
+from ..model.urdf.packages import locate
+from ..model.urdf.reading import MAX_BYTES, parse
+from ..model.urdf.xml import parse_xml
 from ..signals import INDEX, Array
-from .run_file import Arrays, Columns, decode, open_run, read_arrays
+from .reading import AGAIN, contents, read_arrays
+from .run_file import Arrays, Columns
 
-OUTCOME = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
+T = TypeVar("T")
+UNSEEN = "elsewhere://"  # before the name of a mesh that is not looked for
 # Names in the group `final` of recordings before version 0.2, and what they are called now.
 FINAL_OF_OLD = {"memory": "controller_state", "rig_memory": "hardware_state"}
-NOT_META = ("format", "format_version", "complete", *OUTCOME)
 
 Status = Literal["completed", "diverged", "tripped", "interrupted"]
 
@@ -59,8 +67,7 @@ class Recording:
         meta: Robot, controller, seed, versions and whatever else the run was given.
         outcome: How the run ended; `interrupted` for a run that was killed.
         complete: Whether the run closed its file itself.
-        config_text: The config of the run.
-        urdf: The robot's URDF.
+        damage: What of a damaged file cannot be read, as `signals/z`, and why; empty for a sound one.
         path: The file, None for a recording in memory.
     """
 
@@ -73,13 +80,13 @@ class Recording:
         meta: Mapping[str, Any],
         texts: Mapping[str, str],
         outcome: Outcome | None,
+        damage: Mapping[str, str] | None = None,
         path: Path | None = None,
     ) -> None:
         self._columns = {name: columns[name] for name in sorted(columns, key=lambda n: INDEX.get(n, len(INDEX)))}
         self._rows, self._read = rows, read
         self._signals: Arrays = {}
-        self.meta, self.path = dict(meta), path
-        self.config_text, self.urdf = texts.get("config", ""), texts.get("urdf", "")
+        self.meta, self.path, self.damage, self._texts = dict(meta), path, dict(damage or {}), dict(texts)
         self.complete = outcome is not None
         self.outcome = outcome or self._killed()
 
@@ -88,21 +95,78 @@ class Recording:
         """Read a recording from a file; its signals stay on disk until asked for.
 
         Raises:
-            RecordingError: No such file, not HDF5, not a recording, or written by a newer mmnn_pin.
+            RecordingError: No such file, not HDF5, not a recording, one that breaks the schema, or by a newer mmnn_pin.
         """
         path = Path(path)
-        with open_run(path) as file:
-            rows = min(len(table) for group in ("signals", "timing") for table in file[group].values())
-            end = {name.removeprefix("outcome_"): decode(file.attrs[name]) for name in OUTCOME if name in file.attrs}
-            return cls(
-                columns={n: Columns(t.attrs["unit"], decode(t.attrs["labels"])) for n, t in file["signals"].items()},
-                rows=rows,
-                read=lambda where: read_arrays(path, where, {"weights": -1, "final": None}.get(where, rows)),
-                meta={name: decode(value) for name, value in file.attrs.items() if name not in NOT_META},
-                texts={name: file[name].asstr()[()] for name in ("config", "urdf") if name in file},
-                outcome=Outcome(end.pop("outcome"), **end) if file.attrs["complete"] else None,
-                path=path,
-            )
+        found = contents(path)
+        end = dict(found.end)
+        return cls(
+            columns=found.columns,
+            rows=found.rows,
+            read=lambda where: read_arrays(path, where, {"weights": -1, "final": None}.get(where, found.rows)),
+            meta=found.meta,
+            texts=found.texts,
+            outcome=Outcome(end.pop("outcome"), **end) if end else None,
+            damage=found.damage,
+            path=path,
+        )
+
+    @property
+    def config_text(self) -> str:
+        """The config of the run, empty where it had none.
+
+        Raises:
+            RecordingError: It is damaged.
+        """
+        return self._text("config")
+
+    @property
+    def urdf(self) -> str:
+        """The robot's URDF, empty where it is not known.
+
+        Raises:
+            RecordingError: It is damaged.
+        """
+        return self._text("urdf")
+
+    def require_whole(self) -> None:
+        """Refuse a damaged recording, where a part alone would give wrong numbers.
+
+        Raises:
+            RecordingError: With the first of what is damaged.
+        """
+        for where in self.damage:
+            self._require_intact(where)
+
+    def fact(self, name: str, kind: type[T]) -> T:
+        """A fact of the run as settings of a kind.
+
+        Raises:
+            RecordingError: It is not there, or not of this kind.
+        """
+        if name not in self.meta:
+            what, why = f"the recording does not hold its '{name}'", "an older mmnn_pin wrote it"
+            raise RecordingError(what, why=why, file=self.path)
+        with self.using(f"its attribute '{name}'"):
+            return msgspec.convert(self.meta[name], kind)
+
+    @contextmanager
+    def using(self, what: str) -> Iterator[None]:
+        """Facts of the run are made into something within: what they cannot be made into is the recording's error.
+
+        Args:
+            what: Which facts, for the message.
+
+        Raises:
+            RecordingError: They cannot be used.
+        """
+        try:
+            yield
+        except RecordingError:
+            raise
+        except (InputError, msgspec.ValidationError, LookupError, TypeError, ValueError, AttributeError) as error:
+            why = " ".join(str(error).removeprefix("error: ").split())
+            raise RecordingError(f"{what} cannot be used", why=why, fix=AGAIN, file=self.path) from error
 
     def __getitem__(self, name: str) -> Array:
         if name not in self._signals:
@@ -168,7 +232,16 @@ class Recording:
         end = f"{self.outcome.status} at t = {self.outcome.time:g} s, {self._rows:,} rows"
         return "\n".join(line for line in (f"{who}: {end}" if who else end, self.outcome.message) if line)
 
+    def _text(self, name: str) -> str:
+        self._require_intact(name)
+        return self._texts.get(name, "")
+
+    def _require_intact(self, where: str) -> None:
+        if where in self.damage:
+            raise RecordingError(f"{where} is damaged", why=self.damage[where], fix=AGAIN, file=self.path)
+
     def _about(self, name: str) -> Columns:
+        self._require_intact(f"signals/{name}")
         if name not in self._columns:
             raise UnknownName("signal", str(name), self._columns, file=self.path)
         return self._columns[name]
@@ -176,6 +249,8 @@ class Recording:
     def _killed(self) -> Outcome:
         if not self._rows:
             return Outcome("interrupted", 0.0, message="run incomplete: no rows")
+        if "time" not in self._columns:
+            return Outcome("interrupted", 0.0, message=f"run incomplete: {self._rows:,} rows, its time is damaged")
         end = float(self.time[-1])
         return Outcome("interrupted", end, message=f"run incomplete: {self._rows:,} rows, ends at t = {end:g} s")
 
@@ -185,33 +260,94 @@ def as_columns(signal: Array) -> Array:
     return signal if signal.ndim == 2 else signal[:, None]
 
 
-def recorded_robot(recording: Recording) -> Robot:
+def recorded_robot(recording: Recording, package_dirs: Sequence[str | Path] = ()) -> Robot:
     """The true robot of a recording.
 
-    Meshes are looked for where the file was; wheels whose radius came from one need it.
+    Its meshes are read from the folders given, and from where the run found them if the robot's own file still lies
+    there unchanged: a recording makes nobody read other files. Wheels whose radius came from a mesh need it.
 
     Args:
         recording: The recording.
+        package_dirs: Folders that hold the packages of its meshes, or the meshes.
 
     Raises:
         RecordingError: It does not hold these facts, or another robot comes out of them.
         InputError: As `load`.
     """
     meta = recording.meta
+    if missing := [key for key in ("urdf_file", "mass_factors", "viscous", "joint_friction") if key not in meta]:
+        what = f"the recording does not tell '{missing[0]}' of its robot"
+        raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path)
+    robot = build(*document_of(recording, recording.fact("overrides", Overrides), package_dirs))
+    for key in ("velocity_names", "position_names", "actuator_names"):
+        own, told = getattr(robot, key), tuple(meta.get(key, ()))
+        if own != told:
+            why = f"it moves by {', '.join(own)}, not by {', '.join(told)}"
+            raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
+    with recording.using("what it tells of masses and friction"):
+        masses = robot.with_masses(meta["mass_factors"]).with_armature(meta.get("armature", 0.0))
+        return replace(masses.with_friction(meta["viscous"]), **friction_of(robot, meta["joint_friction"]))
+
+
+def friction_of(robot: Robot, recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Friction of the joints as fields of a robot.
+
+    Raises:
+        ValueError: It is none, or that of another robot.
+    """
+    found = {name: np.array(value) if isinstance(value, list) else value for name, value in recorded.items()}
+    for name, value in found.items():
+        sizes = ((),) if name == "stribeck" else ((), (robot.dimensions.full,))
+        if name not in ("damping", "coulomb", "breakaway", "stribeck") or np.shape(value) not in sizes:
+            raise ValueError(f"'{name}' of joint_friction does not suit the robot")
+        if not np.isfinite(value).all() or np.min(value, initial=np.inf) < 0:
+            raise ValueError(f"'{name}' of joint_friction is negative or not finite")
+    return found
+
+
+def document_of(
+    recording: Recording, overrides: Overrides, package_dirs: Sequence[str | Path]
+) -> tuple[Document, Overrides]:
+    """The URDF of a recording and what is said about it, without what is not to be opened because a recording says so."""
+    text, file = recording.urdf.encode(), Path(recording.meta["urdf_file"])
+    folders = tuple(map(str, package_dirs))
+    if is_unchanged(file, text):
+        stated = msgspec.structs.replace(overrides, package_dirs=(*folders, *overrides.package_dirs))
+        return parse(text, file, overrides.strict, stated.package_dirs), stated
+    stated = msgspec.structs.replace(overrides, package_dirs=folders, controllers_file=None)
+    file = Path(folders[0] if folders else os.devnull) / file.name
+    return parse(sealed(text, file, folders), file, overrides.strict, folders), stated
+
+
+def is_unchanged(file: Path, text: bytes) -> bool:
+    """Whether a robot's own file lies there, with the robot of a text in it."""
     try:
-        overrides = msgspec.convert(meta["overrides"], Overrides)
-        document = parse(recording.urdf.encode(), meta["urdf_file"], overrides.strict, overrides.package_dirs)
-        masses, viscous, gears = meta["mass_factors"], meta["viscous"], meta["joint_friction"]
-    except KeyError as error:
-        what = f"the recording does not tell {error} of its robot"
-        raise RecordingError(what, why="an older mmnn_pin wrote it", file=recording.path) from None
-    robot = build(document, overrides)
-    if robot.position_names != meta["position_names"] or robot.velocity_names != meta["velocity_names"]:
-        why = f"it moves by {', '.join(robot.velocity_names)}, not by {', '.join(meta['velocity_names'])}"
-        raise RecordingError("another robot comes out of the recording's facts", why=why, file=recording.path)
-    gears = {name: np.array(value) if isinstance(value, list) else value for name, value in gears.items()}
-    robot = robot.with_masses(masses).with_armature(meta.get("armature", 0.0)).with_friction(viscous)
-    return replace(robot, **gears)
+        if not file.is_file() or file.stat().st_size > MAX_BYTES:
+            return False
+        one, other = (parse(sealed(data), os.devnull).text for data in (file.read_bytes(), text))
+        return one == other
+    except (OSError, ValueError, InputError):
+        return False
+
+
+def sealed(data: bytes, file: Path | None = None, folders: Sequence[str] = ()) -> bytes:
+    """A URDF whose meshes are not looked for, but those that are in some folders.
+
+    Args:
+        data: The URDF.
+        file: Where relative names start.
+        folders: Folders to look in.
+    """
+    root, _ = parse_xml(data)
+    if root is None:
+        return data
+    roots = tuple(os.path.join(os.path.realpath(folder), "") for folder in folders)
+    for mesh in root.iter("mesh"):
+        name = mesh.get("filename", "")
+        found = locate(name, file, folders).file if file is not None and folders else None
+        if found is None or not str(found).startswith(roots):
+            mesh.set("filename", f"{UNSEEN}{name}")
+    return etree.tostring(root)
 
 
 def recorded_position(recording: Recording, robot: Robot) -> Array:

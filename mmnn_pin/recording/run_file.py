@@ -144,53 +144,8 @@ class RunFile:
             with suppress(OSError, RuntimeError):
                 self.close()
             fix = f"make room on the disk; the first {self.rows:,} rows can be read"
-            why = _reason(error)
+            why = reason(error)
             raise RecordingError("cannot write the recording", why=why, fix=fix, file=self.path) from error
-
-
-def open_run(path: Path) -> h5py.File:
-    """Open a recording for reading, also while its run is still going on elsewhere.
-
-    Raises:
-        RecordingError: No such file, not HDF5, not a recording, or written by a newer mmnn_pin.
-    """
-    if not path.is_file():
-        raise RecordingError("no such recording", fix="name a file that `mmnn run` wrote", file=path)
-    try:
-        file = h5py.File(path, "r", locking=False)
-    except OSError as error:
-        why = _reason(error) if h5py.is_hdf5(path) else "it is not an HDF5 file"
-        raise RecordingError("cannot read the recording", why=why, file=path) from error
-    try:
-        _require_ours(file, path)
-    except RecordingError:
-        file.close()
-        raise
-    return file
-
-
-def read_arrays(path: Path, where: str, rows: int | None = None) -> Arrays:
-    """Arrays of a group, or one dataset, by name; empty if there is none.
-
-    Args:
-        path: The recording.
-        where: Group or dataset, e.g. `signals/z`.
-        rows: Length to read. A kill can leave the datasets of a group at unequal lengths: None reads whole
-            arrays and `-1` as many rows as all of them have.
-
-    Raises:
-        RecordingError: What is there cannot be read.
-    """
-    with open_run(path) as file:
-        if where not in file:
-            return {}
-        item = file[where]
-        found = {where.rpartition("/")[2]: item} if isinstance(item, h5py.Dataset) else dict(item.items())
-        rows = min(map(len, found.values())) if rows == -1 else rows
-        try:
-            return {name: table[()] if rows is None else table[:rows] for name, table in found.items()}
-        except OSError as error:
-            raise RecordingError(f"cannot read {where}", why=_reason(error), file=path) from error
 
 
 def encode(value: Any) -> Any:
@@ -212,14 +167,6 @@ def decode(value: Any) -> Any:
     return json.loads(value[5:]) if isinstance(value, str) and value.startswith("json:") else value
 
 
-def _require_ours(file: h5py.File, path: Path) -> None:
-    if file.attrs.get("format") != FORMAT or "complete" not in file.attrs:
-        raise RecordingError("not a recording", why="an HDF5 file, but mmnn_pin did not write it", file=path)
-    if (version := int(file.attrs["format_version"])) > FORMAT_VERSION:
-        why = f"its format version is {version}, this mmnn_pin reads up to {FORMAT_VERSION}"
-        raise RecordingError("cannot read the recording", why=why, fix="upgrade mmnn_pin", file=path)
-
-
 def _create(path: Path, force: bool, fill: Callable[[h5py.File], None]) -> h5py.File:
     """Make the file, whole or not at all: one that is replaced stays until its successor has a header."""
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -235,7 +182,7 @@ def _create(path: Path, force: bool, fill: Callable[[h5py.File], None]) -> h5py.
             os.replace(part, path)
             undo.pop_all()
     except (OSError, RuntimeError) as error:
-        raise RecordingError("cannot create the recording", why=_reason(error), file=path) from error
+        raise RecordingError("cannot create the recording", why=reason(error), file=path) from error
     return file
 
 
@@ -286,7 +233,7 @@ def _extend(table: h5py.Dataset, rows: Array, where: slice, start: int) -> None:
     table.id.write(source, target, rows)
 
 
-def _reason(error: Exception) -> str:
+def reason(error: Exception) -> str:
     """Cause of a failed file operation, without HDF5's own stack of phrases where the system has a name for it."""
     number = getattr(error, "errno", None)
     return os.strerror(number) if number else str(error)

@@ -152,7 +152,9 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
     Raises:
         RecordingError: The theorem does not speak of it, with the assumption that is not met.
     """
-    why = refusal(subject)
+    with subject.recording.using("what it tells of pushes and of its supervisor"):
+        why = refusal(subject)
+        pushes, supervisor = (push_bound(subject), supervisor_of(subject)) if not why else (np.zeros(0), None)
     if why:
         raise RecordingError("no certificate", why=why, file=subject.recording.path)
     learner, layout = subject.networks, subject.layout
@@ -165,9 +167,9 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
         period=subject.timing.control_period,
         gain=learner.own.feedback.vector(layout) if learner else subject.signal("effective_gain")[0].copy(),
         learner=learner,
-        disturbance=push_bound(subject),
+        disturbance=pushes,
         projection=safety.get("weights"),
-        supervisor=supervisor_of(subject),
+        supervisor=supervisor,
         drift=drift(along.pose_ref, along.v_ref, along.a_ref, subject.timing.control_period),
     )
 

@@ -35,6 +35,7 @@ SHORTEST, USUAL, LONGEST = 5.0, 10.0, 20.0  # of a lap [s]
 SPEED = 0.2  # [m/s] where the run's base stands still
 SWING = 0.3  # [rad or m] of a joint that stood still and has no limits; else this share of half its range
 MARGIN = 0.95  # of a joint's range
+MOST_STEPS = 10_000_000  # of the plant, of a run that is made because a recording says so
 GOLDEN = 2.399963  # [rad]: phases that do not repeat
 START = 0.5  # [s] of a run that do not count: the transient
 SHARE = 0.25  # of the arm's mass, about what arms are made to carry
@@ -63,6 +64,10 @@ def held_out(subject: Subject) -> HeldOut:
     """
     experiment = recorded_experiment(subject.recording)
     if experiment is not None:
+        longest = max([experiment.time.duration, *(one.duration for one in experiment.held_out.values())])
+        if not longest / experiment.time.plant_step < MOST_STEPS:
+            why = f"{longest:g} s in steps of {experiment.time.plant_step:g} s"
+            raise RecordingError("its held-out trajectory is too long", why=why, file=subject.recording.path)
         return next(iter(all_held_out(experiment, subject.robot).values()))
     return usual(subject.robot, subject.timing.control_period, subject.rows)
 

@@ -18,8 +18,11 @@ from ...errors import RecordingError
 from ...loop.controller import Torque, context_of
 from ...model.base.overrides import Overrides
 from ...model.robot import Robot
+from ...model.robots import bundled, extra
+from ...recording.reading import AGAIN
 from ...recording.recording import Recording
 from ...recording.run_file import encode
+from ...settings import shortly
 from ...signals import Array
 from ...torque import CONTROLLERS
 from ...torque.controller import Context, ControllerState, Feedback
@@ -171,14 +174,16 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
         RecordingError: It is one, and the recording does not hold its settings or its weights.
         InputError: It needs a nominal robot that cannot be loaded.
     """
-    controller = controller_of(recording, robot)
+    with recording.using("what it tells of its controller"):
+        controller = controller_of(recording, robot)
     if controller is None:
         return None
     seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
     period = float(recording.meta["control_period"])
     kept, rng = recording.meta.get("within_limits"), np.random.default_rng(seed)
     context = context_of(controller, robot, period, len(recording), rng, kept)
-    start = controller.init(context)
+    with recording.using("what it tells of its controller"):
+        start = controller.init(context)
     snapshots = recording.weights
     if "time" in snapshots and len(snapshots["time"]) and abs(snapshots["time"][0] - recording.time[0]) < period / 2:
         put(start, snapshots, 0)
@@ -235,6 +240,9 @@ def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[
     experiment = recorded_experiment(recording)
     if experiment is None:
         return None
+    if (nominal := experiment.nominal.robot) and nominal not in bundled() | extra():
+        why = f"its nominal robot is the file {shortly(nominal)}, which is not opened because a recording names it"
+        raise RecordingError(f"the {name} of the recording cannot be made again", why=why, file=recording.path)
     controller = experiment.controller(name, robot=robot)
     if not hasattr(controller, "learning"):
         return None
@@ -248,10 +256,18 @@ def of_experiment(recording: Recording, robot: Robot, name: str, settings: dict[
 
 
 def put(state: ControllerState, snapshots: dict[str, Array], k: int) -> None:
-    """Write the k-th snapshot of the weights into a state."""
+    """Write the k-th snapshot of the weights into a state.
+
+    Raises:
+        RecordingError: They are weights of another controller.
+    """
     for name, values in snapshots.items():
-        if name != "time":
-            state[name] = values[k]
+        if name == "time":
+            continue
+        if state.shapes.get(name) != values.shape[1:]:
+            why = f"{name} has the shape {values.shape[1:]}"
+            raise RecordingError("its weights are those of another controller", why=why, fix=AGAIN)
+        state[name] = values[k]
 
 
 def last(recording: Recording, start: ControllerState) -> tuple[ControllerState, float]:

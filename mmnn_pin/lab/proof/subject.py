@@ -18,6 +18,7 @@ from ...errors import RecordingError
 from ...kinematic import Kinematic, command
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot, carrying
+from ...recording.reading import AGAIN
 from ...recording.recording import Recording, recorded_robot
 from ...sensing import exact
 from ...settings import Timing
@@ -25,6 +26,7 @@ from ...signals import Array, Layout
 from ...torque.neural import Neural
 from .learner import Learner, Networks, recorded_learner
 
+MOST_STEPS = 10_000  # of the plant in a control period
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
 
 
@@ -51,10 +53,11 @@ class Subject:
         """Everything from a recording.
 
         Raises:
-            RecordingError: It holds less than two rows that are finite, or does not hold its robot, gains, periods, or
-                a signal of which everything here is made.
+            RecordingError: It is damaged, holds less than two rows that are finite, or does not hold its robot, gains,
+                periods, or a signal of which everything here is made.
             InputError: Its robot cannot be built.
         """
+        recording.require_whole()
         if not recording.urdf.strip():
             raise RecordingError(
                 "the recording does not hold its robot's URDF",
@@ -82,13 +85,9 @@ class Subject:
                 fix="run longer",
                 file=recording.path,
             )
-        return cls(
-            recording,
-            robot,
-            msgspec.convert(recording.meta["kinematic"], Kinematic),
-            msgspec.convert(recording.meta["time"], Timing),
-            rows,
-        )
+        kinematic, timing = recording.fact("kinematic", Kinematic), recording.fact("time", Timing)
+        require_periods(recording, timing, rows[:, Layout.of(robot.dimensions).where("time")][:, 0])
+        return cls(recording, robot, kinematic, timing, rows)
 
     @property
     def layout(self) -> Layout:
@@ -161,12 +160,35 @@ class Subject:
         return self.rows[:, self.layout.where(name)]
 
 
+def require_periods(recording: Recording, timing: Timing, time: Array) -> None:
+    """Refuse periods that are not those of the rows.
+
+    Raises:
+        RecordingError: With both periods.
+    """
+    h, steps = timing.control_period, timing.steps_per_control
+    periods, facts = np.diff(time), recording.meta.get("control_period", h)
+    if not np.allclose([*periods, facts], h, rtol=1e-6, atol=1e-9):
+        why = f"its rows are {np.min(periods):g} to {np.max(periods):g} s apart, its control period is {h:g} s"
+        raise RecordingError("its periods cannot be", why=why, fix=AGAIN, file=recording.path)
+    if steps > MOST_STEPS:
+        why = f"{steps:,} steps of the plant in a control period, at most {MOST_STEPS:,} are made again"
+        raise RecordingError("its periods cannot be", why=why, fix=AGAIN, file=recording.path)
+
+
 def finite_rows(recording: Recording, layout: Layout) -> Array:
-    """Rows of a recording, (N, width), up to the first one that is not finite."""
+    """Rows of a recording, (N, width), up to the first one that is not finite.
+
+    Raises:
+        RecordingError: A signal has other columns than those of the robot.
+    """
     rows = np.zeros((len(recording), layout.width))
     for name in recording:
         where = layout.where(name)
         if where.stop > where.start:
+            if len(labels := recording.labels(name)) != where.stop - where.start:
+                why = f"{name} has the columns {', '.join(labels)}"
+                raise RecordingError("its signals are those of another robot", why=why, file=recording.path)
             rows[:, where] = recording[name].reshape(len(recording), where.stop - where.start)
     bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
     return rows[: bad[0]] if len(bad) else rows
@@ -197,7 +219,8 @@ class Hardware:
     @classmethod
     def of(cls, recording: Recording, robot: Robot, timing: Timing) -> Hardware:
         """From a recording."""
-        events = msgspec.convert(recording.meta.get("disturbances", ()), tuple[Disturbance, ...])
+        with recording.using("its attribute 'disturbances'"):
+            events = msgspec.convert(recording.meta.get("disturbances", ()), tuple[Disturbance, ...])
         driven = "actuator" in recording.meta or has(events, DeadMotor)
         rows, p = len(recording), robot.dimensions.dof
         torque, push = recording["torque"].reshape(rows, p), np.zeros((rows, p))

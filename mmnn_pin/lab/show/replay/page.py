@@ -51,7 +51,7 @@ class Scene:
 
     def __init__(self, package_dirs: Sequence[str | Path] = ()) -> None:
         self.blob, self.frames, self.samples = Blob(), 0, 0
-        self._shapes = Shapes(self.blob, package_dirs)
+        self._shapes, self._package_dirs = Shapes(self.blob, package_dirs), tuple(package_dirs)
         self._robots: dict[str, tuple[int, Tree]] = {}
         self._for_page: list[dict[str, Any]] = []
         self._runs: list[dict[str, Any]] = []
@@ -70,7 +70,7 @@ class Scene:
             InputError: Its robot cannot be built.
         """
         rows = frames_of(recording, fps)
-        robot = recorded_robot(recording)
+        robot = recorded_robot(recording, self._package_dirs)
         index, tree = self._robot(robot)
         bodies = {body.joint.name: i for i, body in enumerate(tree.bodies) if body.joint}
         events = [event.for_page(bodies) for event in events_of(recording)]

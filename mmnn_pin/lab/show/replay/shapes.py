@@ -21,6 +21,7 @@ from ....model.robot import Robot
 from ....model.urdf.document import placement
 from ....model.urdf.packages import locate
 from ....model.urdf.xml import number, vector
+from ....recording.recording import UNSEEN
 from ....signals import Array
 from ..files import Blob
 from .motion import Tree, columns
@@ -108,8 +109,8 @@ class Shapes:
             if found.file not in self._files:
                 self._files[found.file] = [(self._index(self._packed(p)), p.color) for p in read_mesh(found.file)]
         except BrokenMesh as error:
-            if found.problem == "missing":
-                self._missing[name] = None
+            if found.problem == "missing" or name.startswith(UNSEEN):
+                self._missing[name.removeprefix(UNSEEN)] = None
             else:
                 self._warned.append(f"mesh '{name}' {error}: {STANDS_IN}")
             yield at, (self._box(STAND_IN), MISSING)

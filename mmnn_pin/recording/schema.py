@@ -1,0 +1,145 @@
+"""What a recording must be, whoever made it: the types of its facts, the units and columns of its signals, its time.
+
+The recorder holds to it, and every file is held against it when it is opened (`reading`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ..settings import shortly, wrong_type
+from ..signals import SIGNALS, Array
+from .run_file import Columns
+
+KIND = {name: (kind.removeprefix("rig "), base, arm) for name, kind, base, arm in SIGNALS}
+MOST_TEXT, DEEPEST = 1000, 32  # letters of a name, levels of a value
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """Types of what is known of a run: the attributes of a recording. Others may stand there, too."""
+
+    robot: str = ""
+    controller: str = ""
+    experiment: str = ""
+    created: str = ""
+    plant: str = ""
+    loop: str = ""
+    urdf_file: str = ""
+    urdf_sha256: str = ""
+    seed: int = 0
+    control_period: float = 1.0
+    delay_margin: float | None = None
+    within_limits: bool = False
+    velocity_names: tuple[str, ...] = ()
+    position_names: tuple[str, ...] = ()
+    actuator_names: tuple[str, ...] = ()
+    effort_limits: tuple[float, ...] = ()
+    armature: float | tuple[float, ...] = 0.0
+    viscous: float | tuple[float, ...] = 0.0
+    joint_friction: dict[str, float | tuple[float, ...]] = {}
+    mass_factors: dict[str, float] = {}
+    versions: dict[str, str] = {}
+    interfaces: dict[str, str] = {}
+    law: dict[str, str] = {}
+    controller_settings: dict[str, Any] | None = None
+    kinematic: dict[str, Any] = {}
+    time: dict[str, Any] = {}
+    overrides: dict[str, Any] = {}
+    nominal: dict[str, Any] = {}
+    sensor: dict[str, Any] = {}
+    actuator: dict[str, Any] = {}
+    latency: dict[str, Any] = {}
+    servo: dict[str, Any] = {}
+    contact: dict[str, Any] = {}
+    safety: dict[str, Any] | None = None
+    disturbances: tuple[dict[str, Any], ...] = ()
+
+
+class Damaged(Exception):
+    """One item that cannot be used; the text says why."""
+
+
+def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
+    """The first fact of a wrong type: its name, what is wrong and what to give; None where there is none."""
+    for name in Facts.__struct_fields__:
+        if name not in meta:
+            continue
+        try:
+            msgspec.convert({name: meta[name]}, Facts)
+        except msgspec.ValidationError as error:
+            return (name, *wrong_type(error, meta[name]))
+    for name in ("velocity_names", "position_names", "actuator_names"):
+        if long := next((text for text in meta.get(name, ()) if len(text) > MOST_TEXT), None):
+            return name, f"{shortly(long)} has {len(long)} letters", f"use at most {MOST_TEXT}"
+    period = meta.get("control_period", 1.0)
+    if not (math.isfinite(period) and period > 0):
+        return "control_period", f"{period} s", "use a finite number of seconds > 0"
+    return None
+
+
+def signal_problem(name: str, width: int, about: Columns, meta: Mapping[str, Any]) -> str:
+    """What is wrong with unit and columns of a signal; empty where they are as the facts of the run want them."""
+    if name not in KIND:
+        return "this mmnn_pin knows no such signal"
+    kind, base, arm = KIND[name]
+    if about.unit not in (base, arm, f"{base}; {arm}"):
+        return f"its unit is {shortly(about.unit)}, not '{base or arm}'"
+    if len(about.labels) != width:
+        return f"it has {width} columns and {len(about.labels)} labels"
+    velocities, motors = (tuple(meta.get(f"{part}_names", ())) for part in ("velocity", "actuator"))
+    own = {"1": 1, "2": 2, "floor": 1, "rig": 1}.get(kind, 0)
+    wanted = {
+        "pose": ("x", "y", "phi"),
+        "all": velocities,
+        "base": velocities[:width],
+        "arm": velocities[-width:],
+        "full": tuple(meta.get("position_names", ())),
+        "motor": motors,
+        "wheel": motors[:width],
+    }.get(kind, (name,) if own == 1 else tuple(f"{name}[{i}]" for i in range(own)))
+    if wanted and about.labels != wanted:
+        return f"its columns are {shortly(', '.join(about.labels))}, not {shortly(', '.join(wanted))}"
+    return f"a label has more than {MOST_TEXT} letters" if max(map(len, about.labels)) > MOST_TEXT else ""
+
+
+def time_problem(time: Array) -> str:
+    """What is wrong with the time of the rows, which must be finite and increase; empty where nothing is."""
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        return f"row {bad[0]} is at {time[bad[0]]} s"
+    back = np.flatnonzero(np.diff(time) <= 0)
+    return (
+        f"row {back[0] + 1} is at {time[back[0] + 1]:g} s, the one before at {time[back[0]]:g} s" if len(back) else ""
+    )
+
+
+def require_plain(value: Any) -> None:
+    """Refuse what cannot be written again as JSON in UTF-8.
+
+    Raises:
+        Damaged: With the reason.
+    """
+    level = [value]
+    for _ in range(DEEPEST):
+        texts = [item for item in level if isinstance(item, str)]
+        if not all(map(is_utf8, texts)):
+            raise Damaged("it is not a text in UTF-8")
+        inner = [item for item in level if isinstance(item, dict | list | tuple)]
+        level = [part for item in inner for part in (item if not isinstance(item, dict) else [*item, *item.values()])]
+        if not level:
+            return
+    raise Damaged(f"it is nested more than {DEEPEST} levels deep")
+
+
+def is_utf8(text: str) -> bool:
+    """Whether a text can be written as UTF-8: one that was read from other bytes cannot."""
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
