@@ -23,7 +23,6 @@ what they drive never gain energy, and others are refused.
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any, Literal, NamedTuple
 
 import msgspec
@@ -106,7 +105,7 @@ class Actuator(Settings, frozen=True):
     @property
     def perfect(self) -> bool:
         """Whether every motor gives what is asked for, at once."""
-        return self == perfect_motors()
+        return self == PERFECT
 
     def motors(self, robot: Robot, dt: float, dead: Array = NEVER, states: Array | None = None) -> Motors:
         """The motors of a robot: their effects in the order in which a command meets them.
@@ -187,10 +186,7 @@ class Actuator(Settings, frozen=True):
             )
 
 
-@cache
-def perfect_motors() -> Actuator:
-    """The motors of a robot about whose motors nothing is known."""
-    return Actuator()
+PERFECT = Actuator()
 
 
 def motor_places(robot: Robot) -> list[int]:

@@ -95,7 +95,11 @@ class Robot:
         turned, self.before = q[:2] - self.before, q[:2].copy()
         left, right = RADIUS * turned
         middle = self.pose[2] + (right - left) / TRACK / 2
-        self.pose += (left + right) / 2 * math.cos(middle), (left + right) / 2 * math.sin(middle), (right - left) / TRACK
+        self.pose += (
+            (left + right) / 2 * math.cos(middle),
+            (left + right) / 2 * math.sin(middle),
+            (right - left) / TRACK,
+        )
         v, w = RADIUS * (qdot[0] + qdot[1]) / 2, RADIUS * (qdot[1] - qdot[0]) / TRACK
         self.states.send(msg.JointState(header, list(NAMES), q.tolist(), qdot.tolist(), []))
         half = self.pose[2] / 2

@@ -38,7 +38,17 @@ def arm_motion(seconds):
 def drive(controller, seconds, out):
     """One run; its recording, or None where the node failed."""
     robot = subprocess.Popen([sys.executable, str(HERE / "robot.py"), "--domain", str(DOMAIN)])
-    asked = ["--seconds", str(seconds), "--wait", "30", "--set", f"controller={controller}", "--out", str(out), "--force"]
+    asked = [
+        "--seconds",
+        str(seconds),
+        "--wait",
+        "30",
+        "--set",
+        f"controller={controller}",
+        "--out",
+        str(out),
+        "--force",
+    ]
     node = subprocess.Popen([sys.executable, "-c", NODE, "ros2", str(HERE / "robot.toml"), *asked])
     link = Link(Network(domain=DOMAIN))
     joystick = Outlet(link, "/cmd_vel", msg.Twist, Topic("/cmd_vel", "reliable"))

@@ -1,1 +1,1 @@
-"""Out of the simulation: controllers on robots with ROS 2 and on microcontrollers, and what a robot's recordings tell."""
+"""Out of the simulation: robots with ROS 2, microcontrollers, and what recordings of robots tell."""
