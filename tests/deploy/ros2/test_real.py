@@ -5,13 +5,20 @@ One distribution in the default suite, both and the whole matrix of faults under
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from graph import Drive, drive, require_control_msgs
+from graph import Drive, drive, require_control_msgs, start
 
 pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
+
+from random_messages import made
+
+from mmnn_pin.deploy.ros2 import messages as msg
+from mmnn_pin.deploy.ros2.link import Inlet, Link, Outlet
+from mmnn_pin.deploy.ros2.settings import Network, Topic
 
 EVERY = ["kilted", pytest.param("jazzy", marks=pytest.mark.long)]
 DOMAINS = iter(range(60, 100))  # one per test: nobody hears another's robot
@@ -112,3 +119,45 @@ def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribut
     assert told["names"] == ["arm_1_joint", "arm_2_joint"]
     assert told["cancel"] == 1 and told["cancelled"] == [5, 0, "cancelled"]
     assert np.abs(run.rows[-1, 8:10]).max() < 0.1  # it stands after the cancel
+
+
+@pytest.mark.parametrize("distribution", EVERY)
+@pytest.mark.parametrize("reliability", ["reliable", pytest.param("best_effort", marks=pytest.mark.long)])
+def test_messages_of_five_types_come_back_as_they_were(domain: int, distribution: str, reliability: str) -> None:
+    """Through rclpy and back: none wrong, and where it is reliable none lost."""
+    rng, count = np.random.default_rng(11), 30
+    echo = start(distribution, domain, "echo_node.py", reliability)
+    link = Link(Network(domain=domain))
+    quality = Topic("/echo", reliability, 200, publishers=1)  # type: ignore[arg-type]
+    kinds = msg.JointState, msg.Odometry, msg.TwistStamped, msg.JointTrajectory, msg.Path
+    there = [Outlet(link, f"/there/{kind.__name__}", kind, quality) for kind in kinds]
+    back = [Inlet(link, f"/back/{kind.__name__}", kind, quality) for kind in kinds]
+    try:
+        deadline = time.monotonic() + 60.0
+        while not all(one.readers for one in there) or not all(one.publishers for one in back):
+            assert time.monotonic() < deadline and echo.poll() is None, "they did not find each other"
+            time.sleep(0.05)
+        time.sleep(1.0)  # the other side knows us, too
+        sent = [[made(kind, rng) for _ in range(count)] for kind in kinds]
+        for k in range(count):
+            for outlet, messages in zip(there, sent, strict=True):
+                outlet.send(messages[k])
+            time.sleep(0.005)
+        heard: list[list[bytes]] = [[] for _ in kinds]
+        while time.monotonic() < deadline and any(len(one) < count for one in heard):
+            for inlet, came in zip(back, heard, strict=True):
+                came += [one.serialize(use_version_2=False) for one in inlet.take(time.monotonic())]
+            time.sleep(0.01)
+            if reliability == "best_effort" and time.monotonic() > deadline - 50.0:
+                break
+    finally:
+        echo.kill()
+        echo.wait()
+        link.close()
+    asked = [[one.serialize(use_version_2=False) for one in messages] for messages in sent]
+    assert not any(inlet.dropped for inlet in back)
+    for came, whole in zip(heard, asked, strict=True):
+        if reliability == "reliable":
+            assert came == whole
+        else:
+            assert len(came) > 0.5 * count and set(came) <= set(whole)

@@ -14,9 +14,11 @@ pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
 
 from mmnn_pin import load
 from mmnn_pin.deploy.ros2 import messages as msg
+from mmnn_pin.deploy.ros2.asking import Asking
 from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
 from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
 from mmnn_pin.deploy.ros2.settings import Base, Clocks, Frames, Joints, Node, Output, Route
+from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.guide import ARM, BASE, Limits
 from mmnn_pin.reference.wishes import Stand
 
@@ -259,3 +261,29 @@ def test_a_path_is_moved_with_its_map() -> None:
     assert base_motion(path([], 0.0), Route(), Limits(), ROBOT, 0.01) == Stand((BASE,))
     with pytest.raises(Refused, match="all in one place"):
         base_motion(path([(1.0, 1.0)] * 5, 0.0), Route(), Limits(), ROBOT, 0.01)
+
+
+def test_a_correction_of_the_map_does_not_jerk_the_robot() -> None:
+    """The path goes on where the corrected map has it, and the reference never leaps."""
+    node = Node("platform_arm", COMMANDS, tf=Frames(), path=Route(speed=0.4))
+    asking, tree = Asking.__new__(Asking), Tree()
+    asking.arm, asking.settings, asking.tree, asking.route = ARM_OF, node, tree, None
+    tree.take(msg.TFMessage([transform("map", "odom", 0.0, 0.0, 0.0)]), 0.0)
+    motion = base_motion(path([(0.1 * i, 0.0) for i in range(31)], 0.0), Route(speed=0.4), Limits(), ROBOT, 0.01)
+    assert not isinstance(motion, Stand)
+    follower = Follower(ROBOT, Limits(), 0.5)
+    here = np.zeros(3 + 2 + 2 + 2)
+    follower.stand(here)
+    asking.route, wishes, seen = (motion, "map", (0.0, 0.0, 0.0), 0.0), [rest_of(motion, 0.0)], []
+    for k in range(1200):
+        if k == 300:
+            tree.take(msg.TFMessage([transform("map", "odom", -0.2, -0.3, 0.1)]), 3.0)
+        wishes += asking._placed_anew(0.01 * k)
+        follower.step(0.01 * k, 0.01, here, tuple(wishes), [follower.check(wish) for wish in wishes])
+        wishes = []
+        seen.append(follower.now.copy())
+    table = np.array(seen)
+    assert np.abs(np.diff(table[:, :2], axis=0)).max() < 0.02 and np.abs(np.diff(table[:, 2])).max() < 0.02
+    corrected = composed(inverse((-0.2, -0.3, 0.1)), (3.0, 0.0, 0.0))
+    assert table[-1, :3] == pytest.approx(corrected, abs=0.02)
+    assert np.abs(np.diff(table[:, 3])).max() < 0.05  # nor does its speed
