@@ -74,7 +74,7 @@ def main():
     """Drive with every controller, and print the errors."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--seconds", type=float, default=30.0)
-    options.add_argument("--controllers", nargs="+", default=["pd", "two_layer", "disturbance_observer"])
+    options.add_argument("--controllers", nargs="+", default=["pd", "two_layer"])
     options.add_argument("--out", type=Path, default=Path("runs/robot"))
     options = options.parse_args()
     rows, failed = [], False

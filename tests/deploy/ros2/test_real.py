@@ -5,12 +5,15 @@ One distribution in the default suite, both and the whole matrix of faults under
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from graph import Drive, drive, require_control_msgs, start
+from places import ROOT
 
 pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
 
@@ -98,6 +101,32 @@ def test_qualities_that_do_not_match_are_named(tmp_path: Path, domain: int) -> N
 @pytest.mark.long
 def test_both_qualities_drive(tmp_path: Path, domain: int) -> None:
     was_tracked(drive(tmp_path, "kilted", domain, reliability="reliable", seconds=5.5))
+
+
+@pytest.mark.long
+def test_a_simulators_clock_drives_and_stops_where_it_jumps(tmp_path: Path, domain: int) -> None:
+    sim = ('clock.source="sim"',)
+    run = drive(tmp_path, "kilted", domain, "sim_time", seconds=5.5, changes=sim)
+    assert run.code == 0 and np.abs(run.at(4.5)[6:8] - GOAL).max() < 0.05, run.lines
+    run = drive(tmp_path, "kilted", next(DOMAINS), "sim_time", "sim_back@2.0", seconds=6.0, changes=sim)
+    assert run.code == 1 and "stopped from outside" in run.lines and "/clock jumped by -" in run.lines, run.lines
+
+
+@pytest.mark.long
+def test_the_example_with_mujoco_drives(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="pip install 'mmnn_pin[contact]'")
+    command = [
+        sys.executable,
+        "examples/robot/run.py",
+        "--seconds",
+        "12",
+        "--controllers",
+        "pd",
+        "--out",
+        str(tmp_path),
+    ]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=200)
+    assert run.returncode == 0 and "pd " in run.stdout, run.stdout + run.stderr
 
 
 @pytest.mark.long
