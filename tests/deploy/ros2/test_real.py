@@ -179,11 +179,18 @@ def test_messages_of_five_types_come_back_as_they_were(domain: int, distribution
             time.sleep(0.01)
             if reliability == "best_effort" and time.monotonic() > deadline - 50.0:
                 break
+        link.allowed.clear()  # from now on nobody is a peer
+        stranger = Inlet(link, back[0].name, kinds[0], quality)
+        while not stranger.foreign and time.monotonic() < deadline:
+            there[0].send(sent[0][0])
+            time.sleep(0.05)
+            assert stranger.take(time.monotonic()) == []
     finally:
         echo.kill()
         echo.wait()
         link.close()
     asked = [[one.serialize(use_version_2=False) for one in messages] for messages in sent]
+    assert stranger.foreign and "is not among network.peers" in stranger.why
     assert not any(inlet.dropped for inlet in back)
     for came, whole in zip(heard, asked, strict=True):
         if reliability == "reliable":
