@@ -2,8 +2,8 @@
 
     python examples/robot/run.py [--seconds 30] [--controllers pd two_layer]
 
-It starts `robot.py` and `mmnn ros2 robot.toml` as processes and plays joystick and planner itself: three participants of
-one ROS 2 graph on the loopback. `ros2 topic list` shows it where ROS 2 is installed (ROS_DOMAIN_ID=42).
+It starts `robot.py` and `mmnn ros2 robot.toml` as processes and plays joystick and planner itself: three participants
+of one ROS 2 graph on the loopback. `ros2 topic list` shows it where ROS 2 is installed (ROS_DOMAIN_ID=42).
 """
 
 import argparse
@@ -30,7 +30,7 @@ def arm_motion(seconds):
     points = []
     for t in np.arange(1.0, seconds, 0.25):
         share = math.sin(math.pi * min(t / seconds, 1.0)) ** 2  # from rest to rest
-        q = share * 0.8 * math.sin(1.3 * t), share * 0.6 * math.sin(2.1 * t + 1.0)
+        q = share * 0.7 * math.sin(0.9 * t), share * 0.5 * math.sin(1.4 * t + 1.0)
         points.append(msg.JointTrajectoryPoint(list(q), [], [], [], msg.Duration(int(t), int(1e9 * (t % 1)))))
     return msg.JointTrajectory(msg.Header(msg.Time()), ["arm_1_joint", "arm_2_joint"], points)
 
@@ -74,7 +74,7 @@ def main():
     """Drive with every controller, and print the errors."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--seconds", type=float, default=30.0)
-    options.add_argument("--controllers", nargs="+", default=["pd", "two_layer", "disturbance_observer"])
+    options.add_argument("--controllers", nargs="+", default=["pd", "two_layer"])
     options.add_argument("--out", type=Path, default=Path("runs/robot"))
     options = options.parse_args()
     rows, failed = [], False

@@ -111,8 +111,11 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
         robot = experiment.load_robot()
         interfaces(robot, settings)
     except InputError as error:
-        error.file = file if error.file is None or Path(error.file).suffix != ".urdf" else error.file
-        error.line = error.line or line_of(file.read_text(encoding="utf-8"), error.key or "")
+        text = file.read_text(encoding="utf-8")
+        if error.file is None or Path(error.file).suffix == ".toml":
+            own = error.key is not None and error.key.partition(".")[0] in settings.set
+            error.key = f"set.{error.key}" if own else error.key
+            error.file, error.line = file, line_of(text, error.key or "")
         raise
     return experiment, robot
 

@@ -235,19 +235,18 @@ class Bridge:
         return "completed", self.problem
 
     def _next(self, pace: Pace) -> float:
-        """Wait for the next sample, and its time [s]."""
+        """Wait for the next sample, by the steady clock or the simulator's, and its time [s]."""
         if self.ticking is None:
             return pace.wait()
-        while True:  # the simulator's time, a period further; a stop is not waited for
+        pace.count += 1
+        while not (self.clock.jumped or self.stopped):
             for tick in self.ticking.take(clock.monotonic()):
                 self.clock.tick(tick)
-            if self.clock.now >= self.stepper.time + self.stepper.period - 1e-9 or self.clock.jumped:
-                pace.count += 1
-                return max(self.clock.now, self.stepper.time + 1e-6)
-            if self.stopped:
-                pace.count += 1
-                return max(self.stepper.time, 0.0) + self.stepper.period
+            if self.clock.now >= self.stepper.time + self.stepper.period - 1e-9:
+                return self.clock.now
             clock.sleep(0.0002)
+        clock.sleep(self.stepper.period)  # a stop does not wait for the simulator
+        return max(self.stepper.time, 0.0) + self.stepper.period
 
     def _leave(self) -> None:
         """Efforts fade, velocities end."""

@@ -5,7 +5,9 @@ set -euo pipefail
 folder=$(realpath "$1") distribution=$2 here=$1/$2
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
-packages=(ament-cmake ament-cmake-ros ament-package rosidl-default-generators rosidl-generator-py)
+packages=(ament-package python-cmake-module rosidl-{default,core}-{generators,runtime} rosidl-generator-py ament-cmake
+    ament-cmake-{core,ros,gtest,gmock,pytest,python,test,version,libraries,include-directories,target-dependencies}
+    ament-cmake-export-{definitions,dependencies,include-directories,interfaces,libraries,link-flags,targets})
 "$here/bin/pip" install -q catkin_pkg "${packages[@]/#/ros-$distribution-}"
 
 mkdir -p "$work"/{msg,action}

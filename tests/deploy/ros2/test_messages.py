@@ -11,6 +11,7 @@ pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
 rosbags = pytest.importorskip("rosbags.typesys", reason="pip install rosbags")
 
 from cyclonedds.idl import IdlStruct  # noqa: E402
+from random_messages import made  # noqa: E402
 
 from mmnn_pin.deploy.ros2 import messages as msg  # noqa: E402
 
@@ -39,30 +40,6 @@ KINDS = {
     for kind in vars(msg).values()
     if isinstance(kind, type) and issubclass(kind, IdlStruct) and kind is not IdlStruct and msg.ros(kind) in STORE.types
 }
-
-
-def made(kind: type[Any], rng: np.random.Generator) -> Any:
-    """A random message of ours."""
-    return kind(*(filled(given, rng) for given in get_type_hints(kind, include_extras=True).values()))
-
-
-def filled(given: Any, rng: np.random.Generator) -> Any:
-    element, shift, length = msg.taken_apart(given)
-    if shift:
-        return [filled(element, rng) for _ in range(length or int(rng.integers(0, 4)))]
-    if isinstance(element, type) and issubclass(element, IdlStruct):
-        return made(element, rng)
-    word = getattr(element, "__metadata__", (getattr(element, "__name__", ""),))[0]
-    if word == "str":
-        return "".join(rng.choice(list("ab_/é9"), int(rng.integers(0, 9))))
-    if word == "float64":
-        return float(rng.choice([rng.normal(), 0.0, -0.0, np.inf, 1e300]))
-    if word == "byte":
-        return int(rng.integers(0, 128))  # the other encoder has no more
-    if word == "bool":
-        return bool(rng.integers(2))
-    low, high = (0, 255) if word in ("byte", "uint8") else (np.iinfo(word).min, np.iinfo(word).max)
-    return int(rng.integers(low, high, endpoint=True))
 
 
 def theirs(message: Any) -> Any:

@@ -5,13 +5,23 @@ One distribution in the default suite, both and the whole matrix of faults under
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from graph import Drive, drive, require_control_msgs
+from graph import Drive, drive, require_control_msgs, start
+from places import ROOT
 
 pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
+
+from random_messages import made
+
+from mmnn_pin.deploy.ros2 import messages as msg
+from mmnn_pin.deploy.ros2.link import Inlet, Link, Outlet
+from mmnn_pin.deploy.ros2.settings import Network, Topic
 
 EVERY = ["kilted", pytest.param("jazzy", marks=pytest.mark.long)]
 DOMAINS = iter(range(60, 100))  # one per test: nobody hears another's robot
@@ -94,6 +104,32 @@ def test_both_qualities_drive(tmp_path: Path, domain: int) -> None:
 
 
 @pytest.mark.long
+def test_a_simulators_clock_drives_and_stops_where_it_jumps(tmp_path: Path, domain: int) -> None:
+    sim = ('clock.source="sim"',)
+    run = drive(tmp_path, "kilted", domain, "sim_time", seconds=5.5, changes=sim)
+    assert run.code == 0 and np.abs(run.at(4.5)[6:8] - GOAL).max() < 0.05, run.lines
+    run = drive(tmp_path, "kilted", next(DOMAINS), "sim_time", "sim_back@2.0", seconds=6.0, changes=sim)
+    assert run.code == 1 and "stopped from outside" in run.lines and "/clock jumped by -" in run.lines, run.lines
+
+
+@pytest.mark.long
+def test_the_example_with_mujoco_drives(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco", reason="pip install 'mmnn_pin[contact]'")
+    command = [
+        sys.executable,
+        "examples/robot/run.py",
+        "--seconds",
+        "12",
+        "--controllers",
+        "pd",
+        "--out",
+        str(tmp_path),
+    ]
+    run = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=200)
+    assert run.returncode == 0 and "pd " in run.stdout, run.stdout + run.stderr
+
+
+@pytest.mark.long
 def test_another_domain_is_silence(tmp_path: Path, domain: int) -> None:
     run = drive(tmp_path, "kilted", domain, robot_domain=next(DOMAINS), wait=3.0)
     assert run.code == 2 and f"no publisher: domain {domain}" in run.lines, run.lines
@@ -112,3 +148,52 @@ def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribut
     assert told["names"] == ["arm_1_joint", "arm_2_joint"]
     assert told["cancel"] == 1 and told["cancelled"] == [5, 0, "cancelled"]
     assert np.abs(run.rows[-1, 8:10]).max() < 0.1  # it stands after the cancel
+
+
+@pytest.mark.parametrize("distribution", EVERY)
+@pytest.mark.parametrize("reliability", ["reliable", pytest.param("best_effort", marks=pytest.mark.long)])
+def test_messages_of_five_types_come_back_as_they_were(domain: int, distribution: str, reliability: str) -> None:
+    """Through rclpy and back: none wrong, and where it is reliable none lost."""
+    rng, count = np.random.default_rng(11), 30
+    echo = start(distribution, domain, "echo_node.py", reliability)
+    link = Link(Network(domain=domain))
+    quality = Topic("/echo", reliability, 200, publishers=1)  # type: ignore[arg-type]
+    kinds = msg.JointState, msg.Odometry, msg.TwistStamped, msg.JointTrajectory, msg.Path
+    there = [Outlet(link, f"/there/{kind.__name__}", kind, quality) for kind in kinds]
+    back = [Inlet(link, f"/back/{kind.__name__}", kind, quality) for kind in kinds]
+    try:
+        deadline = time.monotonic() + 60.0
+        while not all(one.readers for one in there) or not all(one.publishers for one in back):
+            assert time.monotonic() < deadline and echo.poll() is None, "they did not find each other"
+            time.sleep(0.05)
+        time.sleep(1.0)  # the other side knows us, too
+        sent = [[made(kind, rng) for _ in range(count)] for kind in kinds]
+        for k in range(count):
+            for outlet, messages in zip(there, sent, strict=True):
+                outlet.send(messages[k])
+            time.sleep(0.005)
+        heard: list[list[bytes]] = [[] for _ in kinds]
+        while time.monotonic() < deadline and any(len(one) < count for one in heard):
+            for inlet, came in zip(back, heard, strict=True):
+                came += [one.serialize(use_version_2=False) for one in inlet.take(time.monotonic())]
+            time.sleep(0.01)
+            if reliability == "best_effort" and time.monotonic() > deadline - 50.0:
+                break
+        link.allowed.clear()  # from now on nobody is a peer
+        stranger = Inlet(link, back[0].name, kinds[0], quality)
+        while not stranger.foreign and time.monotonic() < deadline:
+            there[0].send(sent[0][0])
+            time.sleep(0.05)
+            assert stranger.take(time.monotonic()) == []
+    finally:
+        echo.kill()
+        echo.wait()
+        link.close()
+    asked = [[one.serialize(use_version_2=False) for one in messages] for messages in sent]
+    assert stranger.foreign and "is not among network.peers" in stranger.why
+    assert not any(inlet.dropped for inlet in back)
+    for came, whole in zip(heard, asked, strict=True):
+        if reliability == "reliable":
+            assert came == whole
+        else:
+            assert len(came) > 0.5 * count and set(came) <= set(whole)
