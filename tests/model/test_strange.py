@@ -431,9 +431,9 @@ MACRO = '<xacro:macro name="m" params="n"><a/>{}</xacro:macro><xacro:m n="40"/>'
 
 @pytest.mark.parametrize(("text", "words"), [
     (MACRO.format(2 * AGAIN), "circle"),
-    (MACRO.format(f'<xacro:if value="${{n}}">{2 * AGAIN}</xacro:if>'), "more than 8 s"),
+    (MACRO.format(f'<xacro:if value="${{n}}">{2 * AGAIN}</xacro:if>'), r"more than (8|30) s"),
     ('<a b="${len(\'x\' * 10**11)}"/>', "GB"),
-    ('<a b="${9**9**9**9}"/>', "more than 8 s"),
+    ('<a b="${9**9**9**9}"/>', r"more than (8|30) s"),
 ])  # fmt: skip
 @pytest.mark.long
 def test_a_xacro_file_without_end_is_ended(tmp_path, text, words):
