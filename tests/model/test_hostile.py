@@ -121,7 +121,7 @@ def test_a_file_of_50_mb_is_one_line_soon(tmp_path, name, suffix):
     begun = time.perf_counter()
     with pytest.raises(RobotError) as error:
         load(file)
-    assert time.perf_counter() - begun < 15 and "\n" not in str(error.value)  # 10 s on an idle machine
+    assert time.perf_counter() - begun < 40 and "\n" not in str(error.value)  # 10 s on an idle machine
 
 
 MESHES = {

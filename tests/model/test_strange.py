@@ -431,16 +431,16 @@ MACRO = '<xacro:macro name="m" params="n"><a/>{}</xacro:macro><xacro:m n="40"/>'
 
 @pytest.mark.parametrize(("text", "words"), [
     (MACRO.format(2 * AGAIN), "circle"),
-    (MACRO.format(f'<xacro:if value="${{n}}">{2 * AGAIN}</xacro:if>'), "more than 9 s"),
+    (MACRO.format(f'<xacro:if value="${{n}}">{2 * AGAIN}</xacro:if>'), r"more than (8|30) s"),
     ('<a b="${len(\'x\' * 10**11)}"/>', "GB"),
-    ('<a b="${9**9**9**9}"/>', "more than 9 s"),
+    ('<a b="${9**9**9**9}"/>', r"more than (8|30) s"),
 ])  # fmt: skip
 @pytest.mark.long
 def test_a_xacro_file_without_end_is_ended(tmp_path, text, words):
     begun = time.perf_counter()
     with pytest.raises(InputError, match=words) as error:
         load(xacro(tmp_path, text + ROBOT))
-    assert time.perf_counter() - begun < 12 and "\n" not in str(error.value)
+    assert time.perf_counter() - begun < 40 and "\n" not in str(error.value)
 
 
 def test_an_inertia_written_twice_with_two_zeros():

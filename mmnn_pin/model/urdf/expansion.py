@@ -11,6 +11,7 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -29,7 +30,9 @@ MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
 
 USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
 
-SECONDS, BYTES = 9.0, 1_000_000_000  # what an expansion may take
+SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
+
+PATIENCE = 30.0  # how long it may wait for anything else [s]
 
 FILES = 400  # looked at for one that calls a macro
 
@@ -118,14 +121,16 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     command = [sys.executable, "-P", "-c", CHILD]
     try:
         ended = subprocess.run(
-            command, input=json.dumps(job).encode(), capture_output=True, env=environment, timeout=SECONDS, check=False
+            command, input=json.dumps(job).encode(), capture_output=True, env=environment, timeout=PATIENCE, check=False
         )
     except subprocess.TimeoutExpired:
-        why = f"it takes more than {SECONDS:g} s: do its macros call each other without end?"
+        why = f"it takes more than {PATIENCE:g} s: does it read a file that is none?"
         raise RobotError("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1) from None
     head, _, data = ended.stdout.partition(b"\n")
     if ended.returncode or not head:
+        slow = ended.returncode == -signal.SIGXCPU
         why = f"it takes more than {BYTES / 1e9:g} GB, or ends the process that expands it"
+        why = f"it takes more than {SECONDS} s: do its macros call each other without end?" if slow else why
         raise RobotError("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1)
     return json.loads(head), data
 
@@ -137,6 +142,7 @@ def child() -> None:
         import resource
 
         resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 2))
     import xacro
     import xacrodoc
 
