@@ -23,6 +23,7 @@ what they drive never gain energy, and others are refused.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any, Literal, NamedTuple
 
 import msgspec
@@ -105,7 +106,7 @@ class Actuator(Settings, frozen=True):
     @property
     def perfect(self) -> bool:
         """Whether every motor gives what is asked for, at once."""
-        return self == Actuator()
+        return self == perfect_motors()
 
     def motors(self, robot: Robot, dt: float, dead: Array = NEVER, states: Array | None = None) -> Motors:
         """The motors of a robot: their effects in the order in which a command meets them.
@@ -184,6 +185,12 @@ class Actuator(Settings, frozen=True):
                 fix=f"use less than {driven / dt:.3g}, or a shorter time.plant_step",
                 key="actuator.brake",
             )
+
+
+@cache
+def perfect_motors() -> Actuator:
+    """The motors of a robot about whose motors nothing is known."""
+    return Actuator()
 
 
 def motor_places(robot: Robot) -> list[int]:

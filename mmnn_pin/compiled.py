@@ -25,7 +25,7 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import cache, wraps
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar, cast, get_type_hints
@@ -49,6 +49,7 @@ T = TypeVar("T")
 Vector = Annotated[NDArray[np.float64], 1]
 Matrix = Annotated[NDArray[np.float64], 2]
 Cube = Annotated[NDArray[np.float64], 3]
+FIELDS: dict[type[Any], tuple[tuple[str, Any], ...]] = {}  # of the tuples of views: reading their hints is slow
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -150,10 +151,12 @@ def constructor(kind: type[Any], known: dict[str, Any], place: int) -> tuple[str
     return f"{kind.__name__}({', '.join(parts)})", place
 
 
-def fields_of(kind: type[Any]) -> Iterator[tuple[str, Any]]:
+def fields_of(kind: type[Any]) -> tuple[tuple[str, Any], ...]:
     """Names of a tuple's fields with their number of dimensions, or with the tuple that they are."""
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        yield name, hint.__metadata__[0] if hasattr(hint, "__metadata__") else hint
+    if kind not in FIELDS:
+        hints = get_type_hints(kind, include_extras=True).items()
+        FIELDS[kind] = tuple((name, getattr(hint, "__metadata__", (hint,))[0]) for name, hint in hints)
+    return FIELDS[kind]
 
 
 def layout_of(kind: type[Any], shapes: Mapping[str, tuple[int, ...]]) -> NDArray[np.int64]:

@@ -113,6 +113,8 @@ def require_gain(value: Any, key: str) -> None:
     Raises:
         ConfigError: With the key path.
     """
+    if isinstance(value, int | float) and 0.0 <= value < math.inf:
+        return  # most numbers, and numpy takes longer
     if not np.all(np.isfinite(value)) or np.any(np.asarray(value) < 0):
         raise ConfigError(f"{value} is negative or not finite", fix="use a finite number >= 0", key=key)
 
@@ -134,6 +136,8 @@ def require_numbers(settings: Settings, section: str, positive: Collection[str])
         value, key = getattr(settings, name), f"{section}.{name}"
         if value is None or isinstance(value, str):
             continue
+        if isinstance(value, int | float) and (0 < value <= LARGEST or (value == 0 and name not in positive)):
+            continue  # most numbers, and numpy takes longer
         if name in positive and np.any(np.asarray(value) <= 0):
             raise ConfigError(f"{value}", fix="use a number > 0", key=key)
         require_gain(value, key)

@@ -190,9 +190,11 @@ class Setpoint(View):
     @classmethod
     def side_by_side(cls, values: Array, dimensions: Dimensions) -> Setpoint:
         """Views into its six arrays side by side, (..., 3 + 2 nb + 3 n): a row, or the rows of a table."""
-        d = dimensions
-        sizes = (d.pose, d.base, d.base, d.arm, d.arm)
-        return cls(*np.split(values, np.cumsum(sizes), axis=-1))
+        d, parts, end = dimensions, [], 0
+        for size in (d.pose, d.base, d.base, d.arm, d.arm, d.arm):
+            parts.append(values[..., end : end + size])
+            end += size
+        return cls(*parts)
 
 
 @dataclass(frozen=True, slots=True)

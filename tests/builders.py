@@ -1,13 +1,14 @@
-"""Trajectories, loops and recordings for tests, in one line each."""
+"""Trajectories, loops, recordings and parameters for tests, in one line each."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
+import pytest
 
 from mmnn_pin import PD, Circle, Feedback, Loop, Sine, Start, Timing, Trajectory, load
 from mmnn_pin.model.robot import Robot
@@ -83,3 +84,8 @@ def recording(
     with Recorder(layout, {"controller": controller, "control_period": period} | about | facts) as recorder:
         recorder.append_block(table, np.zeros(rows))
         return recorder.finish(outcome or Outcome("completed", period * rows))
+
+
+def first_of(names: Iterable[str], *quick: str) -> list[Any]:
+    """Parameters of a test: those named as quick always run; the others, the same code compiled again, are long."""
+    return [pytest.param(name, marks=() if name in quick else pytest.mark.long) for name in names]

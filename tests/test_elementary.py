@@ -157,7 +157,7 @@ print(digest.hexdigest())
     [
         {"NUMBA_DISABLE_JIT": "1"},
         {"NUMBA_CPU_NAME": "x86-64", "NUMBA_CPU_FEATURES": "", "NUMBA_DISABLE_INTEL_SVML": "1"},
-        {"NUMBA_OPT": "0"},
+        pytest.param({"NUMBA_OPT": "0"}, marks=pytest.mark.long),
     ],
     ids=["plain Python", "plain x86-64", "not optimised"],
 )

@@ -20,6 +20,10 @@ import mmnn_pin
 
 PACKAGE = ROOT / "mmnn_pin"
 README = (ROOT / "README.md").read_text()
+PAGES = [
+    ROOT / name
+    for name in ("README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/how-to.md", "docs/first-run.md")
+]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Examples and wheels are slow, and say nothing more when coverage is measured on uncompiled code.
 compiled_only = pytest.mark.skipif(os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="slow in plain Python")
@@ -82,8 +86,8 @@ def test_public_things_have_docstrings() -> None:
 # -- README, examples, docs -------------------------------------------------------------------------------------------
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.M | re.S)
+def blocks(language: str, page: str = README) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.M | re.S)
 
 
 def test_readme_shows_the_quickstart_as_it_is() -> None:
@@ -111,10 +115,11 @@ def test_every_example_is_run_by_a_test() -> None:
 
 
 @compiled_only
-def test_readme_shows_the_table_that_chapter4_prints(tmp_path: Path) -> None:
+def test_the_first_run_shows_the_table_that_chapter4_prints(tmp_path: Path) -> None:
     program = "from mmnn_pin.cli import main; import sys; sys.exit(main(['run', 'chapter4']))"
     printed, _, _ = python("-c", program, cwd=tmp_path).partition("\nwrote ")
-    shown = next(block for block in blocks("text") if "pose x [mm]" in block)
+    page = (ROOT / "docs/first-run.md").read_text()
+    shown = next(block for block in blocks("text", page) if "pose x [mm]" in block)
     for real, told in zip(printed.rstrip().splitlines(), shown.rstrip().splitlines(), strict=True):
         for one, other in zip(real.split(), told.split(), strict=True):
             numbers = [word.strip("()") for word in (one, other)]
@@ -130,7 +135,7 @@ def test_examples_are_short() -> None:
 
 
 def test_documents_link_to_what_exists() -> None:
-    for document in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "docs/architecture.md"):
+    for document in PAGES:
         for target in re.findall(r"\]\(([^)#]+)[^)]*\)", document.read_text()):
             if "://" not in target:
                 assert (document.parent / target).exists(), f"{document.name} links to {target}"
@@ -139,7 +144,7 @@ def test_documents_link_to_what_exists() -> None:
 def test_documents_name_modules_and_commands_that_exist() -> None:
     from mmnn_pin.cli import mmnn
 
-    for document in (README, *((ROOT / name).read_text() for name in ("CONTRIBUTING.md", "docs/architecture.md"))):
+    for document in (page.read_text() for page in PAGES):
         for module in re.findall(r"`(?:mmnn_pin/)?((?:[a-z_]+/)*[a-z_]+\.(?:py|toml))`", document):
             assert list(PACKAGE.rglob(module)) or (ROOT / module).exists(), module
         for command in re.findall(r"\bmmnn ([a-z]+)\b", document):

@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from builders import first_of
 from numba import config
 
 from mmnn_pin import (
@@ -170,7 +171,7 @@ def learner(name, robot=ROBOT):
     return load_experiment("chapter4", told).controller(name, robot=robot)
 
 
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", first_of(LEARNERS, "adaptive", "own"))
 def test_a_learner_learns_there_what_it_learns_in_the_loop(name, monkeypatch):
     monkeypatch.setattr("mmnn_pin.torque.kalman.SAMPLES", 20)  # of the prior: the time that plain Python takes
     monkeypatch.setattr("mmnn_pin.torque.concurrent.SAMPLES", 60)

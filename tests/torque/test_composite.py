@@ -187,6 +187,7 @@ def test_it_knows_after_a_motion_what_the_tracking_error_alone_does_not_tell():
     assert known["adaptive_composite"] < 1e-3 < 0.1 * known["adaptive"]
 
 
+@pytest.mark.long
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
 def test_coarse_encoders_do_not_carry_it_away():
     """Differenced velocities at 500 Hz, steps of half a milliradian: the tracking law is lost, or at the limits."""

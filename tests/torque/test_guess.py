@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+from builders import first_of
 from closed_form import inertial, joint
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -78,7 +79,7 @@ def test_a_feedback_that_can_handle_the_balls_leaves_them_as_they_are():
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.01])
-@pytest.mark.parametrize("name", LEARNERS)
+@pytest.mark.parametrize("name", first_of(LEARNERS, "concurrent"))
 def test_a_light_arm_is_learned_with_the_defaults(name, scale):
     """Servo arms of grams: PD lets them sag, no learner with its defaults is lost or worse."""
     if PLAIN and (scale != 1.0 or name in ("kalman_bilinear", "kalman_features")):

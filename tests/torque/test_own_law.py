@@ -89,6 +89,7 @@ def test_the_example_is_a_class_of_under_60_lines() -> None:
     assert kind.end_lineno is not None and kind.end_lineno - kind.lineno + 1 < 60
 
 
+@pytest.mark.long
 @compiled_only
 def test_the_example_is_run_judged_and_plotted_like_any_other(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -347,6 +348,7 @@ class Raises(Tells):
 """
 
 
+@pytest.mark.long
 def test_laws_and_controllers_of_a_file_take_part_in_the_contest(
     law: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -144,6 +144,7 @@ def explained(controller, state, rows, loop):
     return np.mean(np.mean(np.square(left), axis=0) / np.var(psi, axis=0))
 
 
+@pytest.mark.long
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
 def test_without_its_memory_it_follows_and_forgets():
     """Frozen on an eight 1.3 times faster: a network that sees only the newest sample explains nothing."""

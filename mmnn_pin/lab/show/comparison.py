@@ -27,8 +27,9 @@ NAME = 9  # letters of a controller's name on a line
 TITLES = {"pose_error": "pose", "z": "velocity", "e": "joint"}
 ABOUT = (
     "effort: time integral of the squared motor torques. learned share: RMS of Psi_hat over RMS of the torque. "
-    "effective gain: mean of all that multiplies z (base) or r (arm). delay margin: least delay from measurement to "
-    "torque with which the linearised loop is unstable, under the feedback alone or with the one inside Psi."
+    "effective gain: mean of the whole gain on z (base) or r (arm), robust term included. "
+    "delay margin: least delay from measurement to torque with which the linearised loop is unstable, under the "
+    "feedback alone or with the one inside Psi."
 )
 ABOUT_SHARES = (
     "better than pd = gain + learning: how much smaller the RMS error is, in % of pd's. gain: from pd to pd at the "
@@ -93,7 +94,7 @@ def notes_of(result: Result) -> tuple[str, ...]:
     oracles = [name for name in result.recordings if name in ORACLES]
     notes = []
     if len(result.recordings) - len(oracles) > 1:
-        notes.append(f"* best of the row but for {oracles[0]}." if oracles else "* best of the row.")
+        notes.append(f"* best of the row, {oracles[0]} not counted." if oracles else "* best of the row.")
     if oracles:
         notes.append(f"{oracles[0]} knows the true model: its share in brackets.")
     if any(map(exceeded, limited(result))):

@@ -131,7 +131,7 @@ def psi_figure(recordings: Recordings) -> Figure:
 
 @figure("gains", needs=signals("effective_gain"))
 def gains_figure(recordings: Recordings) -> Figure:
-    """Effective gains over time: all that multiplies z and r in the torque, `k + Kz (|Z| + ZB)` for a learner.
+    """Effective gains over time: the whole gain on z and r in the torque, `k + Kz (|Z| + ZB)` for a learner.
 
     PD at a learner's effective gain is left out where that learner is drawn: the two are equal.
 

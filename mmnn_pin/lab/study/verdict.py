@@ -360,7 +360,8 @@ def sentences(results: Results, found: Verdict) -> list[str]:
     if found.alike:
         names = " and ".join(found.alike)
         lines.append(
-            f"Its successes are not told apart from those of {names}; it has the smallest median of {found.deciding}."
+            f"So many runs do not tell whether it succeeds more often than {names}; "
+            f"it has the smallest median of {found.deciding}."
         )
     return [*lines, describe_region(results, found)]
 

@@ -188,7 +188,7 @@ def test_equal_successes_are_decided_by_the_smaller_error_and_it_is_said() -> No
     found = verdict(results)
     assert found.controller == "two_layer" and found.alike == ("pd",) and found.deciding == "e.*.peak"
     told = " ".join(sentences(results, found))
-    assert "not told apart from those of pd; it has the smallest median of e.*.peak" in told
+    assert "do not tell whether it succeeds more often than pd; it has the smallest median of e.*.peak" in told
     assert "That holds within everything that was varied" in told
 
 

@@ -1,0 +1,75 @@
+"""The moving picture of a replay page, as the README shows it.
+
+    mmnn run track --robot tiago --controller pd_gravity --out runs/tiago
+    mmnn replay runs/tiago/pd_gravity.h5 --html runs/tiago/replay.html
+    python -m studies.moving_picture runs/tiago/replay.html docs/figures/replay.gif
+
+Needs Chromium, playwright and Pillow (`pip install -e ".[test]"`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shutil
+import sys
+from pathlib import Path
+
+from PIL import Image
+
+SIZE = {"width": 960, "height": 540}
+FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+
+
+def main(words: list[str] | None = None) -> int:
+    """Write the picture; exit code 0."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("page", type=Path)
+    parser.add_argument("picture", type=Path)
+    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--seconds", type=float, default=6.0, help="that the picture takes")
+    parser.add_argument("--width", type=int, default=640, help="of the picture in pixels")
+    given = parser.parse_args(words)
+    frames = [small(frame, given.width) for frame in shots(given.page, given.frames)]
+    first, *others = frames
+    wait = round(1e3 * given.seconds / given.frames)
+    first.save(given.picture, save_all=True, append_images=others, duration=wait, loop=0, optimize=True)
+    print(f"wrote {given.picture}: {given.picture.stat().st_size / 1e6:.2f} MB, {len(frames)} frames")
+    return 0
+
+
+def shots(page: Path, count: int) -> list[Image.Image]:
+    """Pictures of a page at moments spread evenly over its run."""
+    from playwright.sync_api import sync_playwright
+
+    path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    found = []
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=path, args=list(FLAGS))
+        tab = browser.new_page(viewport=SIZE)
+        tab.goto(page.resolve().as_uri())
+        tab.wait_for_function("Number(document.getElementById('scrub').max) > 0", timeout=120_000)
+        tab.add_style_tag(content="#controls, #about { display: none }")
+        last = int(tab.evaluate("Number(document.getElementById('scrub').max)"))
+        for i in range(count):
+            tab.evaluate(
+                "at => { const s = document.getElementById('scrub'); s.value = at;"
+                " s.dispatchEvent(new Event('input')); }",
+                round(i * last / count),
+            )
+            tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            found.append(Image.open(io.BytesIO(tab.screenshot())))
+        browser.close()
+    return found
+
+
+def small(frame: Image.Image, width: int) -> Image.Image:
+    """The middle of a frame at a width, with the colours that a GIF can have."""
+    across, down = frame.size
+    frame = frame.crop((round(0.12 * across), round(0.1 * down), round(0.88 * across), round(0.9 * down)))
+    height = round(frame.height * width / frame.width)
+    return frame.convert("RGB").resize((width, height), Image.Resampling.LANCZOS).quantize(64, dither=Image.Dither.NONE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
