@@ -163,7 +163,7 @@ def test_an_arm_too_weak_for_the_middle_of_its_range_swings_about_another_postur
 
 def test_track_keeps_the_limits_of_the_motors_unless_it_is_told_not_to() -> None:
     assert load_experiment("track").actuator.torque_limit == "urdf"
-    assert load_experiment("track", ["actuator.torque_limit=none"]).actuator == Actuator()
+    assert load_experiment("track", ["actuator.torque_limit=none"]).actuator.perfect
 
 
 def test_gravity_and_an_integral_feed_no_rates_back() -> None:
