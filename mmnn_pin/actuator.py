@@ -25,7 +25,6 @@ from __future__ import annotations
 import math
 from typing import Any, Literal, NamedTuple
 
-import msgspec
 import numpy as np
 
 from .compiled import spliced
@@ -87,8 +86,6 @@ class Actuator(Settings, frozen=True):
     brake: Numbers = 0.0
 
     def __post_init__(self) -> None:
-        if self.torque_limit == "none":
-            msgspec.structs.force_setattr(self, "torque_limit", None)
         positive = ("torque_limit", "speed_limit", "torque_constant", "resistance", "stiffness", "voltage")
         require_numbers(self, "actuator", positive)
         for name, unset in (("torque_constant", 1), ("resistance", 1), ("battery_resistance", 0), ("pwm_levels", 0)):
@@ -106,6 +103,7 @@ class Actuator(Settings, frozen=True):
     def perfect(self) -> bool:
         """Whether every motor gives what is asked for, at once."""
         return self == PERFECT
+        return self in perfect_motors()
 
     def motors(self, robot: Robot, dt: float, dead: Array = NEVER, states: Array | None = None) -> Motors:
         """The motors of a robot: their effects in the order in which a command meets them.
@@ -187,6 +185,10 @@ class Actuator(Settings, frozen=True):
 
 
 PERFECT = Actuator()
+@cache
+def perfect_motors() -> tuple[Actuator, ...]:
+    """The motors of a robot about whose motors nothing is known, however that is said."""
+    return Actuator(), Actuator(torque_limit="none")
 
 
 def motor_places(robot: Robot) -> list[int]:

@@ -1,9 +1,9 @@
 """`mmnn run track` on every robot: the errors of its joints on the last lap of the arm, and what the motors gave.
 
-    python -m studies.track_any [ROBOT...] [--markdown] [--joints]
+    python -m studies.track_any [ROBOT...] [--joints] [--set KEY=VALUE]
 
 ROBOT is a name or a path, none for all of `mmnn list`. A run has `LAPS` periods of the arm's swing, however slow the
-reference is on that robot. `--markdown` prints the page docs/tracking.md.
+reference is on that robot. It prints the tables of docs/tracking.md.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def main(robots: tuple[str, ...], settings: tuple[str, ...], joints: bool) -> No
         except InputError as refused:
             click.echo(f"{name}: not run: {refused.what}", err=True)
             continue
-        click.echo("\n".join(summary(rows[-1:])[2:]), err=True)
+        click.echo("\n".join([*summary(rows[-1:])[2:], *(per_joint(rows[-1:])[2:] if joints else [])]), err=True)
     click.echo("\n".join(summary(rows)))
     worse = sum(int((~no_worse(row)).sum()) for row in rows)
     count = sum(len(row.joints) for row in rows)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from builders import THESIS
 from drives import ARM, LIMIT, SPHERE, Drive, joint, link, origin, robot_of
 from numba import config
 
@@ -371,7 +372,7 @@ def test_a_patch_is_slippery_where_it_is() -> None:
 def loop(**more) -> Loop:
     reference = Trajectory(base=Line(speed=0.3), arm=[Sine(amplitude=0.8, period=4.0), Hold(0.8)])
     timing = Timing(duration=0.1 if PLAIN else 0.4)
-    return Loop(robot("platform_arm"), reference, PD(), timing=timing, start=Start((-0.01, 0.0, 0.0)), **more)
+    return Loop(robot("platform_arm"), reference, PD(THESIS), timing=timing, start=Start((-0.01, 0.0, 0.0)), **more)
 
 
 def test_a_recording_knows_its_plant_and_what_the_wheels_did() -> None:

@@ -11,6 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import THESIS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import config
@@ -226,7 +227,7 @@ def test_a_base_with_a_blocked_wheel_pivots_about_it():
 
 def test_a_blocked_joint_stays_and_comes_free_again():
     name = ROBOT.joint_names[0]
-    run = run_of(Block(joint=name, start=0.02, end=0.06), integrator="stick", controller=PD())
+    run = run_of(Block(joint=name, start=0.02, end=0.06), integrator="stick", controller=PD(THESIS))
     held = (run.time > 0.02 + 2 * H) & (run.time < 0.06 + 1e-9)
     assert np.abs(run["qdot"][held, 0]).max() < 1e-9 and np.abs(run["qdot"][held, 1]).max() > 1e-3
     assert np.abs(run["qdot"][~held, 0]).max() > 0.1 and abs(run["qdot"][-1, 0]) > 0.1

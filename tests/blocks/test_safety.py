@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from builders import THESIS
 from closed_form import inertial, joint
 from numba import config
 from robots import dynamics, mobile_arm, robot_of
@@ -155,23 +156,23 @@ def test_a_joint_that_is_too_fast_trips():
 
 def test_a_base_that_is_too_far_away_trips():
     start = Start(pose_offset=(0.03, 0.04, 0.0))
-    run = Loop(ROBOT, REACH, PD(), timing=Timing(0.1), safety=Safety(position_error=0.0499), start=start).run()
+    run = Loop(ROBOT, REACH, PD(THESIS), timing=Timing(0.1), safety=Safety(position_error=0.0499), start=start).run()
     require_tripped(run, "pose_error[0]", 0.0)
     assert "position error 0.05 m, 0.0001 m over its limit of 0.0499 m" in run.outcome.message
-    near = Loop(ROBOT, REACH, PD(), timing=Timing(0.1), safety=Safety(position_error=0.08), start=start).run()
+    near = Loop(ROBOT, REACH, PD(THESIS), timing=Timing(0.1), safety=Safety(position_error=0.08), start=start).run()
     assert near.outcome.status == "completed"
 
 
 def test_a_base_that_looks_elsewhere_trips():
     start = Start(pose_offset=(0.0, 0.0, -0.3))
-    run = Loop(ROBOT, REACH, PD(), timing=Timing(0.1), safety=Safety(heading_error=0.25), start=start).run()
+    run = Loop(ROBOT, REACH, PD(THESIS), timing=Timing(0.1), safety=Safety(heading_error=0.25), start=start).run()
     require_tripped(run, "pose_error[2]", 0.0)
     assert "heading error 0.3 rad, 0.05 rad over" in run.outcome.message
 
 
 def test_a_joint_that_is_off_its_reference_trips():
     start = Start(joint_offset=(0.0, 0.2))
-    run = Loop(ROBOT, REACH, PD(), timing=Timing(0.1), safety=Safety(joint_error=(0.1, 0.19)), start=start).run()
+    run = Loop(ROBOT, REACH, PD(THESIS), timing=Timing(0.1), safety=Safety(joint_error=(0.1, 0.19)), start=start).run()
     require_tripped(run, "e[1]", 0.0)
     assert f"joint error of {ROBOT.joint_names[1]} 0.2 rad, 0.01 rad over" in run.outcome.message
 
@@ -255,12 +256,14 @@ def test_a_measurement_that_is_not_finite_is_refused():
 def test_before_the_first_good_measurement_nothing_moves_and_nothing_is_judged():
     far = Trajectory(Line(0.3, start=(50.0, 0.0, 0.0)), (Sine(0.5, 2.0), Hold(0.4)))
     safety = Safety(position_error=1.0, timeout=0.05, ramp=0.0, stop_time=0.02)
-    loop = Loop(ROBOT, far, PD(), timing=Timing(0.1), safety=safety, disturbances=(Messages(fault="nan", end=0.02),))
+    loop = Loop(
+        ROBOT, far, PD(THESIS), timing=Timing(0.1), safety=safety, disturbances=(Messages(fault="nan", end=0.02),)
+    )
     run = loop.run()
     early = run.time < 0.02 - 1e-9
     assert not run["torque"][early].any() and (states(run)[early] == STEPPED_IN).all()
     assert run.outcome.status == "completed" and run["torque"][~early].any()
-    never = Loop(ROBOT, far, PD(), timing=Timing(0.1), safety=safety, disturbances=(Messages(fault="nan"),)).run()
+    never = Loop(ROBOT, far, PD(THESIS), timing=Timing(0.1), safety=safety, disturbances=(Messages(fault="nan"),)).run()
     require_tripped(never, "measurement[0]")
     assert not never["torque"].any()
 
@@ -371,7 +374,7 @@ def test_a_stop_holds_the_arm_against_gravity():
 
 def test_a_stop_brakes_the_base():
     pushed = Push(on="w", force=300.0, start=0.02, end=0.08)
-    run = run_of(Safety(yaw_rate=0.2, stop_time=1.0), 1.5, controller=PD(), disturbances=(pushed,))
+    run = run_of(Safety(yaw_rate=0.2, stop_time=1.0), 1.5, controller=PD(THESIS), disturbances=(pushed,))
     require_tripped(run, "velocity[1]")
     k = round(run.outcome.time / H)
     assert abs(run["nu"][k, 0]) > 0.2 and np.abs(run["nu"][-1]).max() < 0.05 * np.abs(run["nu"][k]).max()
@@ -422,7 +425,9 @@ def test_shorted_windings_brake_the_base_at_once_and_the_arm_is_held():
     """Where the drive motors have a brake, the base needs no feedback: `applied` is -brake times the wheels' speed."""
     pushed = Push(on="w", force=300.0, start=0.02, end=0.08)
     actuator = Actuator(brake=(20.0, 20.0, 0.0, 0.0))
-    run = run_of(Safety(yaw_rate=0.2, stop_time=0.5), 0.7, controller=PD(), disturbances=(pushed,), actuator=actuator)
+    run = run_of(
+        Safety(yaw_rate=0.2, stop_time=0.5), 0.7, controller=PD(THESIS), disturbances=(pushed,), actuator=actuator
+    )
     require_tripped(run, "velocity[1]")
     k = round(run.outcome.time / H)
     assert not run["torque"][k:, :2].any() and run["torque"][k:, 2:].any() and (states(run)[k:] == STOPPING).all()

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders import THESIS
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import structs
@@ -344,7 +345,8 @@ def run_timing(run):
 
 
 @pytest.mark.parametrize(
-    "controller", [PD(Feedback(200.0, 3.0)), Neural(TwoLayer()), Neural(OneLayer()), ComputedTorque()]
+    "controller",
+    [PD(Feedback(200.0, 3.0)), Neural(TwoLayer(), THESIS), Neural(OneLayer(), THESIS), ComputedTorque(THESIS)],
 )
 def test_controllers_see_the_measurement_and_nothing_else(controller):
     """Sensors that never say anything new: the torque follows from the first measurement, not from the moving state."""

@@ -52,8 +52,8 @@ def test_a_delay_that_is_known_lowers_the_gains_until_it_is_borne() -> None:
         replace(late, controller=prompt.controller).require_stable_gains()
     stepper = Stepper(robot, PD(), period=H, latency=0.016)
     assert stepper.delay_margin() >= 0.016 + MARGIN
-    lagging = loop_of(robot, PD(), actuator=Actuator(lag=0.03))
-    assert lagging.delay_margin() >= MARGIN > replace(prompt, actuator=Actuator(lag=0.03)).delay_margin()
+    lagging = loop_of(robot, PD(), actuator=Actuator(lag=0.1))
+    assert lagging.delay_margin() >= MARGIN > replace(prompt, actuator=Actuator(lag=0.1)).delay_margin()
 
 
 @pytest.mark.parametrize("period", [0.001, 0.01, 0.05])
@@ -62,7 +62,7 @@ def test_a_slow_loop_has_lower_gains(period: float) -> None:
     timing = Timing(duration=1.0, control_period=period, plant_step=0.001)
     loop = loop_of(robot, PD(), timing=timing)
     assert loop.delay_margin() >= MARGIN
-    assert (fit(robot, Feedback(), Given(loop.kinematic, period)).share == 1.0) == (period == 0.001)
+    assert (fit(robot, Feedback(), Given(loop.kinematic, period)).share == 1.0) == (period < 0.05)
 
 
 def test_gains_follow_the_inertia() -> None:
@@ -163,4 +163,14 @@ def test_an_arm_too_weak_for_the_middle_of_its_range_swings_about_another_postur
 
 def test_track_keeps_the_limits_of_the_motors_unless_it_is_told_not_to() -> None:
     assert load_experiment("track").actuator.torque_limit == "urdf"
-    assert load_experiment("track", ["actuator.torque_limit=none"]).actuator == Actuator()
+    assert load_experiment("track", ["actuator.torque_limit=none"]).actuator.perfect
+
+
+def test_gravity_and_an_integral_feed_no_rates_back() -> None:
+    """Their Psi_hat does not answer to nudot_ref: what is inside it for a model takes nothing from their margin."""
+    experiment, robot = load_experiment("track"), load("platform_arm")
+    margin = {
+        name: experiment.loop(robot, experiment.controller(name, robot=robot)).delay_margin()
+        for name in ("pd", "pd_gravity", "pid", "computed_torque")
+    }
+    assert margin["pd_gravity"] == margin["pid"] == margin["pd"] > margin["computed_torque"]

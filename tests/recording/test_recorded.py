@@ -9,6 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from builders import THESIS
 from drives import Drive
 from numba import config
 from test_base import four
@@ -140,7 +141,7 @@ def recorded(robot: Robot, file: Path | None = None, **more) -> Recording:
 @pytest.mark.parametrize("kept", ["file", "memory"])
 def test_a_recording_builds_its_robot_again(place, kept):
     robot = heavy(place)
-    again = recorded_robot(recorded(robot, place / "run.h5" if kept == "file" else None, controller=PD()))
+    again = recorded_robot(recorded(robot, place / "run.h5" if kept == "file" else None, controller=PD(THESIS)))
     assert dict(again.masses) == {"root": 3.0, "shoulder": 0.7}
     np.testing.assert_array_equal(again.viscous, robot.viscous)
     np.testing.assert_array_equal(again.T, robot.T)
@@ -153,12 +154,12 @@ def test_a_recording_builds_its_robot_again(place, kept):
 
 def test_it_tells_what_a_controller_believed(place):
     robot = heavy(place)
-    meta = recorded(robot, controller=ComputedTorque(), nominal=robot.with_masses(0.5)).meta
+    meta = recorded(robot, controller=ComputedTorque(THESIS), nominal=robot.with_masses(0.5)).meta
     assert meta["nominal"]["mass_factors"]["root"] == 1.5 and meta["mass_factors"]["root"] == 3.0
 
 
 def test_facts_that_are_missing_or_of_another_robot_are_told(place):
-    run = recorded(heavy(place), controller=PD())
+    run = recorded(heavy(place), controller=PD(THESIS))
     run.meta["overrides"] = {"wheels": ["fl", "fr"]}
     with pytest.raises(RecordingError, match="another robot"):
         recorded_robot(run)

@@ -117,7 +117,7 @@ def test_an_experiment_and_its_cases_may_start_from_others(tmp_path):
     eight, beside = with_case(lean, "eight"), with_case(lean, "beside")
     assert eight.reference == load_experiment("eight").reference and with_case(lean, "own").kinematic.K == 7.0
     assert (eight.seed, eight.feedback.arm, eight.kinematic.K, eight.kinematic.kx) == (5, 20.0, 5.0, 10.0)
-    assert beside.windows == ((0.0, 1.0),) and beside.feedback.scaling == "inertia" and beside.feedback.arm == 20.0
+    assert beside.windows == ((0.0, 1.0),) and beside.reference.share == 0.75 and beside.feedback.arm == 20.0
     changed = load_experiment(path, ["feedback.arm=3.0", "kinematic.K=1.0", "cases.own.set.seed=9"])
     for name, K in (("own", 1.0), ("eight", 5.0), ("beside", 1.0)):
         one = with_case(changed, name)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders import THESIS
 from certified import PERIOD, certified_robot, controller, kinematic, learner_loop, loop_of
 from proofs import SLOW, learner, subject_of
 from proofs import loop_of as small_loop
@@ -405,7 +406,7 @@ def test_chapter_4_fails_by_its_gains_and_its_period() -> None:
     robot = load("platform_arm")
     path = Trajectory(Line(speed=0.3), (Hold(0.0), Hold(0.8)))
     run = Loop(
-        robot, path, PD(), kinematic=Kinematic(), timing=Timing(0.1, 0.002, 0.002), start=Start(moving=True)
+        robot, path, PD(THESIS), kinematic=Kinematic(), timing=Timing(0.1, 0.002, 0.002), start=Start(moving=True)
     ).run()
     found = certify(certified_loop(Subject.of(run)))
     failed = {condition.name: condition.value for condition in found.conditions if not condition.holds}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from builders import THESIS
 from numba import config
 from test_holonomic import PATHS
 
@@ -19,7 +20,7 @@ def test_figures_draw_what_was_recorded() -> None:
     trajectory = Trajectory(PATHS["line"], (Sine(0.4, 2.0), Hold(0.2)))
     timing = Timing(0.02 if config.DISABLE_JIT else 0.1, 0.001, 0.001)
     runs = {}
-    for controller in (Neural(TwoLayer(hidden=4)), PD()):
+    for controller in (Neural(TwoLayer(hidden=4), THESIS), PD(THESIS)):
         loop = Loop(robot, trajectory, controller, timing=timing, engine="ordinary")
         runs[controller.name] = loop.run()
     upper, lower = weights_figure(runs).axes
@@ -34,7 +35,7 @@ def test_figures_draw_what_was_recorded() -> None:
     steps = [patch.get_xy()[:, 1] for patch in axes.patches]
     assert [counts.max() > 0 for counts in steps] == [True, True] and axes.get_xscale() == "log"
     if not config.DISABLE_JIT:
-        compiled = Loop(robot, trajectory, PD(), timing=timing).run()
+        compiled = Loop(robot, trajectory, PD(THESIS), timing=timing).run()
         with pytest.raises(RecordingError, match="compiled"):
             step_times_figure({"pd": compiled})
     with pytest.raises(RecordingError):
