@@ -102,8 +102,7 @@ class Actuator(Settings, frozen=True):
     @property
     def perfect(self) -> bool:
         """Whether every motor gives what is asked for, at once."""
-        return self == PERFECT
-        return self in perfect_motors()
+        return self in PERFECT
 
     def motors(self, robot: Robot, dt: float, dead: Array = NEVER, states: Array | None = None) -> Motors:
         """The motors of a robot: their effects in the order in which a command meets them.
@@ -184,11 +183,7 @@ class Actuator(Settings, frozen=True):
             )
 
 
-PERFECT = Actuator()
-@cache
-def perfect_motors() -> tuple[Actuator, ...]:
-    """The motors of a robot about whose motors nothing is known, however that is said."""
-    return Actuator(), Actuator(torque_limit="none")
+PERFECT = (Actuator(), Actuator(torque_limit="none"))  # motors of which nothing is known, however that is said
 
 
 def motor_places(robot: Robot) -> list[int]:
