@@ -19,9 +19,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
 
-from mmnn_pin import Recording
+from mmnn_pin import Recording, load_experiment
 from mmnn_pin.cli import main
+from mmnn_pin.deploy.embed.board import Fresh
 from mmnn_pin.deploy.embed.body import write
+from mmnn_pin.deploy.embed.export import supervised
+from mmnn_pin.deploy.embed.files import files_of, translated
 from mmnn_pin.deploy.embed.program import Program
 from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
@@ -171,6 +174,23 @@ def test_the_comments_are_the_docstrings(exported):
         "pose: (3,)" in (folder / "controller.h").read_text()
         or "[3]; /* m, m, rad */" in text + (folder / "controller.h").read_text()
     )
+
+
+def test_compiled_and_plain_functions_give_the_same_text(exported):
+    """The export reads the functions' source, so numba makes no difference, nor does the order of a dictionary."""
+    folder, _ = exported("two_layer")
+    experiment = load_experiment("track")
+    robot = experiment.load_robot()
+    loop = supervised(experiment.loop(robot, experiment.controller("two_layer", robot=robot)))
+    texts = files_of(translated(Fresh.of(loop), "two_layer for platform_arm"))
+    assert {name: (folder / name).read_text() for name in texts} == texts
+
+
+@needs_gcc
+def test_without_diagnostics_the_gram_matrix_is_left_out(tmp_path):
+    """Of its 40 kB `adaptive` then needs a quarter; the bits of all else stay, as its self-test says."""
+    told = embedded(tmp_path / "c", "adaptive", "--steps", "40", "--no-diagnostics")
+    assert told["ram_bytes"] < 16_000 and "gram" not in (tmp_path / "c" / "controller.h").read_text()
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++: apt-get install g++")
