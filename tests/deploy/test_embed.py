@@ -19,14 +19,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from places import ROOT
 
-from mmnn_pin import Recording
+from mmnn_pin import Recording, load_experiment
 from mmnn_pin.cli import main
+from mmnn_pin.deploy.embed.board import Fresh
 from mmnn_pin.deploy.embed.body import write
+from mmnn_pin.deploy.embed.export import supervised
+from mmnn_pin.deploy.embed.files import files_of, translated
 from mmnn_pin.deploy.embed.program import Program
 from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
 from mmnn_pin.elementary import angles, exponentials, two_doubles
 
+STEPS = 80
 HAS_GCC = shutil.which("gcc") is not None
 needs_gcc = pytest.mark.skipif(not HAS_GCC, reason="no gcc: apt-get install gcc")
 # The plain Python of the blocks gives the bits of the compiled code, and nothing has to be compiled for it.
@@ -47,8 +51,9 @@ def exported(tmp_path_factory):
     """The folder of a controller's export, made once."""
 
     @cache
-    def make(controller, steps=120, *more):
+    def make(controller, steps=STEPS, *more):
         folder = tmp_path_factory.mktemp("embed") / controller
+        more += ("--plant", "host", "--cc", "gcc") if controller == "two_layer" and HAS_GCC else ()
         return folder, embedded(folder, controller, "--steps", str(steps), *more)
 
     return make
@@ -62,7 +67,7 @@ def exported(tmp_path_factory):
 def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
     """`mmnn embed` itself compiles and runs it: torques and checksums of weights and supervisor at every sample."""
     folder, told = exported(controller)
-    assert told["controller"] == controller and told["robot"] == "platform_arm" and told["selftest_steps"] == 120
+    assert told["controller"] == controller and told["robot"] == "platform_arm" and told["selftest_steps"] == STEPS
     assert set(told["files"]) <= {str(file.relative_to(folder)) for file in folder.rglob("*")}
     assert 0 < told["ram_bytes"] < 120_000
 
@@ -73,7 +78,7 @@ def test_another_compiler_and_an_emulated_board_have_the_same_bits(exported, tmp
     folder, _ = exported("two_layer")
     shutil.copytree(folder, tmp_path / "c")
     status, said = on_target(tmp_path / "c", target)
-    assert status == 0 and "120 samples, 0 differ" in said
+    assert status == 0 and f"{STEPS} samples, 0 differ" in said
 
 
 @needs_gcc
@@ -90,7 +95,9 @@ def test_a_changed_number_fails_the_self_test(exported, tmp_path):
 
 
 @needs_gcc
-@pytest.mark.parametrize("flags", [["-O0"], ["-O3"], ["-Os", "-DMMNN_PORTABLE_SQRT"]])
+@pytest.mark.parametrize(
+    "flags", [["-O0"], ["-O3", "-march=native", "-fno-tree-slp-vectorize"], ["-Os", "-DMMNN_PORTABLE_SQRT"]]
+)
 def test_the_bits_do_not_depend_on_the_optimiser(exported, tmp_path, flags):
     folder, _ = exported("adaptive_composite")
     subprocess.run(["gcc", *STRICT, *flags, *folder.glob("*.c"), "-o", tmp_path / "selftest"], check=True)
@@ -128,7 +135,7 @@ int main(void)
 
 @needs_gcc
 def test_single_precision_is_near(exported):
-    folder, _ = exported("pd", 120, "--single")
+    folder, _ = exported("pd", STEPS, "--single")
     done = subprocess.run(["gcc", *STRICT, *folder.glob("*.c"), "-o", folder / "selftest"], check=True)
     done = subprocess.run([folder / "selftest"], capture_output=True, text=True, check=True)
     largest, deviation = map(float, re.search(r"largest torque (\S+), largest deviation (\S+)", done.stdout).groups())
@@ -140,11 +147,11 @@ def test_single_precision_is_near(exported):
 
 
 @needs_gcc
-def test_a_run_with_the_exported_controller_is_pythons(tmp_path):
+def test_a_run_with_the_exported_controller_is_pythons(exported):
     """Software in the loop: signals, weights, states and outcome of the recording are equal."""
-    told = embedded(tmp_path / "two_layer", "two_layer", "--steps", "60", "--plant", "host", "--cc", "gcc")
-    assert told["in_the_loop"] == {"where": "host", "samples": 60, "status": "completed", "differences": []}
-    run = Recording.open(tmp_path / "two_layer" / "run.h5")
+    folder, told = exported("two_layer")
+    assert told["in_the_loop"] == {"where": "host", "samples": STEPS, "status": "completed", "differences": []}
+    run = Recording.open(folder / "run.h5")
     assert np.abs(run["torque"]).max() > 0 and np.ptp(run["weight_norm"][:, 0]) > 0
 
 
@@ -171,6 +178,24 @@ def test_the_comments_are_the_docstrings(exported):
         "pose: (3,)" in (folder / "controller.h").read_text()
         or "[3]; /* m, m, rad */" in text + (folder / "controller.h").read_text()
     )
+
+
+def test_compiled_and_plain_functions_give_the_same_text(exported):
+    """The export reads the functions' source, so numba makes no difference, nor does the order of a dictionary."""
+    folder, _ = exported("two_layer")
+    experiment = load_experiment("track")
+    robot = experiment.load_robot()
+    loop = supervised(experiment.loop(robot, experiment.controller("two_layer", robot=robot)))
+    texts = files_of(translated(Fresh.of(loop), "two_layer for platform_arm"))
+    assert {name: (folder / name).read_text() for name in texts} == texts
+
+
+@needs_gcc
+@pytest.mark.long
+def test_without_diagnostics_the_gram_matrix_is_left_out(tmp_path):
+    """Of its 40 kB `adaptive` then needs a quarter; the bits of all else stay, as its self-test says."""
+    told = embedded(tmp_path / "c", "adaptive", "--steps", "40", "--no-diagnostics")
+    assert told["ram_bytes"] < 16_000 and "gram" not in (tmp_path / "c" / "controller.h").read_text()
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no g++: apt-get install g++")

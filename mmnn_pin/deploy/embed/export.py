@@ -91,9 +91,7 @@ def embed(
     """
     folder = Path(folder)
     require_embeddable(loop)
-    if folder.exists() and not force:
-        fix = "give another one, or --force to write into it"
-        raise ConfigError(f"{folder} exists", fix=fix, key="out")
+    require_new(folder, force)
     tool = found_compiler(compiler)
     stepper = Fresh.of(supervised(loop))
     require_limits(stepper)
@@ -142,6 +140,16 @@ def require_embeddable(loop: Loop) -> None:
             f"an experiment with the plant '{loop.plant}'", why=why, fix="use plant = 'ideal'", key="plant"
         )
     body_of(loop.robot)
+
+
+def require_new(folder: Path, force: bool) -> None:
+    """Refuse a folder that exists.
+
+    Raises:
+        ConfigError: It does, and may not be written into.
+    """
+    if folder.exists() and not force:
+        raise ConfigError(f"{folder} exists", fix="give another one, or --force to write into it", key="out")
 
 
 def require_limits(stepper: Fresh) -> None:
