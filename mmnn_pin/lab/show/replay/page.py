@@ -239,15 +239,22 @@ class Server(ThreadingHTTPServer):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Answers `/` with the page, anything else with 404."""
+    """Answers `/` with the page, anything else with 404, and 403 to a page of elsewhere that asks for it.
+
+    Such a page comes by a name of its own that leads to this machine (DNS rebinding), or names its origin.
+    """
 
     server: Server
 
     def do_GET(self) -> None:
         """Answer."""
-        data = self.server.data if self.path.partition("?")[0] == "/" else b""
-        self.send_response(200 if data else 404)
+        asked = {self.headers.get("Host", ""), (self.headers.get("Origin") or f"//{HOST}").partition("//")[2]}
+        ours = all(place.partition(":")[0] in (HOST, "localhost") for place in asked)
+        data = self.server.data if ours and self.path.partition("?")[0] == "/" else b""
+        self.send_response((200 if data else 404) if ours else 403)
         self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.send_header("X-Frame-Options", "SAMEORIGIN")
         self.send_header("Content-Length", str(len(data)))
         self.end_headers()
         self.wfile.write(data)
