@@ -413,7 +413,7 @@ KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
             raw("contest/rows.json"),
             raw("contest/contest.json"),
         ],
-        ["plot contest --out out", "report contest --html out/c.html", "plot contest --out out --what contest-fvu"],
+        ["plot contest --out out --what contest-fvu", "plot contest --out out", "report contest --html out/c.html"],
     ),
     "study file": ([*3 * [words("short.toml")], raw("short.toml")], ["study short.toml --out out"]),
     "tuning file": ([*3 * [words("tuning.toml")], raw("tuning.toml")], ["tune tuning.toml --out out"]),
