@@ -424,15 +424,11 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
 
 
 def require_sound(optuna: ModuleType, trials: Any, study: StudyFile, file: Path) -> None:
-    """Refuse trials that are none of the search's.
-
-    Raises:
-        StudyError: With the number of the first.
-    """
+    """Refuse trials that are none of the search's: a `StudyError` with the number of the first."""
     gains = study.settings.tune.gains if study.settings.tune is not None else {}
     for trial in finished(optuna, trials):
-        known = isinstance(trial.value, float) and not math.isnan(trial.value) and set(trial.params) == set(gains)
-        if not known or not all(isinstance(trial.params[name], int | float) or gains[name].choice for name in gains):
+        named = isinstance(trial.value, float) and not math.isnan(trial.value) and set(trial.params) == set(gains)
+        if not named or not all(isinstance(trial.params[n], int | float) or gains[n].choice for n in gains):
             why = "its value is no number, or its gains are not those of the search"
             raise StudyError(f"trial {trial.number} cannot be read", why=why, fix=AGAIN, file=file)
 
