@@ -161,3 +161,9 @@ def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
         connection.request("GET", "/", headers=headers)
         answer = connection.getresponse()
         assert (answer.status, b"mine" in answer.read()) == (status, status == 200)
+
+
+def test_a_state_that_is_no_text_is_one_line(tmp_path, capsys):
+    (tmp_path / "state.json").write_bytes(b'{"\x89": 1}')
+    assert main(["model", "platform_arm", "--at", str(tmp_path / "state.json")]) == 2
+    assert "state.json: error: not valid JSON" in capsys.readouterr().err
