@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import ConfigError
+from .errors import ConfigError, InputError
 from .signals import Array
 
 LARGEST = 1e12  # of a number that is squared somewhere
@@ -31,7 +31,42 @@ KINDS = {
 }
 
 
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Typed(msgspec.StructMeta):
+    """Settings made in Python: a value of a wrong type is the same error as in a file."""
+
+    def __call__(cls, *args: Any, **kwargs: Any) -> Any:
+        """New settings.
+
+        Raises:
+            ConfigError: A value that cannot be used, with the class and the field as its key.
+            TypeError: An argument that does not exist, or one that is missing.
+        """
+        try:
+            return super().__call__(*args, **kwargs)
+        except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
+            given = dict(zip(cls.__struct_fields__, args, strict=False)) | kwargs
+            required = [field.name for field in msgspec.structs.fields(cls) if field.required]  # type: ignore[arg-type]
+            if len(args) > len(cls.__struct_fields__) or not set(required) <= set(given) <= set(cls.__struct_fields__):
+                raise
+            raise bad_argument(cls, given, error) from error
+
+
+def bad_argument(kind: Any, given: Mapping[str, Any], error: Exception) -> ConfigError:
+    """The error of the first of some arguments that is of a wrong type; what went wrong where none can be named."""
+    types = {field.name: field.type for field in msgspec.structs.fields(kind)}
+    for name, value in given.items():
+        try:
+            msgspec.convert(plain(value), types[name])
+        except msgspec.ValidationError as wrong:
+            what, fix = wrong_type(wrong, value)
+            return ConfigError(what, fix=fix, key=f"{kind.__name__}.{name}")
+        except (InputError, TypeError, ValueError, RecursionError):
+            return ConfigError(f"{shortly(value)} cannot be used", key=f"{kind.__name__}.{name}")
+    values = ", ".join(f"{name} = {shortly(value)}" for name, value in given.items())
+    return ConfigError(f"{values} cannot be used", why=" ".join(str(error).split()), key=kind.__name__)
+
+
+class Settings(msgspec.Struct, metaclass=Typed, frozen=True, forbid_unknown_fields=True):
     """Base of all settings; a child checks its own values in `__post_init__`."""
 
 

@@ -81,7 +81,10 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
     click.option("--workers", type=int, help="Threads or processes on this machine.  [default: one per core]"),
     click.option("--processes", is_flag=True, help="Processes even where threads would do."),
     click.option(
-        "--cluster", metavar="ADDRESS", help="Run on the Dask cluster of this scheduler, see docs/cluster.md."
+        "--cluster",
+        metavar="ADDRESS",
+        help="Run on the Dask cluster of this scheduler, which can run any program here: name only one that you trust,"
+        " best by TLS (tls://...); see docs/cluster.md.",
     ),
     CHANGES,
     click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),

@@ -233,7 +233,7 @@ def read_state(path: str | Path, robot: Robot) -> tuple[Array, Array]:
             raise UnknownName("key", unknown[1], NamedState.__struct_fields__, file=path) from error
         what, fix = wrong_type(message)
         raise ConfigError(what, fix=fix, file=path, key=key) from error
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise ConfigError("not valid JSON", why=str(error), file=path) from error
     except InputError as error:
         error.file = error.file or path

@@ -264,6 +264,9 @@ class Examined:
         """Datasets of a group that hold numbers, by name; the others are damage."""
         found = {}
         for name in names:
+            if not isinstance(name, str):  # h5py gives the bytes of what is not UTF-8
+                self.damage[f"{group}/{name!r}"] = "its name is not a text in UTF-8"
+                continue
             try:
                 found[name] = self.table(f"{group}/{name}")
             except Damaged as error:
@@ -375,7 +378,8 @@ def require_links(group: h5py.Group, path: Path) -> None:
     if len(group) > MOST_MEMBERS:
         raise RecordingError(f"{group.name} has {len(group)} members", fix=AGAIN, file=path)
     for name in group:
-        if group.id.links.get_info(name.encode(errors="surrogateescape")).type != h5py.h5l.TYPE_HARD:
-            where = f"{group.name}/{name}".lstrip("/")
+        raw = name if isinstance(name, bytes) else name.encode(errors="surrogateescape")
+        if group.id.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
+            where = f"{group.name}/{shortly(name) if isinstance(name, bytes) else name}".lstrip("/")
             what, why = f"{where} is not read", "it is a link, which may lead out of the file"
             raise RecordingError(what, why=why, fix="copy what it leads to into the file", file=path)

@@ -308,7 +308,7 @@ def friction_of(robot: Robot, recorded: Mapping[str, Any]) -> dict[str, Any]:
 def document_of(
     recording: Recording, overrides: Overrides, package_dirs: Sequence[str | Path]
 ) -> tuple[Document, Overrides]:
-    """The URDF of a recording and what is said about it, without what is not to be opened because a recording says so."""
+    """The URDF of a recording and what is said about it, without what a recording alone does not open."""
     text, file = recording.urdf.encode(), Path(recording.meta["urdf_file"])
     folders = tuple(map(str, package_dirs))
     if is_unchanged(file, text):

@@ -218,7 +218,7 @@ class Store:
             return cls(folder)
         try:
             return cls(folder, msgspec.json.decode(file.read_bytes(), type=dict[str, Trial]))
-        except (OSError, msgspec.DecodeError) as error:
+        except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
             raise RecordingError(
                 "not a file of rows",
                 why=str(error),
@@ -309,7 +309,7 @@ def read_about(folder: Path) -> About | None:
         return None
     try:
         return msgspec.json.decode(file.read_bytes(), type=About)
-    except (OSError, msgspec.DecodeError) as error:
+    except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
         raise broken(folder, error) from error
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from operator import attrgetter
+from types import new_class
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
@@ -66,9 +67,10 @@ def tables_of_learners() -> dict[str, Any]:
 
 def struct_of(name: str, kinds: dict[str, Any]) -> Any:
     """Settings with one table of each kind, an attribute of this module: a pickled one is looked for there."""
-    entries = [(key, kind, msgspec.field(default_factory=kind)) for key, kind in kinds.items()]
-    options: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
-    globals()[name] = msgspec.defstruct(name, entries, bases=(Settings,), module=__name__, **options)
+    content: dict[str, Any] = {key: msgspec.field(default_factory=kind) for key, kind in kinds.items()}
+    content |= {"__annotations__": dict(kinds), "__module__": __name__}
+    options = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
+    globals()[name] = new_class(name, (Settings,), options, lambda namespace: namespace.update(content))
     return globals()[name]
 
 

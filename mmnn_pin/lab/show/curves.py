@@ -6,13 +6,13 @@ matplotlib, `report` packs them for the page's script.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...errors import RecordingError
+from ...model.urdf.xml import parse_xml
 from ...recording.metrics import TRUE
 from ...recording.recording import Recording
 from ...signals import Array
@@ -272,7 +272,7 @@ def column_units(recording: Recording, name: str) -> list[str]:
     base, _, arm = recording.unit(name).partition("; ")
     if " or " in base:
         base, arm = "", base
-    count = len(labels) if not arm else len(recording.labels("z")) if base else 0
+    count = len(labels) if not arm else len(base_labels({"": recording})) if base else 0
     units = base.split(", ")[:count]
     if len(units) < count:  # vx and vy share the first unit
         units = [units[0]] * (count - len(units)) + units
@@ -286,6 +286,7 @@ def milli(unit: str) -> str:
 
 
 def prismatic_joints(urdf: str) -> set[str]:
-    """Names of the sliding joints in the text of a URDF; none without a text."""
-    joints = ElementTree.fromstring(urdf).iter("joint") if urdf else ()
+    """Names of the sliding joints in the text of a URDF; none without a text that can be read."""
+    root, _ = parse_xml(urdf.encode())
+    joints = () if root is None else root.iter("joint")
     return {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}

@@ -48,19 +48,26 @@ class Server(ThreadingHTTPServer):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Answers `/` with the page, `/live` with what goes on, anything else with 404."""
+    """Answers `/` with the page, `/live` with what goes on, anything else with 404, and 403 to a page of elsewhere.
+
+    Such a page comes by a name of its own that leads to this machine (DNS rebinding), or names its origin.
+    """
 
     server: Server
 
     def do_GET(self) -> None:
-        """Answer those who ask for this machine by its own name: a page of another name could read what is told."""
-        path, asked = self.path.partition("?")[0], self.headers.get("Host", "").rpartition(":")[0]
-        if asked in (HOST, "localhost") and path == "/live" and self.server.frames is not None:
+        """Answer."""
+        path = self.path.partition("?")[0]
+        asked = {self.headers.get("Host", ""), (self.headers.get("Origin") or f"//{HOST}").partition("//")[2]}
+        ours = all(place.partition(":")[0] in (HOST, "localhost") for place in asked)
+        if ours and path == "/live" and self.server.frames is not None:
             self.tell(self.server.frames)
             return
-        data = self.server.data if path == "/" and asked in (HOST, "localhost") else b""
-        self.send_response(200 if data else 404)
+        data = self.server.data if ours and path == "/" else b""
+        self.send_response((200 if data else 404) if ours else 403)
         self.send_header("Content-Type", "text/html; charset=utf-8")
+        self.send_header("Cross-Origin-Resource-Policy", "same-origin")
+        self.send_header("X-Frame-Options", "SAMEORIGIN")
         self.send_header("Content-Length", str(len(data)))
         self.end_headers()
         self.wfile.write(data)

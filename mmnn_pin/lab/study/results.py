@@ -18,13 +18,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import StudyError, UnknownName
+from ...errors import InputError, StudyError, UnknownName
 from ...model.robot import Robot
+from ...settings import plain, shortly
 from ...signals import Array
-from .factors import Factor
+from .factors import Factor, is_number
 from .keys import near
 from .settings import StudySettings
-from .store import NAME, Stored, reading
+from .store import AGAIN, NAME, Stored, reading
 
 DEFAULT = ("pose_error.[xy].peak", "pose_error.phi.peak", "e.*.peak", "effort")
 
@@ -120,11 +121,20 @@ def load_results(path: Path) -> Results:
         meta, rows = store.meta(), store.rows()
     if "settings" not in meta or not rows:
         raise StudyError("holds no rows yet", fix="let `mmnn study` run for a while", file=path)
+    try:
+        settings = msgspec.convert(meta["settings"], StudySettings)
+    except (msgspec.ValidationError, InputError) as error:
+        why = " ".join(str(error).removeprefix("error: ").split())
+        raise StudyError("its settings cannot be read", why=why, fix=AGAIN, file=path) from error
+    if missing := [key for key in ("name", "rows", "metrics", "units", "controllers", "versions") if key not in meta]:
+        raise StudyError(f"it does not hold the fact '{missing[0]}'", fix=AGAIN, file=path)
+    for row in rows:
+        require_of(row, settings, meta["controllers"], path)
     done = [row for row in rows if row.status != "failed"]
     return Results(
         path=path,
         name=meta["name"],
-        settings=msgspec.convert(meta["settings"], StudySettings),
+        settings=settings,
         planned=meta["rows"],
         rows=done,
         failed=[row for row in rows if row.status == "failed"],
@@ -132,6 +142,25 @@ def load_results(path: Path) -> Results:
         units=meta["units"],
         meta=meta,
     )
+
+
+def require_of(row: Stored, settings: StudySettings, controllers: Sequence[str], path: Path) -> None:
+    """Refuse a row that is none of the study's.
+
+    Raises:
+        StudyError: With its number.
+    """
+    why = (
+        f"its controller {shortly(row.controller)} is none of the study's" if row.controller not in controllers else ""
+    )
+    for name, factor in settings.factors.items():
+        value = row.parameters.get(name)
+        if name not in row.parameters or (factor.numeric and not (is_number(value) and math.isfinite(value or 0))):
+            why = why or f"its {name} is {shortly(value)}"
+        elif (listed := factor.grid or factor.choice) and value not in [plain(one) for one in listed]:
+            why = why or f"its {name} is {shortly(value)}, which is none of the study's"
+    if why:
+        raise StudyError(f"row {row.id} cannot be read", why=why, fix=AGAIN, file=path)
 
 
 def value_of(metrics: Mapping[str, float], pattern: str) -> float:

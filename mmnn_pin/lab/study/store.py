@@ -18,13 +18,17 @@ from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+import msgspec
 
 from ...errors import StudyError
+from ...settings import wrong_type
 from .worker import JobResult
 
 FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
 NAME = "study.sqlite"
+AGAIN = "take the database from a copy, or choose another folder with --out"
 SCHEMA = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE rows (
@@ -53,6 +57,42 @@ class Stored(JobResult):
         return self.status == "completed"
 
 
+class Facts(msgspec.Struct, frozen=True):
+    """Types of the facts about a study; those that its first session has not written yet are left out."""
+
+    mmnn_pin: str = ""
+    versions: dict[str, str] = {}
+    plan: str = ""
+    rows: int = 0
+    name: str = ""
+    file: str = ""
+    settings: dict[str, Any] = {}
+    experiment: dict[str, Any] = {}
+    controllers: tuple[str, ...] = ()
+    metrics: tuple[str, ...] = ()
+    units: dict[str, str] = {}
+    robots: tuple[str, ...] = ()
+
+
+class StoredTypes(msgspec.Struct, frozen=True):
+    """Types of a row's columns, JSON already read."""
+
+    id: int
+    status: Literal["completed", "diverged", "tripped", "interrupted", "refused", "failed"]
+    time: float
+    signal: str
+    message: str
+    metrics: dict[str, float | None]
+    seconds: float
+    host: str
+    fingerprint: str
+    point: int
+    controller: str
+    seed: int
+    parameters: dict[str, Any]
+    finished: str
+
+
 COLUMNS = ", ".join(field.name for field in fields(Stored))
 
 
@@ -67,11 +107,46 @@ class Store:
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path, self._db = path, connection
 
+    def require_tables(self) -> None:
+        """Refuse whatever is no plain table: views and triggers are programs, and may be those of a stranger.
+
+        Raises:
+            StudyError: With its name.
+        """
+        with sqlite_errors(self.path, "read"):
+            self._db.execute("PRAGMA trusted_schema = OFF")
+            found = self._db.execute("SELECT type, name, sql FROM sqlite_master WHERE sql IS NOT NULL").fetchall()
+        for kind, name, made in found:
+            if kind != "table" or name not in ("meta", "rows") or "GENERATED" in str(made).upper():
+                raise self.broken(f"the {kind} '{name}'", "a study's database has the tables meta and rows alone")
+
     def meta(self) -> dict[str, Any]:
         """Facts about the study: format, versions, settings, experiment."""
         with sqlite_errors(self.path, "read"):
             found = self._db.execute("SELECT key, value FROM meta").fetchall()
-        return {key: json.loads(value) for key, value in found}
+        facts = {str(key): self.json(value, f"the fact '{key}'") for key, value in found}
+        try:
+            msgspec.convert(facts, Facts)
+        except msgspec.ValidationError as error:
+            what, fix = wrong_type(error)
+            where = str(error).partition(" - at ")[2].strip("`$.")
+            raise self.broken(f"the fact '{where}'", f"{what}; {fix}" if fix else what) from None
+        return facts
+
+    def json(self, text: Any, where: str) -> Any:
+        """A value out of its text.
+
+        Raises:
+            StudyError: It is none.
+        """
+        try:
+            return json.loads(text)
+        except (TypeError, ValueError, RecursionError) as error:
+            raise self.broken(where, str(error)) from None
+
+    def broken(self, where: str, why: str) -> StudyError:
+        """The error of a database that holds something else than we write."""
+        return StudyError(f"{where} cannot be read", why=why, fix=AGAIN, file=self.path)
 
     def set_meta(self, facts: Mapping[str, Any]) -> None:
         """Write facts, all or none."""
@@ -83,19 +158,38 @@ class Store:
         """Fingerprint of every row to its number and status."""
         with sqlite_errors(self.path, "read"):
             found = self._db.execute("SELECT fingerprint, id, status FROM rows").fetchall()
+        for fingerprint, _, status in found:
+            if not isinstance(fingerprint, str) or not isinstance(status, str):
+                raise self.broken(f"the row {fingerprint!r}", "its fingerprint or its status is no text")
         return {fingerprint: (number, status) for fingerprint, number, status in found}
 
     def rows(self) -> list[Stored]:
         """All rows in order."""
         with sqlite_errors(self.path, "read"):
             found = self._db.execute(f"SELECT {COLUMNS} FROM rows ORDER BY id").fetchall()
-        return [stored(row) for row in found]
+        return [self.stored(row) for row in found]
 
     def row(self, number: int) -> Stored | None:
         """One row; None if it is not there."""
         with sqlite_errors(self.path, "read"):
             found = self._db.execute(f"SELECT {COLUMNS} FROM rows WHERE id = ?", (number,)).fetchone()
-        return None if found is None else stored(found)
+        return None if found is None else self.stored(found)
+
+    def stored(self, row: tuple[Any, ...]) -> Stored:
+        """A row of SQL as ours.
+
+        Raises:
+            StudyError: It holds something else than we write.
+        """
+        values = dict(zip(COLUMNS.split(", "), row, strict=True))
+        where = f"row {values['id']}"
+        values |= {key: self.json(values[key], f"{key} of {where}") for key in ("metrics", "parameters")}
+        try:
+            msgspec.convert(values, StoredTypes)
+        except msgspec.ValidationError as error:
+            raise self.broken(where, str(error)) from None
+        metrics = {name: math.nan if value is None else float(value) for name, value in values["metrics"].items()}
+        return Stored(**values | {"metrics": metrics})
 
     def add(self, fingerprint: str, point: int, controller: str, seed: int, parameters: Any, done: JobResult) -> None:
         """Store a finished run; it is on disk, as far as a killed process matters, when this returns.
@@ -180,6 +274,7 @@ def require_ours(store: Store) -> None:
         StudyError: With both versions.
     """
     try:
+        store.require_tables()
         meta = store.meta()
     except StudyError as error:
         if "no such table" in error.why or "not a database" in error.why:
@@ -239,11 +334,3 @@ def encoded(metrics: Mapping[str, float]) -> str:
     """Metrics as JSON that every reader of JSON takes: null for nan, 1e999 for inf; finite numbers keep their bits."""
     texts = {k: "null" if math.isnan(v) else repr(float(v)).replace("inf", "1e999") for k, v in metrics.items()}
     return "{" + ", ".join(f"{json.dumps(name)}: {text}" for name, text in texts.items()) + "}"
-
-
-def stored(row: tuple[Any, ...]) -> Stored:
-    """A row of SQL as ours."""
-    values = dict(zip(COLUMNS.split(", "), row, strict=True))
-    metrics = json.loads(values["metrics"])
-    values["metrics"] = {name: math.nan if value is None else float(value) for name, value in metrics.items()}
-    return Stored(**values | {"parameters": json.loads(values["parameters"])})

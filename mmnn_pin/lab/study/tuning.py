@@ -39,7 +39,7 @@ from .plan import Plan, changed_base, plan_of
 from .pools import Pool
 from .results import worth
 from .settings import StudyFile, Tune, placing
-from .store import locked
+from .store import AGAIN, locked
 from .verdict import Interval, quantile
 from .worker import loop_of, optional
 
@@ -410,6 +410,7 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
                 trials = optuna.create_study(study_name="tune", storage=storage, direction="minimize")
             for key, value in asked.items():
                 trials.set_user_attr(key, value)
+            require_sound(optuna, trials, study, file)
         except StudyError:
             raise
         except Exception as error:  # SQLAlchemy's, which comes with Optuna
@@ -420,6 +421,16 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
         finally:
             storage.remove_session()
             storage.engine.dispose()
+
+
+def require_sound(optuna: ModuleType, trials: Any, study: StudyFile, file: Path) -> None:
+    """Refuse trials that are none of the search's: a `StudyError` with the number of the first."""
+    gains = study.settings.tune.gains if study.settings.tune is not None else {}
+    for trial in finished(optuna, trials):
+        named = isinstance(trial.value, float) and not math.isnan(trial.value) and set(trial.params) == set(gains)
+        if not named or not all(isinstance(trial.params[n], int | float) or gains[n].choice for n in gains):
+            why = "its value is no number, or its gains are not those of the search"
+            raise StudyError(f"trial {trial.number} cannot be read", why=why, fix=AGAIN, file=file)
 
 
 def fingerprint(study: StudyFile) -> str:

@@ -1,0 +1,606 @@
+"""Break files of every kind at random and hand them to every command that reads them: an answer or one clear line.
+
+python tests/fuzz_files.py [--files 10000] [--seed 0] [--batch 100] [--kinds recording study ...]
+
+A batch is worked through in a process of its own, so that a crash of the interpreter is seen and its file known. Every
+command has 10 s of processor time and 1 GB more than at the start there; what it writes outside its output folder, what
+it runs out of a file, and what it reads from a folder that nobody named is noticed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+import contextlib
+import io
+import json
+import math
+import os
+import random
+import resource
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import fuzz_urdf
+import h5py
+import numpy as np
+
+ROOT = Path(__file__).parent.parent
+SECONDS, MEMORY = 10, 1 << 30  # of a command
+DRAWING = ("plot", "report", "run")  # what takes seconds
+GOOD = ("done", "failed", "refused")
+EVIL = "from pathlib import Path\nPath('ran').touch()\nclass Evil: pass\n"
+SECRET = (
+    b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
+)
+VALUES: list[Any] = [None, True, 0, 1, -1, 3, 2**40, -(2**63), 10**30, 0.0, -0.5, 1e-300, 1e300, math.inf, -math.inf]
+VALUES += [math.nan, "", "x", "nan", "../../x", "/dev/zero", "/etc/passwd", "evil.py:Evil", "<script>alert(1)</script>"]
+VALUES += [
+    "$x^",
+    "\x1b[2J\u202e",
+    "a\nb",
+    "\x00",
+    "é" * 300,
+    "y" * 3000,
+    [],
+    {},
+    [1, 2],
+    ["a", 5],
+    [[]],
+    [[1.0]],
+    {"a": 1},
+]
+VALUES += [{"type": "push"}, ["v"], ["v", "v", "v", "v"], [1e400], {"k": {"k": {"k": []}}}]
+
+Mutation = Callable[[Path, random.Random], None]
+
+
+# -- trees of JSON -----------------------------------------------------------------------------------------------------
+
+
+def places(tree: Any) -> list[tuple[Any, Any]]:
+    """Every container in a tree with every key of it."""
+    found, left = [], [tree]
+    while left:
+        here = left.pop()
+        keys = list(here) if isinstance(here, dict) else list(range(len(here))) if isinstance(here, list) else []
+        found += [(here, key) for key in keys]
+        left += [here[key] for key in keys]
+    return found
+
+
+def disturbed(tree: Any, rng: random.Random) -> Any:
+    """A tree with something else at one of its places."""
+    tree = json.loads(json.dumps(tree))
+    everywhere = places(tree)
+    if not everywhere or rng.random() < 0.05:
+        return rng.choice(VALUES)
+    here, key = rng.choice(everywhere)
+    how = rng.random()
+    if how < 0.2:
+        del here[key]
+    elif how < 0.3 and isinstance(here, dict):
+        here[rng.choice(["x", "law", "type", "file", "", "é"])] = rng.choice(VALUES)
+    elif how < 0.4:
+        deep: Any = 1
+        for _ in range(rng.choice((5, 50, 500))):
+            deep = [deep]
+        here[key] = deep
+    elif how < 0.6 and isinstance(here[key], int | float) and not isinstance(here[key], bool):
+        here[key] = here[key] * rng.choice((-1, 0, 0.5, 2, 1e3, 1e9, 1e-9, 1e200))
+    else:
+        here[key] = rng.choice(VALUES)
+    return tree
+
+
+def json_file(name: str) -> Mutation:
+    """A mutation of a JSON file in a folder."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        with contextlib.suppress(ValueError):
+            (folder / name).write_text(json.dumps(disturbed(json.loads((folder / name).read_bytes()), rng)))
+
+    return mutate
+
+
+# -- bytes -------------------------------------------------------------------------------------------------------------
+
+
+def zeros(data: bytes, rng: random.Random) -> bytes:
+    at, count = rng.randrange(len(data)), rng.choice((1, 8, 64, 4096))
+    return data[:at] + bytes(min(count, len(data) - at)) + data[at + count :]
+
+
+def head(data: bytes, rng: random.Random) -> bytes:
+    at = rng.randrange(min(len(data), 4096))
+    return data[:at] + bytes([rng.choice((0, 1, 0x7F, 0x80, 0xFF))]) + data[at + 1 :]
+
+
+def live(data: bytes, rng: random.Random) -> bytes:
+    """A byte changed where there is something: most of a short recording is room for more rows."""
+    places = np.flatnonzero(np.frombuffer(data, np.uint8))
+    at = int(rng.choice(places)) if len(places) else 0
+    return data[:at] + bytes([rng.randrange(256)]) + data[at + 1 :]
+
+
+BYTES = [
+    *4 * [live],
+    fuzz_urdf.flip_byte,
+    fuzz_urdf.cut_bytes,
+    fuzz_urdf.copy_bytes,
+    fuzz_urdf.truncate,
+    zeros,
+    *2 * [head],
+]
+
+
+def raw(name: str) -> Mutation:
+    """A mutation of the bytes of a file in a folder."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        data = (folder / name).read_bytes()
+        for _ in range(rng.choice((1, 1, 3, 20))):
+            data = rng.choice(BYTES)(data or b" ", rng)
+        (folder / name).write_bytes(data)
+
+    return mutate
+
+
+def words(name: str) -> Mutation:
+    """A mutation of a word of a text file in a folder."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        lines = (folder / name).read_text(errors="replace").splitlines() or [""]
+        at = rng.randrange(len(lines))
+        how = rng.random()
+        if how < 0.2:
+            lines[at] = ""
+        elif how < 0.4:
+            lines.insert(rng.randrange(len(lines)), lines[at])
+        elif how < 0.9:
+            first, mark, _ = lines[at].partition(rng.choice(("=", ",", " ")))
+            value = rng.choice([*VALUES, "[" * 500, "{x=" * 300, "1e999", "2020-01-01", "'''", "0x1F", "-"])
+            lines[at] = f"{first}{mark}{value if rng.random() < 0.5 else json.dumps(value)}"
+        else:
+            lines[at] = f"[{rng.choice(('a' * 99, 'a.' * 400 + 'a', 'time', 'laws.x', 'cases.x', '[x]'))}]"
+        (folder / name).write_text("\n".join(lines), errors="replace")
+
+    return mutate
+
+
+# -- recordings --------------------------------------------------------------------------------------------------------
+
+
+def fact(file: h5py.File, rng: random.Random) -> None:
+    """Something else in an attribute."""
+    holder = file if rng.random() < 0.7 else file[f"signals/{rng.choice(list(file['signals']))}"]
+    name, how = rng.choice(list(holder.attrs)), rng.random()
+    if how < 0.15:
+        del holder.attrs[name]
+        return
+    old = holder.attrs[name]
+    if how < 0.6 and isinstance(old, str) and old.startswith("json:"):
+        holder.attrs[name] = f"json:{json.dumps(disturbed(json.loads(old[5:]), rng))}"
+        return
+    odd = [
+        np.arange(6.0).reshape(2, 3),
+        np.array([b"ab"]),
+        h5py.Empty("f8"),
+        np.void(b"abc"),
+        file.ref,
+        "json:",
+        "json:{",
+    ]
+    odd += [
+        "json:" + "[" * 5000,
+        "json:1" + "0" * 5000,
+        np.array(["a"] * 3, h5py.string_dtype()),
+        b"\xff\xfe",
+        np.int8(3),
+    ]
+    value = rng.choice(odd if how < 0.75 else VALUES)
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        holder.attrs[name] = f"json:{json.dumps(value)}" if value is None or isinstance(value, list | dict) else value
+
+
+def dataset_of(file: h5py.File, rng: random.Random) -> str:
+    """A dataset by name; a quarter are not signals."""
+    group = rng.choice(("signals", "signals", "signals", "weights", "final", "timing"))
+    if group not in file or not len(file[group]):
+        group = "signals"
+    return f"{group}/{rng.choice(list(file[group]))}"
+
+
+def numbers(file: h5py.File, rng: random.Random) -> None:
+    """Other numbers in a dataset."""
+    name = rng.choice(("signals/time", dataset_of(file, rng)))
+    table = file[name]
+    if not isinstance(table, h5py.Dataset) or not table.size or table.dtype.kind != "f":
+        return
+    values = table[()]
+    flat = np.atleast_1d(values).reshape(-1)
+    for _ in range(rng.choice((1, 3, flat.size))):
+        flat[rng.randrange(flat.size)] = rng.choice((math.nan, math.inf, -1e300, 1e300, 0.0, -1.0, 1e9, 1e-320))
+    table[...] = rng.choice((flat, flat[::-1])).reshape(values.shape)
+
+
+def another(file: h5py.File, rng: random.Random) -> None:
+    """Another dataset in the place of one."""
+    name = dataset_of(file, rng)
+    old = file[name]
+    attributes = dict(old.attrs) if hasattr(old, "attrs") else {}
+    values = old[()] if isinstance(old, h5py.Dataset) else np.zeros(3)
+    kinds: list[Callable[[], Any]] = [
+        lambda: np.asarray(values, "i4"),
+        lambda: np.asarray(values, "f4"),
+        lambda: np.asarray(values, "c16"),
+        lambda: np.asarray(np.shape(values), "S3"),
+        lambda: np.zeros(3, [("a", "f8"), ("b", "i2")]),
+        lambda: np.atleast_1d(values)[: rng.randrange(5)],
+        lambda: np.concatenate([np.atleast_1d(values)] * 2),
+        lambda: np.zeros((4, 3, 2)),
+        lambda: np.zeros((len(np.atleast_1d(values)), rng.choice((0, 1, 3, 9)))),
+        lambda: h5py.Empty("f8"),
+        lambda: 1.0,
+        lambda: "text",
+    ]
+    made = rng.choice(kinds)()
+    del file[name]
+    kept = file.create_dataset(name, data=made)
+    for key, value in attributes.items():
+        kept.attrs[key] = value
+
+
+def elsewhere(file: h5py.File, rng: random.Random) -> None:
+    """A link, a file outside, a bomb, a group where a dataset was, or nothing."""
+    name = rng.choice((dataset_of(file, rng), "signals", "urdf", "config", "weights", "final", "timing"))
+    attributes = dict(file[name].attrs) if name in file and isinstance(file[name], h5py.Dataset) else {}
+    if name in file:
+        del file[name]
+    sizes = ((10**12,), (10**6, 40), (2**40, 2**20))
+
+    def outside() -> None:
+        file.create_dataset(name, (3,), "f8", external=[("secret/raw.bin", 0, 24)])
+
+    def virtual() -> None:
+        layout = h5py.VirtualLayout((10,), "f8")
+        layout[:] = h5py.VirtualSource("secret/run.h5", "signals/time", (10,))
+        file.create_virtual_dataset(name, layout)
+
+    def bomb() -> None:
+        file.create_dataset(
+            name, (rng.choice((10**6, 10**8)),), "f8", compression="gzip", chunks=(10**5,), fillvalue=0.0
+        )
+
+    choices: list[Callable[[], Any]] = [
+        lambda: file.__setitem__(name, h5py.SoftLink(rng.choice(("/signals/time", "/", "/nowhere")))),
+        lambda: file.__setitem__(name, h5py.ExternalLink("secret/run.h5", f"/{name}")),
+        lambda: file.__setitem__(name, file["/"]),
+        lambda: file.__setitem__(name, np.dtype("f8")),
+        lambda: file.create_group(name),
+        lambda: file.create_dataset(name, rng.choice(sizes), "f8", chunks=True),
+        outside,
+        virtual,
+        bomb,
+        lambda: None,
+        lambda: file["signals"].create_dataset(rng.choice(("x", "é", "<b>", "a" * 900)), data=np.zeros(10)),
+    ]
+    with contextlib.suppress(ValueError, TypeError, RuntimeError, OSError, KeyError):
+        rng.choice(choices)()
+        for key, value in attributes.items():
+            file[name].attrs[key] = value
+
+
+def text(file: h5py.File, rng: random.Random) -> None:
+    """Another URDF or config: broken, with foreign meshes, or naming a law to run."""
+    if rng.random() < 0.5 and "config" in file:
+        config = json.loads(file["config"].asstr()[()])
+        config = disturbed(config, rng) if rng.random() < 0.7 else config | {"laws": {"Evil": {"law": "evil.py:Evil"}}}
+        new = json.dumps(config)
+        del file["config"]
+        file["config"] = new
+        return
+    urdf = file["urdf"].asstr()[()].encode()
+    mesh = rng.choice(
+        (f"{os.getcwd()}/secret/x.stl", "file://../secret/x.stl", "package://secret/x.stl", "../secret/x.stl")
+    )
+    for _ in range(rng.choice((1, 2))):
+        urdf = rng.choice(fuzz_urdf.MUTATIONS)(urdf, rng)
+    if rng.random() < 0.3:
+        urdf = urdf.replace(b"<geometry>", f'<geometry><mesh filename="{mesh}"/></geometry><geometry>'.encode())
+    del file["urdf"]
+    with contextlib.suppress(ValueError):
+        file["urdf"] = urdf.decode(errors="replace")
+    if rng.random() < 0.5:
+        file.attrs["urdf_file"] = f"{os.getcwd()}/secret/x.urdf"
+        file.attrs["overrides"] = "json:" + json.dumps({"package_dirs": ["/"]})
+
+
+def law(file: h5py.File, rng: random.Random) -> None:
+    """A controller of a file that is not to be run."""
+    file.attrs["controller"] = "Evil"
+    file.attrs["law"] = "json:" + json.dumps({"class": "evil.Evil", "file": "evil.py", "sha256": "0"})
+    file.attrs["controller_settings"] = 'json:{"feedback": {"base": 500.0, "arm": 80.0}, "learning": true}'
+
+
+STRUCTURE = [*4 * [fact], *2 * [numbers], *2 * [another], *2 * [elsewhere], *2 * [text], law]
+
+
+def structure(name: str) -> Mutation:
+    """A mutation of the structure of a recording in a folder."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        with (
+            contextlib.suppress(Exception),
+            h5py.File(folder / name, "r+") as file,
+        ):  # a second one of what the first broke
+            for _ in range(rng.choice((1, 1, 1, 2, 3))):
+                rng.choice(STRUCTURE)(file, rng)
+
+    return mutate
+
+
+# -- databases ---------------------------------------------------------------------------------------------------------
+
+
+def database(name: str) -> Mutation:
+    """A mutation of a table of a database in a folder."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(folder / name)) as db, db:
+            tables = [row[0] for row in db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
+            table = rng.choice(tables)
+            columns = [row[1] for row in db.execute(f"PRAGMA table_info({table})")]
+            rows, column = db.execute(f"SELECT * FROM {table}").fetchall(), rng.choice(columns)
+            if not rows or rng.random() < 0.05:
+                db.execute(
+                    rng.choice((f"DROP TABLE {table}", f"DELETE FROM {table}", f"ALTER TABLE {table} ADD x TEXT"))
+                )
+                return
+            row, at = rng.choice(rows), columns.index(column)
+            value = rng.choice([*VALUES, b"\xff\x00", "9" * 5000, "[" * 5000])
+            if isinstance(row[at], str) and rng.random() < 0.7:
+                with contextlib.suppress(ValueError):
+                    value = json.dumps(disturbed(json.loads(row[at]), rng))
+            value = value if isinstance(value, str | bytes | float | int | None) else json.dumps(value)
+            if isinstance(value, int) and abs(value) >= 2**63:
+                value = str(value)
+            db.execute(f"UPDATE {table} SET {column} = ? WHERE {columns[0]} = ?", (value, row[0]))
+
+    return mutate
+
+
+# -- what is broken, and who reads it ----------------------------------------------------------------------------------
+
+RUN = [
+    *2 * ["plot run.h5 --out out"],
+    "plot run.h5 --out out/x.svg --what psi",
+    "plot run.h5 --out out --what gains --what path --what torque",
+    *2 * ["report run.h5 --html out/r.html --no-replay"],
+    "report run.h5 --html out/r.html",
+    *2 * ["replay run.h5 --html out/p.html"],
+    *2 * ["export run.h5 --to csv --out out"],
+    "export run.h5 --to npz --out out",
+    "export run.h5 --to parquet --out out",
+    *2 * ["export run.h5 --to mcap --out out"],
+    *3 * ["prove run.h5"],
+]
+STUDY = [
+    *3 * ["report db --html out/s.html"],
+    *2 * ["export db --to csv --out out"],
+    "export db --to parquet --out out",
+    "report db/study.sqlite --html out/s.html",
+    *2 * ["study short.toml --out db"],
+    "study short.toml --out db --force",
+    "study short.toml --out db --row 1",
+]
+KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
+    "recording bytes": ([raw("run.h5")], RUN),
+    "recording": ([structure("run.h5")], RUN),
+    "study": ([*3 * [database("db/study.sqlite")], raw("db/study.sqlite")], STUDY),
+    "tuning": ([database("tuned/tune.sqlite"), raw("tuned/tune.sqlite")], ["tune tuning.toml --out tuned"]),
+    "contest": (
+        [
+            json_file("contest/contest.json"),
+            json_file("contest/rows.json"),
+            raw("contest/rows.json"),
+            raw("contest/contest.json"),
+        ],
+        ["plot contest --out out --what contest-fvu", "plot contest --out out", "report contest --html out/c.html"],
+    ),
+    "study file": ([*3 * [words("short.toml")], raw("short.toml")], ["study short.toml --out out"]),
+    "tuning file": ([*3 * [words("tuning.toml")], raw("tuning.toml")], ["tune tuning.toml --out out"]),
+    "experiment": ([*3 * [words("x.toml")], raw("x.toml")], ["run x.toml --out out"]),
+    "overrides": (
+        [*3 * [words("robot.mmnn.toml")], raw("robot.mmnn.toml")],
+        ["inspect robot.urdf"],
+    ),
+    "state": ([json_file("state.json"), raw("state.json")], ["model platform_arm --at state.json"]),
+    "controllers": ([words("c.yaml"), raw("c.yaml")], ["inspect robot.urdf --controllers c.yaml"]),
+}
+
+
+class Hang(BaseException):
+    """A command took too long."""
+
+
+def stop(*_: Any) -> None:
+    raise Hang
+
+
+Opened = list[tuple[str, str]]
+OPENED: Opened = []
+
+
+def watch() -> None:
+    """Note what Python opens from now on."""
+
+    def hook(event: str, given: tuple[Any, ...]) -> None:
+        if event == "open" and isinstance(given[0], str):
+            OPENED.append((given[0], str(given[1] or "")))
+
+    sys.addaudithook(hook)
+
+
+def listed(folder: Path) -> dict[str, int]:
+    """Files of a folder with their times, those for output left out."""
+    skip = ("out", "db", "tuned")
+    return {str(f): f.lstat().st_mtime_ns for f in folder.rglob("*") if f.relative_to(folder).parts[0] not in skip}
+
+
+@contextlib.contextmanager
+def limits() -> Iterator[None]:
+    """So much processor time and so much more memory for a command."""
+    size = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    old = resource.getrlimit(resource.RLIMIT_AS)
+    signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, old[1]))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        resource.setrlimit(resource.RLIMIT_AS, old)
+
+
+def verdict(command: list[str], folder: Path) -> str:
+    """`done`, `failed`, `refused`, or what went wrong."""
+    from mmnn_pin.cli import main
+
+    before, output, errors = listed(folder), io.StringIO(), io.StringIO()
+    OPENED.clear()
+    try:
+        with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors), limits():
+            code = main(command)
+    except Hang:
+        return f"more than {SECONDS} s"
+    except BaseException as error:
+        return f"it raised {type(error).__name__}: {error}"
+    told = errors.getvalue()
+    wrong = {
+        "this should not happen": "this should not happen" in told,
+        "more than 1 GB": "not enough memory" in told,
+        f"exit code {code}": code not in (0, 1, 2),
+        "an error without words": code == 2 and "error: " not in told,
+        "a traceback": "Traceback" in told,
+        "a program of the file was run": (folder / "ran").exists(),
+        "a secret was read": any("secret" in name for name, _ in OPENED),
+        "something was written outside": listed(folder) != before,
+    }
+    if "--json" in command:
+        try:
+            wrong["no object"] = not isinstance(json.loads(output.getvalue()), dict)
+        except ValueError:
+            wrong[f"not one JSON object: {output.getvalue()[:80]!r}"] = True
+    found = [what for what, is_so in wrong.items() if is_so]
+    return f"{', '.join(found)}: {told[-300:]}" if found else ("done", "failed", "refused")[code]
+
+
+def mutant(sources: Path, folder: Path, kind: str, seed: int, cheap: bool) -> list[str]:
+    """A folder of files, one of them broken, and the command to try on it; `cheap` leaves the drawing out."""
+    rng = random.Random(f"{kind} {seed}")
+    mutations, commands = KINDS[kind]
+    shutil.copytree(sources, folder)
+    runs = sorted(folder.glob("run*.h5"))
+    chosen = rng.choice(runs)
+    os.replace(chosen, folder / "run.h5")
+    for other in runs:
+        other.unlink(missing_ok=True) if other.name != "run.h5" else None
+    (folder / "evil.py").write_text(EVIL)
+    (folder / "secret").mkdir()
+    (folder / "secret" / "x.stl").write_bytes(SECRET)
+    (folder / "secret" / "raw.bin").write_bytes(bytes(24))
+    os.chdir(folder)
+    rng.choice(mutations)(folder, rng)
+    commands = [one for one in commands if not (cheap and one.startswith(DRAWING))] or commands[:1]
+    return [*rng.choice(commands).split(), *(["--json"] if rng.random() < 0.5 else [])]
+
+
+def work_through(sources: Path, kinds: list[str], first: int, last: int, cheap: bool) -> None:
+    """Try the mutants of some seeds, one line each on standard output."""
+    import mmnn_pin.cli
+    import mmnn_pin.lab.show.report
+
+    assert mmnn_pin.cli and mmnn_pin.lab.show.report  # slow imports are nobody's fault
+    watch()
+    out = os.fdopen(os.dup(1), "w")
+    with tempfile.TemporaryDirectory() as scratch:
+        for seed in range(first, last):
+            folder, kind = Path(scratch) / "here", kinds[seed % len(kinds)]
+            command = mutant(sources, folder, kind, seed, cheap)
+            print(seed, kind.replace(" ", "_"), end=" ", file=out, flush=True)
+            said = verdict(command, folder)
+            said = said if said in GOOD else f"`{' '.join(command)}`: {said}"
+            print(said.replace("\n", " "), file=out, flush=True)
+            os.chdir("/")
+            shutil.rmtree(folder)
+
+
+def fuzz(
+    sources: Path, files: int, seed: int = 0, batch: int = 100, kinds: list[str] | None = None, cheap: bool = False
+) -> tuple[dict[str, collections.Counter[str]], list[str]]:
+    """Try many mutants in subprocesses, without compiling.
+
+    Returns:
+        Per kind how often each verdict came, and every line that tells of something wrong.
+    """
+    kinds = kinds or list(KINDS)
+    counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
+    wrong: list[str] = []
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "MPLBACKEND": "agg"}
+    for first in range(seed, seed + files, batch):
+        last = min(first + batch, seed + files)
+        while first < last:
+            command = [sys.executable, __file__, "--sources", str(sources), "--work", str(first), str(last)]
+            done = subprocess.run(
+                [*command, *["--cheap"] * cheap, "--kinds", *kinds],
+                capture_output=True,
+                text=True,
+                timeout=60 * batch,
+                env=environment,
+            )
+            lines = [line.split(" ", 2) for line in done.stdout.splitlines()]
+            for number, kind, said in lines:
+                crashed = f"crash, exit code {done.returncode}: {done.stderr[-300:]}"
+                counts[kind][said if said in GOOD else "wrong"] += 1
+                wrong += [] if said in GOOD else [f"seed {number}, {kind}: {said or crashed}"]
+            if not lines:
+                raise RuntimeError(done.stderr)
+            first = int(lines[-1][0]) + 1  # after a crash: go on behind it
+    return dict(counts), wrong
+
+
+def main() -> int:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--files", type=int, default=10_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--batch", type=int, default=100)
+    parser.add_argument("--kinds", nargs="+", default=list(KINDS))
+    parser.add_argument("--sources", type=Path)
+    parser.add_argument("--cheap", action="store_true", help="Without the commands that take seconds each.")
+    parser.add_argument("--work", type=int, nargs=2, help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.work:
+        work_through(given.sources, given.kinds, *given.work, given.cheap)
+        return 0
+    with tempfile.TemporaryDirectory() as scratch:
+        sources = given.sources or sound_files(Path(scratch) / "sources")
+        counts, wrong = fuzz(sources, given.files, given.seed, given.batch, given.kinds, given.cheap)
+    for kind, found in counts.items():
+        print(f"{kind}: {sum(found.values()):,} files, {dict(found)}")
+    print(*wrong, sep="\n")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    from sound_files import sound_files
+
+    sys.exit(main())

@@ -1,0 +1,304 @@
+"""A recording that a stranger made, or that a disk damaged: one line that names what is wrong, and the rest is read."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from sound_files import old_recording
+from test_recording import LAYOUT, META, record, rows_of
+
+from mmnn_pin.cli import main
+from mmnn_pin.errors import ConfigError, InputError, RecordingError
+from mmnn_pin.recording.metrics import metrics
+from mmnn_pin.recording.recorder import Recorder
+from mmnn_pin.recording.recording import UNSEEN, Recording, recorded_robot
+
+Change = Callable[[h5py.File], object]
+
+
+def replaced(name: str, **made: object) -> Change:
+    """Another dataset in the place of one, with its attributes."""
+
+    def change(file: h5py.File) -> None:
+        attributes = dict(file[name].attrs)
+        del file[name]
+        file.create_dataset(name, **made)
+        file[name].attrs.update(attributes)
+
+    return change
+
+
+def linked(name: str, link: object) -> Change:
+    def change(file: h5py.File) -> None:
+        del file[name]
+        file[name] = link
+
+    return change
+
+
+def attribute(name: str, value: object, of: str = "/") -> Change:
+    return lambda file: file[of].attrs.__setitem__(name, value)
+
+
+def virtual(file: h5py.File) -> None:
+    layout = h5py.VirtualLayout((50, 2), "f8")
+    layout[:] = h5py.VirtualSource("/etc/passwd", "z", (50, 2))
+    del file["signals/z"]
+    file.create_virtual_dataset("signals/z", layout)
+
+
+@pytest.fixture
+def file(tmp_path) -> Path:
+    record(rows_of(50), tmp_path / "run.h5")
+    return tmp_path / "run.h5"
+
+
+def changed(file: Path, change: Change) -> Path:
+    with h5py.File(file, "r+") as opened:
+        change(opened)
+    return file
+
+
+# -- refused as a whole ------------------------------------------------------------------------------------------------
+
+FOREIGN: dict[str, tuple[Change, str]] = {
+    "soft link": (linked("signals/z", h5py.SoftLink("/signals/e")), "signals/z is not read: it is a link"),
+    "external link": (linked("signals/z", h5py.ExternalLink("/etc/x.h5", "/z")), "signals/z is not read: it is a link"),
+    "linked group": (linked("timing", h5py.ExternalLink("x.h5", "/")), "timing is not read: it is a link"),
+    "linked urdf": (linked("urdf", h5py.SoftLink("/config")), "urdf is not read: it is a link"),
+    "external storage": (
+        replaced("signals/z", shape=(50, 2), dtype="f8", external=[("/etc/passwd", 0, 800)]),
+        "signals/z is not read: its numbers are in another file",
+    ),
+    "virtual": (virtual, "signals/z is not read: its numbers are in another file"),
+    "filter": (replaced("signals/z", shape=(50, 2), dtype="f8", scaleoffset=3), "signals/z is not read: filter 6"),
+    "a terabyte": (
+        replaced("signals/z", shape=(2**36, 2), dtype="f8", chunks=(64, 2)),
+        "signals/z is not read: with it the file says it holds 1,099,5",
+    ),
+    "a packed gigabyte": (
+        replaced("signals/z", shape=(2**26, 2), dtype="f8", chunks=(2**20, 2), compression="gzip"),
+        "signals/z is not read: with it the file says it holds 1,07",
+    ),
+    "a chunk of a gigabyte": (
+        replaced("signals/z", shape=(50, 2), maxshape=(None, 2), dtype="f8", chunks=(2**26, 2)),
+        "signals/z is not read: with it the file says it holds 1,07",
+    ),
+    "fact of a wrong type": (attribute("robot", 5), "its attribute 'robot': 5 is a whole number: expected a text"),
+    "names of a wrong type": (attribute("velocity_names", 'json:[1, "w"]'), "its attribute 'velocity_names'"),
+    "no period": (attribute("control_period", -1.0), "its attribute 'control_period': -1.0 s"),
+    "broken JSON": (attribute("gains", "json:{"), "its attribute 'gains' cannot be read: "),
+    "deep JSON": (attribute("gains", f"json:{'[' * 99}{']' * 99}"), "it is nested more than 32 levels deep"),
+    "deeper JSON": (attribute("gains", "json:" + "[" * 100_000), "its attribute 'gains' cannot be read: "),
+    "a table of numbers": (
+        attribute("seed", np.zeros((2, 2))),
+        "its attribute 'seed' cannot be read: it has the shape",
+    ),
+    "a reference": (
+        lambda file: attribute("seed", file.ref)(file),
+        "its attribute 'seed' cannot be read: it is of the",
+    ),
+    "no UTF-8": (attribute("robot", b"\xff\xfe"), "its attribute 'robot' cannot be read: "),
+    "no outcome": (lambda file: file.attrs.__delitem__("outcome"), "its attribute 'outcome': None: no run ends so"),
+    "odd outcome": (attribute("outcome", "won"), "its attribute 'outcome': 'won': no run ends so"),
+    "endless outcome": (attribute("outcome_time", np.inf), "its attribute 'outcome_time': inf: no run ends so"),
+    "odd version": (attribute("format_version", "new"), "its format version is 'new'"),
+    "odd completeness": (attribute("complete", "yes"), "not a recording"),
+    "no time": (lambda file: file.__delitem__("signals/time"), "it has no signals/time"),
+    "many members": (lambda file: [file.create_group(f"g{i}") for i in range(1001)], "/ has 1005 members"),
+}
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_what_none_of_our_files_has_is_refused_in_one_line(kind, file, capsys):
+    change, says = FOREIGN[kind]
+    changed(file, change)
+    with pytest.raises(RecordingError) as raised:
+        Recording.open(file)
+    assert says in str(raised.value) and str(raised.value).startswith(f"{file}: error: ")
+    assert "\n" not in str(raised.value)
+
+
+def test_a_file_that_lies_about_its_size_is_refused_before_memory_is_taken(file):
+    import tracemalloc
+
+    changed(file, FOREIGN["a packed gigabyte"][0])
+    tracemalloc.start()
+    with pytest.raises(RecordingError):
+        Recording.open(file)
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+
+
+# -- damaged in one place ----------------------------------------------------------------------------------------------
+
+DAMAGE: dict[str, tuple[Change, str, str]] = {
+    "integers": (replaced("signals/z", data=np.zeros((50, 2), "i4")), "signals/z", "its numbers are of the type int32"),
+    "texts": (replaced("signals/z", data=np.full((50, 2), b"a")), "signals/z", "its numbers are of the type |S1"),
+    "columns": (replaced("signals/z", data=np.zeros((50, 3))), "signals/z", "it has 3 columns and 2 labels"),
+    "shape": (replaced("signals/z", data=np.zeros((50, 2, 2))), "signals/z", "it has the shape (50, 2, 2)"),
+    "empty": (replaced("signals/z", data=h5py.Empty("f8")), "signals/z", "it has the shape None"),
+    "rows": (replaced("signals/z", data=np.zeros((49, 2))), "signals/z", "it has 49 rows, the others 50"),
+    "unit": (attribute("unit", "km", "signals/z"), "signals/z", "its unit is 'km', not 'm/s, rad/s'"),
+    "labels": (attribute("labels", ["v", "u"], "signals/z"), "signals/z", "its columns are 'v, u', not 'v, w'"),
+    "a group": (linked("signals/z", h5py.Group), "signals/z", "it is no array"),
+    "unknown": (replaced("signals/z", data=np.zeros((50, 2))), "signals/zz", "this mmnn_pin knows no such signal"),
+    "final": (lambda file: file.create_group("final/nu"), "final/nu", "it is no array"),
+    "timing": (
+        replaced("timing/step_time", data=np.zeros(50, "S2")),
+        "timing/step_time",
+        "its numbers are of the type",
+    ),
+    "urdf": (replaced("urdf", data=np.zeros(3)), "urdf", "it is no text"),
+    "time": (lambda file: file["signals/time"].__setitem__(7, 0.001), "signals/time", "row 7 is at 0.001 s, the one b"),
+    "no time": (lambda file: file["signals/time"].__setitem__(7, np.nan), "signals/time", "row 7 is at nan s"),
+}
+
+
+@pytest.mark.parametrize("kind", DAMAGE)
+def test_a_damaged_part_is_named_and_leaves_the_others(kind, file, tmp_path, capsys):
+    change, where, why = DAMAGE[kind]
+    sound = Recording.open(file)["e"]
+    if kind == "a group":
+        change = lambda file: (file.__delitem__("signals/z"), file.create_group("signals/z"))  # noqa: E731
+    if kind == "unknown":
+        change = lambda file: file.move("signals/z", "signals/zz")  # noqa: E731
+    recording = Recording.open(changed(file, change))
+    assert list(recording.damage) == [where] and recording.damage[where].startswith(why)
+    np.testing.assert_array_equal(recording["e"], sound)
+    group, _, name = where.partition("/")
+    with pytest.raises(RecordingError, match=f"{where} is damaged"):
+        _ = {"signals": lambda: recording[name], "final": lambda: recording.final, "urdf": lambda: recording.urdf}.get(
+            group, lambda: recording.step_times
+        )()
+    with pytest.raises(RecordingError, match=f"{where} is damaged"):
+        metrics(recording, [(0.0, 1.0)])  # numbers are of whole recordings
+    code = main(["export", str(file), "--to", "csv", "--out", str(tmp_path / "x.csv")])
+    assert f"warning: {file}: {where} is damaged and left out: {why}" in capsys.readouterr().err
+    assert code == (2 if where == "urdf" else 0)  # the URDF says which units a joint's columns have
+    assert code == 2 or "e.joint1 [rad]" in (tmp_path / "x.csv").read_text()
+
+
+def test_a_flipped_byte_anywhere_is_a_recording_or_one_line(file):
+    """Thirty bytes all over the file's structure; the fuzzer goes on from here."""
+    data = file.read_bytes()
+    places = np.flatnonzero(np.frombuffer(data, np.uint8))
+    for at in places[:: len(places) // 30]:
+        file.write_bytes(data[:at] + bytes([data[at] ^ 0xFF]) + data[at + 1 :])
+        try:
+            recording = Recording.open(file)
+            assert "e" in recording.damage or recording["e"].shape == (50, 2) or recording.damage
+        except RecordingError as error:
+            assert str(file) in str(error) and "\n" not in str(error)
+
+
+def test_what_a_recorder_is_told_is_held_to_the_same_schema(tmp_path):
+    for key, value in {"robot": 5, "velocity_names": ("v", 3, "a", "b"), "control_period": 0.0, "safety": [1]}.items():
+        with pytest.raises(ConfigError, match=f"meta.{key}: error: "):
+            Recorder(LAYOUT, META | {key: value}, tmp_path / "run.h5")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_sound_recording_and_an_old_one_have_no_damage(file, tmp_path):
+    assert Recording.open(file).damage == {}
+    old = Recording.open(old_recording(tmp_path / "old.h5"))
+    assert old.damage == {} and len(old) == 10 and recorded_robot(old).name == "platform_arm"
+
+
+# -- texts are data ----------------------------------------------------------------------------------------------------
+
+MESH = '<link name="hull"><visual><geometry><mesh filename="{}"/></geometry></visual></link></robot>'
+STL = (
+    b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
+)
+
+
+def with_mesh(file: Path, mesh: str, urdf_file: str, **overrides: object) -> Recording:
+    """An old recording whose robot has a part with a mesh, and says where its file was."""
+    path = old_recording(file)
+    with h5py.File(path, "r+") as opened:
+        text = opened["urdf"].asstr()[()].replace("</robot>", MESH.format(mesh))
+        joint = '<joint name="hull" type="fixed"><parent link="base_link"/><child link="hull"/></joint></robot>'
+        del opened["urdf"]
+        opened["urdf"] = text.replace("</robot>", joint)
+        opened.attrs["urdf_file"], opened.attrs["overrides"] = urdf_file, f"json:{json.dumps(overrides)}"
+    return Recording.open(path)
+
+
+@pytest.fixture
+def opened_files(monkeypatch) -> list[str]:
+    """Names of all files that Python opens from now on."""
+    names: list[str] = []
+    sys.addaudithook(lambda event, given: names.append(str(given[0])) if event == "open" else None)
+    return names
+
+
+@pytest.mark.parametrize("name", ["{}/x.stl", "file://{}/x.stl", "x.stl", "package://secret/x.stl"])
+def test_a_recording_makes_nobody_read_a_mesh(name, tmp_path, opened_files):
+    secret = tmp_path / "secret"
+    secret.mkdir()
+    (secret / "x.stl").write_bytes(STL)
+    (secret / "x.urdf").write_text("<robot name='another'><link name='a'/></robot>")
+    recording = with_mesh(
+        tmp_path / "run.h5", name.format(secret), str(secret / "x.urdf"), package_dirs=["/", str(tmp_path)]
+    )
+    before = len(opened_files)
+    robot = recorded_robot(recording)
+    assert not [one for one in opened_files[before:] if one.endswith(".stl")]
+    assert UNSEEN in robot.urdf
+    given = recorded_robot(recording, [tmp_path, secret])  # the user named the folder
+    assert UNSEEN not in given.urdf
+
+
+def test_meshes_are_read_where_the_robots_own_file_still_lies(tmp_path):
+    (tmp_path / "x.stl").write_bytes(STL)
+    recording = with_mesh(tmp_path / "run.h5", "x.stl", str(tmp_path / "own.urdf"))
+    assert UNSEEN in recorded_robot(recording).urdf
+    (tmp_path / "own.urdf").write_text(recording.urdf)
+    assert UNSEEN not in recorded_robot(recording).urdf
+    (tmp_path / "own.urdf").write_text(recording.urdf.replace('value="', 'value="1', 1))
+    assert UNSEEN in recorded_robot(recording).urdf
+
+
+EVIL = "import pathlib\npathlib.Path('ran').touch()\nclass Evil: pass\n"
+
+
+@pytest.mark.parametrize("place", ["meta", "config", "both"])
+def test_a_law_that_a_recording_names_is_not_run(place, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "evil.py").write_text(EVIL)
+    with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
+        if place != "config":
+            file.attrs["controller"] = "Evil"
+            file.attrs["law"] = 'json:{"class": "evil.Evil", "file": "evil.py", "sha256": "0"}'
+            file.attrs["controller_settings"] = 'json:{"feedback": {"base": 500.0, "arm": 80.0}, "learning": true}'
+        if place != "meta":
+            laws = {name: {"law": "evil.py:Evil"} for name in ("Evil",)}
+            config = {"controllers": ["Evil"], "laws": laws, "nominal": {"robot": "evil.urdf"}}
+            file["config"] = json.dumps(config)
+    (tmp_path / "evil.urdf").write_text("<robot name='x' xmlns:xacro='http://ros.org/wiki/xacro'/>")
+    for command in ("export run.h5 --to npz", "report run.h5 --html r.html --no-replay", "replay run.h5 --html p.html"):
+        assert main(command.split()) in (0, 2)
+    assert "this should not happen" not in capsys.readouterr().err
+    assert not (tmp_path / "ran").exists()
+    from mmnn_pin.lab.proof.learner import controller_of
+
+    recording = Recording.open(tmp_path / "run.h5")
+    with suppress(InputError):
+        controller_of(recording, recorded_robot(recording))
+    assert not (tmp_path / "ran").exists()
+
+
+def test_no_recording_by_a_name_that_leads_elsewhere(tmp_path):
+    os.mkfifo(tmp_path / "pipe.h5")
+    for name in ("pipe.h5", "nothing.h5"):
+        with pytest.raises(RecordingError, match="no such recording"):
+            Recording.open(tmp_path / name)

@@ -1,0 +1,149 @@
+"""One sound file of every kind, small, for tests that break them: recordings, databases, folders, TOML, JSON, YAML."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from contextlib import redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import msgspec
+from places import ROOT
+from study_files import SHORT, planned
+
+from mmnn_pin.lab.contest.contest import About, AboutTask
+from mmnn_pin.lab.contest.task import Demand
+from mmnn_pin.lab.contest.trial import Tracking, Trial, TrialResult
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.lab.study.execution import missing_rows, probe
+from mmnn_pin.lab.study.store import NAME, writing
+from mmnn_pin.lab.study.worker import JobResult
+
+EXPERIMENT = """
+experiment = "track"
+title = "Broken"
+controllers = ["pd"]
+windows = [[0.0, 0.002], [0.002, 0.004]]
+
+[time]
+duration = 0.004
+control_period = 0.002
+plant_step = 0.002
+
+[masses]
+arm_2_joint = 1.5
+
+[sensor]
+pose_noise = [0.001, 0.001, 0.001]
+"""
+STUDY = SHORT.replace("time.duration = 0.04", "time.duration = 0.004").replace("points = 4", "points = 2")
+STUDY = STUDY.replace('"time.control_period" = { grid = [0.001, 0.002] }\n', "")
+STUDY = STUDY.replace("windows = [[0.0, 0.02], [0.02, 0.04]]", "windows = [[0.0, 0.002], [0.002, 0.004]]")
+TUNING = """
+experiment = "chapter4"
+controllers = ["pd"]
+[set]
+time.duration = 0.004
+windows = [[0.0, 0.002], [0.002, 0.004]]
+[sampling]
+points = 2
+[factors]
+"masses" = { uniform = [0.5, 1.5] }
+[tune]
+controller = "pd"
+objective = "e.*.peak"
+trials = 2
+check = 2
+[tune.gains]
+"feedback.arm" = { log_uniform = [5.0, 60.0] }
+"""
+STATE = {"pose": [0.1, 0.2, 0.3], "base_velocity": [0.1, 0.2], "joints": {"arm_1_joint": 0.4}, "joint_velocities": {}}
+YAML = "controller:\n  type: diff_drive_controller/DiffDriveController\n  wheel_radius: 0.1\n  wheel_separation: 0.5\n"
+OVERRIDES = 'base = "differential_drive"\nwheels = ["wheel_left_joint", "wheel_right_joint"]\nradius = 0.15\n'
+
+
+def sound_files(
+    folder: Path, controllers: tuple[str, ...] = ("two_layer", "pd", "adaptive"), tuned: bool = True
+) -> Path:
+    """Files of every kind in a new folder.
+
+    Args:
+        folder: The folder.
+        controllers: One new recording each, beside one of an old version.
+        tuned: Whether there is the database of a tuning, too.
+    """
+    folder.mkdir()
+    old_recording(folder / "run_old.h5")
+    for name in controllers:
+        command(f"run track --controller {name} --set time.duration=0.02 --out {folder / name}")
+        (folder / name / f"{name}.h5").rename(folder / f"run_{name}.h5")
+        for file in (folder / name).iterdir():
+            file.unlink()
+        (folder / name).rmdir()
+    for name, text in {
+        "x.toml": EXPERIMENT,
+        "tuning.toml": TUNING,
+        "c.yaml": YAML,
+        "robot.mmnn.toml": OVERRIDES,
+    }.items():
+        (folder / name).write_text(text)
+    (folder / "state.json").write_text(json.dumps(STATE))
+    (folder / "robot.urdf").write_bytes((ROOT / "urdf" / "platform_arm.urdf").read_bytes())
+    study(folder)
+    contest(folder / "contest")
+    if tuned:
+        command(f"tune {folder / 'tuning.toml'} --out {folder / 'tuned'}")
+    return folder
+
+
+def old_recording(file: Path) -> Path:
+    """The recording of a version before 0.2: ten rows of `two_layer`."""
+    packed = ROOT / "tests" / "recording" / "data" / "before_0_2.h5.gz"
+    file.write_bytes(gzip.decompress(packed.read_bytes()))
+    return file
+
+
+def command(line: str) -> None:
+    """A command of ours that must succeed."""
+    from mmnn_pin.cli import main
+
+    with redirect_stdout(StringIO()):
+        assert main(line.split()) == 0
+
+
+def study(folder: Path) -> None:
+    """A study's file, and its database with rows of invented numbers."""
+    plan = planned(folder, STUDY)
+    found = probe(plan)
+    with writing(folder / "db" / NAME) as store:
+        prints = list(plan.fingerprints())
+        for number in missing_rows(store, plan, found, False):
+            row = plan.row(number)
+            metrics = dict.fromkeys(found.units, 0.01 * number)
+            done = JobResult(number, ("completed", "diverged")[number % 4 == 3], 0.004, "", "", metrics, 0.1, "here")
+            store.add(prints[number], row.point, row.controller, row.seed, row.parameters, done)
+
+
+def contest(folder: Path) -> None:
+    """The folder of a contest with rows of invented numbers."""
+    folder.mkdir()
+    asked, axes = load_experiment("contest"), ("x", "y", "phi", "arm_1_joint", "arm_2_joint")
+    who, trials = ("pd", "two_layer", "computed_torque"), {}
+    for k, name in enumerate(who):
+        rows = [
+            TrialResult(
+                task="eight", controller=name, seed=seed, outcome="completed", ended=20.0, effort=3.0, torque=0.5,
+                kick=0.6, rms=dict.fromkeys(axes, 0.01 * (k + 1)), peak=dict.fromkeys(axes, 0.02),
+                peak_of_all=dict.fromkeys(axes, 0.1), online_fvu=0.1, online_worst=0.3, frozen_fvu=0.2,
+                frozen_worst=0.4, frozen_on={"similar": 0.2}, findings=(), since=0.0, curve=[[0.1] * 5, [0.01] * 5],
+                held_out={"similar": dict.fromkeys(("frozen", "learning"), Tracking("completed", {"x": 0.01}))},
+            )
+            for seed in (0, 1)
+        ]  # fmt: skip
+        trials[f"eight/{name}"] = Trial(f"{k:016x}", 1e-5, rows)
+    demand = Demand(("wheel_left_joint", "wheel_right_joint"), (0.4, 0.4), (0.2, 0.2))
+    plain = msgspec.json.decode(msgspec.structs.replace(asked, cases={}).to_json())
+    about = About("contest", plain, who, {"eight": AboutTask("An eight", who, demand)})
+    (folder / "contest.json").write_bytes(msgspec.json.encode(about))
+    (folder / "rows.json").write_bytes(msgspec.json.encode(trials))

@@ -1,0 +1,169 @@
+"""What strangers hand in beside recordings: values of wrong types, rows of a database, requests to the server."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pkgutil
+import random
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing, redirect_stdout
+from http.client import HTTPConnection
+from io import StringIO
+
+import pytest
+from sound_files import study
+
+import mmnn_pin
+from mmnn_pin.cli import main, mmnn
+from mmnn_pin.errors import ConfigError, MmnnError, StudyError
+from mmnn_pin.lab.show.replay.page import Page
+from mmnn_pin.lab.study.results import load_results
+from mmnn_pin.lab.study.store import NAME
+from mmnn_pin.settings import Settings, Timing
+
+WRONG = [None, True, -1, 0, 3, 10**20, 0.5, float("nan"), "x", "", b"a", [], [1], [1, "a"], (), {}, {"a": 1}, 1j, int]
+
+# -- constructors ------------------------------------------------------------------------------------------------------
+
+
+def kinds(of: type = Settings) -> Iterator[type]:
+    for kind in of.__subclasses__():
+        yield kind
+        yield from kinds(kind)
+
+
+def test_settings_of_wrong_types_raise_the_packages_error():
+    for module in pkgutil.walk_packages(mmnn_pin.__path__, "mmnn_pin."):
+        importlib.import_module(module.name)
+    rng, tried, refused = random.Random(0), 0, 0
+    for kind in kinds():
+        names = kind.__struct_fields__
+        for _ in range(20 * bool(names)):
+            given = {name: rng.choice([*WRONG, object()]) for name in rng.sample(names, min(len(names), 2))}
+            try:
+                kind(**given)
+            except MmnnError as error:
+                assert "\n" not in str(error)
+                refused += 1
+            except TypeError as error:
+                assert str(error).startswith("Missing required argument")
+            tried += 1
+    assert tried > 900 and refused > tried / 3
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"duration": "x"}, "Timing.duration: error: 'x' is a text: give a number"),
+        ({"control_period": [1]}, "Timing.control_period: error: [1] is a list: give a number"),
+        ({"duration": object()}, "Timing.duration: error: <object object at"),
+    ],
+)
+def test_the_error_names_class_field_value_and_what_was_expected(given, says):
+    with pytest.raises(ConfigError) as raised:
+        Timing(**given)
+    assert str(raised.value).startswith(says)
+    with pytest.raises(TypeError, match="nonsense"):  # a slip of the caller's pen, no setting
+        Timing(nonsense=1)
+
+
+# -- commands ----------------------------------------------------------------------------------------------------------
+
+VALUES = ["", "x", "-1", "0", "1e999", "nan", "a=b", "../..", "\x1b[2J", "--", "é", "1,2", "[", "{}", "/dev/null/x"]
+SAFE = [
+    name for name in mmnn.commands if name not in ("study", "tune", "readings", "run", "check")
+]  # these run for long
+
+
+def test_random_options_end_in_one_of_our_exit_codes(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    rng = random.Random(1)
+    for _ in range(150):
+        name = rng.choice([*SAFE, "nonsense"])
+        command = mmnn.commands.get(name)
+        options = [o for p in command.params for o in p.opts if o.startswith("--")] if command else ["--x"]
+        words = [name, *(rng.choice(VALUES) for _ in range(rng.randrange(3)))]
+        for _ in range(rng.randrange(4)):
+            words += [rng.choice([o for o in options if o != "--debug"]), *rng.sample(VALUES, rng.randrange(2))]
+        code = main(words)
+        out, err = capsys.readouterr()
+        assert code in (0, 1, 2) and "this should not happen" not in err and "Traceback" not in err, (words, err)
+        if "--json" in words and code:
+            assert isinstance(json.loads(out), dict), (words, out)
+
+
+# -- a study's database ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> bytes:
+    folder = tmp_path_factory.mktemp("study")
+    study(folder)
+    return (folder / "db" / NAME).read_bytes()
+
+
+ROWS = {
+    "UPDATE rows SET metrics = '{' WHERE id = 1": "metrics of row 1 cannot be read",
+    'UPDATE rows SET metrics = \'{"effort": "x"}\' WHERE id = 1': "row 1 cannot be read: Expected",
+    "UPDATE rows SET parameters = '[]' WHERE id = 1": "row 1 cannot be read: Expected `object`",
+    "UPDATE rows SET parameters = '{}' WHERE id = 1": "row 1 cannot be read: its masses.root is None",
+    "UPDATE rows SET controller = 'x' WHERE id = 1": "row 1 cannot be read: its controller 'x' is none of the study's",
+    "UPDATE rows SET status = 'won' WHERE id = 1": "row 1 cannot be read: Invalid enum value 'won'",
+    "UPDATE rows SET time = 'x' WHERE id = 1": "row 1 cannot be read: Expected `float`",
+    "UPDATE meta SET value = '3' WHERE key = 'controllers'": "the fact 'controllers' cannot be read: this is a whole",
+    "UPDATE meta SET value = '[[[' WHERE key = 'units'": "the fact 'units' cannot be read",
+    "DELETE FROM meta WHERE key = 'units'": "it does not hold the fact 'units'",
+    "UPDATE meta SET value = '{\"factors\": 3}' WHERE key = 'settings'": "its settings cannot be read",
+    "CREATE VIEW more AS SELECT 1": "the view 'more' cannot be read",
+    "CREATE TRIGGER more AFTER INSERT ON rows BEGIN SELECT 1; END": "the trigger 'more' cannot be read",
+    "DROP TABLE rows": "cannot read the database: no such table: rows",
+}
+
+
+@pytest.mark.parametrize("change", ROWS)
+def test_a_database_that_we_did_not_write_is_one_line(change, sound, tmp_path):
+    file = tmp_path / NAME
+    file.write_bytes(sound)
+    assert len(load_results(file).rows) == 6
+    with closing(sqlite3.connect(file)) as db, db:
+        db.execute(change)
+    with pytest.raises(StudyError) as raised:
+        load_results(file)
+    assert ROWS[change] in str(raised.value) and "\n" not in str(raised.value)
+    assert str(raised.value).startswith(f"{file}: error: ")
+    with redirect_stdout(StringIO()):
+        assert main(["export", str(file), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
+    assert not (tmp_path / "out").exists()
+
+
+# -- the replay's server -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({}, 200),
+        ({"Host": "localhost:1"}, 200),
+        ({"Origin": "http://127.0.0.1:1"}, 200),
+        ({"Host": "evil.example:80"}, 403),  # a name that leads to this machine
+        ({"Host": ""}, 403),
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": "null"}, 403),
+    ],
+)
+def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
+    with Page("<p>mine</p>", (), 0, 0).served(0) as url:
+        host, port = url.removeprefix("http://").rstrip("/").split(":")
+        assert host == "127.0.0.1"
+        connection = HTTPConnection(host, int(port), timeout=10)
+        connection.request("GET", "/", headers=headers)
+        answer = connection.getresponse()
+        assert (answer.status, b"mine" in answer.read()) == (status, status == 200)
+
+
+def test_a_state_that_is_no_text_is_one_line(tmp_path, capsys):
+    (tmp_path / "state.json").write_bytes(b'{"\x89": 1}')
+    assert main(["model", "platform_arm", "--at", str(tmp_path / "state.json")]) == 2
+    assert "state.json: error: not valid JSON" in capsys.readouterr().err
