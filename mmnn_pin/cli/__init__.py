@@ -15,7 +15,7 @@ import click
 
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
-from .identify import identify
+from .identify import excite, identify
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
 from .results import export, plot, prove, replay, report
@@ -79,6 +79,7 @@ for command in (
     inspect,
     check,
     identify,
+    excite,
     list_,
 ):
     mmnn.add_command(command)
