@@ -26,7 +26,7 @@ from .quality import sound
 from .report import links_of
 
 VISIBLE = 4  # of the ten numbers: m and mc
-ROUNDS = 4
+ROUNDS, SETTLED = 100, 1e-5  # of second moments at most; relative change of the mass at which they end
 UNSEEN, FAR = (
     1e12,
     10.0,
@@ -97,7 +97,9 @@ def payload(robot: Robot, logs: Log | Sequence[Log], joint: str = "", cutoff: fl
     for _ in range(ROUNDS):
         second = point_mass(fit.value[:VISIBLE])
         of_second = left.Y[:, :, first + VISIBLE : first + BODY] @ second
-        fit = weighted_fit(replace(left, y=left.y - of_second), fit.base)
+        before, fit = fit.value[0], weighted_fit(replace(left, y=left.y - of_second), fit.base)
+        if abs(fit.value[0] - before) <= SETTLED * abs(before):
+            break
     if not (fit.seen[0] and fit.value[0] > 0):
         why = f"mass {fit.value[0]:.3g} kg" if fit.seen[0] else "no torque tells its mass"
         raise RecordingError("no load is seen", why=why, fix="turn the wrist against gravity", file=every[0].name)
@@ -108,9 +110,9 @@ def payload(robot: Robot, logs: Log | Sequence[Log], joint: str = "", cutoff: fl
     sd = np.sqrt(np.diag(slope @ covariance @ slope.T))
     size = np.sqrt((np.where(rows.use, rows.y, 0.0) ** 2).sum())
     errors = [left.y, left.y - of_second - left.Y[:, :, places] @ fit.value]
-    before, after = (float(np.sqrt((np.where(rows.use, e, 0.0) ** 2).sum()) / size) for e in errors)
+    without, after = (float(np.sqrt((np.where(rows.use, e, 0.0) ** 2).sum()) / size) for e in errors)
     centre = back[:3, :3] @ lever + back[:3, 3]
-    return Load(link, mass, float(fit.sd[0]), centre, np.where(sd > FAR, np.inf, sd), (before, after))
+    return Load(link, mass, float(fit.sd[0]), centre, np.where(sd > FAR, np.inf, sd), (without, after))
 
 
 def point_mass(first: Array) -> Array:
