@@ -61,6 +61,8 @@ _HOME = {
     "recording.recording": ("Outcome", "Recording"),
     "deploy.identify.identification": ("Identification", "identify"),
     "deploy.identify.log": ("Log",),
+    "deploy.identify.payload": ("payload",),
+    "deploy.identify.excitation": ("excite",),
     "lab.experiments.config": ("load_experiment",),
     "lab.experiments.runner": ("run_experiment",),
     "errors": ("InputError", "MmnnError"),

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from .options import FORCE, examples, numbers, shared, understanding
 from .output import DONE, FAILED, answer, named, warn, wrote
+
+if TYPE_CHECKING:
+    from ..deploy.identify.log import Log
+    from ..model.robot import Robot
 
 HEADERS = (
     "Which header, joint or topic holds a signal: SIGNAL=HEADER, several separated by commas, or a TOML file of such"
@@ -24,6 +28,7 @@ HEADERS = (
         "mmnn identify bag_folder --robot ur10 --out ur10_identified",
         "mmnn identify q.csv v.csv tau.csv --robot tiago --columns 'position.{joint}={joint}_pos'",
         "mmnn identify log.mcap --robot my_arm.urdf --torque-constant joint_1=13.6 --torque-constant joint_2=13.6",
+        "mmnn identify with_load.csv --robot identified/my_arm.urdf --payload     what the hand carries",
         "mmnn identify fit.csv --held-out other.csv --robot my_arm.urdf --stribeck 0.05",
     ),
 )
@@ -52,6 +57,8 @@ HEADERS = (
 )
 @click.option("--cutoff", type=float, metavar="HZ", help="Low-pass on motion and torque.  [default: by the motion]")
 @click.option("--stribeck", type=float, metavar="V", help="Fit Stribeck friction with this velocity, rad/s or m/s.")
+@click.option("--payload", is_flag=True, help="ROBOT is known: find what its hand carries, and write nothing.")
+@click.option("--joint", default="", help="Joint whose link carries the payload.  [default: the last of the arm]")
 @click.option("--even-if-worse", is_flag=True, help="Write the files even if the fit is no better than the URDF.")
 @FORCE
 @understanding
@@ -67,6 +74,8 @@ def identify(
     held_out: tuple[Path, ...],
     cutoff: float | None,
     stribeck: float | None,
+    payload: bool,
+    joint: str,
     even_if_worse: bool,
     force: bool,
     overrides: dict[str, Any],
@@ -87,6 +96,8 @@ def identify(
     from ..model.loading import load
 
     loaded, names = load(robot, **overrides), read_columns(columns)
+    if payload:
+        return carried(loaded, read_logs(logs, loaded, names, rate, degrees), constants, joint, cutoff, as_json)
     corrected.require_free(corrected.files_of(loaded, out), loaded, force)
     given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
     found = identification.identify(
@@ -104,3 +115,69 @@ def identify(
     if not files:
         warn("nothing written: the fit is no better than what it is compared with; --even-if-worse writes it")
     return DONE if files else FAILED
+
+
+def carried(
+    robot: Robot, logs: list[Log], constants: tuple[str, ...], joint: str, cutoff: float | None, as_json: bool
+) -> int:
+    """Print what a robot carries."""
+    from ..deploy.identify.identification import scaled
+    from ..deploy.identify.payload import payload
+    from ..lab.show.identified import payload_text
+
+    factors = numbers(constants, "--torque-constant")
+    found = payload(robot, [scaled(log, robot, factors) for log in logs], joint, cutoff)
+    answer(as_json, found.to_dict, lambda: payload_text(found.to_dict()))
+    return DONE
+
+
+@click.command(
+    short_help="Find a motion that tells most of a robot's inertias and friction, within its limits.",
+    epilog=examples(
+        "mmnn excite platform_arm --out motion.csv",
+        "mmnn excite ur10 --duration 60 --share 0.5 --out motion.csv     half of all limits",
+        "mmnn excite tiago --space 0.5 --seconds 60 --json               what it would determine",
+    ),
+)
+@click.argument("robot")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("excitation.csv"), show_default=True, help="CSV.")
+@click.option("--duration", type=float, default=40.0, show_default=True, metavar="S", help="Of the motion.")
+@click.option("--space", type=float, default=1.0, show_default=True, metavar="M", help="The base's way, either side.")
+@click.option("--share", type=float, default=0.8, show_default=True, help="Of the limits of position, speed, torque.")
+@click.option("--clearance", type=float, default=0.06, show_default=True, metavar="M", help="Radius around the links.")
+@click.option("--seconds", type=float, default=20.0, show_default=True, metavar="S", help="Time to look for it.")
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Of the search.")
+@FORCE
+@understanding
+@shared
+def excite(
+    robot: str,
+    out: Path,
+    duration: float,
+    space: float,
+    share: float,
+    clearance: float,
+    seconds: float,
+    seed: int,
+    force: bool,
+    overrides: dict[str, Any],
+    as_json: bool,
+) -> int:
+    """Find a motion of ROBOT within its limits that tells most of its inertias and friction, and write it as CSV.
+
+    It starts and ends at rest. The table has t, for a base x, y, phi, v, w, and position.JOINT, velocity.JOINT,
+    acceleration.JOINT at 100 rows per second. What it would determine is told before anything moves: predicted standard
+    deviations of the base parameters, for noise of 2 % of each motor's limit.
+    """
+    from ..deploy.identify import excitation
+    from ..lab.show.files import require_free
+    from ..lab.show.identified import excitation_text
+    from ..model.loading import load
+
+    require_free(out, force)
+    limits = excitation.Limits(duration, space, share, clearance, seconds, seed)
+    found = excitation.excite(load(robot, **overrides), limits)
+    found.save(out)
+    report = found.to_dict() | {"file": str(out)}
+    answer(as_json, lambda: report, lambda: f"{excitation_text(report)}\n{wrote([out])}")
+    return DONE

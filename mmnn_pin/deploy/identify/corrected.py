@@ -216,14 +216,20 @@ def as_toml(table: Mapping[str, Any]) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def said_of(robot: Robot) -> Overrides:
-    """What has to be said beside the corrected file so that it loads as the robot did, wherever it lies."""
+def said_of(of: Identification) -> Overrides:
+    """What has to be said beside the corrected file so that it loads as the robot did, wherever it lies.
+
+    Radius and track are those that odometry found, where it did.
+    """
+    robot = of.robot
     known: dict[str, Any] = {"base": robot.base.kind, "controllers_file": None, "xacro": ()}
     known["package_dirs"] = tuple(str(Path(folder).resolve()) for folder in robot.overrides.package_dirs)
     if robot.base.wheels:
         known |= {"wheels": tuple(wheel.joint for wheel in robot.base.wheels), "track": robot.base.track}
         radii = {wheel.radius for wheel in robot.base.wheels}
         known["radius"] = radii.pop() if len(radii) == 1 else None
+    if of.wheels is not None:
+        known |= {"radius": float(of.wheels.value[:2].mean()), "track": float(of.wheels.value[2])}
     return msgspec.structs.replace(robot.overrides, **known)
 
 
@@ -245,7 +251,7 @@ def write(of: Identification, out: str | Path, force: bool = False) -> dict[str,
     files = files_of(of.robot, Path(out))
     require_free(files, of.robot, force)
     urdf = files["urdf"]
-    said, curves = said_of(of.robot), curves_of(of)
+    said, curves = said_of(of), curves_of(of)
     try:
         urdf.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(prefix=".identified", dir=urdf.parent) as folder:
@@ -296,7 +302,8 @@ def require_same(of: Identification, urdf: Path, said: Overrides) -> None:
     Raises:
         RecordingError: They differ.
     """
-    read, meant = parameters(load_with(urdf, said)), of.in_urdf[: of.unknowns.regressor.size]
+    as_fitted = msgspec.structs.replace(said, radius=None, track=None) if of.wheels is not None else said
+    read, meant = parameters(load_with(urdf, as_fitted)), of.in_urdf[: of.unknowns.regressor.size]
     kept = np.setdiff1d(np.arange(meant.size), of.unknowns.columns("rotor"))
     scale = np.abs(of.prior.B).max(axis=1)[: meant.size]
     inertial = of.unknowns.regressor.inertial

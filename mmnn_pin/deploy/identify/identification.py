@@ -32,6 +32,7 @@ from .equations import (
 )
 from .least_squares import Fit, base_parameters, weighted_fit
 from .log import Log
+from .odometry import Wheels, has_reference, wheels_of
 from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
 from .quality import misnamed, sound
 
@@ -59,6 +60,7 @@ class Identification:
         why: For the other rows, by name, why not.
         friction: (r, k) friction alone and a constant, fitted to every row.
         notes: What there is to say beside the logs' own notes.
+        wheels: Radii and track, where a log has a reference pose; None without.
     """
 
     robot: Robot
@@ -73,6 +75,7 @@ class Identification:
     why: dict[str, str]
     friction: Array
     notes: tuple[str, ...]
+    wheels: Wheels | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -177,7 +180,9 @@ def identify(
     if judged:
         training = Equations.stacked([training, test])
         test = Equations.stacked([equations(log, unknowns, cutoff, still) for log in judged])
-    return fitted(robot, every, unknowns, training, test, weight)
+    found = fitted(robot, every, unknowns, training, test, weight)
+    driven = [log for log in every if has_reference(log, robot)]
+    return replace(found, wheels=wheels_of(robot, driven)) if driven else found
 
 
 def fitted(
@@ -352,8 +357,3 @@ def misnamed_notes(training: Equations, unknowns: Unknowns) -> list[str]:
     first = unknowns.regressor.inertial
     predicted = training.Y[:, :, :first] @ unknowns.prior[:first]
     return list(misnamed(unknowns.names, training.y, predicted, training.speed, training.use))
-
-
-def with_notes(of: Identification, *notes: str) -> Identification:
-    """The same with more to say."""
-    return replace(of, notes=(*of.notes, *notes))

@@ -89,6 +89,7 @@ def report_of(of: Identification) -> dict[str, Any]:
         ],
         "bodies": dict(bodies_of(of)),
         "friction": friction_of(of),
+        "wheels": None if of.wheels is None else of.wheels.to_dict(),
         "not_identified": not_identified(of),
         "labels": list(labels),
         "theta": of.theta.tolist(),

@@ -34,6 +34,8 @@ def text_of(report: dict[str, Any], colour: bool = False) -> str:
     parts: list[Any] = [headline(report)]
     for table in (joints_table(report), bodies_table(report), friction_table(report)):
         parts += ["", Line(table.title, "bold"), table, *table.notes]
+    if report["wheels"]:
+        parts += ["", Line("Wheels", "bold"), wheels_table(report)]
     condition, count = report["condition"], len(report["base_parameters"])
     parts += [
         "",
@@ -114,6 +116,42 @@ def interval(value: dict[str, float] | None) -> str:
     return "" if value is None else f"{value['value']:.3g} ± {1.96 * value['sd']:.2g}"
 
 
+def wheels_table(report: dict[str, Any]) -> Table:
+    """Radii and track from odometry against the reference pose."""
+    columns = (Column("", text=True), Column("identified", "mm"), Column("before", "mm"))
+    rows = [
+        row_of(
+            name.replace("_", " "), f"{1e3 * one['value']:.2f} ± {1.96e3 * one['sd']:.2f}", f"{1e3 * one['urdf']:.2f}"
+        )
+        for name, one in report["wheels"].items()
+    ]
+    note = "From the wheels' angles against the reference pose; radius (mean) and track are written to NAME.mmnn.toml."
+    return Table("Wheels", columns, tuple(rows), (note,))
+
+
+def payload_text(load: dict[str, Any]) -> str:
+    """What a hand carries, in two lines."""
+    pairs = zip(load["com"], load["com_sd"], strict=True)
+    centre = ", ".join("unknown" if sd is None else f"{1e3 * x:.0f} ± {1.96e3 * sd:.0f}" for x, sd in pairs)
+    return (
+        f"{load['link']} carries {load['mass']:.3g} ± {1.96 * load['mass_sd']:.2g} kg at ({centre}) mm (95 %)\n"
+        f"torque error {percent(load['error_without'])} without it, {percent(load['error_with'])} with it"
+    )
+
+
+def excitation_text(found: dict[str, Any]) -> str:
+    """What a motion would determine, worst first."""
+    columns = (Column("combination", text=True, fold=True), Column("sd", "%"))
+    every = found["base_parameters"]
+    rows = [row_of(one["combination"], number(100 * one["sd"] / one["size"])) for one in every[:10]]
+    well = sum(one["sd"] < 0.1 * one["size"] for one in every)
+    head = (
+        f"{found['robot']}: {found['duration']:.0f} s, condition number {found['condition']:.3g}; of {len(every)} base "
+        f"parameters {well} are predicted within 10 % of their size. The worst, sd over size:"
+    )
+    return terminal_text([head, Table("Predicted", columns, tuple(rows))])
+
+
 def base_table(report: dict[str, Any]) -> Table:
     """Base parameters with standard deviations."""
     columns = (Column("combination", text=True, fold=True), Column("value"), Column("sd"), Column("URDF"))
@@ -182,6 +220,7 @@ def page(file: Path, command: str) -> HtmlPage:
             "caption": "Motion held out; where a joint stands still it does not count.",
         }
         tables = [joints_table(report), bodies_table(report), friction_table(report), base_table(report)]
+        tables += [wheels_table(report)] if report["wheels"] else []
         points = [*unidentified(report), *report["notes"]]
         first = headline(report)
     except (OSError, ValueError, KeyError, TypeError) as error:

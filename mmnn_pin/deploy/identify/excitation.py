@@ -1,0 +1,415 @@
+"""A motion that identifies best: Fourier series of the joints and the base within limits, of largest information.
+
+Joint j moves as `q_j = q_j0 + s_j sum_l a_l sin(l w t) / (l w) + b_l (1 - cos(l w t)) / (l w)` (Swevers, Ganseman,
+Tukel, De Schutter, Van Brussel 1997, IEEE T-RA 13(5)), at rest at start and end: `sum a_l = 0`, `sum l b_l = 0`.
+Base velocities are the same series. Every candidate is scaled into the limits of position and speed, slowed until the
+URDF's torques are within theirs, and refused where spheres along the links touch. Of these, the one is looked for with
+the most information `A = sum Y_b' Y_b / s^2` in the base parameters over their sizes, `log det A / b - log tr A^-1`:
+both the volume of what stays unknown and its worst side; by steps that are kept when they help.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ...errors import ConfigError
+from ...model.regressor import Regressor
+from ...model.robot import Robot, speed_limits
+from ...signals import Array
+from .equations import Unknowns
+from .least_squares import Base, base_parameters, inverted
+
+HARMONICS = np.array([2, 3, 5, 7, 11])  # of the duration
+SHRUNK = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2)  # parts of a motion that are tried where links touch
+SAMPLES = 150  # of a candidate
+RATE = 100.0  # rows per second that are written and that a log is thought to have
+LOOKED = 40  # positions at which links are looked at
+THINNED = 5  # rows of which one is looked at when a motion is judged
+FAST = 1.5  # speed where the URDF states none [rad/s or m/s]
+REACH = np.pi  # of a joint without limits, either way [rad]
+BASE_SPEED, BASE_TURN = 0.4, 0.8  # of a base [m/s, rad/s]
+NOISE = 0.02  # of a torque, of its limit; of its RMS where the URDF states none
+SHARE = 0.8  # of a limit that is used
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a motion may do.
+
+    Args:
+        duration: [s].
+        space: Half the side of the square that the base stays in [m].
+        share: Of the limits of position, speed and torque that is used.
+        clearance: Radius of the spheres along the links [m]; 0 for no look at collisions.
+        seconds: Time to look for it [s].
+        seed: Of the search.
+
+    Raises:
+        ConfigError: A number that cannot be.
+    """
+
+    duration: float = 40.0
+    space: float = 1.0
+    share: float = SHARE
+    clearance: float = 0.06
+    seconds: float = 20.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, least in (("duration", 5.0), ("space", 0.0), ("share", 0.0), ("clearance", 0.0), ("seconds", 0.0)):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= least) or (name == "share" and not 0 < value <= 1):
+                fix = "give a share up to 1" if name == "share" else f"give a finite number from {least:g}"
+                raise ConfigError(f"{value}", fix=fix, key=f"--{name}")
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation:
+    """A motion and what it would determine.
+
+    Attributes:
+        robot: The robot.
+        time: (N,) [s], at `RATE`.
+        position: (N, n) joints [rad or m].
+        nu: (N, p) velocities.
+        nudot: (N, p) accelerations.
+        pose: (N, 3) of the base, from the origin; (N, 0) for a fixed arm.
+        base: The base parameters.
+        sd: (b,) their predicted standard deviations.
+        scale: (b,) size that the URDF's robot has there.
+        condition: Of the weighted regressor.
+        tried: Candidates that were looked at.
+    """
+
+    robot: Robot
+    time: Array
+    position: Array
+    nu: Array
+    nudot: Array
+    pose: Array
+    base: Base
+    sd: Array
+    scale: Array
+    condition: float
+    tried: int
+
+    @property
+    def relative(self) -> Array:
+        """Predicted standard deviations over the URDF's own size, (b,)."""
+        return np.asarray(self.sd / self.scale)
+
+    def columns(self) -> dict[str, Array]:
+        """Columns of its table: a reference of the base `t, x, y, phi, v, w`, and all signals by their full names."""
+        nb, found = self.robot.dimensions.base, {"t": self.time}
+        if nb:
+            found |= {name: self.pose[:, i] for i, name in enumerate(("x", "y", "phi"))}
+            found |= {name: self.nu[:, i] for i, name in enumerate(self.robot.velocity_names[:nb])}
+        for i, joint in enumerate(self.robot.joint_names):
+            found[f"position.{joint}"] = self.position[:, i]
+            found[f"velocity.{joint}"] = self.nu[:, nb + i]
+            found[f"acceleration.{joint}"] = self.nudot[:, nb + i]
+        return found
+
+    def save(self, path: str | Path) -> Path:
+        """Write the table as CSV."""
+        columns, path = self.columns(), Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_name(f".{path.name}.part")
+        rows = np.column_stack(list(columns.values()))
+        np.savetxt(part, rows, "%.10g", ",", header=",".join(columns), comments="")
+        part.replace(path)
+        return path
+
+    def to_dict(self) -> dict[str, Any]:
+        """What it would determine, for JSON."""
+        labels = Unknowns(self.robot, Regressor.of(self.robot), tuple(range(self.nu.shape[1]))).labels
+        order = np.argsort(-self.relative)
+        return {
+            "robot": self.robot.name,
+            "duration": float(self.time[-1]),
+            "condition": self.condition,
+            "tried": self.tried,
+            "worst_relative_sd": float(self.relative.max()),
+            "base_parameters": [
+                {"combination": self.base.name(i, labels), "sd": float(self.sd[i]), "size": float(self.scale[i])}
+                for i in order
+            ],
+        }
+
+
+# -- the search --------------------------------------------------------------------------------------------------------
+
+
+def excite(robot: Robot, limits: Limits | None = None) -> Excitation:
+    """The most informative motion found.
+
+    Args:
+        robot: As its URDF has it.
+        limits: What the motion may do.
+
+    Raises:
+        ConfigError: No motion within the limits is free of collisions.
+    """
+    limits = limits or Limits()
+    search = Search.of(robot, limits)
+    rng, end = np.random.default_rng(limits.seed), clock.monotonic() + limits.seconds
+    best, value, step, tried = search.start(rng), -np.inf, 0.5, 0
+    while value == -np.inf or tried < 40 or clock.monotonic() < end:
+        fresh = value == -np.inf
+        candidate = (
+            search.start(rng)
+            if fresh
+            else best + step * rng.standard_normal(best.shape) * (rng.random(best.shape) < 0.2)
+        )
+        found = search.information(candidate)
+        tried += 1
+        if found > value:
+            best, value, step = candidate, found, min(1.0, 1.3 * step)
+        elif not fresh:
+            step = max(0.02, 0.97 * step)
+        if fresh and tried >= 400:
+            why = f"of {tried} none keeps links {2 * limits.clearance:g} m apart, within torques, and moves all"
+            raise ConfigError("no motion found", why=why, fix="use a smaller --clearance or --share", key="--clearance")
+    return search.described(best, tried)
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What candidates are judged by.
+
+    Attributes:
+        unknowns: All parameters, every row of nu measured.
+        base: Their base parameters.
+        limits: What a motion may do.
+        speed: (p,) largest velocities.
+        low: (n,) and high: (n,) ends of the joints that may be used.
+        torque: (p,) largest generalized forces, inf for none.
+        noise: (p,) of the torques.
+        apart: Distance of every pair of links over that allowed, of a position (n,); inf without pairs.
+        safe: (n,) a position with room around it; motions shrink towards it where links touch.
+    """
+
+    unknowns: Unknowns
+    base: Base
+    limits: Limits
+    speed: Array
+    low: Array
+    high: Array
+    torque: Array
+    noise: Array
+    apart: Callable[[Array], float]
+    safe: Array
+
+    @classmethod
+    def of(cls, robot: Robot, limits: Limits) -> Search:
+        """The search for one robot."""
+        p, n, nb = robot.dimensions.dof, robot.dimensions.arm, robot.dimensions.base
+        unknowns = Unknowns(robot, Regressor.of(robot), tuple(range(p)))
+        speed = np.full(p, FAST)
+        of_motor = dict(zip(robot.actuator_names, speed_limits(robot), strict=True))
+        for i, name in enumerate(robot.joint_names):
+            speed[nb + i] = min(
+                of_motor.get(name, np.inf), FAST if not np.isfinite(of_motor.get(name, np.inf)) else np.inf
+            )
+        speed[:nb] = [BASE_TURN if name == "w" else BASE_SPEED for name in robot.velocity_names[:nb]]
+        rest = robot.rest[robot.arm_index]
+        low = np.maximum(robot.lower[robot.arm_index], rest - REACH)
+        high = np.minimum(robot.upper[robot.arm_index], rest + REACH)
+        half = limits.share * (high - low) / 2
+        limit = np.abs(robot.E) @ np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.inf)
+        limit = np.where(np.isfinite(limit), limit, np.inf)
+        noise = np.where(np.isfinite(limit), NOISE * limit, 1.0)
+        middle = (high + low) / 2
+        moves = np.ones(p, bool)
+        base = base_parameters(unknowns, moves, moves)
+        apart = clearances(robot, limits.clearance) if n and limits.clearance > 0 else lambda q: np.inf
+        rng = np.random.default_rng(limits.seed)
+        places = [
+            middle,
+            np.clip(rest, middle - half, middle + half),
+            *rng.uniform(middle - half, middle + half, (300, n)),
+        ]
+        safe = max(places, key=apart) if np.isfinite(apart(middle)) else middle
+        low, high = middle - half, middle + half
+        return cls(unknowns, base, limits, limits.share * speed, low, high, limits.share * limit, noise, apart, safe)
+
+    def start(self, rng: np.random.Generator) -> Array:
+        """A random candidate, (p, 2 harmonics + 1): coefficients, and where a joint's range is used."""
+        return rng.standard_normal((len(self.speed), 2 * len(HARMONICS) + 1))
+
+    def motion(self, candidate: Array, samples: int) -> tuple[Array, Array, Array, Array] | None:
+        """Times, integrals of nu, nu and nudot of a candidate within the limits; None where links touch."""
+        T = self.limits.duration
+        t = np.linspace(0.0, T, samples)
+        w, order, count = 2 * np.pi / T, HARMONICS, len(HARMONICS)
+        a, b = candidate[:, :count].copy(), candidate[:, count:-1].copy()
+        a -= a.mean(axis=1, keepdims=True)
+        b -= (b @ order)[:, None] * order / float(order @ order)
+        wave = order * w
+        s, c = np.sin(np.outer(t, wave)), np.cos(np.outer(t, wave))
+        x = (s / wave) @ a.T + ((1 - c) / wave) @ b.T
+        v, dv = c @ a.T + s @ b.T, -(s * wave) @ a.T + (c * wave) @ b.T
+        nb = self.unknowns.robot.dimensions.base
+        size = np.abs(v).max(axis=0) / self.speed
+        size[nb:] = np.maximum(size[nb:], np.ptp(x[:, nb:], axis=0) / (self.high - self.low))
+        x, v, dv = (part / np.maximum(size, 1e-12) for part in (x, v, dv))
+        where = 1 / (1 + np.exp(-candidate[nb:, -1]))
+        room = (self.high - self.low) - np.ptp(x[:, nb:], axis=0)
+        x[:, nb:] += self.low + where * room - x[:, nb:].min(axis=0)
+        if nb:
+            pose = driven(t, v[:, :nb], self.unknowns.robot)
+            scale = min(1.0, self.limits.space / max(float(np.abs(pose[:, :2] - pose[:1, :2]).max()), 1e-12))
+            forward = [i for i, name in enumerate(self.unknowns.robot.velocity_names[:nb]) if name != "w"]
+            for part in (x, v, dv):
+                part[:, forward] *= scale
+        looked = x[:: max(1, samples // LOOKED), nb:]
+        for share in SHRUNK:
+            if all(self.apart(self.safe + share * (q - self.safe)) > 1 for q in looked):
+                x[:, nb:] = self.safe + share * (x[:, nb:] - self.safe)
+                v[:, nb:], dv[:, nb:] = share * v[:, nb:], share * dv[:, nb:]
+                return t, x, v, dv
+        return None
+
+    def regressor(self, motion: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+        """Y_b (N, p, b) along a motion slowed into the torque limits, and the factor of its speed."""
+        _, x, v, dv = motion
+        nb, slow = self.unknowns.robot.dimensions.base, 1.0
+        for _ in range(6):
+            Y = self.unknowns.matrix(x[:, nb:], slow * v, slow * slow * dv)
+            ratio = float((np.abs(Y @ self.unknowns.prior) / self.torque).max())
+            if ratio <= 1:
+                break
+            slow *= 0.8
+        return Y[:, :, self.base.independent], np.array(slow if ratio <= 1 else 0.0)
+
+    def information(self, candidate: Array) -> float:
+        """The information of a candidate, see the module; -inf where it may not be, or does not tell everything."""
+        motion = self.motion(candidate, SAMPLES)
+        if motion is None:
+            return -np.inf
+        Y, slow = self.regressor(motion)
+        if not slow > 0:
+            return -np.inf
+        X = (Y * self.scale / self.noise[:, None]).reshape(-1, Y.shape[2])
+        values = np.linalg.eigvalsh(X.T @ X)
+        if not values[0] > 1e-12 * values[-1]:
+            return -np.inf
+        return float(np.log(values).mean() - np.log((1 / values).sum()))
+
+    @property
+    def scale(self) -> Array:
+        """Size of every base parameter, (b,): of the URDF's bodies and rotors, each counted as positive."""
+        unknowns, C = self.unknowns, np.abs(self.base.combination)
+        size = np.abs(unknowns.prior)
+        mass, lever = size[: unknowns.regressor.inertial : 10], 0.1
+        for k, power in enumerate((0, 1, 1, 1, 2, 2, 2, 2, 2, 2)):
+            size[k : unknowns.regressor.inertial : 10] = np.maximum(
+                size[k : unknowns.regressor.inertial : 10], mass * lever**power
+            )
+        others = size[unknowns.regressor.inertial :]
+        others[:] = np.maximum(others, 0.01 * float(np.median(self.noise)) / NOISE)
+        return np.asarray(C @ size)
+
+    def described(self, candidate: Array, tried: int) -> Excitation:
+        """The motion of a candidate at full rate, and what it would determine."""
+        coarse = self.motion(candidate, SAMPLES)
+        assert coarse is not None
+        slow = float(self.regressor(coarse)[1])
+        fine = self.motion(candidate, 2 + round(self.limits.duration * RATE / max(slow, 1e-3)))
+        assert fine is not None
+        return self.judged(fine[0] / slow, fine[1], slow * fine[2], slow * slow * fine[3], tried)
+
+    def judged(self, t: Array, x: Array, v: Array, dv: Array, tried: int = 0) -> Excitation:
+        """What any motion (N, p) would determine, with the noise that is assumed."""
+        nb, robot = self.unknowns.robot.dimensions.base, self.unknowns.robot
+        Y = self.unknowns.matrix(x[::THINNED, nb:], v[::THINNED], dv[::THINNED])[:, :, self.base.independent]
+        X = np.sqrt(THINNED) * (Y / self.noise[:, None]).reshape(-1, Y.shape[2])
+        inverse, seen, condition = inverted(X.T @ X)
+        sd = np.where(seen, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf)
+        pose = driven(t, v[:, :nb], robot) if nb else np.zeros((len(t), 0))
+        return Excitation(robot, t, x[:, nb:], v, dv, pose, self.base, sd, self.scale, condition, tried)
+
+
+def driven(t: Array, v: Array, robot: Robot) -> Array:
+    """Poses (N, 3) of a base from the origin along its velocities (N, nb)."""
+    step = np.diff(t)[:, None]
+    names = robot.velocity_names[: robot.dimensions.base]
+    parts = {name: v[:, i] for i, name in enumerate(names)}
+    vx, vy, w = parts.get("v", parts.get("vx")), parts.get("vy", np.zeros(len(t))), parts["w"]
+    assert vx is not None
+
+    def integral(rate: Array) -> Array:
+        return np.concatenate(([0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * step[:, 0])))
+
+    phi = integral(w)
+    c, s = np.cos(phi), np.sin(phi)
+    return np.column_stack((integral(c * vx - s * vy), integral(s * vx + c * vy), phi))
+
+
+# -- links apart -------------------------------------------------------------------------------------------------------
+
+
+def clearances(robot: Robot, radius: float) -> Callable[[Array], float]:
+    """Smallest distance of spheres on links that are not neighbours, over two radii, of a position (n,).
+
+    Spheres of one radius stand along the lines from each moving joint to the joints and centres that its body carries.
+    Spheres that touch at rest do not count.
+    """
+    model, offset, arm = robot.model, *robot.arm_map()
+    data, owners, places = model.createData(), [], []
+    moving = [j for j in range(1, model.njoints) if robot.T[model.idx_vs[j]].any() or model.nvs[j] == 3]
+    carrier = {j: j for j in moving}
+    for j in range(1, model.njoints):
+        carrier.setdefault(j, carrier.get(model.parents[j], 0))
+    for j in moving:
+        ends = [model.jointPlacements[k].translation for k in moving if model.parents[k] == j]
+        ends += [model.inertias[j].lever]
+        for end in ends:
+            for share in np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(end) / max(2 * radius, 0.04)) + 1)):
+                owners.append(j)
+                places.append(share * end)
+    if not owners:
+        return lambda q: np.inf
+    owner, local = np.array(owners), np.array(places)
+    joints, index = np.unique(owner, return_inverse=True)
+    near = {(j, k) for j in moving for k in moving if j == k or model.parents[k] == j or model.parents[j] == k}
+    first, second = np.triu_indices(len(owner), 1)
+    far = np.array([(owner[a], owner[b]) not in near for a, b in zip(first, second, strict=True)])
+    first, second = first[far], second[far]
+
+    def distances(q: Array) -> Array:
+        pin.forwardKinematics(model, data, robot.configuration(offset + arm @ q))
+        frames = [data.oMi[int(j)] for j in joints]
+        turned, moved = np.array([f.rotation for f in frames]), np.array([f.translation for f in frames])
+        at = np.einsum("kij,kj->ki", turned[index], local) + moved[index]
+        return np.asarray(np.linalg.norm(at[first] - at[second], axis=1))
+
+    apart = distances(robot.rest[robot.arm_index]) > 2 * radius
+    first, second = first[apart], second[apart]
+    return lambda q: float(distances(q).min(initial=np.inf)) / (2 * radius)
+
+
+def eight_with_sines(search: Search) -> Excitation:
+    """The motion that an excitation is compared with: an eight of the base, a sine of every joint, scaled alike."""
+    limits, nb = search.limits, search.unknowns.robot.dimensions.base
+    t = np.linspace(0.0, limits.duration, round(limits.duration * RATE))
+    p = len(search.speed)
+    w = 2 * np.pi / limits.duration * np.concatenate(([4, 2][:nb], 3 + np.arange(p - nb)))
+    v, dv, x = (np.zeros((len(t), p)) for _ in range(3))
+    for j in range(p):
+        v[:, j], dv[:, j], x[:, j] = np.cos(w[j] * t), -w[j] * np.sin(w[j] * t), np.sin(w[j] * t) / w[j]
+    size = 1 / search.speed
+    size[nb:] = np.maximum(size[nb:], np.ptp(x[:, nb:], axis=0) / (search.high - search.low))
+    x, v, dv = x / size, v / size, dv / size
+    if nb:
+        v[:, 0] = search.speed[0] * (0.8 + 0.2 * np.cos(2 * w[1] * t))  # slower in the turns
+        dv[:, 0] = -0.4 * search.speed[0] * w[1] * np.sin(2 * w[1] * t)
+    x[:, nb:] += (search.high + search.low) / 2
+    return search.judged(t, x, v, dv)

@@ -1,0 +1,111 @@
+"""Motions that excite: within their limits, as informative as they say, and better than an eight with sines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mmnn_pin import Regressor, Table, load
+from mmnn_pin.cli import main
+from mmnn_pin.deploy.identify.excitation import (
+    NOISE,
+    RATE,
+    Excitation,
+    Limits,
+    Search,
+    clearances,
+    eight_with_sines,
+    excite,
+)
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.model.robot import Robot, speed_limits
+from mmnn_pin.model.tree.body import parameters
+
+LIMITS = Limits(duration=20.0, space=0.6, seconds=1.0)
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return load("platform_arm")
+
+
+@pytest.fixture(scope="module")
+def found(robot: Robot) -> Excitation:
+    return excite(robot, LIMITS)
+
+
+def test_it_keeps_all_limits(found: Excitation, robot: Robot) -> None:
+    low, high = robot.lower[robot.arm_index], robot.upper[robot.arm_index]
+    assert (found.position >= low - 1e-9).all() and (found.position <= high + 1e-9).all()
+    of_motor = dict(zip(robot.actuator_names, speed_limits(robot), strict=True))
+    fastest = np.abs(found.nu[:, robot.dimensions.base :]).max(axis=0)
+    assert (fastest <= [0.8 * min(of_motor[name], 1e3) for name in robot.joint_names]).all()
+    assert np.abs(found.pose[:, :2]).max() <= 0.6 * 1.01
+    tau = Regressor.of(robot).along(found.position, found.nu, found.nudot)
+    forces = np.abs(tau @ parameters(robot))
+    limit = np.abs(robot.E) @ robot.effort_limits
+    assert (forces.max(axis=0) <= 0.85 * np.where(np.isfinite(limit), limit, np.inf)).all()
+
+
+def test_it_is_one_smooth_motion_from_rest_to_rest(found: Excitation) -> None:
+    np.testing.assert_allclose(np.diff(found.time), 1 / RATE, rtol=0.02)
+    rate = np.gradient(found.position, found.time, axis=0)
+    nb = found.robot.dimensions.base
+    np.testing.assert_allclose(rate[2:-2], found.nu[2:-2, nb:], atol=2e-3)
+    np.testing.assert_allclose(np.gradient(found.nu, found.time, axis=0)[2:-2], found.nudot[2:-2], atol=0.02)
+    for end in (0, -1):
+        assert np.abs(found.nu[end]).max() < 1e-6 and np.abs(found.nudot[end]).max() < 1e-6
+
+
+def test_the_predicted_deviations_are_those_of_least_squares(found: Excitation) -> None:
+    """Of white noise on every row, over random draws, for the regressor that the fit would use."""
+    search = Search.of(found.robot, LIMITS)
+    Y = search.unknowns.matrix(found.position[::5], found.nu[::5], found.nudot[::5])[:, :, found.base.independent]
+    X = (Y / search.noise[:, None]).reshape(-1, Y.shape[2])
+    size = np.linalg.norm(X, axis=0)
+    noise = np.random.default_rng(0).standard_normal((len(X), 400)) / np.sqrt(5)
+    scatter = (np.linalg.lstsq(X / size, noise, rcond=None)[0] / size[:, None]).std(axis=1)
+    np.testing.assert_allclose(found.sd, scatter, rtol=0.2)
+    limits = np.abs(found.robot.E) @ found.robot.effort_limits
+    np.testing.assert_allclose(search.noise[np.isfinite(limits)], NOISE * limits[np.isfinite(limits)])
+
+
+def test_it_tells_more_than_an_eight_with_sines(found: Excitation, robot: Robot) -> None:
+    assert found.relative.max() < 0.5 * eight_with_sines(Search.of(robot, LIMITS)).relative.max()
+
+
+def test_spheres_are_as_far_apart_as_the_joints_that_they_stand_on() -> None:
+    robot = load("ur10")
+    apart = clearances(robot, 0.05)
+    rest = robot.rest[robot.arm_index]
+    assert apart(rest) > 1.0
+    folded = rest.copy()
+    folded[2] = np.pi  # the forearm lies on the upper arm
+    assert apart(folded) < 1.0
+
+
+def test_the_table_is_a_reference_of_the_base(found: Excitation, tmp_path: Path) -> None:
+    table = Table.read(found.save(tmp_path / "motion.csv"))
+    np.testing.assert_allclose(table.pose, found.pose, atol=1e-8)
+
+
+def test_the_command_writes_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "m.csv"
+    command = ["excite", "two_axis_arm", "--out", str(out), "--seconds", "0.2", "--duration", "10"]
+    assert main([*command, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert out.read_text().startswith("t,position.arm_1_joint") and report["base_parameters"]
+    assert main([*command, "--force"]) == 0
+    assert "predicted within 10 %" in capsys.readouterr().out
+    assert main(command) == 2
+    assert main([*command, "--force", "--share", "1.5"]) == 2
+    assert "give a share up to 1" in capsys.readouterr().err
+
+
+def test_links_that_never_come_apart_are_refused(robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mmnn_pin.deploy.identify.excitation.clearances", lambda robot, radius: lambda q: 0.5)
+    with pytest.raises(ConfigError, match="no motion found"):
+        excite(robot, Limits(seconds=0.0))
