@@ -16,7 +16,6 @@ import click
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
 from .embed import embed
-from .identify import identify
 from .identify import excite, identify
 from .options import examples
 from .output import BAD_INPUT, DONE, FAILED, STOPPED, answer, printable, say
@@ -69,25 +68,8 @@ def mmnn(context: click.Context) -> None:
 
 
 JUDGING = (run, study, tune, readings, model, plot, prove, replay, report, export, inspect, check, list_)
-DEPLOYING = (ros2, embed, identify)
+DEPLOYING = (ros2, embed, identify, excite)
 for command in (*JUDGING, *DEPLOYING):
-for command in (
-    run,
-    study,
-    tune,
-    readings,
-    model,
-    plot,
-    prove,
-    replay,
-    report,
-    export,
-    inspect,
-    check,
-    identify,
-    excite,
-    list_,
-):
     mmnn.add_command(command)
 
 
