@@ -15,8 +15,10 @@ from mmnn_pin import Limits, load
 from mmnn_pin.errors import ConfigError, RobotError, TrajectoryError, UnknownName
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import check_followable
+from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.hand import (
     Capsule,
+    FollowHand,
     HandCircle,
     HandLine,
     HandSpline,
@@ -31,6 +33,7 @@ from mmnn_pin.reference.hand.capsules import Pairs, nearest
 from mmnn_pin.reference.hand.chain import chain_of, gradient, hands_of, move
 from mmnn_pin.reference.hand.path import HandPath
 from mmnn_pin.reference.hand.tasks import TARGET
+from mmnn_pin.signals import Setpoint
 
 pytest.importorskip("daqp", reason="pip install 'mmnn_pin[tasks]'")
 ROBOTS = ("platform_arm", "tiago", "tiago_pro", "panda", "two_axis_arm")  # differential, holonomic, fixed, two arms
@@ -367,3 +370,30 @@ def test_a_camera_looks_at_a_point() -> None:
     body.look_around()
     axis, way = body.places[0, [2, 5, 8]], np.array([0.8, 0.3, 0.2]) - body.places[0, 9:]
     assert np.linalg.norm(np.cross(axis, way / np.linalg.norm(way))) < 1e-3 and axis @ way > 0
+
+
+# -- while a robot runs ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("on_measured", [True, False])
+def test_online_the_measured_hand_is_driven_to_the_path(on_measured: bool) -> None:
+    """A robot whose joints stand 0.02 rad from their reference: closed on it, its hand is where it should be."""
+    robot = robot_of("platform_arm")
+    d, lag = robot.dimensions, np.array([0.02, -0.02])
+    body = WholeBody(robot, [Task(orientation=0.0)], period=H)
+    follower = Follower(robot, Limits(), 0.5)
+    measured = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.9, 0.0, 0.0])
+    follower.stand(measured)
+    path = Pieces((HandLine((0.3, 0.1, 0.0)), Wait(1.5)))
+    begin = moved(robot, "arm_tip", robot.neutral_position() + robot.arm_map()[1] @ measured[5:7], np.zeros(4))[0][9:]
+    wishes, time = (FollowHand(body, path, on_measured),), 0.0
+    courses = [follower.check(wishes[0])]
+    while follower.is_moving or time == 0.0:
+        follower.step(time, H if time else 0.0, measured, wishes if not time else (), courses if not time else [])
+        now = Setpoint.side_by_side(follower.now, d)
+        measured = np.hstack((now.pose, now.velocity, now.q + lag, now.qdot))
+        time += H
+    position = robot.neutral_position()
+    position[:3], position[robot.arm_index] = measured[:3], measured[5:7]
+    missed = np.linalg.norm(moved(robot, "arm_tip", position, np.zeros(4))[0][9:] - begin - [0.3, 0.1, 0.0])
+    assert missed < 1e-3 if on_measured else missed > 5e-3

@@ -10,13 +10,16 @@ capsules   bodies that keep apart
 
 from .capsules import Capsule
 from .motion import HandMotion, comfortable, plan
+from .online import FollowHand, HandCourse
 from .path import HandCircle, HandLine, HandPath, HandSpline, Pieces, Wait
 from .tasks import Task, WholeBodySettings
 from .whole_body import WholeBody
 
 __all__ = [
     "Capsule",
+    "FollowHand",
     "HandCircle",
+    "HandCourse",
     "HandLine",
     "HandMotion",
     "HandPath",
