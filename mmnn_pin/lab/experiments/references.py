@@ -182,7 +182,7 @@ def scaled_by(value: Any, factor: float) -> Any:
 
 def reach_of(body: WholeBody) -> float:
     """Distance of the hand from the first joint with the arm as it stands [m]."""
-    body.put(np.zeros(body.pose.size), comfortable(body))
+    body.put(np.zeros(body.pose.size), comfortable(body)[0])
     axes = body.chains[0].axes
     return float(np.linalg.norm(body.places[0, 9:] - axes[0, 3:])) if len(axes) else 1.0
 

@@ -8,7 +8,7 @@ as torques are, and nu and the pose are its exact integrals, so the motion can b
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -32,6 +32,8 @@ from .whole_body import WholeBody, manipulability
 
 CLOSE = 0.01  # a stance that is nearer than this needs no drive [m]
 TRIES, SPREAD = 64, 0.9  # postures looked at, and the share of half the joints' ranges that they spread over
+COARSE, TRIED = 0.02, 16  # period in which a posture is tried [s], and how many are
+FAR = 1e3  # ends beyond this are none [rad or m]
 HALF_RANGE = np.pi / 2  # of a joint without ends, around 0 [rad]
 REACH = 2.0  # least time in which the hand comes to where its path begins [s]
 
@@ -175,32 +177,66 @@ def plan(
         TrajectoryError: The hand cannot follow: where, when and by how much; or the run is too short.
         ConfigError: A posture outside the joints' ends, or not as many paths as tasks.
     """
-    robot, d = body.robot, body.robot.dimensions
+    d = body.robot.dimensions
     if len(paths) != len(body.tasks):
         raise ConfigError(f"{len(paths)} paths for {len(body.tasks)} tasks", fix="give one each", key="reference.hand")
-    q = comfortable(body) if posture is None else given_array("reference.hand.posture", posture, (d.arm,))
-    require_within(robot, q, body.bounds.ends)
-    pose = np.array(start, float) if d.base else np.zeros(0)
-    body.posture[:], body.given = q, True
-    body.put(pose, q)
-    first = next(path for path in paths if path is not None)
-    begin, turned = (np.array(at, float) if at is not None else None), None
-    if at is None:
-        begin, turned = first.begin
-    legs = () if begin is None or not d.base else drive_there(body, begin, drive)
-    samples = [driving(leg, body, q) for leg in legs]
-    if legs:
-        body.put(np.array([profile.goal for profile in legs[-1]]), q)
-    targets = wanted(body, paths, begin, turned, duration - sum(len(part.nu) for part in samples) * body.period)
-    followed = follow(body, targets.rows)
-    driven = sum(len(part.nu) for part in samples)
-    motion = joined(body, [*samples, followed], targets, driven)
+
+    def made(q: Array) -> HandMotion:
+        return motion_from(body, paths, duration, np.array(start, float) if d.base else np.zeros(0), q, at, drive)
+
+    if posture is None:
+        motion = made(suited(body, made, tolerance))
+    else:
+        q = given_array("reference.hand.posture", posture, (d.arm,))
+        require_within(body.robot, q, body.bounds.ends)
+        motion = made(q)
     if motion.ends > duration + 1e-9:
         what = f"the path ends at {motion.ends:.3g} s, the run at {duration:g} s"
         raise TrajectoryError(what, fix=f"set time.duration={np.ceil(motion.ends):g}, or raise the path's speed")
     if tolerance is not None:
         require_followed(motion, body, tolerance)
     return motion
+
+
+def suited(body: WholeBody, made: Callable[[Array], HandMotion], tolerance: float | None) -> Array:
+    """The first of the `comfortable` postures from which the path can be followed, tried in coarse steps; (n,)."""
+    postures, period = comfortable(body), body.period
+    if tolerance is None:
+        return postures[0]
+    body.period = max(COARSE, period)
+    try:
+        gaps: list[float] = []
+        for q in postures[:TRIED]:
+            motion = made(q)
+            gaps.append(float(motion.gap[round(motion.begins / body.period) :].max(initial=0.0)))
+            if gaps[-1] < tolerance / 2:
+                break
+        return postures[int(np.argmin(gaps))]
+    finally:
+        body.period, body.misses = period, 0
+
+
+def motion_from(
+    body: WholeBody,
+    paths: Sequence[HandPath | None],
+    duration: float,
+    pose: Array,
+    q: Array,
+    at: Sequence[float] | None,
+    drive: tuple[float, float],
+) -> HandMotion:
+    """A motion from a posture (n,), whatever it reaches; arguments as of `plan`."""
+    body.posture[:], body.given = q, True
+    body.put(pose, q)
+    first = next(path for path in paths if path is not None)
+    begin, turned = (np.array(at, float), None) if at is not None else first.begin
+    legs = () if begin is None or not pose.size else drive_there(body, begin, drive)
+    samples = [driving(leg, body, q) for leg in legs]
+    if legs:
+        body.put(np.array([profile.goal for profile in legs[-1]]), q)
+    driven = sum(len(part.nu) for part in samples)
+    targets = wanted(body, paths, begin, turned, duration - driven * body.period)
+    return joined(body, [*samples, follow(body, targets.rows)], targets, driven)
 
 
 def require_followed(motion: HandMotion, body: WholeBody, tolerance: float) -> None:
@@ -241,26 +277,25 @@ def require_within(robot: Robot, q: Array, ends: Array) -> None:
         raise ConfigError(what, why=why, fix="choose a posture between them", key="reference.hand.posture")
 
 
-def comfortable(body: WholeBody) -> Array:
-    """A posture near the middle of the joints' ranges, far from singular, the hand ahead of the robot and above it.
+def comfortable(body: WholeBody) -> list[Array]:
+    """Postures (n,) near the middle of the joints' ranges, far from singular, the hand ahead of the robot; best first.
 
-    Of some postures, the same ones always, the one with the largest log sqrt det(J J'), less the square of how far the
+    Of some postures, the same ones always: those with the largest log sqrt det(J J'), less the square of how far the
     joints are from the middle.
     """
-    ends, rng, n = body.bounds.ends, np.random.default_rng(0), body.q.size
-    free = ~np.isfinite(ends).all(axis=0)
-    middle = np.where(free, np.clip(0.0, ends[0], ends[1]), ends.sum(axis=0) / 2)
+    rng, n = np.random.default_rng(0), body.q.size
+    free, ends = ~np.isfinite(body.bounds.ends).all(axis=0), np.clip(body.bounds.ends, -FAR, FAR)
+    middle = np.where(free, np.clip(0.0, ends[0], ends[1]), (ends[0] + ends[1]) / 2)
     half = np.minimum(np.where(free, HALF_RANGE, (ends[1] - ends[0]) / 2), HALF_RANGE)
-    best, chosen = -np.inf, middle
     rows, nb = body.weights[0] > 0, body.robot.dimensions.base
+    scored: list[tuple[float, int, Array]] = []
     for share in (np.zeros(n), *rng.uniform(-SPREAD, SPREAD, (TRIES, n))):
         q = np.clip(middle + share * half, ends[0], ends[1])
         body.put(np.zeros(body.pose.size), q)
         ahead = body.places[0, 9] > 0.0 and body.places[0, 11] > 0.05
         score = manipulability(body.J[0][rows, nb:]) - 0.2 * float(np.sum(share * share)) / n - (0.0 if ahead else 10.0)
-        if score > best:
-            best, chosen = score, q
-    return chosen
+        scored.append((-score, len(scored), q))
+    return [q for _, _, q in sorted(scored, key=lambda each: each[:2])]
 
 
 # -- driving there -----------------------------------------------------------------------------------------------------

@@ -132,6 +132,12 @@ def bounds_of(robot: Robot, settings: WholeBodySettings, limits: Limits) -> Boun
     Raises:
         ConfigError: Not one number per joint or wheel, or limits that leave a joint no room.
     """
+    for name, i in zip(robot.joint_names, robot.arm_index, strict=True):
+        if robot.lower[i] >= robot.upper[i]:
+            why = f"the URDF limits it to {robot.lower[i]:g} ... {robot.upper[i]:g}"
+            raise ConfigError(
+                f"'{name}' cannot move", why=why, fix=f"correct that, or --lock {name}", key="reference.hand"
+            )
     guide, nb, wheels = new_guide(robot, limits), robot.dimensions.base, robot.base.wheels
     given = limits_of(settings.wheel_speed, speed_limits(robot)[: len(wheels)], "wheel", "reference.hand.wheel_speed")
     kept = np.isfinite(given)

@@ -9,6 +9,7 @@ from mmnn_pin import load
 from mmnn_pin.errors import ConfigError, InputError, TrajectoryError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.hand import HandErrors, hand_motion, peak_speeds
+from mmnn_pin.model.robots import bundled, extra
 
 pytest.importorskip("daqp", reason="pip install 'mmnn_pin[tasks]'")
 SHORT = ("time.control_period=0.01", "time.plant_step=0.01")
@@ -86,3 +87,20 @@ def test_peak_speeds_are_those_of_wheels_and_joints() -> None:
     wheel = robot.base.wheels[0]
     assert found[wheel.joint] == pytest.approx(max(abs(0.2 - wheel.y * 0.5), 0.1) / wheel.radius)
     assert found["arm_1_joint"] == 1.0 and found["arm_2_joint"] == 0.3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", sorted(bundled() | extra()))
+def test_the_default_path_is_within_reach_of_every_robot(name: str) -> None:
+    try:
+        robot = load(name)
+    except InputError as error:
+        pytest.skip(str(error))
+    experiment = load_experiment("hand", SHORT)
+    assert experiment.reference.hand is not None
+    if (robot.lower[robot.arm_index] >= robot.upper[robot.arm_index]).any():  # as double_pendulum's
+        with pytest.raises(ConfigError, match="cannot move: the URDF limits it to 0"):
+            experiment.trajectory_of(robot)
+        return
+    motion = hand_motion(experiment.reference.hand, robot, experiment.time)
+    assert motion.misses == 0 and motion.gap.max() < experiment.reference.hand.tolerance
