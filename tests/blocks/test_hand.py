@@ -197,7 +197,7 @@ def by_quadprog(body: WholeBody) -> np.ndarray:
 def body_of(name: str) -> WholeBody:
     robot = robot_of(name)
     turned = 0.1 if robot.dimensions.arm >= 6 else 0.0
-    tight = WholeBodySettings(wheel_speed=3.0 if robot.base.wheels else "urdf", heading=0.5, manipulability=0.1)
+    tight = WholeBodySettings(wheel_speed=1.0 if robot.base.wheels else "urdf", heading=0.5, manipulability=0.1)
     return WholeBody(robot, [Task(orientation=turned)], settings=tight, period=H, limits=Limits(joint_margin=0.01))
 
 
