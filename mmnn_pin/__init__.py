@@ -26,6 +26,10 @@ _HOME = {
     "reference": ("Circle", "Eight", "Line", "Table", "Timed", "Trajectory", "Waypoints"),
     "reference.guide": ("Limits",),
     "reference.wishes": ("HOLD", "BaseVelocity", "JointGoal", "Motion"),
+    "reference.hand": (
+        *("Capsule", "FollowHand", "HandCircle", "HandLine", "HandMotion", "HandSpline", "Pieces", "Task", "Wait"),
+        *("WholeBody", "WholeBodySettings"),
+    ),
     "reference.trajectory": ("Hold", "MinimumJerk", "Sine", "Sines"),
     "kinematic": ("Kinematic",),
     "model.regressor": ("Regressor",),

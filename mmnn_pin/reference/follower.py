@@ -14,6 +14,7 @@ from ..errors import ConfigError
 from ..model.robot import Robot
 from ..signals import Array, Setpoint
 from .guide import ARM, BASE, HOLD, PLANNED, SAMPLE, VELOCITY, Limits, advance, join, new_guide, stand
+from .hand import FollowHand, HandCourse
 from .wishes import BaseVelocity, Course, JointGoal, Motion, Reach, Stand, Wish
 
 LARGEST = 1e9  # a number beyond this is none [SI units]
@@ -44,6 +45,7 @@ class Follower:
         self.courses: list[Course | None] = [None, None]
         self.begun, self.renewed = [0.0, 0.0], [-math.inf, -math.inf]
         self.stands, self.paused, self.losses = False, math.nan, 0
+        self.measured = np.zeros(robot.dimensions.pose + robot.dimensions.base + 2 * robot.dimensions.arm)
 
     @property
     def is_moving(self) -> bool:
@@ -76,14 +78,19 @@ class Follower:
             if wish.dimensions != d:
                 raise ConfigError("a motion of another robot", fix="make it by the stepper's `plan`", key="setpoint")
             return wish.placed(self.now[: d.pose])
+        elif isinstance(wish, FollowHand):
+            if wish.body.robot.dimensions != d:
+                raise ConfigError("a hand of another robot", fix="make its body of this robot", key="setpoint")
+            return HandCourse(wish, self.now, self.measured)
         elif not isinstance(wish, Stand):
-            fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion or HOLD"
+            fix = "give a Setpoint, a BaseVelocity, a JointGoal, a Motion, a FollowHand or HOLD"
             raise ConfigError(f"a {type(wish).__name__} as a setpoint", fix=fix, key="setpoint")
         return None
 
     def stand(self, measured: Array) -> None:
         """Put the reference where the robot is measured (pose, velocity, q, qdot), braking from there."""
         stand(measured, self.guide)
+        self.measured[:] = measured
         self.courses[:], self.stands = (None, None), True
 
     def step(
@@ -98,6 +105,7 @@ class Follower:
             wishes: What came since then.
             courses: Theirs, of `check`.
         """
+        self.measured[:] = measured
         if math.isnan(self.paused):
             for wish, course in zip(wishes, courses, strict=True):
                 self._follow(wish, course, time, dt)

@@ -4,6 +4,7 @@
     BaseVelocity((0.3, 0.1))          what a joystick or a navigation stack sends
     JointGoal(q)                      joints to a goal, or through several, at rest there, within jerk limits
     Motion.of(trajectory, ...)        a motion known ahead, of the base, of the arm, or of both
+    FollowHand(body, path)            the hand along a path, by base and arm together
 
 Base and arm may follow different ones: `(BaseVelocity((0.3, 0.0)), JointGoal(q))`.
 """
@@ -21,6 +22,7 @@ from ..errors import ConfigError, TrajectoryError
 from ..settings import given_array
 from ..signals import Array, Dimensions, Setpoint
 from .guide import ARM, BASE
+from .hand import FollowHand
 from .trajectory import Trajectory
 
 MOST_ROWS = 10_000_000  # of a motion
@@ -265,4 +267,4 @@ def planned(start: Array, q: Array, qdot: Array, limits: Array) -> Any:
     return found
 
 
-Wish = Setpoint | BaseVelocity | JointGoal | Motion | Stand
+Wish = Setpoint | BaseVelocity | JointGoal | Motion | FollowHand | Stand

@@ -150,8 +150,6 @@ def write_trials(path: Path, tried: dict[str, list[Trials]]) -> None:
                     writer.writerow([name, trials.seed, *line.tolist()])
 
 
-if __name__ == "__main__":
-    main()
 
 
 PICTURES = ("figure-4.2", "figure-4.3", "figure-4.4", "psi", "gains")
@@ -193,3 +191,7 @@ def read_otherwise(say: Callable[[str], None]) -> list[dict[str, Any]]:
     rows = summaries(readings(load_experiment("chapter4"), "chapter4"))
     say(f"{len(rows)} readings")
     return rows
+
+
+if __name__ == "__main__":
+    main()

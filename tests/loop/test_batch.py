@@ -92,7 +92,7 @@ def different() -> tuple[list[Loop], list[ControllerState | None]]:
         "nominal": (replace(BASIC, controller=ComputedTorque(GAINS), nominal=ROBOT.with_masses(0.6)), None),
         "network": (replace(BASIC, controller=Neural(OneLayer(), GAINS), seed=3), None),
         "arm": (arm, None),
-        "diverges": (replace(BASIC, controller=PD(Feedback(arm=500.0)), bounds=Bounds(joint_speed=3.0)), None),
+        "diverges": (replace(BASIC, controller=PD(Feedback(base=500.0, arm=500.0)), bounds=Bounds(joint_speed=3.0)), None),
         "python": (replace(BASIC, controller=Mine()), None),
     }
     return [loop for loop, _ in loops.values()], [state for _, state in loops.values()]
@@ -176,7 +176,7 @@ def test_windows_are_honoured(singles):
 
 
 def test_a_run_that_diverges_is_a_result_with_numbers():
-    wild = replace(BASIC, controller=PD(Feedback(arm=500.0)), bounds=Bounds(joint_speed=3.0))
+    wild = replace(BASIC, controller=PD(Feedback(base=500.0, arm=500.0)), bounds=Bounds(joint_speed=3.0))
     runs = simulate_many([BASIC, wild, BASIC], windows=[(0.0, 0.002)])
     assert [run.outcome.status for run in runs] == ["completed", "diverged", "completed"]
     assert runs[1].outcome.signal in ("nu[2]", "nu[3]") and 0 < runs[1].outcome.time < DURATION
@@ -297,7 +297,7 @@ def test_free_memory_is_some_of_the_machines():
 @pytest.mark.parametrize(
     ("bad", "error", "text"),
     [
-        (replace(BASIC, controller=PD(Feedback(arm=(1.0, 2.0, 3.0)))), ConfigError, "3 numbers for 2 velocities"),
+        (replace(BASIC, controller=PD(Feedback(base=500.0, arm=(1.0, 2.0, 3.0)))), ConfigError, "3 numbers for 2 velocities"),
         (replace(BASIC, trajectory=Trajectory(Line(0.3), (Hold(0.0),))), TrajectoryError, "1 arm profiles"),
         (replace(BASIC, start=Start(joint_offset=(0.1, 0.1, 0.1))), ConfigError, "3 numbers for 2 joints"),
         (replace(BASIC, controller=Mine(), engine="compiled"), ConfigError, "plain Python"),

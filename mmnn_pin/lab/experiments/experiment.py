@@ -42,6 +42,7 @@ from .controllers import (
     RobustOf,
     new_controller,
 )
+from .hand import hand_motion
 from .laws import resolved
 from .references import HeldOut, ReferenceTables
 
@@ -275,7 +276,12 @@ class Experiment(LearnerTables, frozen=True):
         return self.reference.trajectory(layout, limits)
 
     def trajectory_of(self, robot: Robot) -> Trajectory:
-        """The reference for a robot, within the limits of its joints and motors; errors as in `trajectory`."""
+        """The reference for a robot, within the limits of its joints and motors; errors as in `trajectory`.
+
+        A hand's motion is made once for a robot and its periods.
+        """
+        if self.reference.hand is not None:
+            return hand_motion(self.reference.hand, robot, self.time).trajectory
         return made_for(robot, msgspec.json.encode(self.reference), self.time.duration)
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:

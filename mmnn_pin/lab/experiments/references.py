@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
 from ...errors import ConfigError, UnknownName
 from ...model.base.holonomic import moves_sideways
+from ...model.robot import Robot
 from ...reference import (
     BasePath,
     Circle,
@@ -23,12 +24,167 @@ from ...reference import (
     Trajectory,
     Waypoints,
 )
+from ...reference.guide import Limits
+from ...reference.hand import (
+    Capsule,
+    HandCircle,
+    HandLine,
+    HandMotion,
+    HandPath,
+    HandSpline,
+    Pieces,
+    Task,
+    Wait,
+    WholeBody,
+    WholeBodySettings,
+    comfortable,
+    plan,
+)
 from ...reference.trajectory import JointProfile
-from ...settings import Settings, require_gain, wrong_type
+from ...settings import Settings, Timing, require_gain, wrong_type
 from ...signals import Array, Dimensions
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
 ARM_PROFILES = {"sine": Sine, "sines": Sines, "hold": Hold, "minimum_jerk": MinimumJerk}
+
+
+OF_A_FIXED_ARM = 0.15  # scale of a path where no base moves, per metre of reach
+SIX = 6  # joints that an orientation takes
+
+
+@dataclasses.dataclass(frozen=True)
+class Poses:
+    """Poses from a CSV file: t, x, y, z, and qx, qy, qz, qw for orientations.
+
+    Args:
+        file: The file.
+    """
+
+    file: str
+
+
+HAND_PATHS: dict[str, Any] = {
+    "line": HandLine,
+    "circle": HandCircle,
+    "spline": HandSpline,
+    "poses": Poses,
+    "wait": Wait,
+}
+LENGTHS = ("by", "speed", "radius", "points")
+
+
+class Other(Task, frozen=True):
+    """Another frame of the same robot: as `Task`, with a path of its own.
+
+    Args:
+        path: Its path, from where it is; without one it stays there, or looks where it should.
+    """
+
+    path: tuple[dict[str, Any], ...] = ()
+
+
+class HandTables(Settings, frozen=True):
+    """The table `[reference.hand]`: where the hand goes, and how base and arm share that.
+
+    Args:
+        path: Its pieces, tables with a `type`, one after the other.
+        frame: A link or joint that the arm moves; empty for the arm's tip.
+        position: As of `Task`.
+        orientation: As of `Task`; "auto" holds it with six joints or more and leaves it free with fewer.
+        at: Where the path begins in the world, in the world's axes [m]; without it at the hand, in the robot's axes.
+        start: Pose of the base at the start [m, m, rad].
+        posture: Joints at the start and where tasks leave them free [rad or m]; "auto" for one far from singular.
+        scale: Factor on the lengths and speeds of the path; "auto" shortens it for an arm that stands still.
+        drive: Speed and turning rate of driving to where a path begins [m/s, rad/s].
+        tolerance: Largest distance of the reference's hand from the path [m].
+        body: How base and arm share the work.
+        limits: Of base and joints.
+        capsules: Bodies that keep apart.
+        others: Other frames: a second arm, a head that looks.
+
+    Raises:
+        ConfigError: No path, or a number out of range.
+    """
+
+    path: tuple[dict[str, Any], ...]
+    frame: str = ""
+    position: float | tuple[float, float, float] = 1.0
+    orientation: Literal["auto"] | float | tuple[float, float, float] = "auto"
+    at: tuple[float, float, float] | None = None
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    posture: Literal["auto"] | tuple[float, ...] = "auto"
+    scale: Literal["auto"] | float = "auto"
+    drive: tuple[float, float] = (0.3, 0.5)
+    tolerance: float = 0.005
+    body: WholeBodySettings = WholeBodySettings()
+    limits: Limits = Limits()
+    capsules: tuple[Capsule, ...] = ()
+    others: tuple[Other, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.path:
+            fix = "give path = [{ type = 'line', by = [1.0, 0.0, 0.0] }]"
+            raise ConfigError("a hand without a path", fix=fix, key="reference.hand.path")
+        for name in ("scale", "tolerance", "drive"):
+            value = getattr(self, name)
+            if value != "auto" and not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
+                raise ConfigError(f"{value}", fix="use numbers > 0", key=f"reference.hand.{name}")
+        Task(self.frame, self.position, 0.0 if self.orientation == "auto" else self.orientation)
+
+    def body_of(self, robot: Robot, period: float) -> WholeBody:
+        """The robot with its tasks; errors as of `WholeBody`."""
+        turned = (0.1 if robot.dimensions.arm >= SIX else 0.0) if self.orientation == "auto" else self.orientation
+        others = [Task(**{f: getattr(o, f) for f in Task.__struct_fields__}) for o in self.others]
+        return WholeBody(
+            robot,
+            [Task(self.frame, self.position, turned), *others],
+            settings=self.body,
+            limits=self.limits,
+            period=period,
+            capsules=self.capsules,
+        )
+
+    def motion(self, robot: Robot, timing: Timing) -> HandMotion:
+        """The motion of a robot; errors as of `plan`."""
+        body = self.body_of(robot, timing.control_period)
+        by = self.scale if self.scale != "auto" else 1.0 if robot.dimensions.base else reach_of(body) * OF_A_FIXED_ARM
+        paths = [path_of(self.path, by, "reference.hand.path")]
+        for i, other in enumerate(self.others):
+            paths.append(path_of(other.path, by, f"reference.hand.others.{i}.path") if other.path else None)  # type: ignore[arg-type]
+        return plan(
+            body,
+            paths,
+            timing.samples * timing.control_period,
+            start=self.start,
+            posture=None if self.posture == "auto" else self.posture,
+            at=self.at,
+            drive=self.drive,
+            tolerance=self.tolerance,
+        )
+
+
+def path_of(tables: tuple[dict[str, Any], ...], scale: float, key: str) -> HandPath:
+    """A path of tables; errors as of `references.make`."""
+    parts: list[HandPath] = []
+    for i, table in enumerate(tables):
+        scaled = {name: scaled_by(value, scale) if name in LENGTHS else value for name, value in table.items()}
+        part = make(HAND_PATHS, scaled, f"{key}.{i}")
+        parts.append(HandSpline.read(part.file) if isinstance(part, Poses) else part)
+    return Pieces(tuple(parts))
+
+
+def scaled_by(value: Any, factor: float) -> Any:
+    """A number or numbers in lists times a factor; what is none stays."""
+    if isinstance(value, list | tuple):
+        return [scaled_by(each, factor) for each in value]
+    return value * factor if isinstance(value, int | float) else value
+
+
+def reach_of(body: WholeBody) -> float:
+    """Distance of the hand from the first joint with the arm as it stands [m]."""
+    body.put(np.zeros(body.pose.size), comfortable(body)[0])
+    axes = body.chains[0].axes
+    return float(np.linalg.norm(body.places[0, 9:] - axes[0, 3:])) if len(axes) else 1.0
 
 
 class ReferenceTables(Settings, frozen=True):
@@ -40,15 +196,23 @@ class ReferenceTables(Settings, frozen=True):
         arm: One profile per arm joint, or one table for all of them (type "swing", see `Swing`).
         share: Share of every motor's effort and speed limits that whoever follows exactly may need: swings move to
             another posture, and the whole reference is slower, where it would be more (`loop.suited`). 0 for any.
+        hand: Where the hand goes, in the place of all of these: base and arm follow from it.
+
+    Raises:
+        ConfigError: A hand beside a path of the base or profiles of the arm.
     """
 
     base: dict[str, Any] | None = None
     heading: dict[str, Any] | None = None
     arm: tuple[dict[str, Any], ...] | dict[str, Any] = ()
     share: float = 0.0
+    hand: HandTables | None = None
 
     def __post_init__(self) -> None:
         require_gain(self.share, "reference.share")
+        if self.hand is not None and (self.base or self.heading or self.arm):
+            why, fix = "the motion of base and arm follows from the hand's", "leave out one of them"
+            raise ConfigError("a hand beside [reference.base] or [reference.arm]", why=why, fix=fix, key="reference")
 
     def trajectory(self, layout: Dimensions, limits: tuple[Array, Array] | None = None) -> Trajectory:
         """The reference for a robot; arguments and errors as in `Experiment.trajectory`."""

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ from ...settings import finite
 from ...torque.controller import TorqueController
 from .controllers import EFFECTIVE, LEARNERS, effective
 from .experiment import Experiment
+from .hand import HandErrors, hand_errors, hand_motion
 from .thesis import beside_the_thesis, figure_ranges
 
 
@@ -41,6 +42,7 @@ class Result:
         recordings: Controller to recording, in the order asked for.
         metrics: Controller to numbers (see `metrics`).
         notes: What the user should know.
+        hand: Controller to what it did at the hand, where the reference is a hand's.
     """
 
     experiment: Experiment
@@ -48,6 +50,7 @@ class Result:
     recordings: dict[str, Recording]
     metrics: dict[str, dict[str, float]]
     notes: tuple[str, ...]
+    hand: dict[str, HandErrors] = field(default_factory=dict)
 
     @property
     def completed(self) -> bool:
@@ -74,6 +77,7 @@ class Result:
             },
             "figure_ranges": self.figure_ranges(),
             **self.largest_errors(),
+            **({"hand": {name: errors.numbers() for name, errors in self.hand.items()}} if self.hand else {}),
             "unfair": unfair(self.experiment, self.metrics),
             "notes": list(self.notes),
         }
@@ -176,7 +180,11 @@ def run_experiment(
             break
     kept = {controller: runs[controller] for controller in wanted if controller in runs}
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
-    return Result(experiment, name, kept, numbers, (*notes, *margin_notes(experiment, kept)))
+    hand, tables = {}, experiment.reference.hand
+    if tables is not None:
+        hand = {c: hand_errors(recording, robot, tables, experiment.time) for c, recording in kept.items()}
+        notes += hand_notes(experiment, robot)
+    return Result(experiment, name, kept, numbers, (*notes, *margin_notes(experiment, kept)), hand)
 
 
 def margin_notes(experiment: Experiment, runs: Mapping[str, Recording]) -> list[str]:
@@ -258,11 +266,24 @@ def words(windows: Sequence[Window]) -> str:
 
 def reference_notes(experiment: Experiment, robot: Robot) -> list[str]:
     """What to know of the reference, such as stretches without stabilisation."""
+    if experiment.reference.hand is not None:
+        return []
     reference, notes = experiment.trajectory_of(robot), []
     path, times = reference.base, np.arange(experiment.time.samples) * experiment.time.control_period
     if reference.slowness > 1.0:
         notes.append(f"the reference takes {reference.slowness:.3g} times as long: the motors' limits ask for it")
     return notes + (warnings(path.sample(times / reference.slowness)) if path is not None else [])
+
+
+def hand_notes(experiment: Experiment, robot: Robot) -> list[str]:
+    """What to know of a motion of the hand: the frame, how far the program itself stays from the path, misses."""
+    assert experiment.reference.hand is not None
+    motion = hand_motion(experiment.reference.hand, robot, experiment.time)
+    begins, ends, missed = motion.begins, motion.ends, motion.misses
+    gap = 1e3 * float(motion.gap[round(begins / experiment.time.control_period) :].max())
+    follows = f"{motion.frames[0]} follows its path from t = {begins:.3g} s to {ends:.3g} s"
+    found = [f"{follows}; the reference's own distance from it is at most {gap:.2g} mm"]
+    return [*found, *([f"the program of the hand had no solution at {missed} samples: it braked"] if missed else [])]
 
 
 def has_hardware(experiment: Experiment) -> bool:

@@ -15,9 +15,10 @@ import numpy as np
 
 from ...plant.contact.plant import SLIPPING
 from ...recording.metrics import ERRORS, halves
-from ...recording.recording import Recording, as_columns
+from ...recording.recording import Recording, as_columns, recorded_robot
 from ..experiments.cases import Matrix, Verdict
 from ..experiments.controllers import ORACLES
+from ..experiments.hand import peak_speeds, speed_limit
 from ..experiments.runner import Improvement, Result, unfair
 from .curves import column_units, milli
 from .table import WIDTH, Cell, Column, Kind, Line, Row, Table, grouped, number, row_of, terminal_text
@@ -31,6 +32,19 @@ ABOUT = (
     "delay margin: least delay from measurement to torque with which the linearised loop is unstable, under the "
     "feedback alone or with the one inside Psi."
 )
+ABOUT_HAND = (
+    "hand: the true frame against its path, after the first second. kinematic: of the reference itself. tracking: the "
+    "measured hand against the reference's. model: the true hand against the measured one."
+)
+HAND_ROWS = {
+    "position_rms_mm": ("hand position [mm]", "RMS"),
+    "position_peak_mm": ("", "peak"),
+    "orientation_rms_mrad": ("hand orientation [mrad]", "RMS"),
+    "kinematic_rms_mm": ("of it kinematic [mm]", "RMS"),
+    "tracking_rms_mm": ("tracking [mm]", "RMS"),
+    "model_rms_mm": ("model [mm]", "RMS"),
+}
+MARKED = ("position_rms_mm", "position_peak_mm", "orientation_rms_mrad")
 ABOUT_SHARES = (
     "better than pd = gain + learning: how much smaller the RMS error is, in % of pd's. gain: from pd to pd at the "
     "learner's effective gain. learning: from there to the learner. shares: of the improvement, gain : learning."
@@ -72,6 +86,8 @@ def title(result: Result) -> str:
 
 def tables_of(result: Result) -> Iterator[Table]:
     """The comparison; gain or learning; the thesis's errors and figures. Those that the result has something for."""
+    if result.hand:
+        yield hand_table(result)
     yield comparison(result)
     if improvements := result.improvements():
         yield improvement_table(improvements, result.experiment.windows[-1])
@@ -195,6 +211,25 @@ def notes(result: Result) -> list[str]:
     messages = {name: recording.outcome.message for name, recording in result.recordings.items()}
     ends = [text if text.startswith(name) else f"{name}: {text}" for name, text in messages.items() if text]
     return [*ends, *result.notes]
+
+
+def hand_table(result: Result) -> Table:
+    """A column per controller; rows of the true hand's errors, their shares, and peak speeds."""
+    rows, every = [], {name: errors.numbers() for name, errors in result.hand.items()}
+    for key, words in HAND_ROWS.items():
+        values = {name: math.nan if v[key] is None else float(v[key]) for name, v in every.items()}  # type: ignore[arg-type]
+        if not all(map(math.isnan, values.values())):
+            rows.append(row_of(*words, *(marked(values) if key in MARKED else map(number, values.values()))))
+    robot = recorded_robot(next(iter(result.recordings.values())))
+    speeds = {name: peak_speeds(recording, robot) for name, recording in result.recordings.items()}
+    for i, joint in enumerate(next(iter(speeds.values()))):
+        limit = speed_limit(robot, joint)
+        cells = (Cell(number(s[joint]), *(("bad", "!") if s[joint] > limit else ())) for s in speeds.values())
+        about = f"{joint} of {number(limit)}" if math.isfinite(limit) else joint
+        rows.append(row_of("peak speed [rad/s, m/s]" if i == 0 else "", about, *cells))
+    heads = (Column(text=True, fold=True), Column(text=True))
+    controllers = (Column(name, letters=NAME) for name in result.hand)
+    return Table("The hand", (*heads, *controllers), tuple(rows), (ABOUT_HAND,), gap=0)
 
 
 # -- gain, learning, and the thesis's numbers --------------------------------------------------------------------------

@@ -14,9 +14,11 @@ import numpy as np
 from ...errors import RecordingError
 from ...model.urdf.xml import parse_xml
 from ...recording.metrics import TRUE
-from ...recording.recording import Recording
+from ...recording.recording import Recording, recorded_robot
 from ...signals import Array
+from ..experiments.config import recorded_experiment
 from ..experiments.controllers import ORACLES
+from ..experiments.hand import HandErrors, hand_errors
 
 Recordings = Mapping[str, Recording]
 Curve = tuple[Array, Array]  # times and values, (N,) each
@@ -116,6 +118,18 @@ def path(recordings: Recordings) -> Iterator[Panel]:
         yield Panel("distance to the reference", "mm", gaps)
 
 
+@chart("hand", "The hand", "The true hand against its path, and what of that the reference itself leaves.")
+def hand(recordings: Recordings) -> Iterator[Panel]:
+    """Distance of the true hand from its path, its turning, and the share that is the reference's own."""
+    found = {name: errors for name, recording in recordings.items() if (errors := recorded_hand(recording))}
+    if found:
+        yield Panel("distance of the hand", "mm", {n: (e.time, 1e3 * e.distance()) for n, e in found.items()})
+        if turned := {n: (e.time, 1e3 * e.angle()) for n, e in found.items() if e.turned}:
+            yield Panel("turned by", "mrad", turned)
+        kinematic = {n: (e.time, 1e3 * np.linalg.norm(e.vectors()["kinematic"], axis=1)) for n, e in found.items()}
+        yield Panel("of the reference itself", "mm", kinematic)
+
+
 @chart(
     "torque",
     "Torques",
@@ -182,6 +196,14 @@ def residuals(recordings: Recordings) -> Iterator[Panel]:
     for signal, (words, unit, scale) in RESIDUALS.items():
         if found := {n: (r.time, scale * r[signal]) for n, r in recordings.items() if signal in r}:
             yield Panel(words, unit, found)
+
+
+def recorded_hand(recording: Recording) -> HandErrors | None:
+    """What a run did at the hand; None where its reference is not a hand's."""
+    experiment = recorded_experiment(recording) if len(recording) else None
+    if experiment is None or experiment.reference.hand is None:
+        return None
+    return hand_errors(recording, recorded_robot(recording), experiment.reference.hand, experiment.time)
 
 
 # -- what they are made of ---------------------------------------------------------------------------------------------

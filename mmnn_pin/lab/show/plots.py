@@ -173,6 +173,16 @@ def path_figure(recordings: Recordings) -> Figure:
     return picture
 
 
+@figure("hand", needs=signals("q_ref"))
+def hand_figure(recordings: Recordings) -> Figure:
+    """The true hand against its path over time: distance, turning, and the reference's own distance.
+
+    Raises:
+        RecordingError: No recording of a run whose reference is a hand's.
+    """
+    return stack("The hand", recordings, list(curves.hand(recordings)))
+
+
 def draw_path(axes: Axes, pose: Array, look: Look) -> None:
     """Path with ten arrows along the heading, evenly spaced in time."""
     axes.plot(pose[:, 0], pose[:, 1], **look)

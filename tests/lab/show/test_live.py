@@ -131,10 +131,10 @@ def test_a_reader_never_sees_half_a_frame():
     writer.numbers[FIRST] = float("nan")
     assert json.loads(as_json(reader.read()))["position"] == [0.0, 0.0]
     program = """
-import sys
+import itertools, sys
 from mmnn_pin.lab.show.serving import FIRST, Frames
 numbers = Frames(int(sys.argv[1]), FIRST + 4).numbers
-for k in range(100000):
+for k in itertools.count():
     numbers[0] = 2 * k + 1
     for i in range(FIRST, FIRST + 4):
         numbers[i] = k
@@ -143,12 +143,15 @@ for k in range(100000):
     memory = new_memory(FIRST + 4)
     reader = Frames(memory, FIRST + 4)
     made = subprocess.Popen([sys.executable, "-c", program, str(memory)], pass_fds=(memory,))
-    seen = []
-    while made.poll() is None:
-        seen.append(reader.read())
+    seen: dict[float, list[float]] = {}
+    while len(seen) < 200:
+        assert made.poll() is None
+        frame = reader.read()
+        seen[frame[SEQUENCE]] = frame
+    made.kill()
+    made.wait()
     os.close(memory)
-    assert len({frame[SEQUENCE] for frame in seen}) > 10
-    assert all(len(set(frame[FIRST:])) == 1 for frame in seen)
+    assert all(len(set(frame[FIRST:])) == 1 for frame in seen.values())
 
 
 def test_the_server_ends_with_the_process_that_started_it():

@@ -1,0 +1,140 @@
+"""The hand of an experiment: the motion made of its table, and how far the true hand is from where it should be.
+
+    total = kinematic + tracking + model
+
+`kinematic`: the reference's hand, as the program has it, from the path. `tracking`: the hand as it is measured from the
+reference's. `model`: the true hand from the measured one, which is what sensors and slip do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+
+from ...model.robot import Robot, speed_limits
+from ...recording.recording import Recording, as_columns, recorded_position
+from ...reference.hand import HandMotion
+from ...reference.hand.chain import chain_of, track
+from ...settings import Timing, finite
+from ...signals import Array
+from .references import SIX, HandTables
+
+SETTLED = 1.0  # from when on the hand is judged [s]
+
+
+@dataclasses.dataclass(frozen=True)
+class Described:
+    """A robot by what describes it: another one of the same file is the same, whatever its masses."""
+
+    text: str
+    robot: Robot = dataclasses.field(compare=False)
+
+
+@lru_cache(maxsize=8)
+def motion_of(tables: str, described: Described, timing: Timing) -> HandMotion:
+    """The motion of a table as text (JSON); made once for all runs of a process."""
+    return msgspec.json.decode(tables, type=HandTables).motion(described.robot, timing)
+
+
+def hand_motion(tables: HandTables, robot: Robot, timing: Timing) -> HandMotion:
+    """The motion of a table, made once; errors as of `HandTables.motion`."""
+    described = Described(robot.urdf + repr(robot.overrides.stated()), robot)
+    return motion_of(msgspec.json.encode(tables).decode(), described, timing)
+
+
+# -- judged at the hand ------------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class HandErrors:
+    """Where the first frame was, beside where it should have been, at every sample of a run.
+
+    Attributes:
+        frame: Its name.
+        time: (N,) [s].
+        wanted: (N, 12) rotation row by row, origin.
+        reference: (N, 12) as the setpoints have it.
+        measured: (N, 12) as the sensors have it.
+        true: (N, 12).
+        turned: Whether its orientation was asked for.
+    """
+
+    frame: str
+    time: Array
+    wanted: Array
+    reference: Array
+    measured: Array
+    true: Array
+    turned: bool
+
+    def vectors(self) -> dict[str, Array]:
+        """(N, 3) total error and its shares [m]."""
+        there = {"total": self.true - self.wanted, "kinematic": self.reference - self.wanted}
+        there |= {"tracking": self.measured - self.reference, "model": self.true - self.measured}
+        return {name: places[:, 9:] for name, places in there.items()}
+
+    def distance(self) -> Array:
+        """(N,) distance of the true hand from where it should be [m]."""
+        return np.linalg.norm(self.vectors()["total"], axis=1)
+
+    def angle(self) -> Array:
+        """(N,) angle by which the true hand is turned from how it should be [rad]."""
+        a, b = (places[:, :9].reshape(-1, 3, 3) for places in (self.true, self.wanted))
+        return 2 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=(1, 2)) / np.sqrt(8), 1.0))
+
+    def numbers(self) -> dict[str, float | None]:
+        """RMS and peak after the first second, in thousandths."""
+        kept = self.time >= SETTLED
+
+        def rms(values: Array) -> float | None:
+            return finite(1e3 * float(np.sqrt(np.mean(values[kept] ** 2)))) if kept.any() else None
+
+        distance, angle = self.distance(), self.angle()
+        peak = finite(1e3 * float(distance[kept].max())) if kept.any() else None
+        found = {"position_rms_mm": rms(distance), "position_peak_mm": peak}
+        found["orientation_rms_mrad"] = rms(angle) if self.turned else None
+        shares = {name: np.linalg.norm(v, axis=1) for name, v in self.vectors().items() if name != "total"}
+        return found | {f"{name}_rms_mm": rms(share) for name, share in shares.items()}
+
+
+def hand_errors(recording: Recording, robot: Robot, tables: HandTables, timing: Timing) -> HandErrors:
+    """What a run did at the hand.
+
+    Args:
+        recording: The run.
+        robot: The robot that ran.
+        tables: Its `[reference.hand]`.
+        timing: Its periods.
+    """
+    motion = hand_motion(tables, robot, timing)
+    frame, time, d = motion.frames[0], recording.time, robot.dimensions
+    chain, true = chain_of(robot, frame), recorded_position(recording, robot)
+    measured, reference = true.copy(), true.copy()
+    for table, pose, q in ((measured, "pose", "q"), (reference, "pose_ref", "q_ref")):
+        if d.base and pose in recording:
+            table[:, :3] = recording[pose]
+        if q in recording:
+            table[:, robot.arm_index] = as_columns(recording[q])
+        robot.follow(table.T)
+    k = np.minimum(np.round(time / timing.control_period).astype(int), len(motion.targets) - 1)
+    target = motion.targets[k, 0]
+    wanted = np.hstack((target[:, 9:18], target[:, :3]))
+    turned = tables.orientation != "auto" or d.arm >= SIX
+    turned = turned and bool(np.any(tables.orientation != 0.0))
+    return HandErrors(frame, time, wanted, track(chain, reference), track(chain, measured), track(chain, true), turned)
+
+
+def peak_speeds(recording: Recording, robot: Robot) -> dict[str, float]:
+    """Largest true speeds of wheels and joints in a run, by name [rad/s or m/s]."""
+    nu = as_columns(recording["nu" if "nu" in recording else "nu_ref"])
+    nb, names = robot.dimensions.base, [*(wheel.joint for wheel in robot.base.wheels), *robot.joint_names]
+    speeds = np.hstack((nu[:, :nb] @ robot.base.wheel_map.T, nu[:, nb:]))
+    return {name: float(np.abs(each).max()) for name, each in zip(names, speeds.T, strict=True)}
+
+
+def speed_limit(robot: Robot, joint: str) -> float:
+    """The URDF's velocity limit of a joint, inf where it states none [rad/s or m/s]."""
+    return dict(zip(robot.actuator_names, speed_limits(robot).tolist(), strict=True)).get(joint, np.inf)

@@ -1,0 +1,328 @@
+"""Where a frame of the robot is and how it moves: its placement, its Jacobian `J S`, what `J S` changes by itself.
+
+    twist = J S nu        acceleration = J S nudot + bias        S = T: rolling wheels, mimic joints
+
+Rolling is substituted into the Jacobian, so a base velocity outside of what its wheels permit cannot be asked for. A
+`Chain` is the joints between world and frame as arrays. All of it is compiled arithmetic without a libm; Pinocchio is
+the second answer in the tests. Twists are (linear, angular) in the world's axes, the linear part that of the frame's
+origin.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ...compiled import compiled, spliced
+from ...elementary import cos_sin
+from ...errors import ConfigError, RobotError, UnknownName
+from ...model.robot import Robot
+from ...signals import Array, IntArray
+
+REVOLUTE, PRISMATIC = 0, 1
+SIZE = 12  # of a placement: rotation row by row, translation
+
+
+class Chain(NamedTuple):
+    """The joints that carry a frame; those that stand still are part of the placements.
+
+    Attributes:
+        links: (m, 2) kind of every joint, and its place among all velocities; of a mobile base the first three are
+            the root's.
+        numbers: (m + 1, 15) placement of every joint on the one before (rotation row by row, translation), its axis;
+            the last row is the frame on the last joint.
+        T: (nv, p) map from nu to all velocities.
+        frame: (3,) control frame in the root link; (0,) for a fixed arm.
+        axes: (m, 6) axis and origin of every joint in the world, written.
+        columns: (m, 6) Jacobian of every joint, written.
+        work: (24,) scratch.
+    """
+
+    links: IntArray
+    numbers: Array
+    T: Array
+    frame: Array
+    axes: Array
+    columns: Array
+    work: Array
+
+
+def chain_of(robot: Robot, frame: str) -> Chain:
+    """The chain from the world to a frame of a robot.
+
+    Args:
+        robot: The robot.
+        frame: A frame of its model: a link, or a joint.
+
+    Raises:
+        UnknownName: It has no such frame.
+        RobotError: A joint that is neither revolute nor prismatic carries it.
+    """
+    model, mobile = robot.model, robot.dimensions.base > 0
+    if not model.existFrame(frame):
+        raise UnknownName("frame", frame, frames_of(robot), key="reference.hand.frame")
+    found = model.frames[model.getFrameId(frame)]
+    joints, j = [], found.parentJoint
+    while j > 0:
+        joints.append(j)
+        j = model.parents[j]
+    links, numbers = [], []
+    for j in reversed(joints):
+        joint, place = model.joints[j], model.jointPlacements[j]
+        if j == 1 and mobile:
+            for k, axis in enumerate(np.eye(3)):
+                links.append((PRISMATIC if k < 2 else REVOLUTE, k))
+                numbers.append(row_of(place if k == 0 else pin.SE3.Identity(), axis))
+            continue
+        if joint.nv != 1:
+            what = f"joint '{model.names[j]}' of type {joint.shortname()} carries '{frame}'"
+            raise RobotError(what, why="only revolute and prismatic joints can", fix="name another frame")
+        data = joint.createData()
+        joint.calc(data, np.eye(joint.nq)[0])
+        linear, angular = np.ravel(data.S)[:3], np.ravel(data.S)[3:]
+        links.append((REVOLUTE if angular.any() else PRISMATIC, joint.idx_v))
+        numbers.append(row_of(place, angular if angular.any() else linear))
+    numbers.append(row_of(found.placement, np.zeros(3)))
+    m, frame_in_root = len(links), np.array(robot.frame, float) if mobile else np.zeros(0)
+    table = np.array(links, np.int64).reshape(m, 2)
+    return Chain(
+        table, np.array(numbers), robot.T.copy(), frame_in_root, np.zeros((m, 6)), np.zeros((m, 6)), np.zeros(24)
+    )
+
+
+def row_of(placement: pin.SE3, axis: Array) -> Array:
+    """A row of `Chain.numbers`."""
+    return np.hstack((placement.rotation.ravel(), placement.translation, axis))
+
+
+def frames_of(robot: Robot) -> list[str]:
+    """Frames that the arm moves, links before joints: what a hand can be."""
+    arm = {robot.model.getJointId(name) for name in robot.joint_names}
+    moved = [f for f in robot.model.frames if arm & {*robot.model.supports[f.parentJoint]}]
+    links = [f.name for f in moved if f.type == pin.FrameType.BODY]
+    return links + [f.name for f in moved if f.type != pin.FrameType.BODY]
+
+
+def hands_of(robot: Robot) -> list[str]:
+    """The tip of every arm, that with the most joints first: the link farthest out on its last joint.
+
+    Raises:
+        ConfigError: The robot has no arm.
+    """
+    if not robot.joint_names:
+        fix = "choose a robot with an arm, or free its joints with --free"
+        raise ConfigError(f"'{robot.name}' has no arm", why="there is no hand to move", fix=fix, key="reference.hand")
+    if robot.overrides.arm_tip:
+        return [robot.overrides.arm_tip]
+    model = robot.model
+    joints = {name: model.getJointId(name) for name in robot.joint_names}
+    above = {name: {*list(model.supports[j])[:-1]} for name, j in joints.items()}
+    last = [name for name, j in joints.items() if not any(j in others for others in above.values())]
+    last.sort(key=lambda name: -len(above[name] & {*joints.values()}))
+    found = []
+    for name in last:
+        links = [f for f in model.frames if f.parentJoint == joints[name] and f.type == pin.FrameType.BODY]
+        if links:
+            found.append(max(links, key=lambda f: float(f.placement.translation @ f.placement.translation)).name)
+    return found
+
+
+@spliced
+def turn(R: Array, at: int, numbers: Array) -> None:
+    """`R[at:at+9] = R[at:at+9] Q`, the (3, 3) Q from the first nine of a row, both row by row."""
+    for i in range(3):
+        a, b, c = R[at + 3 * i], R[at + 3 * i + 1], R[at + 3 * i + 2]
+        for j in range(3):
+            R[at + 3 * i + j] = a * numbers[j] + b * numbers[3 + j] + c * numbers[6 + j]
+
+
+@spliced
+def spin(R: Array, x: float, y: float, z: float, q: float) -> None:
+    """`R = Rot((x, y, z), q) R`, the axis a unit vector in the world."""
+    c, s = cos_sin(q)
+    for j in range(3):
+        a, b, d = R[j], R[3 + j], R[6 + j]
+        along = (1.0 - c) * (x * a + y * b + z * d)
+        R[j] = c * a + s * (y * d - z * b) + along * x
+        R[3 + j] = c * b + s * (z * a - x * d) + along * y
+        R[6 + j] = c * d + s * (x * b - y * a) + along * z
+
+
+@spliced
+def cross(a: Array, i: int, b: Array, j: int, out: Array, k: int, scale: float) -> None:
+    """`out[k:k+3] += scale a[i:i+3] x b[j:j+3]`."""
+    x = a[i + 1] * b[j + 2] - a[i + 2] * b[j + 1]
+    y = a[i + 2] * b[j] - a[i] * b[j + 2]
+    z = a[i] * b[j + 1] - a[i + 1] * b[j]
+    out[k] += scale * x
+    out[k + 1] += scale * y
+    out[k + 2] += scale * z
+
+
+@compiled
+def move(chain: Chain, position: Array, nu: Array, place: Array, twist: Array, bias: Array, J: Array) -> None:
+    """Placement, twist, bias and `J S` of a chain's frame.
+
+    Args:
+        chain: The chain.
+        position: (nv,) pose of the control frame, then every joint.
+        nu: (p,) velocity.
+        place: (12,) written: rotation row by row, origin.
+        twist: (6,) written: `J S nu`.
+        bias: (6,) written: the acceleration of the frame where nudot = 0.
+        J: (6, p) written: `J S`.
+    """
+    links, numbers, T, axes, w = chain.links, chain.numbers, chain.T, chain.axes, chain.work
+    m, p = links.shape[0], nu.size
+    # work: 0 step, 3 velocity and 6 its bias at the joint's origin, 9 angular velocity, 12 its bias, 15 axis times rate
+    w[:] = 0.0
+    place[:] = 0.0
+    place[0] = place[4] = place[8] = 1.0
+    x0, y0, turned = 0.0, 0.0, 0.0
+    if chain.frame.size == 3:  # the pose is that of the control frame
+        turned = chain.frame[2]
+        c, s = cos_sin(position[2] - turned)
+        x0 = position[0] - c * chain.frame[0] + s * chain.frame[1]
+        y0 = position[1] - s * chain.frame[0] - c * chain.frame[1]
+    for i in range(m + 1):
+        row = numbers[i]
+        for k in range(3):
+            w[k] = place[3 * k] * row[9] + place[3 * k + 1] * row[10] + place[3 * k + 2] * row[11]
+            place[9 + k] += w[k]
+        # the origin moves with the link before: v += omega x r, a += alpha x r + omega x (omega x r)
+        w[18:21] = 0.0
+        cross(w, 9, w, 0, w, 18, 1.0)
+        cross(w, 12, w, 0, w, 6, 1.0)
+        cross(w, 9, w, 18, w, 6, 1.0)
+        for k in range(3):
+            w[3 + k] += w[18 + k]
+        turn(place, 0, row)
+        if i == m:
+            break
+        kind, v = links[i, 0], links[i, 1]
+        rate, q = 0.0, position[v]
+        for j in range(p):
+            rate += T[v, j] * nu[j]
+        if chain.frame.size == 3 and i < 3:
+            q = x0 if i == 0 else y0 if i == 1 else position[2] - turned
+        for k in range(3):
+            axes[i, k] = place[3 * k] * row[12] + place[3 * k + 1] * row[13] + place[3 * k + 2] * row[14]
+        if kind == REVOLUTE:
+            spin(place, axes[i, 0], axes[i, 1], axes[i, 2], q)
+            for k in range(3):
+                axes[i, 3 + k] = place[9 + k]
+                w[15 + k] = axes[i, k] * rate
+            cross(w, 9, w, 15, w, 12, 1.0)
+            for k in range(3):
+                w[9 + k] += w[15 + k]
+        else:
+            for k in range(3):
+                place[9 + k] += axes[i, k] * q
+                axes[i, 3 + k] = place[9 + k]
+                w[k] = axes[i, k] * q
+                w[15 + k] = axes[i, k] * rate
+            # the link before carries the travel, and the sliding adds twice its Coriolis part
+            w[18:21] = 0.0
+            cross(w, 9, w, 0, w, 18, 1.0)
+            cross(w, 12, w, 0, w, 6, 1.0)
+            cross(w, 9, w, 18, w, 6, 1.0)
+            cross(w, 9, w, 15, w, 6, 2.0)
+            for k in range(3):
+                w[3 + k] += w[18 + k] + w[15 + k]
+        if chain.frame.size == 3 and i == 2:
+            heading(chain, position, place, axes, w, nu)
+    for k in range(3):
+        twist[k], twist[3 + k], bias[k], bias[3 + k] = w[3 + k], w[9 + k], w[6 + k], w[12 + k]
+    jacobian(chain, place, J)
+
+
+@spliced
+def heading(chain: Chain, position: Array, place: Array, axes: Array, w: Array, nu: Array) -> None:
+    """The planar root's velocity is in its own frame: its axes turn with it, and it turns about its own origin."""
+    T = chain.T
+    vx, vy, rate = 0.0, 0.0, 0.0
+    for j in range(nu.size):
+        vx += T[0, j] * nu[j]
+        vy += T[1, j] * nu[j]
+        rate += T[2, j] * nu[j]
+    for k in range(3):
+        axes[0, k], axes[1, k], axes[2, k] = place[3 * k], place[3 * k + 1], place[3 * k + 2]
+        w[3 + k] = axes[0, k] * vx + axes[1, k] * vy
+        w[6 + k], w[12 + k] = 0.0, 0.0
+        w[9 + k] = axes[2, k] * rate
+    cross(w, 9, w, 3, w, 6, 1.0)
+
+
+@spliced
+def jacobian(chain: Chain, place: Array, J: Array) -> None:
+    """The columns of all joints, and `J S` of them."""
+    links, T, axes, columns = chain.links, chain.T, chain.axes, chain.columns
+    J[:] = 0.0
+    for i in range(links.shape[0]):
+        if links[i, 0] == REVOLUTE:
+            x, y, z = place[9] - axes[i, 3], place[10] - axes[i, 4], place[11] - axes[i, 5]
+            columns[i, 0] = axes[i, 1] * z - axes[i, 2] * y
+            columns[i, 1] = axes[i, 2] * x - axes[i, 0] * z
+            columns[i, 2] = axes[i, 0] * y - axes[i, 1] * x
+            for k in range(3):
+                columns[i, 3 + k] = axes[i, k]
+        else:
+            for k in range(3):
+                columns[i, k], columns[i, 3 + k] = axes[i, k], 0.0
+        for j in range(J.shape[1]):
+            share = T[links[i, 1], j]
+            if share != 0.0:
+                for k in range(6):
+                    J[k, j] += columns[i, k] * share
+
+
+@compiled
+def gradient(chain: Chain, B: Array, nb: int, out: Array) -> None:
+    """`out_d = sum over k, c of B[k, c] d(J S)[k, c] / d nu_d` for the arm, where `move` was called last.
+
+    The derivative of a joint's column j by joint i is, for i before or at j, `a_i x column_j` in both halves; for i
+    after j the linear half is `a_j x linear_i`. A sliding i moves only what comes before it.
+
+    Args:
+        chain: The chain.
+        B: (6, n) weights.
+        nb: Base velocities.
+        out: (n,) written.
+    """
+    links, T, axes, columns, w = chain.links, chain.T, chain.axes, chain.columns, chain.work
+    out[:] = 0.0
+    for j in range(links.shape[0]):
+        w[:6] = 0.0
+        for c in range(out.size):
+            share = T[links[j, 1], nb + c]
+            if share != 0.0:
+                for k in range(6):
+                    w[k] += share * B[k, c]
+        for i in range(links.shape[0]):
+            w[6:12] = 0.0
+            if i <= j and links[i, 0] == REVOLUTE:
+                cross(axes[i], 0, columns[j], 0, w, 6, 1.0)
+                cross(axes[i], 0, columns[j], 3, w, 9, 1.0)
+            elif i > j and links[j, 0] == REVOLUTE:
+                cross(axes[j], 0, columns[i], 0, w, 6, 1.0)
+            slope = 0.0
+            for k in range(6):
+                slope += w[k] * w[6 + k]
+            for d in range(out.size):
+                out[d] += T[links[i, 1], nb + d] * slope
+
+
+@compiled
+def fill_places(chain: Chain, positions: Array, nu: Array, two: Array, J: Array, places: Array) -> None:
+    """Placements (N, 12) of a chain's frame at positions (N, nv); nu, two (2, 6) and J are scratch."""
+    for k in range(positions.shape[0]):
+        move(chain, positions[k], nu, places[k], two[0], two[1], J)
+
+
+def track(chain: Chain, positions: Array) -> Array:
+    """Placements of a chain's frame, (N, 12) rotation row by row and origin, at positions (N, nv)."""
+    p, places = chain.T.shape[1], np.zeros((len(positions), SIZE))
+    fill_places(chain, np.ascontiguousarray(positions), np.zeros(p), np.zeros((2, 6)), np.zeros((6, p)), places)
+    return places

@@ -1,0 +1,270 @@
+"""One quadratic program per control sample: tasks and limits of a robot in, nudot of base and arm out.
+
+    body = WholeBody(robot, [Task()], period=0.002)
+    body.put(pose, q)
+    body.step(targets)           # (tasks, 24): nudot, and the state moved on by it
+
+The program is solved by daqp; nothing else here leaves plain arithmetic.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...elementary import atan2, cos_sin, log
+from ...elementary.matrices import cholesky, inverse, product
+from ...errors import ConfigError
+from ...model.reduction import as_measured
+from ...model.robot import Robot
+from ...settings import one_or_each
+from ...signals import Array
+from ..guide import Limits
+from .capsules import Capsule, Pairs
+from .chain import SIZE, chain_of, gradient, hands_of, move
+from .tasks import (
+    AXES,
+    TARGET,
+    P,
+    R,
+    Task,
+    WholeBodySettings,
+    add_frame,
+    add_wishes,
+    advance,
+    bounds_of,
+    fill_bounds,
+    look,
+)
+
+TOLERANCE = 1e-9  # of limits, in the program's units
+SOFT = 8  # daqp's mark of a constraint that may give way
+NEAR = 0.2  # a goal that is nearer than this to the axle does not say where to turn [m]
+
+
+def solver() -> Any:
+    """The solver, daqp.
+
+    Raises:
+        ConfigError: It is not installed.
+    """
+    try:
+        import daqp
+    except ImportError as error:
+        fix = "pip install 'mmnn_pin[tasks]'"
+        raise ConfigError("tasks of the hand without daqp", fix=fix, key="reference.hand") from error
+    return daqp.Model()
+
+
+class WholeBody:
+    """Whole-body motion of a robot. Holds a workspace: one object per thread.
+
+    Args:
+        robot: The robot.
+        tasks: Its frames and what they keep to; without a frame the tips of its arms, one after the other.
+        settings: How base and arm share the work.
+        limits: Of base and joints.
+        period: Control period [s].
+        posture: (n,) posture that the joints drift to; None for the joints as they are at `put`.
+        capsules: Bodies that keep apart.
+
+    Attributes:
+        pose: (3,) pose of the base, (0,) for a fixed arm.
+        q: (n,) joints.
+        nu: (p,) velocities.
+        nudot: (p,) the last solution.
+        frames: Names of the tasks' frames.
+        places: (tasks, 12) rotation row by row and origin of every frame at the last solution.
+        errors: (tasks, 12) what is left to its target, linear and angular; then the accelerations wanted.
+        misses: How often the program had no solution, and the robot braked.
+
+    Raises:
+        ConfigError: No arm, limits that leave no room, no daqp.
+        UnknownName: A frame that the robot does not have.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        tasks: Sequence[Task] = (Task(),),
+        *,
+        settings: WholeBodySettings = WholeBodySettings(),  # noqa: B008 (frozen)
+        limits: Limits = Limits(),  # noqa: B008
+        period: float = 0.002,
+        posture: Array | None = None,
+        capsules: Sequence[Capsule] = (),
+    ) -> None:
+        d, hands = robot.dimensions, hands_of(robot)
+        if not (0 < period < np.inf and tasks):
+            raise ConfigError(f"{len(tasks)} tasks every {period} s", fix="give a task and a period > 0", key="hand")
+        self.robot, self.tasks, self.settings, self.period = robot, tuple(tasks), settings, period
+        free = iter([*hands, *[hands[-1]] * len(tasks)])
+        self.frames = tuple(task.frame or next(free) for task in tasks)
+        self.chains = [chain_of(robot, name) for name in self.frames]
+        self.weights = [task.weights for task in tasks]
+        self.seen = [self._seen(task) for task in tasks]
+        self.numbers = np.array([settings.rate, *settings.approach])
+        self.bounds = bounds_of(robot, settings, limits)
+        shares = np.hstack((np.full(d.base, settings.base), robot_arm(settings, d.arm)))
+        self.cost = settings.slack * shares / shares.max() / self.bounds.speed**2
+        self.offset, self.arm = robot.arm_map()
+        self.posture, self.given = np.zeros(d.arm), posture is not None
+        if posture is not None:
+            self.posture[:] = posture
+        self.pairs = Pairs(robot, capsules, settings.clearance) if capsules else None
+        self._allocate(len(tasks))
+
+    def _allocate(self, count: int) -> None:
+        """The workspace."""
+        d, wheels = self.robot.dimensions, len(self.bounds.wheel_speed)
+        p, pairs = d.dof, self.pairs.count if self.pairs else 0
+        self.pose, self.q, self.nu, self.nudot = np.zeros(d.pose), np.zeros(d.arm), np.zeros(p), np.zeros(p)
+        self.position, self.still = np.zeros(d.full), np.zeros(p)
+        self.places, self.twists, self.biases = np.zeros((count, SIZE)), np.zeros((count, 6)), np.zeros((count, 6))
+        self.J, self.errors, self.target = np.zeros((count, 6, p)), np.zeros((count, 12)), np.zeros(TARGET)
+        self.seen_place, self.seen_twist, self.seen_J = np.zeros(SIZE), np.zeros((2, 6)), np.zeros((6, p))
+        self.H, self.f, self.wish, self.rows = np.zeros((p, p)), np.zeros(p), np.zeros(p), np.zeros((7, p))
+        self.lower, self.upper = np.zeros(p + wheels + pairs), np.zeros(p + wheels + pairs)
+        self.lows, self.highs = self.lower[: p + wheels], self.upper[: p + wheels]
+        self.G = np.zeros((wheels + pairs, p))
+        self.G[:wheels, : d.base] = self.bounds.wheels
+        self.sense, self.two, self.misses = np.zeros(p + wheels + pairs, np.int32), np.zeros(2), 0
+        self.sense[p + wheels :] = SOFT
+        self.slope = np.zeros(d.arm)
+        self.solver, self.ready = solver(), False
+        self.solver.settings = {"primal_tol": TOLERANCE, "iter_limit": 1000}
+
+    def _seen(self, task: Task) -> Any:
+        """What a task looks at: a chain, a point, or nothing."""
+        if not task.looks:
+            return None
+        return chain_of(self.robot, task.at) if isinstance(task.at, str) else np.array(task.at, float)
+
+    def put(self, pose: Array, q: Array, nu: Array | None = None) -> None:
+        """Begin from a state.
+
+        Args:
+            pose: (3,) pose of the base; (0,) for a fixed arm.
+            q: (n,) joints.
+            nu: (p,) velocities; None for rest.
+        """
+        self.pose[:], self.q[:], self.nu[:] = pose, q, 0.0 if nu is None else nu
+        if not self.given:
+            self.posture[:] = q
+        self.look_around()
+
+    def look_around(self) -> None:
+        """Where all frames are and how they move, at the present state."""
+        nb = self.robot.dimensions.base
+        as_measured(self.offset, self.arm, self.pose, self.nu[:nb], self.q, self.nu[nb:], self.position, self.still)
+        for i, chain in enumerate(self.chains):
+            move(chain, self.position, self.nu, self.places[i], self.twists[i], self.biases[i], self.J[i])
+
+    def solve(self, targets: Array) -> Array:
+        """The solution at the present state, (p,): a view that the next one overwrites.
+
+        Args:
+            targets: (tasks, 24), see `tasks.TARGET`.
+        """
+        self.look_around()
+        b, self.H[:], self.f[:] = self.bounds, 0.0, 0.0
+        for i, weights in enumerate(self.weights):
+            target = targets[i] if self.seen[i] is None else self._looking(i)
+            add_frame(
+                self.places[i], self.twists[i], self.biases[i], self.J[i], target, weights, self.numbers, self.rows,
+                self.errors[i], self.H, self.f,
+            )  # fmt: skip
+        self._wish(targets)
+        add_wishes(self.nu, self.wish, self.cost, self.settings.settle, self.H, self.f)
+        fill_bounds(
+            self.q, self.nu, self.period, b.speed, b.acceleration, b.ends, b.wheels, b.wheel_speed,
+            self.lows, self.highs,
+        )  # fmt: skip
+        if self.pairs is not None:
+            wheels = len(b.wheel_speed)
+            at = len(self.nu) + wheels
+            self.pairs.fill(self.position, self.nu, self.period, self.G[wheels:], self.lower[at:], self.upper[at:])
+        return self._program()
+
+    def _program(self) -> Array:
+        """Solve what has been put together; brake where there is no solution."""
+        rows = self.G if len(self.G) or not self.ready else None  # what is not given stays
+        update = self.solver.update if self.ready else self.solver.setup
+        self.sense[: len(self.lows)] = 0
+        flag = update(self.H, self.f, rows, self.upper, self.lower, self.sense)
+        self.ready = True
+        if (flag if isinstance(flag, int) else flag[0]) >= 0:
+            x, _, flag, _ = self.solver.solve()
+            if flag > 0:
+                self.nudot[:] = x
+                return self.nudot
+        self.misses += 1
+        np.clip(-self.nu / self.period, -self.bounds.acceleration, self.bounds.acceleration, out=self.nudot)
+        return self.nudot
+
+    def step(self, targets: Array) -> Array:
+        """Solve, and move the state on by a period; the solution as in `solve`."""
+        nudot = self.solve(targets)
+        advance(self.pose, self.q, self.nu, nudot, self.period, self.two)
+        return nudot
+
+    def _looking(self, i: int) -> Array:
+        """The target of a frame that looks at something."""
+        seen, point = self.seen[i], self.seen_place[9:]
+        if isinstance(seen, np.ndarray):
+            point = seen
+        else:
+            twist, bias = self.seen_twist
+            move(seen, self.position, self.nu, self.seen_place, twist, bias, self.seen_J)
+        look(self.places[i], point, AXES.index(self.tasks[i].looks), self.target)
+        return self.target
+
+    def _wish(self, targets: Array) -> None:
+        """Velocities wished for where tasks leave them free: posture, manipulability, heading."""
+        s, nb = self.settings, self.robot.dimensions.base
+        self.wish[:nb] = 0.0
+        self.wish[nb:] = s.posture * (self.posture - self.q)
+        if s.manipulability:
+            self.wish[nb:] += s.manipulability * self.climb()
+        if nb and s.heading:
+            c, sine = cos_sin(self.pose[2])
+            x, y = targets[0][P] - self.pose[0], targets[0][P + 1] - self.pose[1]
+            if x * x + y * y > NEAR * NEAR:
+                self.wish[nb - 1] = s.heading * atan2(c * y - sine * x, c * x + sine * y)
+        np.clip(self.wish, -self.bounds.speed, self.bounds.speed, out=self.wish)
+
+    def climb(self, i: int = 0) -> Array:
+        """Gradient of log sqrt det(J J') of an arm's rows that have a weight, by its joints, (n,)."""
+        rows = self.weights[i] > 0
+        J, B = self.J[i][rows, self.robot.dimensions.base :], np.zeros((6, self.q.size))
+        B[rows] = gram_solved(J)
+        gradient(self.chains[i], B, self.robot.dimensions.base, self.slope)
+        return self.slope
+
+    def target_here(self, i: int) -> Array:
+        """Target (24,) that keeps a frame where it is."""
+        target = np.zeros(TARGET)
+        target[P : P + 3], target[R : R + 9] = self.places[i, 9:], self.places[i, :9]
+        return target
+
+
+def gram_solved(J: Array) -> Array:
+    """`(J J' + e)^-1 J`, for fewer columns than rows `J (J' J + e)^-1`; e is small."""
+    wide = J.shape[1] >= J.shape[0]
+    gram = product(J, J.T) if wide else product(J.T, J)
+    gram = gram + 1e-6 * np.eye(len(gram))
+    return product(inverse(gram), J) if wide else product(J, inverse(gram))
+
+
+def manipulability(J: Array) -> float:
+    """`log sqrt det(J J' + e)`, of the smaller of both products; as its Cholesky factor has it."""
+    gram = product(J, J.T) if J.shape[1] >= J.shape[0] else product(J.T, J)
+    L = cholesky(gram + 1e-6 * np.eye(len(gram)))
+    return sum(log(float(L[i, i])) for i in range(len(L)))
+
+
+def robot_arm(settings: WholeBodySettings, n: int) -> Array:
+    """Costs of the joints, (n,)."""
+    return one_or_each(settings.arm, n, "joint", "reference.hand.arm")
