@@ -1,16 +1,12 @@
 """TIAGo's hand draws a line and a circle in the world, base and arm together. `mmnn replay hand.h5` shows it."""
 
-from mmnn_pin import ComputedTorque, Feedback, HandCircle, HandLine, Kinematic, Loop, Pieces, Timing, WholeBody, load
-from mmnn_pin.loop.before_run import with_gains_of
+from mmnn_pin import ComputedTorque, HandCircle, HandLine, Kinematic, Loop, Pieces, Timing, WholeBody, load
 from mmnn_pin.reference.hand import plan
 
-robot, timing = (
-    load("tiago"),
-    Timing(duration=8.0, control_period=0.002, plant_step=0.002, integrator="implicit_friction"),
-)
+robot = load("tiago")
+timing = Timing(duration=8.0, control_period=0.002, plant_step=0.002, integrator="implicit_friction")
 path = Pieces((HandLine((0.5, 0.0, 0.0), speed=0.2), HandCircle(0.1, speed=0.2)))
 motion = plan(WholeBody(robot, period=0.002), [path], timing.duration)
-controller = with_gains_of(ComputedTorque(Feedback(30.0, 60.0, "inertia")), robot, 0.002)
-loop = Loop(robot, motion.trajectory, controller, Kinematic(3.0, 16.0, 8.0, 7.0), timing)
+loop = Loop(robot, motion.trajectory, ComputedTorque(), Kinematic(3.0, 16.0, 8.0, 7.0), timing)
 run = loop.run("hand.h5", force=True)
 print(f"{run.outcome.status}; the reference's hand is at most {1e3 * motion.gap.max():.2g} mm from its path")

@@ -109,6 +109,12 @@ def test_the_quickstart_prints_what_the_readme_says(tmp_path: Path) -> None:
     assert python(ROOT / "examples/quickstart.py", cwd=tmp_path) in blocks("text")
 
 
+@pytest.mark.long
+@compiled_only
+def test_the_example_of_the_hand_draws_its_path(tmp_path: Path) -> None:
+    assert python(ROOT / "examples/hand.py", cwd=tmp_path).startswith("completed; ")
+
+
 def test_every_example_is_run_by_a_test() -> None:
     tests = "".join(file.read_text() for file in Path(__file__).parent.rglob("test_*.py"))
     assert [file.name for file in EXAMPLES if file.name not in tests] == []

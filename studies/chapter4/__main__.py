@@ -150,8 +150,6 @@ def write_trials(path: Path, tried: dict[str, list[Trials]]) -> None:
                     writer.writerow([name, trials.seed, *line.tolist()])
 
 
-
-
 PICTURES = ("figure-4.2", "figure-4.3", "figure-4.4", "psi", "gains")
 
 

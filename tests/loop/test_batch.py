@@ -92,7 +92,10 @@ def different() -> tuple[list[Loop], list[ControllerState | None]]:
         "nominal": (replace(BASIC, controller=ComputedTorque(GAINS), nominal=ROBOT.with_masses(0.6)), None),
         "network": (replace(BASIC, controller=Neural(OneLayer(), GAINS), seed=3), None),
         "arm": (arm, None),
-        "diverges": (replace(BASIC, controller=PD(Feedback(base=500.0, arm=500.0)), bounds=Bounds(joint_speed=3.0)), None),
+        "diverges": (
+            replace(BASIC, controller=PD(Feedback(base=500.0, arm=500.0)), bounds=Bounds(joint_speed=3.0)),
+            None,
+        ),
         "python": (replace(BASIC, controller=Mine()), None),
     }
     return [loop for loop, _ in loops.values()], [state for _, state in loops.values()]
@@ -297,7 +300,11 @@ def test_free_memory_is_some_of_the_machines():
 @pytest.mark.parametrize(
     ("bad", "error", "text"),
     [
-        (replace(BASIC, controller=PD(Feedback(base=500.0, arm=(1.0, 2.0, 3.0)))), ConfigError, "3 numbers for 2 velocities"),
+        (
+            replace(BASIC, controller=PD(Feedback(base=500.0, arm=(1.0, 2.0, 3.0)))),
+            ConfigError,
+            "3 numbers for 2 velocities",
+        ),
         (replace(BASIC, trajectory=Trajectory(Line(0.3), (Hold(0.0),))), TrajectoryError, "1 arm profiles"),
         (replace(BASIC, start=Start(joint_offset=(0.1, 0.1, 0.1))), ConfigError, "3 numbers for 2 joints"),
         (replace(BASIC, controller=Mine(), engine="compiled"), ConfigError, "plain Python"),

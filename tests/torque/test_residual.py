@@ -13,7 +13,6 @@ from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.loop.controller import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree.body import parameters
-from mmnn_pin.signals import Layout
 from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.two_layer_residual import TwoLayerResidual
 
@@ -35,11 +34,7 @@ def test_psi_hat_is_the_models_psi_and_the_networks_output():
     assert isinstance(controller, TwoLayerResidual) and controller.model is not None
     expected = loop.robot.with_masses(0.6).without_friction()
     np.testing.assert_allclose(parameters(controller.model), parameters(expected), rtol=1e-12)
-    dynamics, layout, row = (
-        Dynamics(expected),
-        Layout.of(loop.robot.dimensions),
-        Layout.of(loop.robot.dimensions).new_row(),
-    )
+    dynamics, layout, row = Dynamics(expected), loop.layout, loop.layout.new_row()
     state = controller.learner.init(loop.context())
     network = Torque(controller.learner, loop.context(), row, loop.robot, state)
     for k in range(0, len(run)):

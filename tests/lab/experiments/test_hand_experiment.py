@@ -40,7 +40,7 @@ def test_bad_input_is_one_line(change: str, what: str) -> None:
 
 
 def test_a_robot_without_an_arm_has_no_hand() -> None:
-    robot = load("two_axis_arm", lock=["arm_1_joint", "arm_2_joint"])
+    robot = load("platform_arm", lock=["arm_1_joint", "arm_2_joint"])
     with pytest.raises(ConfigError, match="has no arm"):
         load_experiment("hand", SHORT).trajectory_of(robot)
 

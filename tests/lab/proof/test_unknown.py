@@ -172,9 +172,10 @@ def test_a_law_that_tells_its_features_is_judged_by_them():
     size = 4  # one row of four features, each of variance one: the output's variance
     expected = np.mean(1 / (1 + excited / NOISE))
     assert found.share == pytest.approx(expected, rel=0.3) and found.directions == size and found.units == 0
-    silent = replace(own, controller=Silent())
+    gains = own.controller.feedback
+    silent = replace(own, controller=Silent(feedback=gains))
     assert unknown(silent, subject.rows) == {} and signals_for(Silent()) != ()
-    assert unknown(replace(own, controller=Bilinear(learning=False)), subject.rows) == {}
+    assert unknown(replace(own, controller=Bilinear(feedback=gains, learning=False)), subject.rows) == {}
     assert unknown(own, subject.rows[:0]) == {}
 
 

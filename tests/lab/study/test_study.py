@@ -286,7 +286,7 @@ def test_a_database_of_another_format_or_program_is_refused(done, tmp_path: Path
         db.execute("CREATE TABLE mine (x)")
     db.close()
     assert main(["report", str(tmp_path), "--html", str(tmp_path / "x.html")]) == 2
-    assert "not a study's database: no such table: meta" in capsys.readouterr().err
+    assert "a study's database has the tables meta and row" in capsys.readouterr().err
 
 
 def test_numbers_keep_their_bits_in_the_database(tmp_path: Path) -> None:
