@@ -113,7 +113,9 @@ def identify(
         lambda: "\n".join((text_of(report, sys.stdout.isatty()), wrote(files.values()))).rstrip(),
     )
     if not files:
-        warn("nothing written: the fit is no better than what it is compared with; --even-if-worse writes it")
+        units = "no masses that can be explain these efforts: currents need --torque-constant, check units and signs"
+        why = "the fit is no better than what it is compared with" if found.plausible else units
+        warn(f"nothing written: {why}; --even-if-worse writes it")
     return DONE if files else FAILED
 
 

@@ -40,6 +40,8 @@ HELD_OUT = 1 / 3  # of each log
 FEWEST = 40  # equations of a joint
 WORSE = 1.03  # error over that of friction alone from which a joint does not follow the rigid body
 POOR = 0.6  # error from which nothing is explained
+HALF, FAIR = 0.5, 0.15  # errors that are never believed, and that always are
+FAR = 2.0  # between them: error over that of least squares from which no robot explains the efforts
 MODELS = ("identified", "urdf", "friction", "least_squares", "urdf_file")
 
 
@@ -121,10 +123,16 @@ class Identification:
         return np.asarray(self.held_out.use.sum(axis=0) >= FEWEST // 4)
 
     @property
+    def plausible(self) -> bool:
+        """Whether a robot that can be explains the efforts, about as well as any numbers do: else units are wrong."""
+        ours, any_numbers = self.error("identified"), self.error("least_squares")
+        return ours < HALF and ours < max(FAIR, FAR * any_numbers)
+
+    @property
     def better(self) -> bool:
-        """Whether the fit predicts better than the URDF and than friction alone."""
+        """Whether the fit predicts better than the URDF and than friction alone, and is plausible."""
         ours = self.error("identified")
-        return bool(ours < self.error("urdf") and ours < self.error("friction"))
+        return bool(ours < self.error("urdf") and ours < self.error("friction") and self.plausible)
 
 
 def relative(of: Equations, predicted: Array) -> Array:

@@ -75,6 +75,7 @@ def report_of(of: Identification) -> dict[str, Any]:
         "least_squares_held_out": number(of.error("least_squares")),
         "without_toml_held_out": number(of.error("urdf_file")),
         "better": of.better,
+        "plausible": of.plausible,
         "condition": number(of.fit.condition),
         "prior_weight": of.consistent.weight,
         "base_parameters": [

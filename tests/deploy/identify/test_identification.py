@@ -273,14 +273,12 @@ def test_the_command_writes_and_reports(truth: Robot, tmp_path: Path, capsys: py
     assert "the file exists" in capsys.readouterr().err
 
 
-def test_a_fit_that_is_worse_writes_nothing(truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_that_is_worse_writes_nothing(urdf: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The URDF is the truth, and the training is of another load: the fit cannot win."""
-    fit, test = simulated(truth.with_masses({"arm_2_joint": 3.0}), 20.0, 0.02), simulated(truth, 20.0, 0.0, seed=3)
+    fit, test = simulated(urdf.with_masses({"arm_2_joint": 3.0}), 20.0, 0.02), simulated(urdf, 20.0, 0.0, seed=3)
+    assert not identify(urdf, fit, held_out=test).better
     paths = [csv_of(log, tmp_path / f"{name}.csv") for name, log in (("fit", fit), ("test", test))]
-    found = identify(truth, fit, held_out=test)
-    assert not found.better
-    write(found, tmp_path / "true.urdf")
-    command = [
+    words = [
         "identify",
         str(paths[0]),
         "--held-out",
@@ -290,9 +288,23 @@ def test_a_fit_that_is_worse_writes_nothing(truth: Robot, tmp_path: Path, capsys
         "--out",
         str(tmp_path / "o"),
     ]
-    found_again = main(command)
+    assert main(words) == 1
+    assert "nothing written" in capsys.readouterr().err and not (tmp_path / "o").exists()
+
+
+def test_efforts_that_no_robot_has_are_not_believed(
+    truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Currents of unlike motors, taken for torques: what the second link asks of the first joint cannot be."""
+    log = simulated(truth, 30.0, 0.02)
+    motors = list(log.effort)
+    currents = replace(log, effort={motors[0]: log.effort[motors[0]] / 40.0, motors[1]: log.effort[motors[1]] * 3.0})
+    file = csv_of(currents, tmp_path / "currents.csv")
+    assert main(["identify", str(file), "--robot", "two_axis_arm", "--out", str(tmp_path / "o")]) == 1
     err = capsys.readouterr().err
-    assert (found_again, "nothing written" in err, (tmp_path / "o").exists()) in ((0, False, True), (1, True, False))
+    assert "--torque-constant" in err and not (tmp_path / "o").exists()
+    words = ["--torque-constant", f"{motors[0]}=40", "--torque-constant", f"{motors[1]}={1 / 3}"]
+    assert main(["identify", str(file), "--robot", "two_axis_arm", "--out", str(tmp_path / "o"), *words]) == 0
 
 
 def test_bad_input_is_one_line_and_exit_code_2(
