@@ -139,6 +139,10 @@ def interruptible(show: Callable[P, None]) -> Iterator[Callable[P, None]]:
         if ours:
             signal.signal(signal.SIGINT, press)
         yield progress
+    except Exception:
+        if pressed.is_set():  # a compiler whose callback swallowed it fails in its own way
+            raise KeyboardInterrupt from None
+        raise
     finally:
         if ours:
             signal.signal(signal.SIGINT, signal.default_int_handler)

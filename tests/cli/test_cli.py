@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import h5py
@@ -17,6 +18,7 @@ import pytest
 
 from mmnn_pin import Dynamics, Recording, load
 from mmnn_pin.cli import main
+from mmnn_pin.cli.output import interruptible
 from mmnn_pin.lab.experiments.config import bundled, load_experiment
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS
 from mmnn_pin.lab.show import comparison as table
@@ -668,3 +670,13 @@ def test_too_little_memory_is_one_line(call: Call, monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("mmnn_pin.lab.experiments.config.load_experiment", fails)
     code, _, err = call("run", "chapter4")
     assert code == 2 and "not enough memory: Unable to allocate 3 TiB: use a shorter duration" in only_line(err)
+
+
+def test_ctrl_c_that_a_compiler_swallows_is_not_a_fault_of_ours() -> None:
+    """numba's callback prints a KeyboardInterrupt and fails later, in its own way."""
+    with pytest.raises(KeyboardInterrupt), interruptible(lambda: None):
+        with suppress(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+        raise RuntimeError("no compiled object yet")
+    with pytest.raises(RuntimeError), interruptible(lambda: None):
+        raise RuntimeError("a fault indeed")
