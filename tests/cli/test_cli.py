@@ -673,7 +673,7 @@ def test_too_little_memory_is_one_line(call: Call, monkeypatch: pytest.MonkeyPat
 
 
 def test_ctrl_c_that_a_compiler_swallows_is_not_a_fault_of_ours() -> None:
-    """numba's callback prints a KeyboardInterrupt and fails later, in its own way."""
+    """Numba's callback prints a KeyboardInterrupt and fails later, in its own way."""
     with pytest.raises(KeyboardInterrupt), interruptible(lambda: None):
         with suppress(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
