@@ -18,6 +18,7 @@ from pathlib import Path
 from PIL import Image
 
 SIZE = {"width": 960, "height": 540}
+DRAWN = 600  # software takes that long to draw a frame [ms]
 FLAGS = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
 
@@ -34,7 +35,8 @@ def main(words: list[str] | None = None) -> int:
     first, *others = frames
     wait = round(1e3 * given.seconds / given.frames)
     first.save(given.picture, save_all=True, append_images=others, duration=wait, loop=0, optimize=True)
-    print(f"wrote {given.picture}: {given.picture.stat().st_size / 1e6:.2f} MB, {len(frames)} frames")
+    drawn = Image.open(given.picture).n_frames  # frames that are alike become one
+    print(f"wrote {given.picture}: {given.picture.stat().st_size / 1e6:.2f} MB, {drawn} frames")
     return 0
 
 
@@ -50,14 +52,14 @@ def shots(page: Path, count: int) -> list[Image.Image]:
         tab.goto(page.resolve().as_uri())
         tab.wait_for_function("Number(document.getElementById('scrub').max) > 0", timeout=120_000)
         tab.add_style_tag(content="#controls, #about { display: none }")
-        last = int(tab.evaluate("Number(document.getElementById('scrub').max)"))
+        last = float(tab.evaluate("Number(document.getElementById('scrub').max)"))
         for i in range(count):
             tab.evaluate(
                 "at => { const s = document.getElementById('scrub'); s.value = at;"
                 " s.dispatchEvent(new Event('input')); }",
-                round(i * last / count),
+                i * last / count,
             )
-            tab.evaluate("() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            tab.wait_for_timeout(DRAWN)
             found.append(Image.open(io.BytesIO(tab.screenshot())))
         browser.close()
     return found
