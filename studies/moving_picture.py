@@ -1,7 +1,7 @@
 """The moving picture of a replay page, as the README shows it.
 
-    mmnn run track --robot tiago --controller pd_gravity --out runs/tiago
-    mmnn replay runs/tiago/pd_gravity.h5 --html runs/tiago/replay.html
+    mmnn run track --robot tiago --controller computed_torque --out runs/tiago
+    mmnn replay runs/tiago/computed_torque.h5 --html runs/tiago/replay.html
     python -m studies.moving_picture runs/tiago/replay.html docs/figures/replay.gif
 
 Needs Chromium, playwright and Pillow (`pip install -e ".[test]"`).
