@@ -212,3 +212,9 @@ def test_few_modules_stand_at_the_top_and_none_is_long() -> None:
     at_the_top = sorted(module for module, file in modules().items() if file.parent == PACKAGE)
     assert len(at_the_top) <= 8, at_the_top
     assert [name for name, file in modules().items() if len(file.read_text().splitlines()) > 450] == []
+
+
+def test_each_test_file_has_a_name_of_its_own() -> None:
+    """Folders of tests are no packages: pytest refuses the second file of one name, but only when it collects both."""
+    names = [file.name for file in (ROOT / "tests").rglob("*.py")]
+    assert sorted(name for name in set(names) if names.count(name) > 1) == []
