@@ -158,7 +158,7 @@ def require_limits(stepper: Fresh) -> None:
     Raises:
         ConfigError: A motor without a limit.
     """
-    torque, robot = stepper.hardware.supervisor.torque, stepper.robot
+    torque, robot = stepper.hardware.way.supervisor.torque, stepper.robot
     free = [name for name, limit in zip(robot.actuator_names, torque, strict=True) if not np.isfinite(limit)]
     if free:
         why = f"no effort limit of {', '.join(free)} is known"
