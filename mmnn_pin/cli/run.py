@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..files import read_toml, require_free
 from .options import CHANGES, VARIANT, examples, shared, understanding
 from .output import (
     DONE,
@@ -106,7 +107,6 @@ def run(
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.runner import has_hardware
-    from ..lab.show.files import require_free
     from ..lab.show.gallery import require_plots
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
@@ -219,7 +219,7 @@ def list_(as_json: bool) -> int:
 
     A contest's cases are its tasks. Controllers are listed with what they know and what they learn.
     """
-    from ..lab.experiments.config import bundled, read_toml, variants
+    from ..lab.experiments.config import bundled, variants
     from ..lab.experiments.controllers import CONTROLLERS
     from ..lab.experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots

@@ -138,7 +138,10 @@ def audit_file(
 
     Args:
         path: The file.
-        strict, package_dirs, xacro, without: As in `read`.
+        strict: As in `read`.
+        package_dirs: As in `read`.
+        xacro: As in `read`.
+        without: As in `read`.
 
     Raises:
         RobotError: A xacro file that cannot be expanded.
@@ -179,11 +182,7 @@ def audit_xacro(
     xacro: Sequence[str],
     without: Sequence[str],
 ) -> tuple[Document | None, tuple[Finding, ...]]:
-    """The same for the content of a xacro file, arguments as in `read`.
-
-    Raises:
-        RobotError: It cannot be expanded.
-    """
+    """The same for the content of a xacro file; raises `RobotError` where it cannot be expanded."""
     data, absent = expand(path, xacro, package_dirs, without)
     if len(data) > MAX_BYTES:
         return None, settle([finding("file", 1, f"expands to more than {MAX_BYTES // 1_000_000} MB")], path, strict)
