@@ -351,15 +351,15 @@ def write(app: Sphinx) -> None:
 
 
 def as_rst(app: Sphinx, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Docstrings as reStructuredText: bars are no substitutions, an indented block after a colon is code."""
+    """Docstrings as reStructuredText: bars are no substitutions, an indented block is code."""
     for i, line in enumerate(lines):
         parts = re.split(r"(``.*?``|`[^`]*`)", line)
         lines[i] = "".join(part if part.startswith("`") else part.replace("|", r"\|") for part in parts)
         lines[i] = re.sub(r"(`[^`]+`)(?=\w)", r"\1\\ ", lines[i])
     for i in range(len(lines) - 2, 0, -1):
         before, after = lines[i - 1], lines[i + 1]
-        if not lines[i].strip() and after.startswith("    ") and re.match(r"[^ :].*[^:\w]?\w:$", before):
-            lines[i - 1] += ":"
+        if not lines[i].strip() and after.startswith("    ") and re.match(r"[^ :.]", before):
+            lines[i:i] = ["", "::"]
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
