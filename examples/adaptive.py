@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from mmnn_pin import Adaptive, Circle, ComputedTorque, Eight, Feedback, Loop, Regressor, Sine, Timing, Trajectory, load
+from mmnn_pin import Circle, Eight, Feedback, Loop, Sine, Timing, Trajectory, load
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.torque.adaptive import Adaptive
+from mmnn_pin.torque.model_based import ComputedTorque
 
 robot = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
 regressor, gains = Regressor.of(robot), Feedback(500.0, 30.0)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ConfigError, InputError, RecordingError
+from ..errors import ConfigError, RecordingError
 from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
 from .output import (
     DONE,
@@ -210,8 +210,7 @@ def prove(
     code 1 when the equality or the certificate is violated.
     """
     from ..lab.proof.balance import BUDGET
-    from ..lab.proof.certified_run import certified_run
-    from ..lab.proof.proof import Proof, sentence
+    from ..lab.proof.certified_run import prove as judge
     from ..lab.show.proof.figures import write_proof
     from ..lab.show.proof.text import render, render_certificate
 
@@ -219,22 +218,20 @@ def prove(
     recording = one_run(run)
     compile_if_cold()
     with progress_bar() as show:
-        budget = float("inf") if every_period else BUDGET
-        proof = Proof(recording, payload=payload, windows=windows, budget=budget, progress=show)
-        missing = proof.missing
-    if len(missing) == 4:
-        raise InputError("nothing to judge", why="; ".join(map(sentence, missing.values())), file=run)
-    certified, colour = certified_run(proof, wanted, forces), sys.stdout.isatty()
-    files = {} if plots is None else write_proof(proof, plots, force)
+        found = judge(
+            recording, payload=payload, windows=windows, budget=float("inf") if every_period else BUDGET,
+            region=wanted, disturbance=forces, progress=show,
+        )  # fmt: skip
+    files, colour = {} if plots is None else write_proof(found.proof, plots, force), sys.stdout.isatty()
     written = {} if plots is None else {"files": named(files)}
     answer(
         as_json,
-        lambda: proof.to_dict() | {"certificate": certified.to_dict()} | written,
+        lambda: found.to_dict() | written,
         lambda: "\n".join(
-            (render(proof, colour), render_certificate(certified, colour), wrote(files.values()))
+            (render(found.proof, colour), render_certificate(found.certificate, colour), wrote(files.values()))
         ).rstrip(),
     )
-    return DONE if proof.holds and certified.holds else FAILED
+    return DONE if found.holds else FAILED
 
 
 def one_run(path: Path) -> Recording:

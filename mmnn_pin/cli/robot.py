@@ -33,12 +33,12 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
     residual, its worst value over random states held against a tolerance; exit code 1 when one fails.
     """
     from ..lab.show.robots import properties_dict, properties_text
-    from ..model.checks.properties import check_properties
+    from ..model.checks.properties import check as judge
     from ..model.loading import load
 
     loaded = load(robot, **overrides)
     with progress_bar() as show:
-        report = check_properties(loaded, samples, seed, progress=functools.partial(show, "checking"))
+        report = judge(loaded, samples, seed, progress=functools.partial(show, "checking"))
     answer(as_json, lambda: properties_dict(report), lambda: properties_text(report))
     return DONE if report.passed else FAILED
 

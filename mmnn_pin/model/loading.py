@@ -33,8 +33,9 @@ from .base.overrides import Overrides, folders_of, with_file
 from .base.report import arm_notes, printed_notes, settle, unsupported, weld_notes
 from .base.understanding import find_base
 from .maps import configuration_indices, constraint_rows, motion_map, motor_map
-from .robot import Robot, read_only
+from .robot import Robot
 from .robots import find
+from .structure import read_only
 from .urdf.document import Document, Joint
 from .urdf.finding import excused
 from .urdf.mechanism import Part

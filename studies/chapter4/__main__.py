@@ -18,7 +18,7 @@ import numpy as np
 from mmnn_pin import load_experiment, run_experiment
 from mmnn_pin.lab.experiments.cases import readings, summaries
 from mmnn_pin.lab.experiments.config import find, variants
-from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.experiments.result import Result
 from mmnn_pin.lab.show.figure import save
 from mmnn_pin.lab.show.gallery import write_pictures
 from mmnn_pin.loop.precompile import precompile

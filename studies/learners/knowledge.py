@@ -16,11 +16,12 @@ from time import process_time
 
 import numpy as np
 
-from mmnn_pin import ControllerState, Loop, Recording, load_experiment
+from mmnn_pin import Loop, Recording, load_experiment
 from mmnn_pin.lab.contest.task import frozen
 from mmnn_pin.lab.contest.trial import psi_hat_along
 from mmnn_pin.lab.proof.psi import fvu
 from mmnn_pin.signals import Array, Layout
+from mmnn_pin.torque.controller import ControllerState
 
 
 def sine(*parts: tuple[float, float]) -> str:

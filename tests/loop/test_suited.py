@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builders import trajectory
 
-from mmnn_pin import PD, ComputedTorque, Feedback, Loop, Stepper, Timing, load
+from mmnn_pin import PD, Feedback, Loop, Stepper, Timing, load
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
@@ -21,6 +21,7 @@ from mmnn_pin.model.robots import extra
 from mmnn_pin.signals import Setpoint
 from mmnn_pin.torque.classical import PID
 from mmnn_pin.torque.controller import BANDWIDTHS
+from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.neural import Neural, Robust
 
 ROBOTS = ["platform_arm", "two_axis_arm", *(name for name in ("tiago_no_hand", "so101", "kinova") if name in extra())]

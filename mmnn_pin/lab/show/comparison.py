@@ -19,7 +19,7 @@ from ...recording.recording import Recording, as_columns, recorded_robot
 from ..experiments.cases import Matrix, Verdict
 from ..experiments.controllers import ORACLES
 from ..experiments.hand import peak_speeds, speed_limit
-from ..experiments.runner import Improvement, Result, unfair
+from ..experiments.result import Improvement, Result, unfair
 from .curves import column_units, milli
 from .table import WIDTH, Cell, Column, Kind, Line, Row, Table, grouped, number, row_of, terminal_text
 

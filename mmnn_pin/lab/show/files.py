@@ -61,7 +61,7 @@ def require_free(path: Path, force: bool, what: str = "file") -> None:
         raise RecordingError(f"the {what} exists", fix="choose another, or replace it with --force", file=path)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HtmlPage:
     """A page of HTML that stands alone.
 
@@ -74,6 +74,9 @@ class HtmlPage:
     warnings: tuple[str, ...] = ()
 
     what: ClassVar[str] = "page"
+
+    def __repr__(self) -> str:
+        return f'<{self.what}: {self.size / 1e6:.2g} MB; .save("{self.what}.html") writes it>'
 
     @property
     def size(self) -> int:

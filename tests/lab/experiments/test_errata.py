@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from places import ROOT
 from scipy.special import expit
 
-from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
+from mmnn_pin import Recording, load, load_experiment, run_experiment
 from mmnn_pin.kinematic import command
 from mmnn_pin.lab.experiments.cases import readings, summaries
 from mmnn_pin.model.checks.second_answers import WorldFrame
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import INDEX, Array, Layout
 from mmnn_pin.torque.neural import Inputs
 from mmnn_pin.torque.two_layer import numerical_rank, two_layer_update

@@ -20,7 +20,7 @@ from study_files import SHORT, planned, run_here
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
-from mmnn_pin.lab.show import study as plots
+from mmnn_pin.lab.show import study_figures as plots
 from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of

@@ -12,7 +12,7 @@ import numpy as np
 from ....recording.metrics import halves
 from ....recording.recording import Recording
 from ...experiments.controllers import LEARNERS, ORACLES, effective
-from ...experiments.runner import Improvement, Result, unfair
+from ...experiments.result import Improvement, Result, unfair
 from ...proof.balance import TOLERANCE
 from ...proof.proof import Proof, proofs_with
 from ...proof.psi import worst
