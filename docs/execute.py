@@ -127,7 +127,7 @@ def in_a_folder(page: Path, write: bool) -> bool:
     command = [sys.executable, str(Path(__file__).resolve()), "--here", str(page.resolve()), *["--write"] * write]
     with tempfile.TemporaryDirectory() as folder:
         here = {"PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-        here["PYTHONPATH"] = os.pathsep.join((str(HERE.parent), os.environ.get("PYTHONPATH", "")))
+        here["PYTHONPATH"] = os.pathsep.join((folder, str(HERE.parent), os.environ.get("PYTHONPATH", "")))
         done = subprocess.run(command, cwd=folder, env=os.environ | here | {"MPLBACKEND": "agg", "COLUMNS": "100"})
     print(
         f"{'ok    ' if done.returncode == 0 else 'FAILED'} {time.perf_counter() - begin:6.1f} s  {page.name}",

@@ -210,33 +210,69 @@ FLOORS = {
     "torque": "Controllers",
     "signals": "The loop",
     "settings": "The loop",
-    "actuator": "Hardware and faults",
-    "disturbance": "Hardware and faults",
-    "safety": "Hardware and faults",
-    "sensing": "Hardware and faults",
     "loop": "The loop",
     "recording": "The loop",
     "deploy": "Identification and export",
     "lab": "Experiments",
     "errors": "Errors",
 }
+MORE = {  # what is needed now and then, from its own module
+    "reference": ("Circle", "Eight", "Waypoints", "Table", "Timed", "Hold", "Sines", "MinimumJerk"),
+    "reference.guide": ("Limits",),
+    "reference.wishes": ("HOLD", "BaseVelocity", "JointGoal", "Motion"),
+    "reference.hand": (
+        *("Capsule", "FollowHand", "HandCircle", "HandLine", "HandMotion", "HandSpline", "Pieces", "Task", "Wait"),
+        *("WholeBody", "WholeBodySettings"),
+    ),
+    "model.dynamics": ("Dynamics",),
+    "model.regressor": ("Regressor",),
+    "torque.controller": ("Context", "ControllerState"),
+    "torque.learning_law": ("Sample",),
+    "torque.model_based": ("ComputedTorque",),
+    "torque.adaptive": ("Adaptive", "AdaptiveSettings"),
+    "actuator": ("Actuator",),
+    "disturbance": ("Payload", "Push"),
+    "safety": ("Safety",),
+    "sensing": ("Sensor",),
+    "loop.stepper": ("Command",),
+    "loop.before_run": ("Bounds", "Start"),
+    "loop.batch": ("Run", "simulate_many"),
+    "recording.recording": ("Outcome",),
+    "deploy.identify.log": ("Log",),
+    "deploy.identify.excitation": ("excite",),
+    "deploy.identify.payload": ("payload",),
+    "errors": ("MmnnError",),
+}
+
+
+def documented(module: str, name: str) -> str:
+    """The directive for a name of a module."""
+    thing = getattr(import_module(module), name)
+    kind = "autoclass" if inspect.isclass(thing) else "autofunction" if callable(thing) else "autodata"
+    return f"### {name}\n\n```{{eval-rst}}\n.. {kind}:: {module}.{name}\n```\n"
 
 
 def api_page() -> Iterator[str]:
     """The public names."""
     groups: dict[str, list[str]] = {title: [] for title in FLOORS.values()}
-    for name in mmnn_pin.__all__:
-        if not name.startswith("__"):
-            groups[FLOORS[mmnn_pin._WHERE[name].partition(".")[0]]].append(name)
+    for name, module in mmnn_pin._WHERE.items():
+        groups[FLOORS[module.partition(".")[0]]].append(name)
     yield "# Python\n"
-    yield "All that `from mmnn_pin import ...` has. Units are SI, angles in radians; shapes are those of one sample.\n"
+    yield "All that `from mmnn_pin import ...` has. Units are SI, angles in radians; shapes are those of one sample."
+    yield "[What is needed now and then](python-more.md) is imported from its own module.\n"
     for title, names in groups.items():
         yield f"## {title}\n"
-        for name in names:
-            thing = getattr(mmnn_pin, name)
-            kind = "autoclass" if inspect.isclass(thing) else "autofunction" if callable(thing) else "autodata"
-            yield f"### {name}\n"
-            yield f"```{{eval-rst}}\n.. {kind}:: mmnn_pin.{name}\n```\n"
+        yield from (documented("mmnn_pin", name) for name in names)
+
+
+def more_page() -> Iterator[str]:
+    """Names that are imported from their modules."""
+    yield "# Python, by module\n"
+    yield "What [the public face](python.md) leaves out: `from mmnn_pin.reference.wishes import BaseVelocity`.\n"
+    for module, names in MORE.items():
+        yield f"## mmnn_pin.{module}\n"
+        own = [name for name in names if name not in mmnn_pin._WHERE]
+        yield from (documented(f"mmnn_pin.{module}", name) for name in own)
 
 
 def signals_page() -> Iterator[str]:
@@ -324,6 +360,7 @@ def controllers_page() -> Iterator[str]:
 
 FILES = {
     "python": api_page,
+    "python-more": more_page,
     "experiment-keys": experiment_page,
     "paths": paths_page,
     "study-keys": file_page(
