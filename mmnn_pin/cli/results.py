@@ -177,7 +177,7 @@ def pictures(out: Path, whats: tuple[str, ...]) -> dict[str, Path]:
     metavar="SIZE=VALUE",
     multiple=True,
     help="Certify errors within these sizes, not the largest region that is found; give all of them: pose=M, the "
-    "base's pose error; arm=SIZE, the arm's errors; energy=J, s'Ms/2 (docs/theory.md); repeatable.",
+    "base's pose error; arm=SIZE, the arm's errors; energy=J, s'Ms/2 (docs/explanation/theory.md); repeatable.",
 )
 @click.option(
     "--disturbance",
@@ -206,8 +206,8 @@ def prove(
     trajectory, on one held out, and with a payload; shares of the torque; ranks and excitation of the networks; ideal
     weights by an offline fit. Lyapunov function: V, its derivative term by term, when and why it grows. Equality: the
     energy of the errors over every control period. Certificate: a region that the loop provably never leaves, the bound
-    that it ends up in, conditions and constants, a condition on the learning rates (docs/theory.md). Exit code 1 when
-    the equality or the certificate is violated.
+    that it ends up in, conditions and constants, a condition on the learning rates (docs/explanation/theory.md). Exit
+    code 1 when the equality or the certificate is violated.
     """
     from ..lab.proof.balance import BUDGET
     from ..lab.proof.certified_run import prove as judge

@@ -102,7 +102,7 @@ def run(
     A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
     several seeds, and then on trajectories that none of them was trained on, with what was learned held fixed and
     learning on. It prints a table per task and the targets, draws figures, and goes on where it was stopped; what its
-    numbers mean is in docs/contest.md. --controller leaves those in by which the others are measured.
+    numbers mean is in docs/explanation/contest.md. --controller leaves those in by which the others are measured.
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment

@@ -1,7 +1,7 @@
 """A URDF file, read strictly: what would make a loader guess, drop or crash is refused with its line.
 
 Pinocchio's parser drops a whole `<inertial>` over one bad number and hides the reasons of its refusals on C++ stderr,
-so the file is audited first (docs/urdf-audit.md lists the codes). What passes is also what Pinocchio gets:
+so the file is audited first (docs/reference/urdf-audit.md lists the codes). What passes is also what Pinocchio gets:
 `Document.text` is the parsed tree written out again, free of declarations, comments and namespaces.
 
 A check is a function from the `<robot>` element, or what it holds, to its findings; `audit` runs them all. Those of
