@@ -83,8 +83,7 @@ class ControllerState:
 
     def view(self, kind: type[T]) -> T:
         """The parts that a named tuple of views names, as compiled code sees them (`compiled.views`)."""
-        parts = [self[name] if isinstance(part, int) else self.view(part) for name, part in fields_of(kind)]
-        return kind(*parts)
+        return kind(*(self[name] if isinstance(part, int) else self.view(part) for name, part in fields_of(kind)))
 
     def snapshot(self) -> ControllerState:
         """Copy that later steps do not touch; hand it to a run to resume from here."""
@@ -305,7 +304,7 @@ class Controller(ABC):
         return None
 
     def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
-        """The weights (k,) that say true parameters theta (k0,) of `model.regressor`, from a state before a run, or None."""
+        """The weights (k,) that say true parameters theta (k0,), from a state before a run; None if they say others."""
         return None
 
 
@@ -406,9 +405,8 @@ class CompiledController(Controller):
         """
         K = self.feedback.vector(layout)
         if not (K > 0).all():
-            raise ConfigError(
-                f"gains {K.tolist()}", why=why or f"{self.name} needs > 0", fix="raise them", key="feedback"
-            )
+            why = why or f"{self.name} needs all > 0"
+            raise ConfigError(f"gains {K.tolist()}", why=why, fix="raise them", key="feedback")
         return K
 
     def features(self, law: Law, state: ControllerState) -> Array | None:
