@@ -79,5 +79,5 @@ def test_without_pandas_there_is_one_line(run, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(RecordingError, match="pandas is not installed.*pip install pandas"):
+    with pytest.raises(RecordingError, match=r"pandas is not installed.*pip install pandas"):
         run.to_dataframe()
