@@ -570,7 +570,15 @@ def watch() -> None:
 
 def outside(folder: Path) -> list[str]:
     """What was changed elsewhere than in the folders for output and for passing files of this process."""
-    allowed = (*(str(folder / name) for name in OUTPUT), os.devnull, "/dev/shm", "/proc/self", str(cache_root()))
+    passing_beside = (str(folder / f".{name}.") for name in OUTPUT)  # until they are complete
+    allowed = (
+        *(str(folder / name) for name in OUTPUT),
+        *passing_beside,
+        os.devnull,
+        "/dev/shm",
+        "/proc/self",
+        str(cache_root()),
+    )
     passing = re.compile(rf"{re.escape(tempfile.gettempdir())}/(tmp|\.|mmnn|matplotlib-)[^/]*(/|$)")
     found = (name for name in CHANGED if not name.startswith(allowed))
     return [name for name in found if name.startswith(str(folder)) or not passing.match(name)]
