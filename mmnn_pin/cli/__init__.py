@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return complain(BAD_INPUT, InputError("not enough memory", why=str(error), fix=fix), given)
     except Exception as error:
         why = f"{type(error).__name__}: {error}"
-        found = InputError("this should not happen", why=why, fix="--debug shows where; please report it")
+        found = InputError("internal error", why=why, fix="run it again with --debug and report what it prints")
         return complain(FAILED, found, given)
 
 
