@@ -1,6 +1,7 @@
 """TIAGo's hand draws a line and a circle in the world, base and arm together. `mmnn replay hand.h5` shows it."""
 
-from mmnn_pin import Kinematic, Loop, Timing, load
+from mmnn_pin import Loop, Timing, load
+from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.reference.hand import HandCircle, HandLine, Pieces, WholeBody, plan
 from mmnn_pin.torque.model_based import ComputedTorque
 

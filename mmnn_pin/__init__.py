@@ -30,7 +30,6 @@ if TYPE_CHECKING:  # for editors and type checkers; a test holds it against _HOM
     from .deploy.embed import embed
     from .deploy.identify.identification import identify
     from .errors import InputError
-    from .kinematic import Kinematic
     from .lab.experiments.compare import compare
     from .lab.experiments.config import load_experiment
     from .lab.experiments.runner import run_experiment
@@ -57,7 +56,6 @@ _HOME = {
     "model.robot": ("Robot",),
     "model.checks.properties": ("check",),
     "reference": ("Circle", "Eight", "Hold", "Line", "Sine", "Trajectory"),
-    "kinematic": ("Kinematic",),
     "torque.controller": ("Feedback", "TorqueController"),
     "torque.learning_law": ("LearningLaw",),
     "torque.model_based": ("PD",),
@@ -85,7 +83,6 @@ __all__ = [
     "Feedback",
     "Hold",
     "InputError",
-    "Kinematic",
     "LearningLaw",
     "Line",
     "Loop",

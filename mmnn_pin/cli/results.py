@@ -20,6 +20,7 @@ from .output import (
     compile_if_cold,
     folders_of,
     found_in,
+    look,
     named,
     open_runs,
     progress_bar,
@@ -222,13 +223,13 @@ def prove(
             recording, payload=payload, windows=windows, budget=float("inf") if every_period else BUDGET,
             region=wanted, disturbance=forces, progress=show,
         )  # fmt: skip
-    files, colour = {} if plots is None else write_proof(found.proof, plots, force), sys.stdout.isatty()
+    files = {} if plots is None else write_proof(found.proof, plots, force)
     written = {} if plots is None else {"files": named(files)}
     answer(
         as_json,
         lambda: found.to_dict() | written,
         lambda: "\n".join(
-            (render(found.proof, colour), render_certificate(found.certificate, colour), wrote(files.values()))
+            (render(found.proof, **look()), render_certificate(found.certificate, **look()), wrote(files.values()))
         ).rstrip(),
     )
     return DONE if found.holds else FAILED

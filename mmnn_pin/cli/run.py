@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import CHANGES, VARIANT, examples, shared, understanding
+from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
     FAILED,
@@ -18,6 +17,7 @@ from .output import (
     answer,
     compile_if_cold,
     interruptible,
+    look,
     named,
     progress_bar,
     warn,
@@ -48,14 +48,17 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
-@click.argument("experiment")
+@click.argument("experiment", shell_complete=experiments)
 @VARIANT
-@click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
+@click.option(
+    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
+)
 @click.option(
     "--controller",
     "controllers",
     metavar="NAME",
     multiple=True,
+    shell_complete=controllers,
     help="Only this controller, see `mmnn list`, or FILE.py:Class for one of your own; repeatable.",
 )
 @click.option(
@@ -142,7 +145,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     def text() -> str:
         remarks = [f"note: {note}" for note in notes(result)]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        return "\n".join([render(result, sys.stdout.isatty()), "", *remarks, wrote([*files, *pictures.values()])])
+        return "\n".join([render(result, **look()), "", *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
@@ -159,7 +162,7 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
     look = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
     files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {look}"
-    answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, sys.stdout.isatty())}\n\n{files}")
+    answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, **look())}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 
 
@@ -183,7 +186,7 @@ def contest_text(standing: Standing, folder: Path, pictures: list[Path]) -> str:
     """A contest as text: its tables, what failed, what to know, where the files are."""
     from ..lab.show.contest import findings, render
 
-    lines = [render(standing, colour=sys.stdout.isatty()), ""]
+    lines = [render(standing, **look()), ""]
     lines += [f"failed: {controller} on {task}: {error}" for (task, controller), error in standing.failed.items()]
     lines += [f"note: {note}" for note in findings(standing)]
     lines += [wrote([folder / "rows.json", folder / "rows.csv", *pictures])] if standing.trials else []
@@ -263,7 +266,7 @@ def list_text(there_is: dict[str, dict[str, Any]]) -> str:
         "mmnn readings chapter4 --set time.control_period=0.001 --json",
     ),
 )
-@click.argument("experiment")
+@click.argument("experiment", shell_complete=experiments)
 @VARIANT
 @CHANGES
 @shared

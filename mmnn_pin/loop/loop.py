@@ -87,6 +87,12 @@ class Loop:
         latency: How long measurements and commands are under way; gains that do not bear it are refused.
         interfaces: What motors take, by joint: "velocity" or "position", "effort" where one is not named; see `servo`.
         servo: The servos behind velocity and position interfaces.
+
+    >>> robot = load("platform_arm")
+    >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})
+    >>> run = Loop(robot, path, PD(), timing=Timing(duration=0.1)).run()
+    >>> run
+    <Recording: pd on platform_arm: completed at t = 0.1 s, 50 rows>
     """
 
     robot: Robot

@@ -121,6 +121,13 @@ class Stepper:
         ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
             controller.
         RecordingError: The recording cannot be written.
+
+    >>> from mmnn_pin.safety import Safety
+    >>> robot = load("platform_arm")
+    >>> at_rest = Measurement(np.zeros(3), np.zeros(2), q=np.zeros(2), qdot=np.zeros(2))
+    >>> with Stepper(robot, PD(), safety=Safety(torque="urdf")) as stepper:
+    ...     stepper.step(0.0, at_rest, None).motor_effort.shape
+    (4,)
     """
 
     def __init__(

@@ -95,6 +95,10 @@ def load(
         UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
         ConfigError: Something said that does not suit the robot, or a file of overrides that cannot be read.
         RobotError: The file cannot be used, the base is undecided or of a kind not supported; with the line.
+
+    >>> robot = load("platform_arm")
+    >>> robot.base.kind, robot.joint_names
+    ('differential_drive', ('arm_1_joint', 'arm_2_joint'))
     """
     overrides = Overrides(
         base=base,

@@ -44,7 +44,7 @@ class Robot(Structure):
     >>> q = robot.neutral()
     >>> robot.mass_matrix(q).shape
     (4, 4)
-    >>> robot.jacobian("arm_2_link", q).shape
+    >>> robot.jacobian("arm_tip", q).shape
     (6, 4)
     """
 

@@ -70,6 +70,13 @@ class Recording:
         complete: Whether the run closed its file itself.
         damage: What of a damaged file cannot be read, as `signals/z`, and why; empty for a sound one.
         path: The file, None for a recording in memory.
+
+    >>> robot = load("platform_arm")
+    >>> path = Trajectory.of(robot, base=Line(speed=0.3))
+    >>> file = Loop(robot, path, PD(), timing=Timing(duration=0.1)).run().save("pd.h5")
+    >>> run = Recording.open(file)
+    >>> run["z"].shape, run.labels("z"), run.errors()["x"].unit
+    ((50, 2), ('v', 'w'), 'm')
     """
 
     def __init__(

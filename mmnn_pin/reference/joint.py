@@ -45,6 +45,9 @@ class Sine(JointProfile):
         period: [s].
         offset: [rad or m].
         phase: [rad].
+
+    >>> Sine(amplitude=0.5, period=4.0, offset=0.2).sample([0.0, 1.0]).q.round(3).tolist()
+    [0.2, 0.7]
     """
 
     amplitude: float
@@ -108,7 +111,11 @@ class Sines(JointProfile):
 
 @dataclass(frozen=True)
 class Hold(JointProfile):
-    """A joint at rest at `value` [rad or m]."""
+    """A joint at rest at `value` [rad or m].
+
+    >>> Hold(0.8).sample([0.0, 1.0]).q.tolist()
+    [0.8, 0.8]
+    """
 
     value: float
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -77,7 +77,7 @@ class Table(BasePath):
         """
         found = Columns.read(file, ("t", "x", "y", "phi"))
         with found.blamed():
-            return found.table(3 if "vy" in found.values else 2)
+            return found.table(3 if "vy" in found else 2)
 
     @property
     def duration(self) -> float:
@@ -135,25 +135,26 @@ def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: i
     return Table(t, poses, velocities(t, poses, nb))
 
 
-@dataclass(frozen=True)
-class Columns:
-    """The columns of a CSV file.
+class Columns(Mapping[str, Array]):
+    """The columns of a CSV file by the names in its first line, (N,) each, read when they are asked for.
 
-    Attributes:
+    What a name has in square brackets behind it, a unit, is left out.
+
+    Args:
         file: The file.
-        values: (N,) by the name in its first line; what a heading has in square brackets, a unit, is left out.
+        heads: The names.
+        lines: Number and cells of every line that has any.
     """
 
-    file: Path
-    values: dict[str, Array]
+    def __init__(self, file: Path, heads: Sequence[str], lines: Sequence[tuple[int, Sequence[str]]]) -> None:
+        self.file, self._heads, self._lines = file, list(heads), lines
 
     @classmethod
     def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> Columns:
-        """The columns of a file; those that hold something else than numbers are left out unless they are needed.
+        """The columns of a file.
 
         Raises:
-            TrajectoryError: The file cannot be read, a column that is needed is missing or holds something else than
-                a number (with the line), or there are no rows.
+            TrajectoryError: The file cannot be read, a column that is needed is missing, or there are no rows.
         """
         file = Path(file)
         try:
@@ -164,22 +165,33 @@ class Columns:
             raise TrajectoryError("cannot be read", why=why, fix="name a CSV file", file=file) from None
         heads = [head.partition("[")[0].strip() for head in rows[0]] if rows else []
         if missing := [name for name in needed if name not in heads]:
-            fix = f"name them {', '.join(needed)} in the first line"
+            fix = f"name {', '.join(needed)} in the first line"
             raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
         lines = [(number, row) for number, row in enumerate(rows[1:], 2) if any(row)]
         if not lines:
             raise TrajectoryError("no rows", fix="give a line of numbers per time", file=file, line=1)
-        values = {}
-        for place, head in enumerate(heads):
-            with suppress(*(() if head in needed else (TrajectoryError,))):
-                values[head] = np.array([number_at(row, place, head, file, line) for line, row in lines])
-        return cls(file, values)
+        return cls(file, heads, lines)
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._heads:
+            raise KeyError(name)
+        place = self._heads.index(name)
+        return np.array([number_at(row, place, name, self.file, line) for line, row in self._lines])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._heads)
+
+    def __len__(self) -> int:
+        return len(self._heads)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._heads
 
     def table(self, nb: int) -> Table:
         """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `Table`."""
         names = ("vx", "vy", "w") if moves_sideways(nb) else ("v", "w")
-        given = np.stack([self.values[n] for n in names], axis=1) if set(names) <= set(self.values) else None
-        return table_of(self.values["t"], np.stack([self.values[n] for n in ("x", "y", "phi")], axis=1), given, nb)
+        given = np.stack([self[n] for n in names], axis=1) if set(names) <= set(self) else None
+        return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, nb)
 
     @contextmanager
     def blamed(self) -> Iterator[None]:

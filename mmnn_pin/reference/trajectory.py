@@ -173,15 +173,15 @@ class Trajectory:
         """
         found, nb = Columns.read(file), robot.dimensions.base
         names = {name: f"position.{name}" for name in robot.joint_names}
-        columns = {name: at if at in found.values else name for name, at in names.items()}
-        joints = {name: found.values[at] for name, at in columns.items() if at in found.values}
-        moves = bool(nb) and {"x", "y", "phi"} <= set(found.values)
+        columns = {name: at if at in found else name for name, at in names.items()}
+        joints = {name: found[at] for name, at in columns.items() if at in found}
+        moves = bool(nb) and {"x", "y", "phi"} <= set(found)
         if not joints and not moves:
             fix = f"name columns {', '.join(['x, y, phi'] * bool(nb) + [*names.values()])}"
             raise TrajectoryError(f"no motion of {robot.name}", fix=fix, file=file, line=1)
-        rates = {name: found.values.get(f"velocity.{name}") for name in joints}
+        rates = {name: found.get(f"velocity.{name}") for name in joints}
         with found.blamed():
-            arm = {name: JointTable(found.values["t"], at, rates[name]) for name, at in joints.items()}
+            arm = {name: JointTable(found["t"], at, rates[name]) for name, at in joints.items()}
             return cls.of(robot, found.table(nb) if moves else None, arm)
 
     @property

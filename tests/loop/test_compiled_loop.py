@@ -21,7 +21,6 @@ from mmnn_pin import (
     PD,
     Circle,
     Feedback,
-    Kinematic,
     Loop,
     Neural,
     Recording,
@@ -33,6 +32,7 @@ from mmnn_pin import (
     load,
 )
 from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop.before_run import Bounds, Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree import body

@@ -14,7 +14,6 @@ from mmnn_pin import (
     PD,
     Feedback,
     Hold,
-    Kinematic,
     Line,
     Loop,
     Neural,
@@ -27,6 +26,7 @@ from mmnn_pin import (
     load,
 )
 from mmnn_pin.errors import ConfigError, InputError, RecordingError
+from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop.before_run import Bounds, Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import build

@@ -98,6 +98,15 @@ def test_gains_that_are_given_stay() -> None:
         Feedback(1.0).vector(robot.dimensions)
 
 
+def test_a_gain_that_is_too_much_leaves_the_others_as_they_are() -> None:
+    """Else a sweep of the arm's gain would be one of the base's: it fell to a hundredth to save what nothing saves."""
+    robot = load("platform_arm")
+    alone = loop_of(robot, PD()).controller.feedback.vector(robot.dimensions)
+    beside = loop_of(robot, PD(Feedback(arm=1e3))).controller.feedback.vector(robot.dimensions)
+    np.testing.assert_array_equal(beside[:2], alone[:2])
+    assert (beside[2:] == 1e3).all()
+
+
 def test_an_experiment_has_the_gains_of_a_loop() -> None:
     experiment, robot = load_experiment("track"), load("platform_arm")
     made = experiment.controller("pd", robot=robot).feedback

@@ -88,6 +88,12 @@ def embed(
             folder exists, there is no such compiler.
         Untranslatable: Something in the controller's functions cannot be said in C.
         MmnnError: The self-test fails.
+
+    >>> robot = load("platform_arm")
+    >>> loop = Loop(robot, Trajectory.of(robot, base=Line(speed=0.3)), PD())
+    >>> made = embed(loop, "firmware", steps=20, compiler=None)
+    >>> made.controller, "selftest.c" in made.files
+    ('pd', True)
     """
     folder = Path(folder)
     require_embeddable(loop)

@@ -203,6 +203,13 @@ def identify(
         UnknownName: A torque constant of no motor.
         ConfigError: A number that cannot be.
         SolverError: The programme has no solution.
+
+    >>> robot = load("two_axis_arm")
+    >>> path = Trajectory.of(robot, arm={"arm_1_joint": Sine(0.8, 1.7), "arm_2_joint": Sine(0.9, 1.1)})
+    >>> run = Loop(robot.with_masses({"arm_2_joint": 1.3}), path, PD(), timing=Timing(duration=4.0)).run()
+    >>> found = identify(robot, run)
+    >>> found.better
+    True
     """
     given, judged = logs_of(logs, robot), logs_of(held_out, robot)
     require_settings(cutoff, stribeck, weight)

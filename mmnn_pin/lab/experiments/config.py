@@ -41,6 +41,9 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     Raises:
         UnknownName: No such experiment or variant.
         ConfigError: The file cannot be read or is not TOML, a key is unknown, a value of the wrong type or range.
+
+    >>> load_experiment("chapter4", ["time.duration=0.2"]).time.duration
+    0.2
     """
     path, texts = find(name_or_path), tuple(overrides)
     if variant is not None:

@@ -41,6 +41,10 @@ def run_experiment(
 
     Raises:
         InputError: Bad robot, reference or gains, or recordings that exist; nothing has been written then.
+
+    >>> short = load_experiment("chapter4", ["time.duration=0.1", "controllers=['pd']"])
+    >>> run_experiment(short, "chapter4")
+    <Result: pd completed>
     """
     wanted = experiment.controllers
     files = {controller: out / f"{controller}.h5" if out else None for controller in wanted}

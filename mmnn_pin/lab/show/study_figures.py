@@ -143,8 +143,9 @@ def errors_against_factors(results: Results) -> Figure:
     for row, pattern in zip(grid, chosen, strict=True):
         for axes, name in zip(row, names, strict=True):
             draw_errors(axes, results, name, pattern)
-            axes.set_xlabel(plain(titled(name, results.factors[name].unit)) if row is grid[-1] else "")
         row[0].set_ylabel(plain(titled(pattern, shown_unit(results, pattern)[1])))
+    for axes, name in zip(grid[-1], names, strict=True):
+        axes.set_xlabel(plain(titled(name, results.factors[name].unit)))
     legend(picture, results, "Errors against each factor")
     return picture
 
