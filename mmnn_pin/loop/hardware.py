@@ -171,8 +171,8 @@ class World(NamedTuple):
         wire: The force of a step.
         effects: In the order in which they add up.
         blocked: (k, 3) joints that are blocked: place in the position, start, end.
-        pick: When a payload is picked up, inf for never [s].
-        shift: (2,) the energy that came with it [J], and 1 once it did.
+        pick, drop: When a payload is picked up and put down, inf for never [s].
+        shift: (2,) the energy that came and went with it [J], and 1 once it came, 2 once it went.
     """
 
     pushes: bool
@@ -180,6 +180,7 @@ class World(NamedTuple):
     effects: tuple[Any, ...]
     blocked: Array
     pick: float
+    drop: float
     shift: Array
 
 
