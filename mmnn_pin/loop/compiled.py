@@ -107,7 +107,8 @@ class CompiledLoop:
         )
         self.counter, self.state, self.hardware = np.zeros(1, np.int64), state, hardware
         self.learner, self.limits = torque.learner, plan.context.limits
-        self.ahead, self.later = plan.lead or (None, None)
+        self.ahead = None if plan.lead is None else plan.lead.ahead
+        self.later = None if plan.lead is None else plan.lead.learner
         self.true = new_machine(plan.robot, plan.loaded, position, nu)
         uses_model = plan.controller.uses_model
         nominal = plan.believed if uses_model else plan.robot

@@ -13,12 +13,12 @@ ahead, where the reference will be. There every signal is moved as the reference
 and `psi_applied = psi_hat + share (ahead - psi_hat)` is sent, share being delta of a velocity over the largest. It is
 causal: time, measurement, and the setpoints of this sample and the last. What is added is a difference of the reference
 alone. So the errors inside nudot_ref (`K edot`, alphadot) are held, not extrapolated: psi_applied has the noise of
-psi_hat, and the loop linearised about the reference has the same feedback, to first order in delta (docs/theory.md, 7).
+psi_hat, and the loop linearised about the reference has the same feedback, to first order in delta (docs/theory.md, 8).
 """
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,8 +104,8 @@ def lead_of(
 
 def held(controller: CompiledController) -> CompiledController:
     """The controller with its weights held: asked so, it changes nothing that it remembers."""
-    learns = any(field.name == "learning" for field in fields(controller))  # type: ignore[arg-type]
-    return replace(controller, learning=False) if learns else controller  # type: ignore[call-arg]
+    learns = "learning" in controller.__dataclass_fields__  # type: ignore[attr-defined]
+    return replace(controller, learning=False) if learns else controller  # type: ignore[type-var]
 
 
 @compiled
