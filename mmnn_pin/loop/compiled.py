@@ -29,7 +29,7 @@ from ..torque import law
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.law import Ahead, MotorLimits, Packed, estimate, settle
 from .hardware import Hardware, act, is_stopped, note, rotate, send, sense
-from .lead import look_ahead
+from .lead import catch_up, look_ahead
 from .sample import Plan, after_torque, before_torque
 
 NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi", "psi_hat", "torque"))
@@ -37,7 +37,7 @@ POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
 
 
 class Numbers(NamedTuple):
-    """The numbers of a run: control period, plant step, steps per control and measurement, integrator."""
+    """The numbers of a run: periods, steps per control and measurement, integrator, age of a measurement."""
 
     h: float
     dt: float
@@ -46,6 +46,7 @@ class Numbers(NamedTuple):
     method: int
     uses_model: bool
     start_energy: float
+    age: float
 
 
 class Run(NamedTuple):
@@ -123,6 +124,7 @@ class CompiledLoop:
                 method=METHODS[timing.integrator],
                 uses_model=uses_model,
                 start_energy=start_energy(plan.robot, self.true),
+                age=plan.age,
             ),
             at=layout.offsets,
             setpoints=plan.setpoints,
@@ -233,12 +235,15 @@ def control(
 ) -> None:
     """Setpoint -> kinematic -> torque -> safety of sample k, as `sample.Control.step`."""
     n, row, at, asked = run.numbers, run.row, run.at, True
+    before = run.setpoints[max(k - 1, 0)]
+    if n.age > 0.0:
+        catch_up(row, at, run.setpoints[k], before, n.h, n.age)
     before_torque(row, at, time, run.setpoints[k], run.gains, run.K)
     if hardware is not None:
         asked = not is_stopped(hardware.supervisor.on, hardware.supervisor.state)
     if asked:
         if ahead is not None:
-            look_ahead(row, at, run.setpoints[max(k - 1, 0)], ahead)
+            look_ahead(row, at, before, ahead)
             if n.uses_model:
                 model_psi(ahead.row, at, nominal)
             if later is not None:

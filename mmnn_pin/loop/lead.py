@@ -109,6 +109,43 @@ def held(controller: CompiledController) -> CompiledController:
 
 
 @compiled
+def catch_up(row: Array, at: IntArray, setpoint: Array, before: Array, h: float, age: float) -> None:
+    """Bring a measurement up to now by what the reference has moved since it was taken, in place.
+
+    So every error is that of the measurement against the reference of its own time: the feedback is as late as ever,
+    but for no error it asks for nothing, while `q_ref(t) - q(t - age)` drives a robot that follows exactly.
+
+    Args:
+        row: (width,) row of signals with the measurement.
+        at: Offsets of the signals.
+        setpoint: Of this sample, side by side.
+        before: Of the one before.
+        h: Control period [s].
+        age: Of the measurement [s].
+    """
+    nb, n, first = at[ALPHA + 1] - at[ALPHA], at[Q + 1] - at[Q], at[POSE_REF]
+    for i in range(nb + n):
+        place = (at[ACCELERATION_REF] + i if i < nb else at[QDDOT_REF] + i - nb) - first
+        jerk = (setpoint[place] - before[place]) / h
+        faster = age * (setpoint[place] - 0.5 * age * jerk)
+        if i < nb:
+            row[at[VELOCITY] + i] += faster
+        else:
+            speed = setpoint[at[QDOT_REF] + i - nb - first]
+            row[at[QDOT] + i - nb] += faster
+            row[at[Q] + i - nb] += age * (speed - 0.5 * age * (setpoint[place] - age * jerk / 3.0))
+    if nb:
+        v, a = at[VELOCITY_REF] - first, at[ACCELERATION_REF] - first
+        half, sideways = 0.5 * age, moves_sideways(nb)
+        vx, w = setpoint[v] - half * setpoint[a], setpoint[v + nb - 1] - half * setpoint[a + nb - 1]
+        vy = setpoint[v + 1] - half * setpoint[a + 1] if sideways else 0.0
+        c, s = cos_sin(setpoint[2] - half * w)
+        row[at[POSE]] += age * (c * vx - s * vy)
+        row[at[POSE] + 1] += age * (s * vx + c * vy)
+        row[at[POSE] + 2] += age * w
+
+
+@compiled
 def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead) -> None:
     """The row of a sample as it will be where the torque acts, into `ahead.row`: the reference moves, errors stay.
 

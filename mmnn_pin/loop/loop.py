@@ -227,6 +227,7 @@ class Loop:
             lag=self.actuator.lag,
             servo=servo_gains(self.robot, self.interfaces, self.servo),
             lead=new_lead(self),
+            age=self.latency.caught_up(self.timing),
         )
 
     def require_stable_gains(self) -> None:

@@ -121,7 +121,9 @@ def new_lead(setup: Setup) -> Lead | None:
     """How the controller of a setup looks ahead; None where it does not. Errors as of `lead_of`."""
     if not setup.layout.lead:
         return None
-    return lead_of(setup.controller, setup.context(), setup.delays, setup.latency.sensing)
+    return lead_of(
+        setup.controller, setup.context(), setup.delays, setup.latency.sensing - setup.latency.caught_up(setup.timing)
+    )
 
 
 def new_streams(seed: int) -> Streams:

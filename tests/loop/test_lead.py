@@ -22,11 +22,12 @@ from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.controller import Torque
 from mmnn_pin.loop.hardware import Latency
-from mmnn_pin.loop.lead import look_ahead
+from mmnn_pin.loop.lead import catch_up, look_ahead
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sample import Control, before_torque
 from mmnn_pin.loop.stepper import Stepper
 from mmnn_pin.model.dynamics import Dynamics
+from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Eight, Sine, Trajectory
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Measurement, Setpoint
@@ -126,6 +127,35 @@ def test_ahead_the_reference_is_where_it_will_be_and_every_error_is_what_it_was(
     old = loop.trajectory.table(np.array([time + d + age]), layout)[0]
     later = Setpoint.side_by_side(old, layout)
     np.testing.assert_allclose(shift[layout.where("q")], later.q - setpoint.q, atol=400 * (d + age) * (d + age + h))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sampled_from(sorted(ROBOTS)), st.floats(0.2, 5.0), st.floats(0.001, 0.01), st.integers(0, 2**32 - 1))
+def test_a_measurement_that_is_brought_up_has_the_errors_of_its_own_time(name, time, age, seed):
+    loop, h, rng = loop_of(name, lead=False), 0.001, np.random.default_rng(seed)
+    layout, row = loop.layout, loop.layout.new_row()
+    then, before, now = loop.trajectory.table(np.array([time - age, time - h, time]), layout)
+    first = layout.where("pose_ref").start
+
+    def parts(table):
+        return np.concatenate([table[layout.where(f"{k}_ref").start - first : layout.where(f"{k}_ref").stop - first]
+                               for k in ("pose", "velocity", "q", "qdot")])  # fmt: skip
+
+    measured = row[layout.where("pose").start : layout.where("qdot").stop]
+    off = 0.01 * rng.standard_normal(measured.size)
+    measured[:] = parts(then) + off
+    catch_up(row, layout.offsets, now, before, h, age)
+    np.testing.assert_allclose(measured - parts(now), off, atol=400 * age**2 * (age + h))
+
+
+def test_known_age_of_measurements_no_longer_drives_a_robot_off_its_reference():
+    """On the reference `q_ref(t) - q(t - age)` asks for a motion by age times the speed, 4 mrad and more."""
+    late = {one: loop_of("two_axis_arm", latency=Latency(sensing=0.006, predict=one)).run() for one in (False, True)}
+    raw, caught = (np.abs(run["true_e"][run.time > 0.3]).max(axis=0) for run in late.values())
+    assert (raw > 4e-3).all() and (caught < 0.05 * raw).all()
+    slow = Timing(duration=0.1, control_period=0.002, plant_step=0.002, sensor_period=0.004)
+    with pytest.raises(ConfigError, match=r"latency.predict: error: a measurement that is not new.*predict = false"):
+        replace(loop_of("two_axis_arm", latency=Latency(sensing=0.004, predict=True)), timing=slow).plan()
 
 
 @pytest.mark.parametrize("name", LEARNERS)
@@ -245,7 +275,11 @@ def test_a_proof_takes_the_lead_out_of_the_feedback(compiled):
     assert np.abs(found["lead"]).max() > 0
 
 
-def test_facts_tell_how_far_a_run_led(compiled):
-    loop, run = compiled
+def test_a_file_tells_how_far_a_run_led_and_what_was_sent(tmp_path):
+    loop = replace(made("adaptive", "lead=true", duration=0.01), engine="ordinary")
+    loop.run(tmp_path / "run.h5")
+    run = Recording.open(tmp_path / "run.h5")
+    assert run.labels("psi_applied") == run.labels("psi_hat") == loop.robot.velocity_names
+    assert run["psi_applied"].shape == run["psi_hat"].shape
     np.testing.assert_allclose(run.meta["lead"], 0.5 * loop.timing.control_period)
     assert msgspec.json.decode(msgspec.json.encode(run.meta["lead"])) == run.meta["lead"]
