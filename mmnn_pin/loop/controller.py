@@ -17,7 +17,7 @@ from ..model.robot import Robot
 from ..model.tree.twin import Terms, terms_of
 from ..recording.recording import Outcome
 from ..settings import given_array
-from ..signals import Array, Layout, Measurement, Setpoint, VelocityCommand
+from ..signals import INDEX, Array, Layout, Measurement, Setpoint, VelocityCommand
 from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.law import estimate, limit, motor_limits, settle
@@ -90,7 +90,8 @@ def with_findings(outcome: Outcome, controller: CompiledController | TorqueContr
     return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))
 
 
-OF_MODEL = ("pose", "velocity", "q", "qdot", "nu_ref", "nudot_ref", "psi_hat")  # what Psi of a model is made of
+POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
+NU_REF, NUDOT_REF, PSI_HAT = (INDEX[name] for name in ("nu_ref", "nudot_ref", "psi_hat"))
 REGRESSORS: WeakKeyDictionary[Robot, Regressor] = WeakKeyDictionary()
 
 
@@ -175,7 +176,6 @@ class Torque:
                 believed: Robot = controller.model or nominal
                 self.model, self.arm_map = terms_of(believed), believed.arm_map()
                 self.position, self.nu = believed.neutral_position(), np.zeros(layout.dof)
-                self.of_model = tuple(layout.where(name) for name in OF_MODEL)
 
     def step(self, time: float, before: Array | None = None) -> None:
         """Write psi_hat, robust, effective_gain and torque of this sample into the row.
@@ -280,7 +280,10 @@ class Torque:
 
     def _model_psi(self, model: Terms, row: Array) -> None:
         """Psi of the nominal model at the state that a row measures, into its psi_hat."""
-        pose, velocity, q, qdot, nu_ref, nudot_ref, psi_hat = (row[part] for part in self.of_model)
+        at, psi_hat = self.at, row[self.at[PSI_HAT] : self.at[PSI_HAT + 1]]
+        pose, velocity = row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
+        q, qdot = row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]]
         as_measured(*self.arm_map, pose, velocity, q, qdot, self.position, self.nu)
         model.refresh(self.position, self.nu)
+        nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
         model.refresh_psi(nu_ref, nudot_ref, psi_hat)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 
 import msgspec
@@ -14,7 +15,7 @@ from numba import config
 from scipy.integrate import solve_ivp
 
 from mmnn_pin import load, load_experiment
-from mmnn_pin.deploy.embed.export import require_embeddable
+from mmnn_pin.deploy.embed.export import embed
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.lyapunov import powers
@@ -29,6 +30,7 @@ from mmnn_pin.loop.stepper import Stepper
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Eight, Sine, Trajectory
+from mmnn_pin.safety import Safety
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
@@ -238,8 +240,16 @@ def test_what_does_not_lead():
     assert not load_experiment("chapter4").lead and not load_experiment("chapter5").lead
     with pytest.raises(ConfigError, match=r"hidden outputs of the last call.*after_output"):
         made("two_layer", "lead=true", "learning.update=before_output").plan()
-    with pytest.raises(ConfigError, match="lead=false"):
-        require_embeddable(made("adaptive", "lead=true"))
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt-get install gcc")
+def test_the_c_source_leads_as_the_stepper_does(tmp_path):
+    """Its self-test compares every signal of the stepper's rows, `psi_applied` among them."""
+    loop = replace(loop_of("two_axis_arm"), safety=Safety(torque="urdf"))
+    made = embed(loop, tmp_path / "c", steps=40)
+    assert made.selftest_steps == 40 and "PSI_APPLIED" in "".join(
+        file.read_text() for file in (tmp_path / "c").rglob("*.h")
+    )
 
 
 def test_on_velocity_interfaces_nothing_is_sent_of_psi():

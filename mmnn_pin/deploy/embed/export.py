@@ -139,9 +139,6 @@ def require_embeddable(loop: Loop) -> None:
         raise ConfigError(
             f"an experiment with the plant '{loop.plant}'", why=why, fix="use plant = 'ideal'", key="plant"
         )
-    if loop.lead:
-        why, fix = "the C source sends Psi_hat as it is at the sample", "use lead = false: --set lead=false"
-        raise ConfigError("an experiment with lead", why=why, fix=fix, key="lead")
     body_of(loop.robot)
 
 
