@@ -49,7 +49,7 @@ if TYPE_CHECKING:  # for editors and type checkers; a test holds it against _HOM
     from .torque.model_based import PD
     from .torque.neural import Neural
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 _HOME = {
     "model.loading": ("load",),

@@ -22,7 +22,13 @@ PACKAGE = ROOT / "mmnn_pin"
 README = (ROOT / "README.md").read_text()
 PAGES = [
     ROOT / name
-    for name in ("README.md", "CONTRIBUTING.md", "docs/architecture.md", "docs/how-to.md", "docs/first-run.md")
+    for name in (
+        "README.md",
+        "CONTRIBUTING.md",
+        "docs/explanation/architecture.md",
+        "docs/how-to/index.md",
+        "docs/thesis/first-run.md",
+    )
 ]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 # Examples and wheels are slow, and say nothing more when coverage is measured on uncompiled code.
@@ -124,7 +130,7 @@ def test_every_example_is_run_by_a_test() -> None:
 def test_the_first_run_shows_the_table_that_chapter4_prints(tmp_path: Path) -> None:
     program = "from mmnn_pin.cli import main; import sys; sys.exit(main(['run', 'chapter4']))"
     printed, _, _ = python("-c", program, cwd=tmp_path).partition("\nwrote ")
-    page = (ROOT / "docs/first-run.md").read_text()
+    page = (ROOT / "docs/thesis/first-run.md").read_text()
     shown = next(block for block in blocks("text", page) if "pose x [mm]" in block)
     for real, told in zip(printed.rstrip().splitlines(), shown.rstrip().splitlines(), strict=True):
         for one, other in zip(real.split(), told.split(), strict=True):

@@ -72,7 +72,7 @@ def load(
     controllers_file: str | Path | None = None,
     mu: float | None = None,
 ) -> Robot:
-    """Load a robot. What is not said is found in the file, after `NAME.mmnn.toml` beside it (see docs/robots.md).
+    """Load a robot. What is not given comes from `NAME.mmnn.toml` beside it or is found in it (docs/how-to/robots.md).
 
     Args:
         robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF or xacro file.

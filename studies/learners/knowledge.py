@@ -3,7 +3,7 @@
 The thesis robot with friction and noise, started from nothing. Arguments are controllers and `key=value`s for the
 training run; `after=poor` goes on after the training with half a minute of a circle on which the arm hardly moves,
 `only=poor` trains on that alone, `only=rich` on the same eight with the arm shaken. `--time` tells what a sample takes
-instead. docs/learners.md has the tables.
+instead. docs/explanation/learners.md has the tables.
 
     python studies/learners/knowledge.py adaptive adaptive_composite concurrent
 """

@@ -298,8 +298,8 @@ def test_the_exact_sensor_is_the_state():
 
 
 def test_the_tables_and_commands_of_the_page_load():
-    """docs/hardware.md: every TOML block fits chapter 4, every `--set` of its commands, too."""
-    page = (ROOT / "docs/hardware.md").read_text()
+    """docs/how-to/hardware.md: every TOML block fits chapter 4, every `--set` of its commands, too."""
+    page = (ROOT / "docs/how-to/hardware.md").read_text()
     blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
     plain = msgspec.to_builtins(load_experiment("chapter4"))
     for block in blocks:

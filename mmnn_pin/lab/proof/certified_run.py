@@ -1,7 +1,7 @@
 """A run beside its certificate: what is guaranteed, what the run did, its learning rates, the thesis's own bounds.
 
-The thesis's bounds (3.44)-(3.65) are given as printed, in numbers; they are not proved (docs/theory.md, section 7). Per
-network, with the error that drives it of gain k (the smallest of its velocities), |Z*| <= ZB, |x| <= qB + c2 |s|:
+The thesis's bounds (3.44)-(3.65) are given as printed, in numbers; they are not proved (docs/explanation/theory.md,
+section 7). Per network, with the error that drives it of gain k (its smallest), |Z*| <= ZB, |x| <= qB + c2 |s|:
 
     C0 = eps_N + dB + sqrt(h) ZB        C1 = sqrt(2)/4 ZB qB        C2 = sqrt(2)/4 ZB c2
     C6 = ZB + C1/kappa      b = (C0 + kappa C6^2/4)/k      bZ = C6/2 + sqrt(C0/kappa + C6^2/4)      Kz > C2

@@ -1,4 +1,4 @@
-"""The errata of the thesis, each by a proof or a run; docs/errata.md names the tests."""
+"""The errata of the thesis, each by a proof or a run; docs/thesis/errata.md names the tests."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from mmnn_pin.torque.two_layer import numerical_rank, two_layer_update
 pytestmark = pytest.mark.lab
 
 HERE = Path(__file__)
-DOCUMENT = ROOT / "docs" / "errata.md"
+DOCUMENT = ROOT / "docs" / "thesis" / "errata.md"
 SECONDS = 0.04 if numba.config.DISABLE_JIT else 1.0
 compiled_only = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="slow in plain Python")
 

@@ -1,4 +1,4 @@
-"""One control period of robots in any directions against (A), (B), (E) of docs/theory.md: adversarial torques, held.
+"""One control period of robots in any directions against (A), (B), (E) of docs/explanation/theory.md, torques held.
 
 What runs of the certified robot cannot show, as its bounds are far above them: from states anywhere in boxes the
 errors are moved over a period by Pinocchio's dynamics, under forces and a velocity error that feed the most energy in,
