@@ -191,15 +191,16 @@ class Control:
         if self.age > 0.0:
             catch_up(self.row, self.at, setpoint, setpoint if before is None else before, self.period, self.age)
         before_torque(self.row, self.at, time, setpoint, self.gains, self.K)
-        asked = self.hardware is None or not is_stopped(self.hardware.supervisor.on, self.hardware.supervisor.state)
-        split = None if self.hardware is None else self.hardware.split
+        hardware = self.hardware
+        asked = hardware is None or not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
+        split = None if hardware is None else hardware.split
         if split is not None and asked:
             ask(self.row, self.at, split)
         if asked:
             self.torque.step(time, setpoint if before is None else before)
         if split is not None:
             answered(self.row, self.at, not asked, split)
-        if self.hardware is not None:
-            send(k, time, self.row, self.at, self.weights, self.hardware)
+        if hardware is not None:
+            send(k, time, self.row, self.at, self.weights, hardware.way)
             if asked:
                 self.torque.keep()

@@ -23,10 +23,10 @@ FIXED = (BASELINE, GRAVITY, "pid", "disturbance_observer", "nominal")  # what an
 WAYS = ("learning", "frozen")
 THESIS, ORACLE = "two_layer", "computed_torque"
 PRIOR = {
-    "kinematics": "told the kinematics, not masses and friction",
-    "form": "told the form of the equations",
-    "nothing": "told nothing but the error",
-    "nominal": "told a model with wrong masses",
+    "kinematics": "knows the kinematics, not masses and friction",
+    "form": "knows the form of the equations",
+    "nothing": "knows nothing of the robot",
+    "nominal": "knows a model with wrong masses",
 }
 Results = Callable[[str, str], list[TrialResult]]
 
