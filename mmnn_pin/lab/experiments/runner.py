@@ -286,12 +286,6 @@ def hand_notes(experiment: Experiment, robot: Robot) -> list[str]:
     return [*found, *([f"the program of the hand had no solution at {missed} samples: it braked"] if missed else [])]
 
 
-def has_hardware(experiment: Experiment) -> bool:
-    """Whether there is more between controller and robot than wires, see `hardware`."""
-    perfect = experiment.sensor.exact and experiment.actuator.perfect
-    return not perfect or experiment.safety is not None or bool(experiment.disturbances)
-
-
 @dataclass(frozen=True)
 class Improvement:
     """A learner's RMS error beside that of PD and of PD at its effective gain, in the error's unit.
