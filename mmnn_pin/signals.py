@@ -176,6 +176,10 @@ class Setpoint(View):
         q: (n,) arm joints [rad or m].
         qdot: (n,) their rates [rad/s or m/s].
         qddot: (n,) their accelerations [rad/s^2 or m/s^2].
+
+    >>> there = Setpoint(np.zeros(3), np.zeros(2), np.zeros(2), q=np.zeros(2), qdot=np.zeros(2), qddot=np.zeros(2))
+    >>> there.pose.size + there.q.size
+    5
     """
 
     suffix: ClassVar[str] = "_ref"
@@ -206,6 +210,10 @@ class Measurement(View):
         velocity: (nb,) base velocity in the control frame [m/s, rad/s].
         q: (n,) arm joints [rad or m].
         qdot: (n,) their rates [rad/s or m/s].
+
+    >>> seen = Measurement(pose=np.zeros(3), velocity=np.zeros(2), q=np.array([0.1, 0.2]), qdot=np.zeros(2))
+    >>> seen.q[1]
+    np.float64(0.2)
     """
 
     pose: Array

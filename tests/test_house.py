@@ -13,7 +13,7 @@ PACKAGE = ROOT / "mmnn_pin"
 
 # From the ground up. A module may import its own floor and those below; type-only and late imports count, too.
 FLOORS = (
-    ("ground", ("errors", "signals", "settings", "compiled", "elementary")),
+    ("ground", ("errors", "files", "signals", "settings", "deferred", "compiled", "elementary")),
     ("model", ("model",)),
     ("blocks", ("reference", "kinematic", "torque", "safety", "actuator", "disturbance", "plant", "sensing")),
     ("recording", ("recording",)),
@@ -51,9 +51,10 @@ LIBM = {
 BLAS = {"dot", "vdot", "inner", "matmul", "einsum", "linalg"}
 # Modules that hand numbers to Pinocchio, or judge: none of theirs reaches a run's motion.
 JUDGES = (
-    *("model.robot", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree", "model.base.differential"),
-    *("model.base.holonomic", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
-    *("model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite", "loop.sampled"),
+    *("model.structure", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree"),
+    *("model.base.differential", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
+    *("model.base.holonomic", "model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite"),
+    "loop.sampled",
 )
 
 

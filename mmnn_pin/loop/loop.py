@@ -87,6 +87,12 @@ class Loop:
         latency: How long measurements and commands are under way; gains that do not bear it are refused.
         interfaces: What motors take, by joint: "velocity" or "position", "effort" where one is not named; see `servo`.
         servo: The servos behind velocity and position interfaces.
+
+    >>> robot = load("platform_arm")
+    >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})
+    >>> run = Loop(robot, path, PD(), timing=Timing(duration=0.1)).run()
+    >>> run
+    <Recording: pd on platform_arm: completed at t = 0.1 s, 50 rows>
     """
 
     robot: Robot
@@ -384,16 +390,17 @@ def run_to_end(
         return Outcome("interrupted", k * h, message="stopped by Ctrl-C")
     if weights := loop.controller.weights(state):
         sink.weights(k * h, weights)
-    if engine.hardware is not None and engine.hardware.supervisor.on and engine.hardware.supervisor.state[HAS_TRIPPED]:
-        return Outcome("tripped", *trip_of(engine.hardware.supervisor.state, loop.robot))
+    supervisor = None if engine.hardware is None else engine.hardware.way.supervisor
+    if supervisor is not None and supervisor.on and supervisor.state[HAS_TRIPPED]:
+        return Outcome("tripped", *trip_of(supervisor.state, loop.robot))
     return Outcome("completed", samples * h)
 
 
 def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
     """An outcome whose message also tells what supervisor and plant saw."""
     found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
-    if engine.hardware is not None and engine.hardware.supervisor.on:
-        found = remarks(engine.hardware.supervisor.state, robot, outcome.status) + found
+    if engine.hardware is not None and engine.hardware.way.supervisor.on:
+        found = remarks(engine.hardware.way.supervisor.state, robot, outcome.status) + found
     return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
 
 

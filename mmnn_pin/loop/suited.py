@@ -139,6 +139,8 @@ def fit(robot: Robot, feedback: Feedback, given: Given) -> Fit:
         if all(margin_at(one, k, h, True) >= given.delay for one in loops):
             break
         share *= LESS
+    else:  # a gain that was given is too much; the others are what they would be beside none
+        return Fit(inertia, fit(robot, Feedback(), given).share if feedback != Feedback() else share)
     return Fit(inertia, share)
 
 

@@ -1,4 +1,4 @@
-"""docs/contest.md: a contest as smallest, median and largest numbers, and the text that shows them."""
+"""docs/explanation/contest.md: a contest as smallest, median and largest numbers, and the text that shows them."""
 
 from __future__ import annotations
 
@@ -102,4 +102,4 @@ def findings(standing: Standing, task: str) -> dict[str, list[str]]:
     return {name: list(rows[0].findings) for name in standing.controllers if (rows := standing.of(task, name))}
 
 
-DOCUMENT = Document("contest", SUMMARY, render)
+DOCUMENT = Document("explanation/contest", SUMMARY, render)

@@ -18,22 +18,10 @@ from numba import config
 from robots import fixed_arm, mobile_arm, robot_of
 from test_safety import heavy_arm
 
-from mmnn_pin import (
-    PD,
-    Feedback,
-    Hold,
-    Line,
-    Loop,
-    Sine,
-    Start,
-    Timing,
-    TorqueController,
-    Trajectory,
-    load,
-    load_experiment,
-)
+from mmnn_pin import PD, Feedback, Hold, Line, Loop, Sine, Timing, TorqueController, Trajectory, load, load_experiment
 from mmnn_pin.disturbance import Block, Commands, DeadMotor, Forces, Frozen, Messages, Payload, Push, pushes
 from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import carrying
 from mmnn_pin.sensing import Sensor

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from ...errors import InputError, RecordingError
+from ...files import DEEP, is_deep, locked, whole_file
 from ...settings import finite, plain
 from ..experiments.config import without_null
 from ..experiments.contest import Contest
@@ -72,9 +73,12 @@ def run_contest(
         {t.name: AboutTask(t.title, t.experiment.controllers, demands[t.name]) for t in tasks},
         notes,
     )
-    if out is not None:
-        write(out / ABOUT, msgspec.json.encode(about if force else about.after(read_about(out))))
-    failed, interrupted = run_missing(store, todo, tuple(experiment.laws), workers, progress)
+    with locked(out / RESULTS, "contest") if out is not None else nullcontext():
+        if out is not None:
+            store = Store(out) if force else Store.opened(out)  # another process may have gone on meanwhile
+            todo = [entry for entry in plan if not is_done(store, entry)]
+            write(out / ABOUT, msgspec.json.encode(about if force else about.after(read_about(out))))
+        failed, interrupted = run_missing(store, todo, tuple(experiment.laws), workers, progress)
     trials = {entry.key: store.trials[entry.label] for entry in plan if entry.label in store.trials}
     missing = tuple(entry.label for entry in plan if entry.key not in trials and entry.key not in failed)
     titles = {task.name: task.title for task in tasks}
@@ -218,7 +222,7 @@ class Store:
             return cls(folder)
         try:
             return cls(folder, msgspec.json.decode(file.read_bytes(), type=dict[str, Trial]))
-        except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise RecordingError(
                 "not a file of rows",
                 why=str(error),
@@ -308,8 +312,11 @@ def read_about(folder: Path) -> About | None:
     if not file.exists():
         return None
     try:
-        return msgspec.json.decode(file.read_bytes(), type=About)
-    except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        about = msgspec.json.decode(file.read_bytes(), type=About)
+        if is_deep(about.experiment):
+            raise ValueError(DEEP)
+        return about
+    except (OSError, ValueError, RecursionError) as error:  # msgspec's are values, too
         raise broken(folder, error) from error
 
 
@@ -329,10 +336,5 @@ def write(path: Path, content: bytes) -> None:
     Raises:
         RecordingError: It cannot be written.
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path, "contest") as part:
         part.write_bytes(content)
-        os.replace(part, path)
-    except OSError as error:
-        raise RecordingError("cannot be written", why=error.strerror or str(error), file=path) from error

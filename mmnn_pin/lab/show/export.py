@@ -16,11 +16,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...errors import RecordingError, UnknownName
+from ...files import whole_file
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
 from ..study.results import Results
 from .curves import column_units
-from .files import atomic_file, require_free
 
 T = TypeVar("T")
 STUDY_FACTS = (
@@ -50,10 +50,9 @@ class Column:
 def columns_of(recording: Recording) -> Iterator[Column]:
     """All columns of all signals, the time first."""
     for signal in recording:
-        labels, units = recording.labels(signal), column_units(recording, signal)
-        for label, unit, values in zip(labels, units, as_columns(recording[signal]).T, strict=True):
-            own = label == signal or label.startswith(f"{signal}[")
-            yield Column(label if own else f"{signal}.{label}", unit, values)
+        names, units = recording.column_names(signal), column_units(recording, signal)
+        for name, unit, values in zip(names, units, as_columns(recording[signal]).T, strict=True):
+            yield Column(name, unit, values)
 
 
 def about(recording: Recording) -> dict[str, Any]:
@@ -150,8 +149,7 @@ def write_as(
     """Write something in one of its formats; errors as in `export`."""
     if to not in formats:
         raise UnknownName(what, to, formats)
-    require_free(path, force)
-    with atomic_file(path, "export") as part:
+    with whole_file(path, "file", force) as part:
         try:
             formats[to](content, part)
         except ModuleNotFoundError as error:

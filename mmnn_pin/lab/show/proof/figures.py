@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ....errors import RecordingError
+from ....files import require_free
 from ....recording.recording import Recording
 from ....signals import Array
 from ...experiments.controllers import ORACLES
@@ -33,7 +34,6 @@ from ..figure import (
     styles_of,
     write_figures,
 )
-from ..files import require_free
 from ..plots import Curves, stacked
 
 if TYPE_CHECKING:
@@ -347,4 +347,4 @@ def write_proof(proof: Proof, folder: Path, force: bool = False) -> dict[str, Pa
     keep(proof)
     for name in FIGURES["proof"]:
         require_free(folder / f"{name}.png", force)
-    return write_figures(FIGURES["proof"], {proof.subject.controller: proof.subject.recording}, folder)
+    return write_figures(FIGURES["proof"], {proof.subject.controller: proof.subject.recording}, folder, force)
