@@ -11,7 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mmnn_pin import Recording, load_experiment, simulate_many
+from mmnn_pin import Recording, load_experiment
+from mmnn_pin.loop.batch import simulate_many
 
 SHORT = ["time.duration=1.0"]
 

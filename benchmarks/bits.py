@@ -105,7 +105,7 @@ def resumed(digest: Hash, duration: float) -> None:
 
 def batch(digest: Hash, duration: float) -> None:
     """Runs with other masses and seeds, on all cores."""
-    from mmnn_pin import simulate_many
+    from mmnn_pin.loop.batch import simulate_many
 
     loop = loop_of(duration, "two_layer")
     loops = [replace(loop, robot=loop.robot.with_masses({"root": 0.5 + 0.2 * i}), seed=i) for i in range(4)]
@@ -196,7 +196,8 @@ def references(digest: Hash, duration: float) -> None:
     """Paths of the base and profiles of joints, as tables."""
     import numpy as np
 
-    from mmnn_pin import Circle, Eight, Line, MinimumJerk, Sine, Waypoints
+    from mmnn_pin import Circle, Eight, Line, Sine
+    from mmnn_pin.reference import MinimumJerk, Waypoints
     from mmnn_pin.reference.holonomic import Holonomic
 
     t, corners = np.linspace(0.0, 20.0, 5001), ((0.0, 0.0), (4.0, 0.3), (4.5, 4.0), (0.3, 3.0))

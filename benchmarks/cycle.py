@@ -21,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin import BaseVelocity, JointGoal, Loop, Stepper, load_experiment
+from mmnn_pin import Loop, Stepper, load_experiment
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.plant.ideal import IdealPlant
+from mmnn_pin.reference.wishes import BaseVelocity, JointGoal
 from mmnn_pin.signals import Measurement, Setpoint
 
 TASK = Path(__file__).parents[1] / "examples/udp/task.toml"

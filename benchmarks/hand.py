@@ -17,7 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin import HandCircle, HandLine, Pieces, Task, WholeBody, load
+from mmnn_pin import load
+from mmnn_pin.reference.hand import HandCircle, HandLine, Pieces, Task, WholeBody
 
 H = 0.002
 START = np.array([0.4, 1.0])

@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin import Identification, identify, load
-from mmnn_pin.deploy.identify.identification import MODELS, together
+from mmnn_pin import identify, load
+from mmnn_pin.deploy.identify.identification import MODELS, Identification, together
 from mmnn_pin.deploy.identify.reading import read_logs
 
 # Gear ratio times motor constant [N m / A], of the data's own script (examples/tiago/identification.py).

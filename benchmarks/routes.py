@@ -18,7 +18,8 @@ import numpy as np
 from worker import Prepare, serve
 from workload import arm_loop, chain, find_tiago, peer_work, thesis_loop
 
-from mmnn_pin import Loop, load, simulate_many
+from mmnn_pin import Loop, load
+from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.recording.recorder import Recorder
 
 Timed = Callable[[], dict[str, Any]]

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin import Feedback, Line, Loop, Neural, Robot, Robust, Sine, Timing, Trajectory, TwoLayer, load
+from mmnn_pin import Feedback, Line, Loop, Neural, Robot, Sine, Timing, Trajectory, load
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array
+from mmnn_pin.torque.neural import Robust
+from mmnn_pin.torque.two_layer import TwoLayer
 
 PERIOD = 0.001  # [s] of plant and control
 THESIS = "platform_arm"

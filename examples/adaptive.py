@@ -2,7 +2,10 @@
 
 import numpy as np
 
-from mmnn_pin import Adaptive, Circle, ComputedTorque, Eight, Feedback, Loop, Regressor, Sine, Timing, Trajectory, load
+from mmnn_pin import Circle, Eight, Feedback, Loop, Sine, Timing, Trajectory, load
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.torque.adaptive import Adaptive
+from mmnn_pin.torque.model_based import ComputedTorque
 
 robot = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
 regressor, gains = Regressor.of(robot), Feedback(500.0, 30.0)
@@ -10,9 +13,8 @@ regressor, gains = Regressor.of(robot), Feedback(500.0, 30.0)
 
 def loop(controller, base, periods, duration):
     """A closed loop on the thesis robot with friction."""
-    arm = [Sine(amplitude=0.785, period=period, phase=np.pi / 2) for period in periods]
-    timing = Timing(duration=duration, control_period=0.002, plant_step=0.002, integrator="implicit_friction")
-    return Loop(robot, Trajectory(base=base, arm=arm), controller, timing=timing)
+    motion = Trajectory(base, arm=[Sine(0.785, period, phase=np.pi / 2) for period in periods])
+    return Loop(robot, motion, controller, timing=Timing(duration, 0.002, 0.002, integrator="implicit_friction"))
 
 
 def unexplained(theta, run):
@@ -30,11 +32,9 @@ HELD_OUT = {
     "eight": (Eight(length=1.5, width=0.75, period=9.2, ramp=1.0), (3.1, 2.3)),
     "circle": (Circle(radius=0.7, speed=0.5, ramp=1.0), (3.1, 2.3)),
 }
-
 if __name__ == "__main__":
     truth = {name: loop(ComputedTorque(gains), *motion, 10.0).run() for name, motion in HELD_OUT.items()}
     for name, motion in TRAINING.items():
         learned = loop(Adaptive(regressor, gains), *motion, 48.0).run()
-        theta = learned.weights["theta"][-1]
-        frozen = "  ".join(f"{held} {unexplained(theta, run).mean():.4f}" for held, run in truth.items())
-        print(f"{name:20} FVU frozen, held out: {frozen}   {learned.outcome.message}")
+        left = [f"{held} {unexplained(learned.weights['theta'][-1], run).mean():.4f}" for held, run in truth.items()]
+        print(f"{name:20} FVU frozen, held out:", *left, learned.outcome.message)

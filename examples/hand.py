@@ -1,7 +1,9 @@
 """TIAGo's hand draws a line and a circle in the world, base and arm together. `mmnn replay hand.h5` shows it."""
 
-from mmnn_pin import ComputedTorque, HandCircle, HandLine, Kinematic, Loop, Pieces, Timing, WholeBody, load
-from mmnn_pin.reference.hand import plan
+from mmnn_pin import Loop, Timing, load
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.reference.hand import HandCircle, HandLine, Pieces, WholeBody, plan
+from mmnn_pin.torque.model_based import ComputedTorque
 
 robot = load("tiago")
 timing = Timing(duration=8.0, control_period=0.002, plant_step=0.002, integrator="implicit_friction")

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from mmnn_pin import PD, Feedback, Hold, Line, Loop, Sine, Start, Timing, TorqueController, Trajectory, load
+from mmnn_pin import PD, Feedback, Hold, Line, Loop, Sine, Timing, TorqueController, Trajectory, load
+from mmnn_pin.loop.before_run import Start
 
 
 class PID(TorqueController):

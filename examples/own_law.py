@@ -6,7 +6,8 @@ mmnn prove runs/track/LeastSquares.h5 --law examples/own_law.py
 
 import numpy as np
 
-from mmnn_pin import ControllerState, LearningLaw
+from mmnn_pin import LearningLaw
+from mmnn_pin.torque.controller import ControllerState
 
 
 class LeastSquares(LearningLaw):

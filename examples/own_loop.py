@@ -2,8 +2,10 @@
 
 import numpy as np
 
-from mmnn_pin import PD, BaseVelocity, Feedback, JointGoal, Measurement, Safety, Stepper, load
+from mmnn_pin import PD, Feedback, Measurement, Stepper, load
 from mmnn_pin.plant.ideal import IdealPlant
+from mmnn_pin.reference.wishes import BaseVelocity, JointGoal
+from mmnn_pin.safety import Safety
 
 
 class Driver:

@@ -25,6 +25,12 @@ class InputError(MmnnError):
         file: File the input came from.
         line: Line in that file, counted from 1.
         key: Key path inside a config, e.g. `time.control_period`.
+
+    >>> try:
+    ...     load("platform_arm").gravity([0.0, 0.0])
+    ... except InputError as error:
+    ...     print(error)
+    q: error: 2 numbers where platform_arm has 5: give x, y, phi, arm_1_joint, arm_2_joint
     """
 
     def __init__(

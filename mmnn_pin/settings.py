@@ -237,6 +237,9 @@ class Timing(Settings, frozen=True):
 
     Raises:
         ConfigError: A period is not positive and finite, or the plant step does not divide the others.
+
+    >>> Timing(duration=2.0, control_period=0.005, plant_step=0.001).samples
+    400
     """
 
     duration: float = 5.0

@@ -50,7 +50,7 @@ class Document:
     """A document of docs/ and the summary that it is made from.
 
     Attributes:
-        name: Of the document, without its ending.
+        name: Of the document in docs/, with its folder and without its ending.
         summary: Where the summary is kept.
         render: Makes the text of a summary.
     """
@@ -64,7 +64,7 @@ class Document:
         shutil.copyfile(out / "summary.json", self.summary)
         self.write()
         (DOCS / "figures").mkdir(exist_ok=True)
-        for name in re.findall(r"\(figures/([^)]+)\)", (DOCS / f"{self.name}.md").read_text(encoding="utf-8")):
+        for name in re.findall(r"\(\.\./figures/([^)]+)\)", (DOCS / f"{self.name}.md").read_text(encoding="utf-8")):
             shutil.copyfile(out / "figures" / name, DOCS / "figures" / name)
 
     def write(self) -> None:
@@ -75,7 +75,7 @@ class Document:
     def save(self, summary: dict[str, Any], out: Path, publish: bool) -> None:
         """Write a summary and its document to a folder, and publish them if asked to."""
         (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-        (out / f"{self.name}.md").write_text(self.render(summary), encoding="utf-8")
+        (out / f"{Path(self.name).name}.md").write_text(self.render(summary), encoding="utf-8")
         if publish:
             self.publish(out)
 

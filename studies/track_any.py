@@ -3,7 +3,7 @@
     python -m studies.track_any [ROBOT...] [--joints] [--set KEY=VALUE]
 
 ROBOT is a name or a path, none for all of `mmnn list`. A run has `LAPS` periods of the arm's swing, however slow the
-reference is on that robot. It prints the tables of docs/tracking.md.
+reference is on that robot. It prints the tables of docs/how-to/tracking.md.
 """
 
 from __future__ import annotations

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mmnn_pin import PD, Circle, Feedback, Loop, Sine, Start, Timing, Trajectory, load
+from mmnn_pin import PD, Circle, Feedback, Loop, Sine, Timing, Trajectory, load
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording

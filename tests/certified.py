@@ -6,14 +6,17 @@ from functools import cache
 
 import numpy as np
 
-from mmnn_pin import Feedback, Hold, Line, Loop, Neural, Robust, Sine, Start, Timing, Trajectory, TwoLayer, load
+from mmnn_pin import Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop
 from mmnn_pin.lab.proof.learner import Networks
 from mmnn_pin.lab.proof.motion_bound import Along
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.controller import Context
+from mmnn_pin.torque.neural import Robust
+from mmnn_pin.torque.two_layer import TwoLayer
 
 PERIOD = 2e-4
 DIAGONAL = np.array([115.0, 9.9, 1.7, 0.21])  # of the mass matrix, about

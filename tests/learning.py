@@ -8,7 +8,8 @@ import msgspec
 import numpy as np
 from numba import config
 
-from mmnn_pin import load_experiment, simulate_many
+from mmnn_pin import load_experiment
+from mmnn_pin.loop.batch import simulate_many
 
 COMMON = ["friction.coulomb=0.5", "time.plant_step=0.002", "time.integrator=implicit_friction", "weights_interval=0.01"]
 SHORT = 0.02 if config.DISABLE_JIT else 0.4

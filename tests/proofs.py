@@ -9,12 +9,16 @@ from numba import config
 from robots import feedback, fixed_arm, mobile_arm
 from test_holonomic import PATHS, mecanum
 
-from mmnn_pin import PD, Hold, Loop, Neural, OneLayer, Robust, Sine, Start, Timing, Trajectory, TwoLayer
+from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Holonomic
+from mmnn_pin.torque.neural import Robust
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 KINDS = ("differential", "holonomic", "fixed")
 MAKE = {"differential": mobile_arm, "holonomic": mecanum, "fixed": fixed_arm}

@@ -90,7 +90,7 @@ def verdict(words: list[str]) -> tuple[int, str]:
     told = err.getvalue()
     if code not in (0, 1, 2, 130):
         return code, f"exit code {code}"
-    if "this should not happen" in told or "Traceback" in told:
+    if "internal error" in told or "Traceback" in told:
         return code, told
     if code == 2 and "error: " not in told:
         return code, f"no error told: {told}"

@@ -51,9 +51,10 @@ LIBM = {
 BLAS = {"dot", "vdot", "inner", "matmul", "einsum", "linalg"}
 # Modules that hand numbers to Pinocchio, or judge: none of theirs reaches a run's motion.
 JUDGES = (
-    *("model.robot", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree", "model.base.differential"),
-    *("model.base.holonomic", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
-    *("model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite", "loop.sampled"),
+    *("model.structure", "model.dynamics", "model.checks", "model.regressor", "model.tree.tree"),
+    *("model.base.differential", "model.base.wheels", "model.base.understanding", "model.urdf.document"),
+    *("model.base.holonomic", "model.urdf.mechanism", "plant.contact.tree", "torque.two_layer_composite"),
+    "loop.sampled",
 )
 
 

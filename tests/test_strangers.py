@@ -85,7 +85,7 @@ def test_a_name_that_no_file_can_have_is_one_line(tmp_path, monkeypatch, capsys)
     for command in ("study {}", "plot {}", "readings {}", "run {}", "plot x.h5 --out {}/a.png"):
         assert main(command.format("a" * 300).split()) == 2
         said = capsys.readouterr().err
-        assert said.count("\n") == 1 and "this should not happen" not in said, said
+        assert said.count("\n") == 1 and "internal error" not in said, said
 
 
 # -- a study's database ------------------------------------------------------------------------------------------------

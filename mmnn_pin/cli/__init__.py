@@ -34,12 +34,14 @@ for _library in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THRE
 class Commands(click.Group):
     """The commands by name."""
 
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """A command.
 
         Raises:
             UnknownName: There is none of that name.
         """
+        if cmd_name not in self.commands and ctx.resilient_parsing:  # a shell completes
+            return None
         if cmd_name not in self.commands:
             raise UnknownName("command", cmd_name, self.commands)
         return self.commands[cmd_name]
@@ -61,6 +63,8 @@ class Commands(click.Group):
 @click.pass_context
 def mmnn(context: click.Context) -> None:
     """Controllers that learn the dynamics of mobile manipulators, checked against Pinocchio.
+
+    A shell completes names and keys after: eval "$(_MMNN_COMPLETE=bash_source mmnn)" (or zsh_source, fish_source).
 
     Every command takes --json, --debug and --help. Exit codes: 0 done, 1 a run failed or diverged, 2 bad input,
     130 stopped by Ctrl-C.
@@ -112,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def unexpected(error: Exception) -> InputError:
     """A fault of ours."""
     why = f"{type(error).__name__}: {error}"
-    return InputError("this should not happen", why=why, fix="--debug shows where; please report it")
+    return InputError("internal error", why=why, fix="run it again with --debug and report what it prints")
 
 
 def usage_error(error: click.ClickException) -> InputError:

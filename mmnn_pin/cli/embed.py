@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import CHANGES, VARIANT, examples, shared, understanding
+from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
 from .output import DONE, FAILED, answer
 from .run import about_robot, in_toml
 
@@ -26,10 +26,14 @@ if TYPE_CHECKING:
         "mmnn embed track --controller adaptive --out firmware --plant qemu",
     ),
 )
-@click.argument("experiment")
+@click.argument("experiment", shell_complete=experiments)
 @VARIANT
-@click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
-@click.option("--controller", metavar="NAME", required=True, help="The controller, see `mmnn list`.")
+@click.option(
+    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
+)
+@click.option(
+    "--controller", metavar="NAME", required=True, shell_complete=controllers, help="The controller, see `mmnn list`."
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="Folder for the files.")
 @click.option("--force", is_flag=True, help="Write into a folder that exists.")
 @click.option("--single", is_flag=True, help="Numbers of 32 bits: not the bits of Python; the self-test says how far.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..files import require_free
-from .options import FORCE, examples, numbers, shared, understanding
+from .options import FORCE, examples, numbers, robots, shared, understanding
 from .output import DONE, FAILED, answer, named, warn, wrote
 
 if TYPE_CHECKING:
@@ -34,7 +34,12 @@ HEADERS = (
     ),
 )
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--robot", required=True, help="A bundled name, a name of example-robot-data, or a URDF file.")
+@click.option(
+    "--robot",
+    required=True,
+    shell_complete=robots,
+    help="A bundled name, a name of example-robot-data, or a URDF file.",
+)
 @click.option(
     "--out",
     default=Path("identified"),
@@ -142,7 +147,7 @@ def carried(
         "mmnn excite tiago --space 0.5 --seconds 60 --json               what it would determine",
     ),
 )
-@click.argument("robot")
+@click.argument("robot", shell_complete=robots)
 @click.option("--out", type=click.Path(path_type=Path), default=Path("excitation.csv"), show_default=True, help="CSV.")
 @click.option("--duration", type=float, default=40.0, show_default=True, metavar="S", help="Of the motion.")
 @click.option("--space", type=float, default=1.0, show_default=True, metavar="M", help="The base's way, either side.")
@@ -169,7 +174,7 @@ def excite(
     """Find a motion of ROBOT within its limits that tells most of its inertias and friction, and write it as CSV.
 
     It starts and ends at rest. The table has t, for a base x, y, phi, v, w, and position.JOINT, velocity.JOINT,
-    acceleration.JOINT at 100 rows per second. What it would determine is told before anything moves: predicted standard
+    acceleration.JOINT at 100 rows per second. What it would determine is printed first: predicted standard
     deviations of the base parameters, for noise of 2 % of each motor's limit.
     """
     from ..deploy.identify import excitation

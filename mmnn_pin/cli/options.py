@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
+from click.shell_completion import CompletionItem
 
 from ..errors import ConfigError
 
 F = TypeVar("F", bound=Callable[..., Any])
+PACKAGE = Path(__file__).parent.parent
 
 
 def shared(function: F) -> F:
@@ -68,10 +70,56 @@ def with_all(options: Sequence[Callable[[F], F]], function: F) -> F:
     return functools.reduce(lambda made, option: option(made), reversed(options), function)
 
 
+# -- what a shell completes; imported is only what a press of the key needs --
+
+
+def starting(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    """The names that begin with what is typed, and files where none does."""
+    found = [CompletionItem(name) for name in sorted(names) if name.startswith(incomplete)]
+    return found or [CompletionItem(incomplete, type="file")]
+
+
+def experiments(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Bundled experiments, or a file."""
+    files = (PACKAGE / "lab/experiments").glob("*.toml")
+    return starting((file.stem for file in files if "." not in file.stem), incomplete)
+
+
+def robots(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Bundled robots and those of example-robot-data, or a file."""
+    from ..model.robots import bundled, extra
+
+    return starting(bundled() | extra(), incomplete)
+
+
+def controllers(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Controllers of the package, or a file with one."""
+    from ..torque import CONTROLLERS
+
+    return starting(CONTROLLERS, incomplete)
+
+
+def keys(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Keys of an experiment, a table after the other; nothing after the equals sign."""
+    from ..lab.experiments.config import keys_of, kind_at
+
+    if "=" in incomplete:
+        return []
+    above, dot, _ = incomplete.rpartition(".")
+    paths = [f"{above}{dot}{key}" for key in keys_of(kind_at(above or None))]
+    ends = {path: "." if keys_of(kind_at(path)) else "=" for path in paths if path.startswith(incomplete)}
+    return [CompletionItem(f"{path}{end}") for path, end in ends.items()]
+
+
 FORCE = click.option("--force", is_flag=True, help="Replace existing files.")
 VARIANT = click.option("--variant", metavar="NAME", help="A variant, see `mmnn list`.  [default: the first]")
 CHANGES = click.option(
-    "--set", "settings", metavar="KEY=VALUE", multiple=True, help="Change a key of the TOML; repeatable."
+    "--set",
+    "settings",
+    metavar="KEY=VALUE",
+    multiple=True,
+    shell_complete=keys,
+    help="Change a key of the TOML; repeatable.",
 )
 PACKAGE_DIRS = click.option(
     "--package-dir", "package_dirs", metavar="DIR", multiple=True, help="Where package:// meshes are; repeatable."
@@ -84,7 +132,7 @@ STUDY_OPTIONS: tuple[Callable[[F], F], ...] = (
         "--cluster",
         metavar="ADDRESS",
         help="Run on the Dask cluster of this scheduler, which can run any program here: name only one that you trust,"
-        " best by TLS (tls://...); see docs/cluster.md.",
+        " best by TLS (tls://...); see docs/how-to/cluster.md.",
     ),
     CHANGES,
     click.option("--out", type=click.Path(path_type=Path), help="Folder for the database.  [default: runs/STUDY]"),

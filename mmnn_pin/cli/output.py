@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 DONE, FAILED, BAD_INPUT, STOPPED = 0, 1, 2, 130
+EVERY = 10.0  # between two lines of progress [s]
+NARROW, WIDE = 40, 200  # columns of a terminal that tables are made for, at least and at most
 STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.identified.json"  # their files
 
 
@@ -43,6 +47,13 @@ def say(text: str) -> None:
         if not isinstance(error, BrokenPipeError):
             fix = way_out(error)
             raise InputError("standard output cannot be written", why=reason(error), fix=fix) from error
+
+
+def look() -> dict[str, Any]:
+    """How text for standard output looks: in colours and as wide as the terminal, else plain and as wide as it is."""
+    if not sys.stdout.isatty():
+        return {}
+    return {"colour": True, "width": min(max(shutil.get_terminal_size().columns, NARROW), WIDE)}
 
 
 def printable(text: str) -> str:
@@ -91,11 +102,30 @@ def compile_if_cold(hardware: bool = False) -> None:
             announced.touch()
 
 
+class Lines:
+    """Progress where no terminal is, such as a log: a line on standard error every 10 s.
+
+    Args:
+        now: The clock [s].
+    """
+
+    def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
+        self._now, self._start = now, now()
+        self._next = self._start + EVERY
+
+    def show(self, text: Callable[[], str]) -> None:
+        """Print a line, if the last one is 10 s old."""
+        if (here := self._now()) >= self._next:
+            self._next = here + EVERY
+            click.echo(f"{text()}, after {here - self._start:.0f} s", err=True)
+
+
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Shows how far each controller's run is, on standard error and only where that is a terminal."""
+    """Shows how far each controller's run is, on standard error: bars on a terminal, else a line now and then."""
     if not sys.stderr.isatty():
-        yield lambda controller, fraction: None
+        lines = Lines()
+        yield lambda controller, fraction: lines.show(lambda: f"{controller}: {100 * fraction:.0f} %")
         return
     from rich.console import Console
     from rich.progress import Progress
@@ -112,9 +142,10 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 
 @contextmanager
 def counter(what: str, total: int, done: int = 0) -> Iterator[Callable[[int, str], None]]:
-    """Shows how many of something are done, with a text behind, on standard error and only where that is a terminal."""
+    """Shows how many of something are done, with a text behind, as `progress_bar` does."""
     if not sys.stderr.isatty():
-        yield lambda done, text: None
+        lines = Lines()
+        yield lambda done, text: lines.show(lambda: f"{done} of {total} {what}  {text}".rstrip())
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from ..errors import ConfigError, InputError, RecordingError
+from ..errors import ConfigError, RecordingError
 from ..files import require_free
 from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
 from .output import (
@@ -21,6 +21,7 @@ from .output import (
     compile_if_cold,
     folders_of,
     found_in,
+    look,
     named,
     open_runs,
     progress_bar,
@@ -177,7 +178,7 @@ def pictures(out: Path, whats: tuple[str, ...]) -> dict[str, Path]:
     metavar="SIZE=VALUE",
     multiple=True,
     help="Certify errors within these sizes, not the largest region that is found; give all of them: pose=M, the "
-    "base's pose error; arm=SIZE, the arm's errors; energy=J, s'Ms/2 (docs/theory.md); repeatable.",
+    "base's pose error; arm=SIZE, the arm's errors; energy=J, s'Ms/2 (docs/explanation/theory.md); repeatable.",
 )
 @click.option(
     "--disturbance",
@@ -206,12 +207,11 @@ def prove(
     trajectory, on one held out, and with a payload; shares of the torque; ranks and excitation of the networks; ideal
     weights by an offline fit. Lyapunov function: V, its derivative term by term, when and why it grows. Equality: the
     energy of the errors over every control period. Certificate: a region that the loop provably never leaves, the bound
-    that it ends up in, conditions and constants, a condition on the learning rates (docs/theory.md). Exit code 1 when
-    the equality or the certificate is violated.
+    that it ends up in, conditions and constants, a condition on the learning rates (docs/explanation/theory.md). Exit
+    code 1 when the equality or the certificate is violated.
     """
     from ..lab.proof.balance import BUDGET
-    from ..lab.proof.certified_run import certified_run
-    from ..lab.proof.proof import Proof, sentence
+    from ..lab.proof.certified_run import prove as judge
     from ..lab.show.proof.figures import write_proof
     from ..lab.show.proof.text import render, render_certificate
 
@@ -219,22 +219,20 @@ def prove(
     recording = one_run(run)
     compile_if_cold()
     with progress_bar() as show:
-        budget = float("inf") if every_period else BUDGET
-        proof = Proof(recording, payload=payload, windows=windows, budget=budget, progress=show)
-        missing = proof.missing
-    if len(missing) == 4:
-        raise InputError("nothing to judge", why="; ".join(map(sentence, missing.values())), file=run)
-    certified, colour = certified_run(proof, wanted, forces), sys.stdout.isatty()
-    files = {} if plots is None else write_proof(proof, plots, force)
+        found = judge(
+            recording, payload=payload, windows=windows, budget=float("inf") if every_period else BUDGET,
+            region=wanted, disturbance=forces, progress=show,
+        )  # fmt: skip
+    files = {} if plots is None else write_proof(found.proof, plots, force)
     written = {} if plots is None else {"files": named(files)}
     answer(
         as_json,
-        lambda: proof.to_dict() | {"certificate": certified.to_dict()} | written,
+        lambda: found.to_dict() | written,
         lambda: "\n".join(
-            (render(proof, colour), render_certificate(certified, colour), wrote(files.values()))
+            (render(found.proof, **look()), render_certificate(found.certificate, **look()), wrote(files.values()))
         ).rstrip(),
     )
-    return DONE if proof.holds and certified.holds else FAILED
+    return DONE if found.holds else FAILED
 
 
 def one_run(path: Path) -> Recording:

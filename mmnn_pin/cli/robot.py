@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from ..errors import RobotError
-from .options import examples, shared, understanding
+from .options import examples, robots, shared, understanding
 from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar
 
 
@@ -21,7 +21,7 @@ from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar
         "mmnn check tiago --json",
     ),
 )
-@click.argument("robot")
+@click.argument("robot", shell_complete=robots)
 @click.option("--samples", type=click.IntRange(1, 1_000_000), default=100, show_default=True, help="Random states.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Their seed.")
 @understanding
@@ -33,12 +33,12 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
     residual, its worst value over random states held against a tolerance; exit code 1 when one fails.
     """
     from ..lab.show.robots import properties_dict, properties_text
-    from ..model.checks.properties import check_properties
+    from ..model.checks.properties import check as judge
     from ..model.loading import load
 
     loaded = load(robot, **overrides)
     with progress_bar() as show:
-        report = check_properties(loaded, samples, seed, progress=functools.partial(show, "checking"))
+        report = judge(loaded, samples, seed, progress=functools.partial(show, "checking"))
     answer(as_json, lambda: properties_dict(report), lambda: properties_text(report))
     return DONE if report.passed else FAILED
 
@@ -52,7 +52,7 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
         "mmnn inspect my_robot.urdf --strict --json",
     ),
 )
-@click.argument("robot")
+@click.argument("robot", shell_complete=robots)
 @understanding
 @shared
 def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
@@ -89,7 +89,7 @@ def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
         "mmnn model platform_arm --at state.json --json",
     ),
 )
-@click.argument("robot")
+@click.argument("robot", shell_complete=robots)
 @click.option("--at", "state", metavar="STATE.json", type=click.Path(path_type=Path), help="The state; else at rest.")
 @understanding
 @shared

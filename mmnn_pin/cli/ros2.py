@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ConfigError, InputError
-from .options import examples, shared
+from .options import examples, robots, shared
 from .output import DONE, FAILED, STOPPED, answer, compile_if_cold
 
 if TYPE_CHECKING:
@@ -32,7 +32,12 @@ COARSEST = 0.001  # step of a simulated plant, which is not used here [s]
 )
 @click.argument("file", metavar="SETTINGS.toml", required=False, type=click.Path(path_type=Path))
 @click.option("--example", "show_example", is_flag=True, help="Print a SETTINGS.toml with comments, and end.")
-@click.option("--robot", metavar="ROBOT", help="For --example: a name or a URDF file.  [default: platform_arm]")
+@click.option(
+    "--robot",
+    metavar="ROBOT",
+    shell_complete=robots,
+    help="For --example: a name or a URDF file.  [default: platform_arm]",
+)
 @click.option("--check", is_flag=True, help="Say what it would subscribe to and publish, and end. Nothing is started.")
 @click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a key of the file; repeatable.")
 @click.option("--seconds", type=float, default=math.inf, help="Stop after this time.  [default: never]")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import itertools
 import json
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from ..files import read_toml, require_free
-from .options import CHANGES, VARIANT, examples, shared, understanding
+from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
     FAILED,
@@ -19,6 +18,7 @@ from .output import (
     answer,
     compile_if_cold,
     interruptible,
+    look,
     named,
     progress_bar,
     warn,
@@ -49,14 +49,17 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
         "mmnn run my_experiment.toml --json > result.json",
     ),
 )
-@click.argument("experiment")
+@click.argument("experiment", shell_complete=experiments)
 @VARIANT
-@click.option("--robot", metavar="ROBOT", help="Another robot: a name (see `mmnn list`) or a URDF file.")
+@click.option(
+    "--robot", metavar="ROBOT", shell_complete=robots, help="Another robot: a name (see `mmnn list`) or a URDF file."
+)
 @click.option(
     "--controller",
     "controllers",
     metavar="NAME",
     multiple=True,
+    shell_complete=controllers,
     help="Only this controller, see `mmnn list`, or FILE.py:Class for one of your own; repeatable.",
 )
 @click.option(
@@ -102,7 +105,7 @@ def run(
     A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
     several seeds, and then on trajectories that none of them was trained on, with what was learned held fixed and
     learning on. It prints a table per task and the targets, draws figures, and goes on where it was stopped; what its
-    numbers mean is in docs/contest.md. --controller leaves those in by which the others are measured.
+    numbers mean is in docs/explanation/contest.md. --controller leaves those in by which the others are measured.
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
@@ -142,7 +145,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     def text() -> str:
         remarks = [f"note: {note}" for note in notes(result)]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        return "\n".join([render(result, sys.stdout.isatty()), "", *remarks, wrote([*files, *pictures.values()])])
+        return "\n".join([render(result, **look()), "", *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
@@ -157,9 +160,9 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
 
     with progress_bar() as show, interruptible(show) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
-    look = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
-    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {look}"
-    answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, sys.stdout.isatty())}\n\n{files}")
+    plot = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
+    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {plot}"
+    answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, **look())}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 
 
@@ -183,7 +186,7 @@ def contest_text(standing: Standing, folder: Path, pictures: list[Path]) -> str:
     """A contest as text: its tables, what failed, what to know, where the files are."""
     from ..lab.show.contest import findings, render
 
-    lines = [render(standing, colour=sys.stdout.isatty()), ""]
+    lines = [render(standing, **look()), ""]
     lines += [f"failed: {controller} on {task}: {error}" for (task, controller), error in standing.failed.items()]
     lines += [f"note: {note}" for note in findings(standing)]
     lines += [wrote([folder / "rows.json", folder / "rows.csv", *pictures])] if standing.trials else []
@@ -256,21 +259,21 @@ def list_text(there_is: dict[str, dict[str, Any]]) -> str:
 
 
 @click.command(
-    short_help="Turn each switch that the thesis leaves open, one at a time.",
+    short_help="Run an experiment under each reading that the thesis allows.",
     epilog=examples(
         "mmnn readings chapter4",
         "mmnn readings chapter4 --variant printed",
         "mmnn readings chapter4 --set time.control_period=0.001 --json",
     ),
 )
-@click.argument("experiment")
+@click.argument("experiment", shell_complete=experiments)
 @VARIANT
 @CHANGES
 @shared
 def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as_json: bool) -> int:
-    """Run both learners of EXPERIMENT as it is, then with each switch turned alone, and print what that changes.
+    """Run both learners of EXPERIMENT as it is, then with one reading changed at a time, and print what that changes.
 
-    The switches: learning rates per sample or per second, weights from zero or random, Appendix B's order and its
+    The readings: learning rates per sample or per second, weights from zero or random, Appendix B's order and its
     wd = 5, the frame of the pose error in the networks' input, the input with and without absolute position. Nothing
     is written.
     """

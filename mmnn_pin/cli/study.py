@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from .options import examples, makes_runs, shared
-from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, counter, interruptible, warn
+from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, counter, interruptible, look, warn
 
 if TYPE_CHECKING:
     from ..lab.study.execution import Probe
@@ -54,7 +53,7 @@ def study(
     """Make every run of STUDY.toml that is not in its database yet, then print what came out.
 
     A run that diverges is a row like any other. Rows are stored as they finish: after Ctrl-C, a kill or a crash the
-    same command goes on with what is missing. The file is explained in docs/studies.md.
+    same command goes on with what is missing. The file is explained in docs/how-to/studies.md.
     """
     from ..lab.experiments.runner import window_notes
     from ..lab.show.study import render, to_dict
@@ -79,7 +78,7 @@ def study(
     answer(
         as_json,
         lambda: to_dict(results) | {"stopped": stopped},
-        lambda: f"{render(results, colour=sys.stdout.isatty())}\n\nrows: {results.path}",
+        lambda: f"{render(results, **look())}\n\nrows: {results.path}",
     )
     if stopped and not as_json:
         click.echo(STOPPED_TEXT, err=True)

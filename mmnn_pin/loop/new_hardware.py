@@ -19,7 +19,7 @@ from ..settings import given_array
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
-from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, World
+from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, Way, World
 from .servo import interfaces_of, require_no_torque_regressor, servo_slots, split_of, state_size, velocity_servo
 from .setup import Setup
 
@@ -81,15 +81,18 @@ def new_hardware(
     return Hardware(
         exact=is_exact,
         sensors=sensors._replace(effects=(*before, *sensors.effects)),
-        line=Command(np.zeros(layout.dof), np.zeros(1)),
-        lines=(CommandLine(disturbance.commands(events, timing), sent),),
-        supervisor=supervisor_of(loop, state, guard),
+        way=Way(
+            line=Command(np.zeros(layout.dof), np.zeros(1)),
+            lines=(CommandLine(disturbance.commands(events, timing), sent),),
+            supervisor=supervisor_of(loop, state, guard),
+            E_inv=pseudo_inverse(robot.E),
+            totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
+            sent=sent,
+            shorted=motors.wire.shorted,
+        ),
         motors=motors,
         world=world_of(loop, gust_rng),
         E=np.ascontiguousarray(robot.E),
-        E_inv=pseudo_inverse(robot.E),
-        totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
-        sent=sent,
         tau=np.zeros(layout.dof),
         state=values,
         split=split,
@@ -161,8 +164,9 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
         why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
         raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
     _, load = disturbance.payload(loop.disturbances)
-    pick = math.inf if load is None else float(load.start)
-    return World(len(pushes.table) > 0, Forces(np.zeros(robot.dimensions.dof)), (pushes,), blocked, pick, np.zeros(2))
+    pick, drop = (math.inf, math.inf) if load is None else (float(load.start), float(load.end))
+    forces = Forces(np.zeros(robot.dimensions.dof))
+    return World(len(pushes.table) > 0, forces, (pushes,), blocked, pick, drop, np.zeros(2))
 
 
 def supervisor_of(loop: Setup, state: ControllerState | object, values: Array) -> Supervisor:

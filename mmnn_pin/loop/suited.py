@@ -32,8 +32,8 @@ from ..settings import Numbers, Timing
 from ..signals import Array, Dimensions, Setpoint
 from ..torque.controller import Feedback
 from ..torque.neural import Neural, Robust
-from .before_run import Start, viscous_friction
-from .sampled import held_loop, lags, margin_at
+from .before_run import Start, lags, viscous_friction
+from .sampled import held_loop, margin_at
 
 MARGIN = 0.003  # delay that default gains bear, beside the delay that is known [s]
 ROOM = 1.2  # times the gains: what a learner adds to them at first
@@ -139,6 +139,8 @@ def fit(robot: Robot, feedback: Feedback, given: Given) -> Fit:
         if all(margin_at(one, k, h, True) >= given.delay for one in loops):
             break
         share *= LESS
+    else:  # a gain that was given is too much; the others are what they would be beside none
+        return Fit(inertia, fit(robot, Feedback(), given).share if feedback != Feedback() else share)
     return Fit(inertia, share)
 
 

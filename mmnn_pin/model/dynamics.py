@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from ..signals import Array
 from . import reduction
-from .robot import Robot
+from .structure import Structure
 
 
 class Dynamics:
@@ -23,7 +23,7 @@ class Dynamics:
         robot: The robot.
     """
 
-    def __init__(self, robot: Robot) -> None:
+    def __init__(self, robot: Structure) -> None:
         self.robot = robot
         model, p = robot.model, robot.dimensions.dof
         self.model, self.data = model, model.createData()

@@ -33,8 +33,9 @@ from .base.overrides import Overrides, folders_of, with_file
 from .base.report import arm_notes, printed_notes, settle, unsupported, weld_notes
 from .base.understanding import find_base
 from .maps import configuration_indices, constraint_rows, motion_map, motor_map
-from .robot import Robot, read_only
+from .robot import Robot
 from .robots import find
+from .structure import read_only
 from .urdf.document import Document, Joint
 from .urdf.finding import excused
 from .urdf.mechanism import Part
@@ -71,7 +72,7 @@ def load(
     controllers_file: str | Path | None = None,
     mu: float | None = None,
 ) -> Robot:
-    """Load a robot. What is not said is found in the file, after `NAME.mmnn.toml` beside it (see docs/robots.md).
+    """Load a robot. What is not given comes from `NAME.mmnn.toml` beside it or is found in it (docs/how-to/robots.md).
 
     Args:
         robot: Name of a bundled robot or of one of example-robot-data, or path of a URDF or xacro file.
@@ -94,6 +95,10 @@ def load(
         UnknownName: Neither a name nor a path; a joint, link or kind of base that does not exist.
         ConfigError: Something said that does not suit the robot, or a file of overrides that cannot be read.
         RobotError: The file cannot be used, the base is undecided or of a kind not supported; with the line.
+
+    >>> robot = load("platform_arm")
+    >>> robot.base.kind, robot.joint_names
+    ('differential_drive', ('arm_1_joint', 'arm_2_joint'))
     """
     overrides = Overrides(
         base=base,

@@ -1,288 +1,222 @@
-"""A robot: its Pinocchio model and the motions that its wheels permit.
+"""A robot for people: what is asked of it at a configuration, and how it shows itself.
 
-All velocities of the full model follow from the independent ones, `nu = [base velocity; arm joint velocities]`:
-
-    velocity = T nu        A velocity = 0        A T = 0        (2.17), (2.18)
-
-T is constant because the root is Pinocchio's planar joint, whose velocity `(vx, vy, w)` is in the body frame. Motor
-torques u act on the joints as `E_full u` and on nu as `E u`, `E = T' E_full` (2.25).
+`structure` has what it is made of, `dynamics` the equations. Here a state is what a user has: `q`, the pose of the base
+and the positions of the arm's joints, and `nu`, the velocities. All that does not move by itself stands where it rests,
+and mimic joints follow their masters.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from pathlib import Path
-from typing import Any, Literal
+from collections.abc import Sequence
+from dataclasses import replace
+from html import escape
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from ..errors import ConfigError, UnknownName
 from ..settings import Numbers, one_or_each
-from ..signals import Array, Dimensions
-from .arm import Arm
-from .base.base import Base
-from .base.overrides import Overrides
-from .urdf.finding import Finding
+from ..signals import Array
+from .dynamics import Dynamics
+from .structure import Structure, bodies_of
+
+NAMED = 3  # joints that a line names
 
 
-@dataclass(frozen=True, eq=False)
-class Robot:
-    """A robot: its Pinocchio model, its base, and the maps between its velocities. Arrays are read-only.
+class Robot(Structure):
+    """A robot, made by `load`: its model, its base, its arm, and its equations of motion.
 
-    Sizes: p independent velocities, nv velocities of the full model, n_u motors, nc = nv - p constraints.
+        M(q) nudot + C(q, nu) nu + gravity(q) + friction(nu) = E motor_torques
 
-    Attributes:
-        name: File name without its suffix.
-        path: The URDF file.
-        urdf: The XML that Pinocchio read.
-        sha256: Hash of the file.
-        model: Full Pinocchio model, nothing locked away; planar root joint for a mobile base.
-        base: The mobile base.
-        dimensions: How many velocities, joints and motors it has.
-        arm: The manipulator: its joints, what is locked and where, and what follows.
-        joint_names: The n arm joints in the model's order.
-        velocity_names: Names of nu, p of them.
-        full_velocity_names: Names of the model's velocities, nv of them.
-        actuator_names: Joints with a motor, n_u of them: drive wheels from left to right, then the arm.
-        T: (nv, p) map from nu to all velocities.
-        A: (nc, nv) constraint rows.
-        E_full: (nv, n_u) map from motor torques to joint torques.
-        E: (p, n_u) `T' E_full`.
-        q_index: (nv,) first index in Pinocchio's q of each velocity's joint; 0, 1, 2 for the planar root.
-        is_continuous: (nv,) 1 where q holds (cos, sin) of an angle, the root's heading included; else 0.
-        frame: (3,) control frame `(x, y, heading)` in the root link's frame [m, m, rad].
-        lower: (nv,) lower position limits [rad or m], -inf when unlimited.
-        upper: (nv,) upper position limits [rad or m], inf when unlimited.
-        effort_limits: (n_u,) largest motor torques [N m or N]; inf when the file states none or 0.
-        damping: (nv,) viscous friction of the joints [N m s or N s/m].
-        coulomb: (nv,) Coulomb friction of the joints [N m or N]; on the root's yaw rate that of a skid-steer base's
-            turning.
-        viscous: (p,) further viscous friction, on nu, declared by the user.
-        rest: (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits.
-        findings: What the audit and the understanding have to say, warnings and notes.
-        overrides: What the user says about it, in the call and beside the file.
-        breakaway: (nv,) ratio of static to Coulomb friction, at least 1.
-        stribeck: Velocity over which the one falls to the other [rad/s or m/s].
-        masses: Factors that `with_masses` put on its bodies, by the joint that carries them.
+    `q` is what places it: `[x, y, phi]` of the base's control frame in the world, phi unwrapped, then the arm's joints
+    in the order of `joint_names` [m, m, rad, rad or m]; for a fixed arm the joints alone. `nu` is the base velocity in
+    the control frame, `(v, w)` or for a holonomic base `(vx, vy, w)`, then the joints' rates, in the order of
+    `velocity_names` [m/s, rad/s, rad/s or m/s]. Its attributes are those of `Structure`.
+
+    >>> robot = load("platform_arm")
+    >>> robot
+    <Robot platform_arm: differential drive, 2 arm joints, 112 kg>
+    >>> robot.q_names
+    ('x', 'y', 'phi', 'arm_1_joint', 'arm_2_joint')
+    >>> q = robot.neutral()
+    >>> robot.mass_matrix(q).shape
+    (4, 4)
+    >>> robot.jacobian("arm_tip", q).shape
+    (6, 4)
     """
 
-    name: str
-    path: Path
-    urdf: str
-    sha256: str
-    model: pin.Model
-    base: Base
-    arm: Arm
-    dimensions: Dimensions
-    joint_names: tuple[str, ...]
-    velocity_names: tuple[str, ...]
-    full_velocity_names: tuple[str, ...]
-    actuator_names: tuple[str, ...]
-    T: Array
-    A: Array
-    E_full: Array
-    E: Array
-    q_index: NDArray[np.int64]
-    is_continuous: NDArray[np.uint8]
-    frame: Array
-    lower: Array
-    upper: Array
-    effort_limits: Array
-    damping: Array
-    coulomb: Array
-    viscous: Array
-    rest: Array
-    findings: tuple[Finding, ...] = field(default=())
-    overrides: Overrides = field(default_factory=Overrides)
-    masses: Mapping[str, float] = field(default_factory=dict)
-    breakaway: Array | float = 1.0
-    stribeck: float = 0.05
+    @property
+    def q_names(self) -> tuple[str, ...]:
+        """What the numbers of `q` are: the pose, then the arm's joints."""
+        return ("x", "y", "phi")[: self.dimensions.pose] + self.joint_names
+
+    def neutral(self) -> Array:
+        """The q of a robot at the origin whose joints rest: at 0, or at the limit that is nearest to it."""
+        return self._q_of(self.neutral_position())
+
+    def random(self, rng: np.random.Generator | int | None = None) -> Array:
+        """A q anywhere: joints evenly within their limits (a turn for those without), the base within 1 m, any heading.
+
+        Args:
+            rng: A generator, or the seed of one; None for another q every time.
+        """
+        arm, root = self.arm_index, self.dimensions.pose
+        bounded = np.isfinite(self.upper[arm] - self.lower[arm])
+        lower = np.append([-1.0, -1.0, -np.pi][:root], np.where(bounded, self.lower[arm], -np.pi))
+        upper = np.append([1.0, 1.0, np.pi][:root], np.where(bounded, self.upper[arm], np.pi))
+        return np.random.default_rng(rng).uniform(lower, upper)
+
+    def position(self, q: ArrayLike) -> Array:
+        """The position of every joint, (nv,), `position_names` its order: q, the other joints where they rest.
+
+        Raises:
+            ConfigError: q has another length, or is not finite; with the names that it takes.
+        """
+        given, position = self._checked("q", q, self.q_names), self.neutral_position()
+        root = self.dimensions.pose
+        position[:root], position[self.arm_index] = given[:root], given[root:]
+        return self.follow(position)
+
+    def mass_matrix(self, q: ArrayLike) -> Array:
+        """Mass matrix M of base and arm, (p, p) [kg, kg m, kg m^2]; `T' M_full T` (2.23).
+
+        Raises:
+            ConfigError: q is of another length or not finite.
+        """
+        return Dynamics(self).mass_matrix(self.position(q))
+
+    def coriolis(self, q: ArrayLike, nu: ArrayLike) -> Array:
+        """Coriolis matrix C, (p, p), with `Mdot = C + C'`; the torque is `C @ nu`.
+
+        Raises:
+            ConfigError: q or nu is of another length or not finite.
+        """
+        return Dynamics(self).coriolis_matrix(self.position(q), self._nu(nu))
+
+    def gravity(self, q: ArrayLike) -> Array:
+        """Torque that holds the robot still, (p,) [N, N m].
+
+        Raises:
+            ConfigError: q is of another length or not finite.
+        """
+        return Dynamics(self).gravity(self.position(q))
+
+    def friction(self, nu: ArrayLike) -> Array:
+        """Torque that overcomes the friction of joints and base, (p,) [N, N m].
+
+        Raises:
+            ConfigError: nu is of another length or not finite.
+        """
+        return Dynamics(self).friction(self._nu(nu))
+
+    def psi(self, q: ArrayLike, nu: ArrayLike, nu_ref: ArrayLike, nudot_ref: ArrayLike) -> Array:
+        """What a learner has to learn: `M nudot_ref + C nu_ref + gravity + friction`, (p,) [N, N m] (3.20), (3.21).
+
+        With `nu_ref = nu` it is the torque that accelerates the robot by nudot_ref.
+
+        Args:
+            q: Where it is.
+            nu: How it moves.
+            nu_ref: (p,) velocities that are asked for.
+            nudot_ref: (p,) their derivative.
+
+        Raises:
+            ConfigError: One is of another length or not finite.
+        """
+        asked = self._nu(nu_ref, "nu_ref"), self._nu(nudot_ref, "nudot_ref")
+        return Dynamics(self).psi(self.position(q), self._nu(nu), *asked)
+
+    def placement(self, frame: str, q: ArrayLike) -> Array:
+        """Where a link or a joint is in the world, a homogeneous (4, 4) matrix [m].
+
+        Raises:
+            UnknownName: The robot has no such link or joint.
+            ConfigError: q is of another length or not finite.
+        """
+        data, place = self.model.createData(), self._frame(frame)
+        pin.framesForwardKinematics(self.model, data, self.configuration(self.position(q)))
+        return np.array(data.oMf[place].homogeneous)
+
+    def jacobian(self, frame: str, q: ArrayLike, *, reduced: bool = True) -> Array:
+        """Jacobian of a link or a joint: its velocity is `J @ nu`, linear, then angular, in the world's axes.
+
+        Args:
+            frame: Name of a link or a joint; the velocity is that of its origin [m/s, rad/s].
+            q: Where the robot is.
+            reduced: To nu, the motions that wheels and mimic joints permit, (6, p); else that of Pinocchio, (6, nv), to
+                all velocities, `full_velocity_names` their order. The one is the other times T.
+
+        Raises:
+            UnknownName: The robot has no such link or joint.
+            ConfigError: q is of another length or not finite.
+        """
+        at, place = self.configuration(self.position(q)), self._frame(frame)
+        full = pin.computeFrameJacobian(self.model, self.model.createData(), at, place, pin.LOCAL_WORLD_ALIGNED)
+        return np.asarray(full @ self.T if reduced else full)
+
+    def __repr__(self) -> str:
+        d, kind = self.dimensions, self.base.kind.replace("_", " ")
+        joints = f"{d.arm} arm joint{'s' * (d.arm != 1)}"
+        what = joints if not d.base else f"{kind}, {joints}" if d.arm else f"{kind}, no arm"
+        return f"<Robot {self.name}: {what}, {self.mass:.3g} kg>"
+
+    def _repr_html_(self) -> str:
+        """A table for a notebook: the base, every arm joint with its limits; names of a file are escaped."""
+        rows = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in self._joint_rows())
+        heads = "".join(f"<th>{head}</th>" for head in ("arm joint", "from", "to", "effort"))
+        table = f"<table><tr>{heads}</tr>{rows}</table>" if rows else ""
+        return f"<p><b>{escape(repr(self).strip('<>'))}</b></p>{table}"
 
     @property
-    def position_names(self) -> tuple[str, ...]:
-        """Names of the columns of a position, nv of them: the pose, then every joint in the model's order."""
-        root = self.dimensions.pose
-        return ("x", "y", "phi")[:root] + self.full_velocity_names[root:]
+    def mass(self) -> float:
+        """Mass of all its links [kg]."""
+        return float(sum(body.mass for body in self.model.inertias))
 
-    @cached_property
-    def arm_index(self) -> NDArray[np.int64]:
-        """Places of the arm joints in a position, (n,)."""
-        return np.array([self.full_velocity_names.index(name) for name in self.joint_names], dtype=np.int64)
+    def _joint_rows(self) -> list[tuple[str, ...]]:
+        """Name, lower and upper limit, effort limit of every arm joint."""
+        limits = zip(self.lower[self.arm_index], self.upper[self.arm_index], strict=True)
+        efforts = dict(zip(self.actuator_names, self.effort_limits, strict=True))
+        return [
+            (name, f"{low:.3g}", f"{high:.3g}", f"{efforts[name]:.3g}")
+            for name, (low, high) in zip(self.joint_names, limits, strict=True)
+        ]
 
-    def configuration(self, position: ArrayLike) -> Array:
-        """Pinocchio's configuration q of a position.
+    def _q_of(self, position: Array) -> Array:
+        return np.concatenate((position[: self.dimensions.pose], position[self.arm_index]))
 
-        Args:
-            position: (nv,) pose of the control frame in the world (mobile bases), then every joint in the model's
-                order; angles unwrapped [m, rad].
+    def _nu(self, nu: ArrayLike, name: str = "nu") -> Array:
+        return self._checked(name, nu, self.velocity_names)
 
-        Returns:
-            (nq,) with the root link's pose and (cos, sin) for continuous joints.
-        """
-        given = np.asarray(position, dtype=float)
-        q = np.zeros(self.model.nq)
-        root = self.dimensions.pose
-        if root:
-            x, y, psi = self.frame
-            heading = given[2] - psi
-            c, s = np.cos(heading), np.sin(heading)
-            q[:4] = given[0] - c * x + s * y, given[1] - s * x - c * y, c, s
-        turns = self.is_continuous[root:].astype(bool)
-        at, angles = self.q_index[root:], given[root:]
-        q[at] = np.where(turns, np.cos(angles), angles)
-        q[at[turns] + 1] = np.sin(angles[turns])
-        return q
-
-    def neutral_position(self) -> Array:
-        """Position at rest, (nv,): locked joints where they are locked, the others at 0 clipped into their limits."""
-        return self.rest.copy()
-
-    def follow(self, position: Array) -> Array:
-        """The position with its slaves (mimic joints) where their masters have them, (nv,), changed in place."""
-        names = self.full_velocity_names
-        for name, slave in self.arm.slaves.items():
-            position[names.index(name)] = slave.at(position[names.index(slave.master)])
-        return position
-
-    def arm_map(self) -> tuple[Array, Array]:
-        """Position at rest with the arm's joints at 0, (nv,), and what each arm joint adds per unit, (nv, n).
-
-        A slave (mimic joint) moves with its master.
-        """
-        offset = self.neutral_position()
-        offset[self.arm_index] = 0.0
-        self.follow(offset)
-        columns = np.zeros((offset.size, self.dimensions.arm))
-        for i, place in enumerate(self.arm_index):
-            one = offset.copy()
-            one[place] = 1.0
-            columns[:, i] = self.follow(one) - offset
-        return offset, columns
-
-    def with_masses(self, factors: float | Mapping[str, float]) -> Robot:
-        """The same robot with the inertias of its moving bodies scaled (mass and rotational inertia alike).
-
-        Args:
-            factors: One factor for all bodies, or a factor per joint that carries the body (`root` for a mobile base).
+    def _checked(self, what: str, values: ArrayLike, names: Sequence[str]) -> Array:
+        """Numbers as an array, one for each name.
 
         Raises:
-            ConfigError: A factor that is not positive and finite.
-            UnknownName: A joint that the robot does not have.
+            ConfigError: Another number of them, or one that is not finite.
         """
-        model = self.model.copy()
-        names = dict(zip(bodies_of(model), range(1, model.njoints), strict=True))
-        table = factors if isinstance(factors, Mapping) else dict.fromkeys(names, factors)
-        for name, factor in table.items():
-            if name not in names:
-                raise UnknownName("body", name, names)
-            if not (np.isfinite(factor) and factor > 0):
-                raise ConfigError(f"factor {factor} for the mass at '{name}'", fix="give a finite number > 0")
-            scale_body(model, names[name], factor)
-        masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
-        return replace(self, model=model, masses=masses)
+        try:
+            array = np.asarray(values, float)
+        except (TypeError, ValueError):
+            raise ConfigError("not a list of numbers", fix=f"give {', '.join(names)}", key=what) from None
+        if array.shape != (len(names),):
+            found = f"{array.size} numbers" if array.ndim == 1 else f"an array of shape {array.shape}"
+            raise ConfigError(f"{found} where {self.name} has {len(names)}", fix=f"give {', '.join(names)}", key=what)
+        if not np.isfinite(array).all():
+            raise ConfigError(f"{array.tolist()} is not finite", fix=f"give {', '.join(names)}", key=what)
+        return array
 
-    def with_armature(self, inertia: ArrayLike) -> Robot:
-        """The same robot with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
-
-        They are added to the diagonal of the mass matrix; the gyroscopic effects of their spin are left out.
-
-        Args:
-            inertia: Rotor inertia times the square of the gear ratio, one number or (n,) [kg m^2 or kg].
+    def _frame(self, name: str) -> int:
+        """Index of a frame of the model.
 
         Raises:
-            ConfigError: A number that is negative or not finite, or not one number per joint.
+            UnknownName: There is none of that name.
         """
-        rotors = one_or_each(inertia, self.dimensions.arm, "joint", "armature", least=0)
-        model = self.model.copy()
-        armature = np.array(model.armature)
-        armature[self.arm_index] = rotors
-        model.armature = armature
-        return replace(self, model=model)
-
-    def with_friction(self, viscous: ArrayLike) -> Robot:
-        """The same robot with viscous friction on nu besides that of its joints.
-
-        Args:
-            viscous: (p,) coefficients, or one number for all [N s/m, N m s].
-
-        Raises:
-            ConfigError: Wrong number of coefficients, or a negative or non-finite one.
-        """
-        given = one_or_each(viscous, self.dimensions.dof, "velocity", "friction", least=0, names=self.velocity_names)
-        return replace(self, viscous=read_only(given))
-
-    def with_joint_friction(
-        self,
-        viscous: float | Sequence[float] | Array = 0.0,
-        coulomb: float | Sequence[float] | Array = 0.0,
-        breakaway: float | Sequence[float] | Array = 1.0,
-        stribeck: float = 0.05,
-    ) -> Robot:
-        """The same robot with more friction in the gears of its arm, beside that of its URDF.
-
-        Args:
-            viscous: One number or (n,) [N m s or N s/m].
-            coulomb: One number or (n,) [N m or N].
-            breakaway: Ratio of static to all Coulomb friction, one number or (n,), at least 1.
-            stribeck: Velocity over which static friction falls to Coulomb friction [rad/s or m/s].
-
-        Raises:
-            ConfigError: A number that is negative or not finite, a ratio below 1, or not one number per joint.
-        """
-        n, at = self.dimensions.arm, self.arm_index
-        damping, level, ratio = self.damping.copy(), self.coulomb.copy(), np.ones(self.dimensions.full)
-        damping[at] += one_or_each(viscous, n, "joint", "friction.viscous", least=0)
-        level[at] += one_or_each(coulomb, n, "joint", "friction.coulomb", least=0)
-        ratio[at] = one_or_each(breakaway, n, "joint", "friction.breakaway", least=1)
-        if not (np.isfinite(stribeck) and stribeck > 0):
-            raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
-        rough = replace(self, damping=read_only(damping), coulomb=read_only(level), breakaway=read_only(ratio))
-        return replace(rough, stribeck=float(stribeck))
-
-    def without_friction(self) -> Robot:
-        """The same robot with no friction at all: of its joints, of its gears, of its base."""
-        none, smooth = read_only(np.zeros(self.dimensions.full)), read_only(np.ones(self.dimensions.full))
-        viscous = read_only(np.zeros(self.dimensions.dof))
-        return replace(self, damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
-
-    @property
-    def dry(self) -> Array:
-        """Dry friction of the joints, (nv, 3): Coulomb, static minus Coulomb, Stribeck velocity."""
-        more = self.coulomb * (np.asarray(self.breakaway) - 1.0)
-        return np.column_stack((self.coulomb, more, np.full(self.coulomb.size, self.stribeck)))
-
-    def dry_friction(self, v: Array) -> Array:
-        """Largest dry friction of every joint at its velocity v, (nv,) [N m or N]."""
-        coulomb, more, speed = self.dry.T
-        return coulomb + more * np.exp(-((v / speed) ** 2))
-
-    def facts(self) -> dict[str, Any]:
-        """What a recording should know of it, enough for `recorded_robot` to build it again."""
-        return {
-            "robot": self.name,
-            "urdf": self.urdf,
-            "urdf_file": str(self.path.absolute()),
-            "urdf_sha256": self.sha256,
-            "overrides": self.overrides.stated(),
-            "mass_factors": dict(self.masses),
-            "armature": self.model.armature[self.arm_index].tolist(),
-            "viscous": self.viscous.tolist(),
-            "joint_friction": {
-                "damping": self.damping.tolist(),
-                "coulomb": self.coulomb.tolist(),
-                "breakaway": np.broadcast_to(self.breakaway, self.coulomb.shape).tolist(),
-                "stribeck": self.stribeck,
-            },
-            "velocity_names": self.velocity_names,
-            "position_names": self.position_names,
-            "actuator_names": self.actuator_names,
-            "effort_limits": self.effort_limits.tolist(),
-        }
+        names = [frame.name for frame in self.model.frames][1:]
+        if name not in names:
+            raise UnknownName("link or joint", name, names)
+        return int(self.model.getFrameId(name))
 
 
 def carrying(robot: Robot, mass: float, joint: str = "", at: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
@@ -310,18 +244,6 @@ def carrying(robot: Robot, mass: float, joint: str = "", at: Sequence[float] = (
     return replace(robot, model=model)
 
 
-def bodies_of(model: pin.Model) -> list[str]:
-    """Joint that carries each moving body, `root` for a planar base."""
-    names = list(model.names)[1:]
-    return ["root", *names[1:]] if names and model.joints[1].shortname() == "JointModelPlanar" else names
-
-
-def scale_body(model: pin.Model, joint: int, factor: float) -> None:
-    """Scale the mass and the rotational inertia of the body that a joint carries."""
-    body = model.inertias[joint]
-    model.inertias[joint] = pin.Inertia(body.mass * factor, body.lever, body.inertia * factor)
-
-
 def speed_limits(robot: Robot) -> Array:
     """Velocity limits of the URDF of every motor's joint, inf where it states none or 0, (motors,)."""
     names, limits = robot.full_velocity_names, robot.model.velocityLimit
@@ -334,9 +256,3 @@ def limits(value: Literal["urdf", "none"] | Numbers | None, urdf: Array, kind: s
     if value == "urdf":
         return urdf
     return one_or_each(math.inf if value is None or isinstance(value, str) else value, urdf.size, kind, key)
-
-
-def read_only(array: Array) -> Array:
-    """The array, closed for writing."""
-    array.flags.writeable = False
-    return array

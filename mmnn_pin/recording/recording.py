@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -30,7 +30,8 @@ from ..model.urdf.reading import MAX_BYTES, parse
 from ..model.urdf.xml import parse_xml
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
-from .run_file import Arrays, Columns
+from .run_file import Arrays, Columns, Places, RunFile
+from .tracking import Errors, prismatic_joints
 
 T = TypeVar("T")
 UNSEEN = "elsewhere://"  # before the name of a mesh that is not looked for
@@ -69,6 +70,13 @@ class Recording:
         complete: Whether the run closed its file itself.
         damage: What of a damaged file cannot be read, as `signals/z`, and why; empty for a sound one.
         path: The file, None for a recording in memory.
+
+    >>> robot = load("platform_arm")
+    >>> path = Trajectory.of(robot, base=Line(speed=0.3))
+    >>> file = Loop(robot, path, PD(), timing=Timing(duration=0.1)).run().save("pd.h5")
+    >>> run = Recording.open(file)
+    >>> run["z"].shape, run.labels("z"), run.errors()["x"].unit
+    ((50, 2), ('v', 'w'), 'm')
     """
 
     def __init__(
@@ -210,6 +218,77 @@ class Recording:
     def labels(self, name: str) -> tuple[str, ...]:
         """Label of every column of a signal, e.g. `("x", "y", "phi")`."""
         return self._about(name).labels
+
+    def errors(self, start: float = 0.0, stop: float = np.inf) -> Errors:
+        """How well the robot followed its reference: RMS, peak and last error of the base and of every joint.
+
+        They are those of the robot, not of what its sensors say, where the recording knows both.
+
+        Args:
+            start: Since when [s].
+            stop: Until before when [s].
+
+        Raises:
+            RecordingError: The errors are damaged, or the run has no row in that time.
+        """
+        columns, slides = {}, prismatic_joints(self.urdf)
+        for name in ("pose_error", "e"):
+            true, labels = f"true_{name}", self.labels(name) if name in self else ()
+            for i, label in enumerate(labels):
+                unit = "m" if label in (slides if name == "e" else ("x", "y")) else "rad"
+                columns[label] = as_columns(self[true if true in self else name])[:, i], unit
+        if not ((self.time >= start) & (self.time < stop)).any():
+            end = f"it ends at {self.outcome.time:g} s" if len(self) else "it has no rows"
+            raise RecordingError(f"no samples from {start:g} s to {stop:g} s", why=end, file=self.path)
+        return Errors.of(self.time, columns, start, stop)
+
+    def columns(self) -> dict[str, Array]:
+        """All columns of all signals, (N,) each: `z.v`, `torque.arm_1_joint`, and `time`."""
+        return {
+            name: values
+            for signal in self
+            for name, values in zip(self.column_names(signal), as_columns(self[signal]).T, strict=True)
+        }
+
+    def column_names(self, signal: str) -> list[str]:
+        """Names of a signal's columns in a table."""
+        own = (signal, f"{signal}[")
+        return [n if n == own[0] or n.startswith(own[1]) else f"{signal}.{n}" for n in self.labels(signal)]
+
+    def to_dataframe(self) -> Any:
+        """All signals as a pandas DataFrame over time [s]; its columns are those of `columns`.
+
+        Raises:
+            RecordingError: pandas is not installed, or a signal is damaged.
+        """
+        try:
+            pandas = import_module("pandas")
+        except ModuleNotFoundError:
+            fix = "pip install pandas; or take recording.columns(), a dictionary of arrays"
+            raise RecordingError("no DataFrame", why="pandas is not installed", fix=fix) from None
+        columns = self.columns()
+        index = pandas.Index(columns.pop("time"), name="time")
+        return pandas.DataFrame(columns, index=index)
+
+    def save(self, path: str | Path, *, force: bool = False) -> Path:
+        """Write the recording to an HDF5 file, which `Recording.open` and `mmnn` read.
+
+        Args:
+            path: The file.
+            force: Replace an existing one.
+
+        Raises:
+            RecordingError: It is damaged, the file exists, or it cannot be written.
+        """
+        self.require_whole()
+        arrays = {name: as_columns(self[name]) for name in self}
+        places = Places.of({name: array.shape[1] for name, array in arrays.items()})
+        file = RunFile(Path(path), force, places, self._columns, self.meta, self._texts)
+        file.write(np.ascontiguousarray(np.hstack([*arrays.values()])), self.step_times)
+        if self.weights:
+            file.weights(self.weights)
+        file.finish(asdict(self.outcome), self.final)
+        return Path(path)
 
     @cached_property
     def weights(self) -> Arrays:

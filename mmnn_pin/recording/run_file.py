@@ -48,6 +48,30 @@ class Columns:
     labels: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Places:
+    """Where signals stand in a row that holds them side by side; a `Layout` is one, too.
+
+    Attributes:
+        width: Of a row.
+        slices: Signal to its place.
+    """
+
+    width: int
+    slices: Mapping[str, slice]
+
+    @classmethod
+    def of(cls, sizes: Mapping[str, int]) -> Places:
+        """Of signals with these sizes, in this order."""
+        ends = np.cumsum(list(sizes.values()))
+        starts = (ends - list(sizes.values())).tolist()
+        return cls(int(ends[-1]), {n: slice(a, int(b)) for n, a, b in zip(sizes, starts, ends, strict=True)})
+
+    def where(self, signal: str) -> slice:
+        """Place of a signal."""
+        return self.slices[signal]
+
+
 class RunFile:
     """A file that is being written.
 
@@ -67,7 +91,7 @@ class RunFile:
         self,
         path: Path,
         force: bool,
-        layout: Layout,
+        layout: Layout | Places,
         columns: Mapping[str, Columns],
         meta: Mapping[str, Any],
         texts: Mapping[str, str],

@@ -5,10 +5,11 @@ derivative, all of them analytic. `Trajectory` puts base and arm together.
 """
 
 from .holonomic import Holonomic
+from .joint import Hold, JointProfile, JointSamples, JointTable, MinimumJerk, Points, Sine, Sines
 from .path import BasePath, BaseSamples, Circle, Eight, Line, Waypoints
 from .samples import Table, check_followable, warnings
 from .timed import Timed
-from .trajectory import Hold, JointProfile, JointSamples, MinimumJerk, SetpointSource, Sine, Sines, Trajectory
+from .trajectory import SetpointSource, Trajectory
 
 __all__ = [
     "BasePath",
@@ -19,8 +20,10 @@ __all__ = [
     "Holonomic",
     "JointProfile",
     "JointSamples",
+    "JointTable",
     "Line",
     "MinimumJerk",
+    "Points",
     "SetpointSource",
     "Sine",
     "Sines",

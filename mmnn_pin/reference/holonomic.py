@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike
 
 from ..errors import TrajectoryError
 from ..model.base.holonomic import Holonomic as HolonomicBase
+from .joint import JointProfile
 from .path import BasePath, BaseSamples, times, turned
 from .samples import in_three
-from .trajectory import JointProfile
 
 
 @dataclass(frozen=True)

@@ -150,6 +150,9 @@ class Line(BasePath):
         speed: Forward speed [m/s]; negative drives backwards with the same heading, 0 waits at the start.
         start: Pose `(x, y, phi)` at t = 0.
         ramp: Time from rest to full speed [s]; 0 starts at full speed.
+
+    >>> Line(speed=0.3).sample([0.0, 2.0]).pose.tolist()
+    [[0.0, 0.0, 0.0], [0.6, 0.0, 0.0]]
     """
 
     followable: ClassVar[bool] = True
@@ -182,6 +185,9 @@ class Circle(BasePath):
         start: Pose `(x, y, phi)` at t = 0, on the circle and tangent to it.
         turn: +1 with the centre to the left, -1 to the right.
         ramp: Time from rest to full speed [s]; 0 starts at full speed.
+
+    >>> Circle(radius=1.0, speed=0.5).sample([1.0]).velocity.tolist()
+    [[0.5, 0.5]]
     """
 
     followable: ClassVar[bool] = True
@@ -223,6 +229,9 @@ class Eight(BasePath):
         period: Time of one lap [s]; negative drives the same curve backwards.
         start: Pose `(x, y, phi)` at t = 0: the crossing, with the heading of the path there.
         ramp: Time from rest to full speed [s]; 0 starts at full speed.
+
+    >>> abs(Eight(length=2.0, width=1.0, period=20.0).sample([10.0]).pose[0, :2]).max() < 1e-9  # the crossing
+    np.True_
     """
 
     followable: ClassVar[bool] = True

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +18,7 @@ from ..errors import TrajectoryError
 from ..model.base import BY_SIZE
 from ..model.base.holonomic import moves_sideways
 from ..signals import Array
+from .joint import require_clock, within
 from .path import BasePath, BaseSamples, require_finite, times
 
 if TYPE_CHECKING:
@@ -54,8 +57,7 @@ class Table(BasePath):
                 fix="give (N,), (N, 3), (N, 2) or (N, 3)",
             )
         require_finite(time=time, pose=pose, velocity=velocity)
-        if len(time) < 4 or time[0] != 0 or (np.diff(time) <= 0).any():
-            raise TrajectoryError("time does not increase from 0 over four or more samples", fix="sort it, start at 0")
+        require_clock(time)
         pose[:, 2] = np.unwrap(pose[:, 2])
         check_followable(time, pose, velocity)
         object.__setattr__(self, "nb", velocity.shape[1])
@@ -67,26 +69,20 @@ class Table(BasePath):
     def read(cls, file: str | Path) -> Table:
         """Table from a CSV file with the columns `t, x, y, phi, v, w`, in any order, others ignored.
 
-        A holonomic base has the columns `vx, vy` in place of `v`.
+        A holonomic base has the columns `vx, vy` in place of `v`. Without columns of velocities they are those of the
+        poses.
 
         Raises:
             TrajectoryError: A column is missing or a value is not a number (with the line), or as for the class.
         """
-        with open(file, newline="", encoding="utf-8-sig") as stream:
-            rows = csv.DictReader(stream, skipinitialspace=True)
-            sideways = "vy" in (rows.fieldnames or ())
-            names = ("t", "x", "y", "phi", *(("vx", "vy") if sideways else ("v",)), "w")
-            missing = [name for name in names if name not in (rows.fieldnames or ())]
-            if missing:
-                raise TrajectoryError(
-                    f"no column {', '.join(missing)}", fix=f"name them {', '.join(names)}", file=file, line=1
-                )
-            values = [[_number(row[name], name, file, rows.line_num) for name in names] for row in rows]
-        data = np.array(values).reshape(-1, len(names))
-        try:
-            return cls(data[:, 0], data[:, 1:4], data[:, 4:])
-        except TrajectoryError as error:
-            raise TrajectoryError(error.what, why=error.why, fix=error.fix, file=file) from None
+        found = Columns.read(file, ("t", "x", "y", "phi"))
+        with found.blamed():
+            return found.table(3 if "vy" in found else 2)
+
+    @property
+    def duration(self) -> float:
+        """Time of the last sample [s]."""
+        return float(self.time[-1])
 
     @cached_property
     def _splines(self) -> tuple[CubicHermiteSpline, CubicSpline]:
@@ -103,13 +99,8 @@ class Table(BasePath):
         Raises:
             TrajectoryError: A time lies after the last sample.
         """
-        t, end = times(t), self.time[-1]
-        if t.size and t.max() > end + 1e-9:
-            raise TrajectoryError(
-                f"the reference ends at {end:g} s, but the run asks for t = {t.max():g} s", fix="shorten the run"
-            )
-        pose, velocity = self._splines
-        at = np.minimum(t, end)
+        t = times(t)
+        at, (pose, velocity) = within(t, float(self.time[-1])), self._splines
         return BaseSamples(t, pose(at), velocity(at), velocity(at, 1))
 
 
@@ -119,9 +110,108 @@ def in_three(velocity: Array) -> tuple[Array, Array, Array]:
     return vx, velocity[:, 1] if moves_sideways(velocity.shape[1]) else np.zeros_like(vx), w
 
 
-def _number(text: str | None, column: str, file: str | Path, line: int) -> float:
+def velocities(time: Array, pose: Array, nb: int) -> Array:
+    """Base velocities (N, nb) of poses (N, 3) at some times (N,): the slope of a cubic spline, in the pose's frame."""
+    from scipy.interpolate import CubicSpline  # slow to import, seldom needed
+
+    rate = CubicSpline(time, pose)(time, 1)
+    c, s = cos_sin(pose[:, 2])
+    forward, sideways = rate[:, 0] * c + rate[:, 1] * s, rate[:, 1] * c - rate[:, 0] * s
+    return np.stack([forward, sideways, rate[:, 2]] if moves_sideways(nb) else [forward, rate[:, 2]], axis=1)
+
+
+def table_of(time: ArrayLike, pose: ArrayLike, velocity: ArrayLike | None, nb: int) -> Table:
+    """A table of poses, with their own velocities where none are given.
+
+    Raises:
+        TrajectoryError: As of `Table`.
+    """
+    t, poses = np.array(time, float), np.array(pose, float)
+    if velocity is not None or t.ndim != 1 or poses.shape != (len(t), 3):
+        return Table(t, poses, np.zeros((len(t), nb)) if velocity is None else np.array(velocity, float))
+    require_finite(time=t, pose=poses)
+    require_clock(t)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return Table(t, poses, velocities(t, poses, nb))
+
+
+class Columns(Mapping[str, Array]):
+    """The columns of a CSV file by the names in its first line, (N,) each, read when they are asked for.
+
+    What a name has in square brackets behind it, a unit, is left out.
+
+    Args:
+        file: The file.
+        heads: The names.
+        lines: Number and cells of every line that has any.
+    """
+
+    def __init__(self, file: Path, heads: Sequence[str], lines: Sequence[tuple[int, Sequence[str]]]) -> None:
+        self.file, self._heads, self._lines = file, list(heads), lines
+
+    @classmethod
+    def read(cls, file: str | Path, needed: Sequence[str] = ("t",)) -> Columns:
+        """The columns of a file.
+
+        Raises:
+            TrajectoryError: The file cannot be read, a column that is needed is missing, or there are no rows.
+        """
+        file = Path(file)
+        try:
+            with file.open(newline="", encoding="utf-8-sig") as stream:
+                rows = list(csv.reader(stream, skipinitialspace=True))
+        except (OSError, UnicodeDecodeError) as error:
+            why = getattr(error, "strerror", None) or "it is no text in UTF-8"
+            raise TrajectoryError("cannot be read", why=why, fix="name a CSV file", file=file) from None
+        heads = [head.partition("[")[0].strip() for head in rows[0]] if rows else []
+        if missing := [name for name in needed if name not in heads]:
+            fix = f"name {', '.join(needed)} in the first line"
+            raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
+        lines = [(number, row) for number, row in enumerate(rows[1:], 2) if any(row)]
+        if not lines:
+            raise TrajectoryError("no rows", fix="give a line of numbers per time", file=file, line=1)
+        return cls(file, heads, lines)
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._heads:
+            raise KeyError(name)
+        place = self._heads.index(name)
+        return np.array([number_at(row, place, name, self.file, line) for line, row in self._lines])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._heads)
+
+    def __len__(self) -> int:
+        return len(self._heads)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._heads
+
+    def table(self, nb: int) -> Table:
+        """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `Table`."""
+        names = ("vx", "vy", "w") if moves_sideways(nb) else ("v", "w")
+        given = np.stack([self[n] for n in names], axis=1) if set(names) <= set(self) else None
+        return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, nb)
+
+    @contextmanager
+    def blamed(self) -> Iterator[None]:
+        """Errors of trajectories within are about this file."""
+        try:
+            yield
+        except TrajectoryError as error:
+            error.file = error.file or self.file
+            raise
+
+
+def number_at(row: Sequence[str], place: int, column: str, file: Path, line: int) -> float:
+    """A number of a line.
+
+    Raises:
+        TrajectoryError: There is none at that place.
+    """
+    text = row[place] if place < len(row) else ""
     try:
-        return float(text or "")
+        return float(text)
     except ValueError:
         raise TrajectoryError(f"{column} = '{text}' is not a number", file=file, line=line) from None
 

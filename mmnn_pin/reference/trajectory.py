@@ -1,4 +1,4 @@
-"""What the whole robot should do: setpoints, from profiles of the arm joints and a path of the base.
+"""What the whole robot should do: setpoints, from a path of the base and profiles of the arm's joints.
 
 A `SetpointSource` says at every sample where the robot should be. A `Trajectory` is one, which also knows it ahead:
 `Trajectory.table` samples it for a loop, so that nothing of it is computed between the steps.
@@ -6,150 +6,23 @@ A `SetpointSource` says at every sample where the robot should be. A `Trajectory
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..elementary.arrays import cos_sin
-from ..errors import TrajectoryError
+from ..errors import TrajectoryError, UnknownName
 from ..model.base import BY_SIZE
+from ..model.base.holonomic import moves_sideways
+from ..model.robot import Robot
 from ..signals import Array, Dimensions, Measurement, Setpoint
-from .path import BasePath, require_finite, require_positive, times
-from .samples import check_followable
-
-
-@dataclass(frozen=True)
-class JointSamples:
-    """A joint profile at N instants, each (N,), in rad (or m) and seconds."""
-
-    q: Array
-    qdot: Array
-    qddot: Array
-
-
-class JointProfile(ABC):
-    """A motion of one arm joint."""
-
-    @abstractmethod
-    def sample(self, t: ArrayLike) -> JointSamples:
-        """Position, rate and acceleration at the times `t` (N,) [s], counted from the start of the run."""
-
-
-@dataclass(frozen=True)
-class Sine(JointProfile):
-    """`q = offset + amplitude sin(2 pi t / period + phase)`.
-
-    Args:
-        amplitude: [rad or m].
-        period: [s].
-        offset: [rad or m].
-        phase: [rad].
-    """
-
-    amplitude: float
-    period: float
-    offset: float = 0.0
-    phase: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_finite(amplitude=self.amplitude, offset=self.offset, phase=self.phase)
-        require_positive(period=self.period)
-
-    def sample(self, t: ArrayLike) -> JointSamples:
-        """See `JointProfile.sample`."""
-        rate = 2 * np.pi / self.period
-        angle = rate * times(t) + self.phase
-        cosine, sine = cos_sin(angle)
-        swing = self.amplitude * sine
-        return JointSamples(self.offset + swing, self.amplitude * rate * cosine, -(rate * rate) * swing)
-
-
-@dataclass(frozen=True)
-class Sines(JointProfile):
-    """`q = offset + sum of amplitude sin(2 pi t / period + phase)`: a motion that excites more than one sine does.
-
-    Args:
-        amplitude: One per sine [rad or m].
-        period: Likewise [s].
-        offset: [rad or m].
-        phase: One per sine [rad]; empty for 0.
-
-    Raises:
-        TrajectoryError: No sines, not as many periods or phases as amplitudes, or one that a sine cannot have.
-    """
-
-    amplitude: tuple[float, ...]
-    period: tuple[float, ...]
-    offset: float = 0.0
-    phase: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        require_finite(offset=self.offset)
-        count = len(self.amplitude)
-        if not count or len(self.period) != count or len(self.phase) not in (0, count):
-            what = f"{count} amplitudes, {len(self.period)} periods, {len(self.phase)} phases"
-            raise TrajectoryError(what, fix="give one of each per sine; phases may be left out")
-        _ = self.sines
-
-    @cached_property
-    def sines(self) -> tuple[Sine, ...]:
-        """Its parts, around 0."""
-        phases = self.phase or (0.0,) * len(self.amplitude)
-        parts = zip(self.amplitude, self.period, phases, strict=True)
-        return tuple(Sine(amplitude, period, 0.0, phase) for amplitude, period, phase in parts)
-
-    def sample(self, t: ArrayLike) -> JointSamples:
-        """See `JointProfile.sample`."""
-        parts = [sine.sample(t) for sine in self.sines]
-        q, qdot, qddot = (np.sum([getattr(part, name) for part in parts], axis=0) for name in ("q", "qdot", "qddot"))
-        return JointSamples(self.offset + q, qdot, qddot)
-
-
-@dataclass(frozen=True)
-class Hold(JointProfile):
-    """A joint at rest at `value` [rad or m]."""
-
-    value: float
-
-    def __post_init__(self) -> None:
-        require_finite(value=self.value)
-
-    def sample(self, t: ArrayLike) -> JointSamples:
-        """See `JointProfile.sample`."""
-        zero = np.zeros_like(times(t))
-        return JointSamples(zero + self.value, zero, zero.copy())
-
-
-@dataclass(frozen=True)
-class MinimumJerk(JointProfile):
-    """From rest to rest by the polynomial of least jerk, `10 u^3 - 15 u^4 + 6 u^5`; at rest before and after.
-
-    Args:
-        start: Where it begins [rad or m].
-        goal: Where it ends [rad or m].
-        duration: Time of the motion [s].
-        begin: When the motion begins [s].
-    """
-
-    start: float
-    goal: float
-    duration: float
-    begin: float = 0.0
-
-    def __post_init__(self) -> None:
-        require_finite(start=self.start, goal=self.goal, begin=self.begin)
-        require_positive(duration=self.duration)
-
-    def sample(self, t: ArrayLike) -> JointSamples:
-        """See `JointProfile.sample`."""
-        u = np.clip((times(t) - self.begin) / self.duration, 0, 1)
-        by, T = self.goal - self.start, self.duration
-        q = self.start + by * u**2 * u * (10 - 15 * u + 6 * u**2)
-        return JointSamples(q, by / T * 30 * u**2 * (1 - u) ** 2, by / (T * T) * 60 * u * (1 - u) * (1 - 2 * u))
+from .holonomic import Holonomic
+from .joint import Hold, JointProfile, JointTable, Points
+from .path import BasePath, Line, Waypoints, require_positive, times
+from .samples import Columns, check_followable, table_of
 
 
 class SetpointSource(Protocol):
@@ -159,14 +32,28 @@ class SetpointSource(Protocol):
         """Write the setpoint of a time [s] in place, knowing what is measured."""
 
 
+STANDING = 5.0  # time of an arm's motion where no base says one [s]
+
+
 @dataclass(frozen=True)
 class Trajectory:
     """What the whole robot should do over time: a source of setpoints that knows them ahead.
+
+    Made of a path and profiles; or by `of`, `from_waypoints`, `from_arrays` or `from_csv`, which know the robot: what
+    they are not told stands still, the arm where it rests and the base at the origin.
 
     Args:
         base: Path of the base; None for a fixed arm.
         arm: One profile per arm joint, in the order of the robot's arm joints.
         slowness: How much more time everything takes than base and arm say.
+
+    >>> robot = load("platform_arm")
+    >>> corner, reach = [(0, 0), (2, 0), (2, 2)], [(0, 0), (0.5, 1), (0, 0)]
+    >>> path = Trajectory.from_waypoints(robot, base=corner, arm=reach, speed=0.4)
+    >>> round(path.duration, 1)
+    10.6
+    >>> Trajectory(base=Line(speed=0.3), arm=[Sine(amplitude=0.8, period=4.0), Hold(0.8)]).duration
+    inf
     """
 
     base: BasePath | None
@@ -176,6 +63,132 @@ class Trajectory:
     def __post_init__(self) -> None:
         object.__setattr__(self, "arm", tuple(self.arm))
         require_positive(slowness=self.slowness)
+
+    @classmethod
+    def of(
+        cls, robot: Robot, base: BasePath | None = None, arm: Mapping[str, JointProfile] | None = None
+    ) -> Trajectory:
+        """Of a path of the base and profiles of some joints, for a robot.
+
+        Args:
+            robot: The robot.
+            base: Path of the base; a holonomic base looks along one of a differential drive. None stands at the origin.
+            arm: Profiles by joint; joints that are not named rest.
+
+        Raises:
+            TrajectoryError: A path for a base that does not move.
+            UnknownName: A joint that the arm does not have.
+        """
+        joints = arm or {}
+        for name in joints:
+            require_joint(robot, name)
+        nb, at = robot.dimensions.base, dict(zip(robot.position_names, robot.neutral_position(), strict=True))
+        if base is not None and not nb:
+            raise TrajectoryError(f"a path for {robot.name}", why="its base does not move", fix="leave it out")
+        path = Line(0.0) if base is None and nb else base
+        if path is not None and moves_sideways(nb) and path.nb != nb:
+            path = Holonomic(path)
+        return cls(path, tuple(joints.get(name) or Hold(float(at[name])) for name in robot.joint_names))
+
+    @classmethod
+    def from_waypoints(
+        cls,
+        robot: Robot,
+        base: Sequence[Sequence[float]] | None = None,
+        arm: ArrayLike | None = None,
+        *,
+        speed: float = 0.3,
+        radius: float = 0.3,
+        duration: float | None = None,
+        times: Sequence[float] | None = None,
+    ) -> Trajectory:
+        """Through points, from rest to rest: the base along straight lines with rounded corners, the arm by splines.
+
+        Args:
+            robot: The robot.
+            base: (k, 2) points of the floor [m], see `Waypoints`; None stands at the origin.
+            arm: (m, n) positions of the arm's joints in the order of `robot.joint_names` [rad or m]; None rests.
+            speed: Of the base [m/s].
+            radius: Smallest radius of its corners [m].
+            duration: Time of the arm's motion [s]; by default the base's, or 5 s.
+            times: (m,) when the arm is at its positions [s], in place of a duration; by default evenly spread.
+
+        Raises:
+            TrajectoryError: Points that no path goes through, or that the robot cannot have; with what it takes.
+        """
+        path = Waypoints(tuple(tuple(map(float, p)) for p in base), speed, radius) if base is not None else None  # type: ignore[misc]
+        joints = {} if arm is None else joints_of(robot, arm)
+        if joints:
+            count = len(next(iter(joints.values())))
+            end = duration or (path.duration if path is not None else STANDING)
+            at = tuple(np.linspace(0.0, end, count).tolist()) if times is None else tuple(times)
+        made: dict[str, JointProfile] = {name: Points(at, tuple(q.tolist())) for name, q in joints.items()}
+        return cls.of(robot, path, made)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        robot: Robot,
+        time: ArrayLike,
+        pose: ArrayLike | None = None,
+        q: ArrayLike | Mapping[str, ArrayLike] | None = None,
+        *,
+        velocity: ArrayLike | None = None,
+        qdot: ArrayLike | Mapping[str, ArrayLike] | None = None,
+    ) -> Trajectory:
+        """From samples of any planner, with cubic splines between them.
+
+        Args:
+            robot: The robot.
+            time: (N,) increasing times [s], the first 0.
+            pose: (N, 3) `(x, y, phi)` of the base [m, m, rad]; None stands at the origin.
+            q: (N, n) positions of the arm's joints in the order of `robot.joint_names`, or (N,) by joint [rad or m];
+                joints that are not named rest.
+            velocity: (N, 2) `(v, w)`, or (N, 3) `(vx, vy, w)` for a holonomic base [m/s, rad/s]; None for that of the
+                poses.
+            qdot: Rates of the joints, as q [rad/s or m/s]; None for those of the positions.
+
+        Raises:
+            TrajectoryError: Arrays of the wrong shape, or poses that the base cannot follow.
+            UnknownName: A joint that the arm does not have.
+        """
+        if pose is not None and not robot.dimensions.base:
+            raise TrajectoryError(f"poses for {robot.name}", why="its base does not move", fix="leave pose out")
+        path = None if pose is None else table_of(time, pose, velocity, robot.dimensions.base)
+        joints, rates = ({} if part is None else joints_of(robot, part) for part in (q, qdot))
+        clock = np.asarray(time, float)
+        return cls.of(robot, path, {name: JointTable(clock, at, rates.get(name)) for name, at in joints.items()})
+
+    @classmethod
+    def from_csv(cls, robot: Robot, file: str | Path) -> Trajectory:
+        """From a CSV file: a column `t` [s], and any of these; others are left alone.
+
+        `x, y, phi` of the base [m, m, rad] and, where they are known, `v, w` or `vx, vy, w`; `position.JOINT` of an
+        arm joint, or only its name [rad or m], and, where it is known, `velocity.JOINT`. `mmnn excite` writes such
+        files.
+
+        Raises:
+            TrajectoryError: The file cannot be read, holds no motion of this robot, or one that it cannot follow; with
+                the file, and the line of what is no number.
+        """
+        found, nb = Columns.read(file), robot.dimensions.base
+        names = {name: f"position.{name}" for name in robot.joint_names}
+        columns = {name: at if at in found else name for name, at in names.items()}
+        joints = {name: found[at] for name, at in columns.items() if at in found}
+        moves = bool(nb) and {"x", "y", "phi"} <= set(found)
+        if not joints and not moves:
+            fix = f"name columns {', '.join(['x, y, phi'] * bool(nb) + [*names.values()])}"
+            raise TrajectoryError(f"no motion of {robot.name}", fix=fix, file=file, line=1)
+        rates = {name: found.get(f"velocity.{name}") for name in joints}
+        with found.blamed():
+            arm = {name: JointTable(found["t"], at, rates[name]) for name, at in joints.items()}
+            return cls.of(robot, found.table(nb) if moves else None, arm)
+
+    @property
+    def duration(self) -> float:
+        """When all of it has come to rest, or its samples end [s]; inf for a motion without an end."""
+        parts = [part for part in (self.base, *self.arm) if not still(part)]
+        return self.slowness * max((float(getattr(part, "duration", np.inf)) for part in parts), default=np.inf)
 
     def table(self, t: ArrayLike, layout: Dimensions) -> Array:
         """Setpoints ahead of a run: rows with pose, velocity, acceleration, q, qdot, qddot side by side.
@@ -236,3 +249,37 @@ class Trajectory:
             raise TrajectoryError(
                 f"{len(self.arm)} arm profiles for {layout.arm} arm joints", fix=f"give {layout.arm} of them"
             )
+
+
+def still(part: BasePath | JointProfile | None) -> bool:
+    """Whether a path or a profile does not move at all."""
+    return part is None or isinstance(part, Hold) or (isinstance(part, Line) and part.speed == 0)
+
+
+def joints_of(robot: Robot, given: ArrayLike | Mapping[str, ArrayLike]) -> dict[str, Array]:
+    """Numbers over time by arm joint, (N,) each; (N, n) are all of them in their order.
+
+    Raises:
+        TrajectoryError: Not one column per joint.
+        UnknownName: A joint that the arm does not have.
+    """
+    names = robot.joint_names
+    if isinstance(given, Mapping):
+        for name in given:
+            require_joint(robot, name)
+        return {name: np.asarray(values, float) for name, values in given.items()}
+    table = np.asarray(given, float)
+    if table.ndim != 2 or table.shape[1] != len(names):
+        what = f"positions of shape {table.shape} for {len(names)} arm joints"
+        raise TrajectoryError(what, fix=f"give (N, {len(names)}): {', '.join(names)}")
+    return dict(zip(names, table.T, strict=True))
+
+
+def require_joint(robot: Robot, name: str) -> None:
+    """Refuse a name that no arm joint of a robot has.
+
+    Raises:
+        UnknownName: With those that it has.
+    """
+    if name not in robot.joint_names:
+        raise UnknownName("arm joint", name, robot.joint_names)

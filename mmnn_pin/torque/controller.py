@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from ..compiled import fields_of
 from ..errors import ConfigError
-from ..settings import Settings, one_or_each, plain, require_gain
+from ..settings import Numbers, Settings, one_or_each, plain, require_gain
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint, VelocityCommand
 from .law import MotorLimits, Packed
 
@@ -83,8 +83,7 @@ class ControllerState:
 
     def view(self, kind: type[T]) -> T:
         """The parts that a named tuple of views names, as compiled code sees them (`compiled.views`)."""
-        parts = [self[name] if isinstance(part, int) else self.view(part) for name, part in fields_of(kind)]
-        return kind(*parts)
+        return kind(*(self[name] if isinstance(part, int) else self.view(part) for name, part in fields_of(kind)))
 
     def snapshot(self) -> ControllerState:
         """Copy that later steps do not touch; hand it to a run to resume from here."""
@@ -97,8 +96,7 @@ class Law:
 
     Attributes:
         numbers: What the torque is made of.
-        learner: What the law learns with, a named tuple whose type says which code; None where nothing learns but the
-            thesis's networks, and then nothing is compiled for it.
+        learner: What it learns with, a named tuple whose type says which code; None where no more is to be compiled.
     """
 
     numbers: Packed
@@ -166,6 +164,9 @@ class Feedback(Settings, frozen=True):
 
     Raises:
         ConfigError: A gain is negative or not finite.
+
+    >>> PD(Feedback(base=300.0, arm=(40.0, 20.0))).feedback.arm
+    (40.0, 20.0)
     """
 
     base: float | tuple[float, ...] | None = None
@@ -303,19 +304,20 @@ class Controller(ABC):
         return None
 
     def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
-        """The weights (k,) that say the true parameters theta (k0,), where weights are those; None where they are not.
-
-        Args:
-            theta: Parameters of the robot, in the order of `model.regressor`.
-            start: The state before a run.
-        """
+        """The weights (k,) that say true parameters theta (k0,), from a state before a run; None if they say others."""
         return None
 
 
 class TorqueController(Controller):
-    """A torque controller in plain Python; subclass it to plug in your own.
+    """A torque controller of your own in plain Python: a subclass. It runs in the ordinary loop only, the slower one.
 
-    Such a controller runs in the ordinary loop only, which is the slower one.
+    >>> class Damper(TorqueController):
+    ...     def step(self, time, reference, measurement, command, state):
+    ...         nu = np.concatenate((measurement.velocity, measurement.qdot))
+    ...         return np.array([900.0, 150.0, 8.0, 8.0]) * (command.nu_ref - nu)
+    >>> robot = load("platform_arm")
+    >>> compare(robot, Trajectory.of(robot, base=Line(speed=0.3)), {"damper": Damper()}, duration=0.1)
+    <Result: damper completed>
     """
 
     def init(self, context: Context) -> Any:
@@ -430,9 +432,7 @@ def read_facts(kind: type[Any], facts: Mapping[str, Any], *names: str) -> dict[s
     return {name: msgspec.convert(facts[name], hints[name]) for name in names}
 
 
-def per_velocity(
-    base: float | tuple[float, ...], arm: float | tuple[float, ...], layout: Dimensions, key: str
-) -> Array:
+def per_velocity(base: Numbers, arm: Numbers, layout: Dimensions, key: str) -> Array:
     """Numbers of the base and of the arm as one vector (p,).
 
     Raises:

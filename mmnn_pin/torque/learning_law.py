@@ -59,6 +59,20 @@ class LearningLaw(TorqueController):
     Args:
         feedback: K; an experiment gives its own.
         learning: Off holds the weights fixed: `learn` is not called.
+
+    >>> from mmnn_pin.torque.controller import ControllerState
+    >>> class Bias(LearningLaw):
+    ...     rate: float = 100.0
+    ...     def init(self, context):
+    ...         return ControllerState.of(bias=(context.layout.dof,))
+    ...     def estimate(self, sample, state):
+    ...         return state["bias"]
+    ...     def learn(self, sample, state):
+    ...         state["bias"] += self.rate * sample.period * sample.s
+    >>> robot = load("platform_arm")
+    >>> path = Trajectory.of(robot, base=Line(speed=0.3))
+    >>> compare(robot, path, ["pd", Bias(rate=50.0)], duration=0.1)
+    <Result: pd completed, Bias completed>
     """
 
     feedback: Feedback = field(default_factory=Feedback)

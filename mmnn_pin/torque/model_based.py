@@ -51,6 +51,11 @@ class PD(ConstantGain):
     Args:
         feedback: k1, k2.
         name: Name in tables and recordings.
+
+    >>> robot = load("platform_arm")
+    >>> loop = Loop(robot, Trajectory.of(robot, base=Line(speed=0.3)), PD())
+    >>> loop.controller.feedback.complete(robot.dimensions)  # gains that suit the robot
+    True
     """
 
     name: str = "pd"

@@ -150,6 +150,12 @@ class Neural(CompiledController):
             form. The feedback and the robust term are scaled by themselves (`Feedback.scaled`, `Robust.scaled`).
         called: Name in tables and recordings; empty for that of the network.
         adds_model: Whether the Psi of the loop's model is added (`torque.two_layer_residual`).
+
+    >>> robot = load("platform_arm")
+    >>> path = Trajectory.of(robot, base=Line(speed=0.3))
+    >>> run = Loop(robot, path, Neural(), timing=Timing(duration=0.1)).run()
+    >>> bool(abs(run["psi_hat"]).max() > 0.0)
+    True
     """
 
     network: TwoLayer | OneLayer = field(default_factory=TwoLayer)

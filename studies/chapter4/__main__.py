@@ -1,4 +1,4 @@
-"""Everything that docs/chapter4.md says, from nothing: `python -m studies.chapter4` in a checkout.
+"""Everything that docs/thesis/chapter4.md says, from nothing: `python -m studies.chapter4` in a checkout.
 
 Runs the three variants, every other reading of the thesis, the calibration, the walk around its optimum and the test
 of the claim, and writes figures, tables and the document itself.
@@ -18,7 +18,7 @@ import numpy as np
 from mmnn_pin import load_experiment, run_experiment
 from mmnn_pin.lab.experiments.cases import readings, summaries
 from mmnn_pin.lab.experiments.config import find, variants
-from mmnn_pin.lab.experiments.runner import Result
+from mmnn_pin.lab.experiments.result import Result
 from mmnn_pin.lab.show.figure import save
 from mmnn_pin.lab.show.gallery import write_pictures
 from mmnn_pin.loop.precompile import precompile
@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--quick", action="store_true", help="a little of everything: shows that it runs, not what holds"
     )
     parser.add_argument(
-        "--publish", action="store_true", help="renew docs/chapter4.md, its figures and the saved summary"
+        "--publish", action="store_true", help="renew docs/thesis/chapter4.md, its figures and the saved summary"
     )
     parser.add_argument("--draws", type=int, default=Amount.draws, help=f"draws of the claim's test ({Amount.draws})")
     options = parser.parse_args(arguments)

@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from mmnn_pin import PD, ScheduledPD
+from mmnn_pin import PD
+from mmnn_pin.torque.model_based import ScheduledPD
 
 from ..rollouts import Rollout, roll_out
 from .choices import Choice, integral_only

@@ -1,4 +1,4 @@
-"""docs/chapter4.md out of a summary: no number in it is written by hand."""
+"""docs/thesis/chapter4.md out of a summary: no number in it is written by hand."""
 
 from __future__ import annotations
 
@@ -128,4 +128,4 @@ def listed(names: Iterable[str]) -> str:
     return ", ".join(names) or "none"
 
 
-DOCUMENT = Document("chapter4", SUMMARY, render)
+DOCUMENT = Document("thesis/chapter4", SUMMARY, render)

@@ -1,4 +1,4 @@
-"""Everything that docs/chapter5.md says, from nothing: `python -m studies.chapter5` in a checkout.
+"""Everything that docs/thesis/chapter5.md says, from nothing: `python -m studies.chapter5` in a checkout.
 
 Runs the experiment, the calibration of its rig, the same rig again and again, one number of it moved at a time, and
 the ranking over drawn rigs, and writes figures, tables and the document itself.
@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--quick", action="store_true", help="a little of everything: shows that it runs, not what holds"
     )
     parser.add_argument(
-        "--publish", action="store_true", help="renew docs/chapter5.md, its figures and the saved summary"
+        "--publish", action="store_true", help="renew docs/thesis/chapter5.md, its figures and the saved summary"
     )
     parser.add_argument("--rigs", type=int, default=Amount.rigs, help=f"drawn rigs of the ranking ({Amount.rigs})")
     options = parser.parse_args(arguments)

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from msgspec.structs import replace as with_settings
 
-from mmnn_pin import PD, ScheduledPD
+from mmnn_pin import PD
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.controller import CompiledController
+from mmnn_pin.torque.model_based import ScheduledPD
 
 from ..rollouts import Rollout, roll_out
 from .rigs import DEGREES, THESIS_PERIOD, Values, chapter5, draw, loop_of, per_second, robot_of, with_rig

@@ -1,4 +1,4 @@
-"""docs/chapter5.md out of a summary: no number in it is written by hand."""
+"""docs/thesis/chapter5.md out of a summary: no number in it is written by hand."""
 
 from __future__ import annotations
 
@@ -32,4 +32,4 @@ def missed(intervals: list[dict[str, Any]]) -> str:
     return ", ".join(figures) or "none"
 
 
-DOCUMENT = Document("chapter5", SUMMARY, render)
+DOCUMENT = Document("thesis/chapter5", SUMMARY, render)

@@ -1,4 +1,4 @@
-"""Everything that docs/contest.md says, from nothing: `python -m studies.contest` in a checkout.
+"""Everything that docs/explanation/contest.md says, from nothing: `python -m studies.contest` in a checkout.
 
 Runs the contest, writes tables, figures and the document; with `--tune` it searches the learners' settings and stops.
 """
@@ -34,7 +34,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/contest"), help="folder for all that is written")
     parser.add_argument("--quick", action="store_true", help="two tasks for a second: shows that it runs")
     parser.add_argument("--force", action="store_true", help="run anew what is in the folder")
-    parser.add_argument("--publish", action="store_true", help="renew docs/contest.md, its figures and the summary")
+    parser.add_argument(
+        "--publish", action="store_true", help="renew docs/explanation/contest.md, its figures and the summary"
+    )
     parser.add_argument("--tune", action="store_true", help="search the learners' settings, and stop")
     parser.add_argument("--only", choices=TUNINGS, help="one of the two searches")
     parser.add_argument("--learner", action="append", metavar="NAME", help="of this learner; may be repeated")

@@ -3,7 +3,7 @@
 The thesis robot with friction and noise, started from nothing. Arguments are controllers and `key=value`s for the
 training run; `after=poor` goes on after the training with half a minute of a circle on which the arm hardly moves,
 `only=poor` trains on that alone, `only=rich` on the same eight with the arm shaken. `--time` tells what a sample takes
-instead. docs/learners.md has the tables.
+instead. docs/explanation/learners.md has the tables.
 
     python studies/learners/knowledge.py adaptive adaptive_composite concurrent
 """
@@ -16,11 +16,12 @@ from time import process_time
 
 import numpy as np
 
-from mmnn_pin import ControllerState, Loop, Recording, load_experiment
+from mmnn_pin import Loop, Recording, load_experiment
 from mmnn_pin.lab.contest.task import frozen
 from mmnn_pin.lab.contest.trial import psi_hat_along
 from mmnn_pin.lab.proof.psi import fvu
 from mmnn_pin.signals import Array, Layout
+from mmnn_pin.torque.controller import ControllerState
 
 
 def sine(*parts: tuple[float, float]) -> str:

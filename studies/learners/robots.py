@@ -2,7 +2,7 @@
 
 For base (position) and arm (all joints together) the RMS error after 2 s over that of PD, and the largest peak torque
 over its motor's limit. Arguments are robots and controllers, none for all, and `key=value`s; `--table` prints it once
-more as the table of docs/learners.md, with "!" where a motor was asked for more than it can give.
+more as the table of docs/explanation/learners.md, with "!" where a motor was asked for more than it can give.
 
     python studies/learners/robots.py so100 so101 kalman_bilinear
 """

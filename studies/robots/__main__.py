@@ -3,7 +3,8 @@
     python -m studies.robots FOLDER [--only TEXT] [--markdown]
 
 FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, and beside them the packages that
-their xacro files ask for. Robots of example-robot-data are loaded by name. The table is that of docs/robots.md.
+their xacro files ask for. Robots of example-robot-data are loaded by name. The table goes to
+docs/reference/public-robots.md.
 """
 
 from __future__ import annotations
@@ -133,7 +134,7 @@ def words(robot: Robot) -> str:
 
 
 def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
-    """A row of the table of docs/robots.md."""
+    """A row of the table of docs/reference/public-robots.md."""
     truth = ", ".join([entry["kind"], *(f"{entry[name]:g} m" for name in ("radius", "track") if name in entry)])
     text = outcome.text if outcome.verdict.startswith("right") else ""
     found = ": ".join(filter(None, (outcome.verdict, f"`{outcome.command}`" if outcome.command else "", text)))
@@ -144,7 +145,7 @@ def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, path_type=Path))
 @click.option("--only", default="", help="Robots whose names have this text.")
-@click.option("--markdown", is_flag=True, help="The table of docs/robots.md.")
+@click.option("--markdown", is_flag=True, help="The table of docs/reference/public-robots.md.")
 def main(folder: Path, only: str, markdown: bool) -> None:
     """Hold all robots of the corpus against the truth."""
     entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]

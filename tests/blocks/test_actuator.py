@@ -18,10 +18,11 @@ from robots import dynamics, fixed_arm, robot_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from mmnn_pin import PD, Feedback, Hold, Loop, Sine, Start, Timing, TorqueController, Trajectory, load
+from mmnn_pin import PD, Feedback, Hold, Loop, Sine, Timing, TorqueController, Trajectory, load
 from mmnn_pin import actuator as motor
 from mmnn_pin.actuator import NEVER, Actuator, Backlash, Drive
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.hardware import pass_through
 from mmnn_pin.sensing import Sensor
 

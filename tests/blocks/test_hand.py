@@ -11,11 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from mmnn_pin import Limits, load
+from mmnn_pin import load
 from mmnn_pin.errors import ConfigError, RobotError, TrajectoryError, UnknownName
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import check_followable
 from mmnn_pin.reference.follower import Follower
+from mmnn_pin.reference.guide import Limits
 from mmnn_pin.reference.hand import (
     Capsule,
     FollowHand,

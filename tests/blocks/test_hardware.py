@@ -16,35 +16,23 @@ from numba import config
 from places import ROOT
 from robots import fixed_arm, mobile_arm
 
-from mmnn_pin import (
-    PD,
-    ComputedTorque,
-    ControllerState,
-    Feedback,
-    Hold,
-    Line,
-    Loop,
-    Neural,
-    OneLayer,
-    Sine,
-    Start,
-    Timing,
-    Trajectory,
-    TwoLayer,
-    load,
-    load_experiment,
-    simulate_many,
-)
+from mmnn_pin import PD, Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load, load_experiment
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Block, Commands, DeadMotor, Frozen, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.show.plots import torque_figure
 from mmnn_pin.lab.show.replay.motion import events_of
+from mmnn_pin.loop.batch import simulate_many
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.hardware import sense
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Layout
+from mmnn_pin.torque.controller import ControllerState
+from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 ROBOT = load("platform_arm")
 LEFT, ARM = ROBOT.base.wheels[0].joint, ROBOT.joint_names[0]
@@ -310,8 +298,8 @@ def test_the_exact_sensor_is_the_state():
 
 
 def test_the_tables_and_commands_of_the_page_load():
-    """docs/hardware.md: every TOML block fits chapter 4, every `--set` of its commands, too."""
-    page = (ROOT / "docs/hardware.md").read_text()
+    """docs/how-to/hardware.md: every TOML block fits chapter 4, every `--set` of its commands, too."""
+    page = (ROOT / "docs/how-to/hardware.md").read_text()
     blocks = re.findall(r"```toml\n(.*?)```", page, re.S)
     plain = msgspec.to_builtins(load_experiment("chapter4"))
     for block in blocks:

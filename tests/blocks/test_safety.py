@@ -13,20 +13,16 @@ from robots import dynamics, mobile_arm, robot_of
 
 from mmnn_pin import (
     PD,
-    ControllerState,
     Feedback,
     Hold,
     Line,
     Loop,
     Neural,
-    Outcome,
     Recording,
     Sine,
-    Start,
     Timing,
     TorqueController,
     Trajectory,
-    TwoLayer,
     load,
     load_experiment,
     run_experiment,
@@ -34,11 +30,15 @@ from mmnn_pin import (
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.disturbance import Block, Commands, Messages, Payload, Push
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import speed_limits
+from mmnn_pin.recording.recording import Outcome
 from mmnn_pin.safety import RAMPING, RUNNING, STEPPED_IN, STOPPING, Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Layout
+from mmnn_pin.torque.controller import ControllerState
+from mmnn_pin.torque.two_layer import TwoLayer
 
 ROBOT = load("platform_arm")
 H = 0.002
@@ -497,7 +497,7 @@ def test_a_run_that_ends_while_it_stops_has_tripped():
 
 
 def test_a_run_that_diverges_while_it_stops_tells_both():
-    from mmnn_pin import Bounds
+    from mmnn_pin.loop.before_run import Bounds
 
     run = run_of(Safety(yaw_rate=0.2, stop_time=9.0), 0.3, bounds=Bounds(yaw_rate=0.5),
                  disturbances=(Push(on="w", force=3000.0, start=0.02),))  # fmt: skip

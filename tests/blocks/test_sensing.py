@@ -13,29 +13,17 @@ from msgspec import structs
 from numba import config
 from robots import fixed_arm, mobile_arm
 
-from mmnn_pin import (
-    PD,
-    ComputedTorque,
-    ControllerState,
-    Feedback,
-    Hold,
-    Line,
-    Loop,
-    Neural,
-    OneLayer,
-    Sine,
-    Timing,
-    Trajectory,
-    TwoLayer,
-    load,
-    load_experiment,
-    simulate_many,
-)
+from mmnn_pin import PD, Feedback, Hold, Line, Loop, Neural, Sine, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.hardware import pass_through
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Layout, Measurement
+from mmnn_pin.torque.controller import ControllerState
+from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 ROBOT = load("platform_arm")
 ARM = fixed_arm(2, 1)

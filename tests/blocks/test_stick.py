@@ -12,8 +12,9 @@ from numba import config
 from robots import fixed_arm, mobile_arm
 from scipy.optimize import lsq_linear
 
-from mmnn_pin import PD, Dynamics, Feedback, Hold, Line, Loop, Timing, Trajectory, load, load_experiment
+from mmnn_pin import PD, Feedback, Hold, Line, Loop, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_robot
 

@@ -16,13 +16,14 @@ import h5py
 import numpy as np
 import pytest
 
-from mmnn_pin import Dynamics, Recording, load
+from mmnn_pin import Recording, load
 from mmnn_pin.cli import main
 from mmnn_pin.cli.output import interruptible
 from mmnn_pin.lab.experiments.config import bundled, load_experiment
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS
 from mmnn_pin.lab.show import comparison as table
 from mmnn_pin.lab.show.table import broken, number
+from mmnn_pin.model.dynamics import Dynamics
 
 SHORT = ("--set", "time.duration=0.02")
 ARM = ("--robot", "two_axis_arm", "--controller", "pd", "--set", "feedback.arm=1")
@@ -491,7 +492,7 @@ def test_unexpected_errors_are_one_line_unless_debug(call: Call, monkeypatch: py
 
 
 def test_other_errors_of_the_package_are_failures(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
-    from mmnn_pin import MmnnError
+    from mmnn_pin.errors import MmnnError
 
     def failing(*_: object, **__: object) -> None:
         raise MmnnError("the simulation failed")

@@ -15,32 +15,30 @@ from robots import fixed_arm, mobile_arm
 
 from mmnn_pin import (
     PD,
-    Bounds,
     Circle,
-    ComputedTorque,
-    ControllerState,
-    Dynamics,
     Feedback,
     Hold,
     Line,
     Loop,
     Neural,
-    OneLayer,
     Robot,
-    Run,
     Sine,
-    Start,
     Timing,
     TorqueController,
     Trajectory,
-    TwoLayer,
     load,
-    simulate_many,
 )
 from mmnn_pin.errors import ConfigError, TrajectoryError, UnknownName
 from mmnn_pin.loop import batch
+from mmnn_pin.loop.batch import Run, simulate_many
+from mmnn_pin.loop.before_run import Bounds, Start
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.signals import Layout
+from mmnn_pin.torque.controller import ControllerState
+from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 ROBOT = load("platform_arm")
 GAINS = Feedback(base=500.0, arm=10.0)

@@ -19,29 +19,27 @@ from robots import feedback, fixed_arm, mobile_arm, robot_of, with_joint_frictio
 
 from mmnn_pin import (
     PD,
-    Bounds,
     Circle,
-    ComputedTorque,
     Feedback,
-    Kinematic,
     Loop,
     Neural,
-    OneLayer,
     Recording,
     Robot,
-    Robust,
-    ScheduledPD,
     Sine,
-    Start,
     Timing,
     TorqueController,
     Trajectory,
-    TwoLayer,
     load,
 )
 from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.loop.before_run import Bounds, Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree import body
+from mmnn_pin.torque.model_based import ComputedTorque, ScheduledPD
+from mmnn_pin.torque.neural import Robust
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 SAME = 1e-9
 LONG = 0.04 if config.DISABLE_JIT else 5.0  # [s]

@@ -12,32 +12,30 @@ from numba import config
 
 from mmnn_pin import (
     PD,
-    Bounds,
-    ComputedTorque,
-    Dynamics,
     Feedback,
     Hold,
-    Kinematic,
     Line,
     Loop,
     Neural,
-    OneLayer,
     Recording,
     Robot,
-    ScheduledPD,
     Sine,
-    Start,
     Timing,
     TorqueController,
     Trajectory,
-    TwoLayer,
     load,
 )
 from mmnn_pin.errors import ConfigError, InputError, RecordingError
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.loop.before_run import Bounds, Start
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.signals import Measurement, Setpoint, VelocityCommand
+from mmnn_pin.torque.model_based import ComputedTorque, ScheduledPD
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 ROBOT = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])
 ARM = load("two_axis_arm")

@@ -15,6 +15,7 @@ SCRIPT = """
 import sys
 from dataclasses import replace
 import mmnn_pin as mm
+from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop import precompile
 precompile.call_control_blocks()
 precompile.call_plant_blocks()
@@ -29,7 +30,7 @@ before = versions()
 experiment = mm.load_experiment("chapter4", ["time.duration=0.02", 'time.integrator="semi_implicit_euler"'])
 robot = experiment.load_robot()
 for controller in ("two_layer", "computed_torque"):
-    mm.simulate_many([replace(experiment.loop(robot, experiment.controller(controller)), engine="compiled")])
+    simulate_many([replace(experiment.loop(robot, experiment.controller(controller)), engine="compiled")])
 new = sorted(name.rsplit(".", 1)[1] for name, count in versions().items() if count and not before.get(name))
 several = [name for name, count in versions().items() if count > 1]
 print(sorted(set(new) - {"advance"}), several)

@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 from numba import config
 from scipy.integrate import solve_ivp
 
-from mmnn_pin import PD, ComputedTorque, Eight, Feedback, Loop, Sine, Start, Stepper, Timing, Trajectory, load
+from mmnn_pin import PD, Eight, Feedback, Loop, Sine, Stepper, Timing, Trajectory, load
 from mmnn_pin.actuator import Drive
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.servo import Servo, interfaces_of, servo_slots, split_of, velocity_servo
 from mmnn_pin.loop.suited import Given, suited
@@ -22,6 +23,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import exact
 from mmnn_pin.signals import Measurement, Setpoint
+from mmnn_pin.torque.model_based import ComputedTorque
 
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5))
 WHEELS = dict.fromkeys(ROBOT.actuator_names[:2], "velocity")

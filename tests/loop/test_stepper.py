@@ -14,26 +14,19 @@ from builders import first_of
 from numba import config
 
 from mmnn_pin import (
-    HOLD,
     PD,
-    BaseVelocity,
-    ComputedTorque,
-    ControllerState,
     Eight,
     Feedback,
     LearningLaw,
     Line,
     Loop,
     Neural,
-    OneLayer,
     Recording,
-    Robust,
     Sine,
     Stepper,
     Timing,
     TorqueController,
     Trajectory,
-    TwoLayer,
     load,
     load_experiment,
 )
@@ -45,9 +38,15 @@ from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.loop.stepper import UNKNOWN
 from mmnn_pin.plant.ideal import IdealPlant
 from mmnn_pin.recording.recording import recorded_position
+from mmnn_pin.reference.wishes import HOLD, BaseVelocity
 from mmnn_pin.safety import RAMPING, Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement, Setpoint
+from mmnn_pin.torque.controller import ControllerState
+from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.neural import Robust
+from mmnn_pin.torque.one_layer import OneLayer
+from mmnn_pin.torque.two_layer import TwoLayer
 
 H = 0.005
 GAINS = Feedback(300.0, 5.0)
@@ -498,6 +497,7 @@ def test_a_wish_that_is_refused_changes_nothing(wish):
 FRESH = """
 import sys, numpy as np
 from mmnn_pin import *
+from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal
 def count():
     return sum(len(f.overloads) for name, m in list(sys.modules.items()) if name.startswith("mmnn_pin")
                for f in vars(m).values() if hasattr(f, "overloads"))
@@ -531,8 +531,8 @@ def test_the_rehearsal_leaves_no_trace():
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="uncompiled blocks allocate")
 @pytest.mark.parametrize(("name", "samples"), [
-    ("two_layer", 20_000),
-    ("computed_torque", 20_000),
+    ("two_layer", 6000),
+    ("computed_torque", 6000),
     *(pytest.param(name, 100_000, marks=pytest.mark.long) for name in CONTROLLERS if name != "python"),
 ])  # fmt: skip
 def test_steps_collect_no_garbage_and_keep_no_memory(name, samples):

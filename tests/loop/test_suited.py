@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from builders import trajectory
 
-from mmnn_pin import PD, ComputedTorque, Feedback, Loop, Stepper, Timing, load
+from mmnn_pin import PD, Feedback, Loop, Stepper, Timing, load
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
@@ -21,6 +21,7 @@ from mmnn_pin.model.robots import extra
 from mmnn_pin.signals import Setpoint
 from mmnn_pin.torque.classical import PID
 from mmnn_pin.torque.controller import BANDWIDTHS
+from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.neural import Neural, Robust
 
 ROBOTS = ["platform_arm", "two_axis_arm", *(name for name in ("tiago_no_hand", "so101", "kinova") if name in extra())]
@@ -95,6 +96,15 @@ def test_gains_that_are_given_stay() -> None:
     assert bandwidths.robust is None and np.array(bandwidths.inertia).shape == (2,)
     with pytest.raises(ConfigError, match="no gains"):
         Feedback(1.0).vector(robot.dimensions)
+
+
+def test_a_gain_that_is_too_much_leaves_the_others_as_they_are() -> None:
+    """Else a sweep of the arm's gain would be one of the base's: it fell to a hundredth to save what nothing saves."""
+    robot = load("platform_arm")
+    alone = loop_of(robot, PD()).controller.feedback.vector(robot.dimensions)
+    beside = loop_of(robot, PD(Feedback(arm=1e3))).controller.feedback.vector(robot.dimensions)
+    np.testing.assert_array_equal(beside[:2], alone[:2])
+    assert (beside[2:] == 1e3).all()
 
 
 def test_an_experiment_has_the_gains_of_a_loop() -> None:

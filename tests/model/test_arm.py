@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from numba import config
 from robots import feedback
 
-from mmnn_pin import PD, Circle, Loop, Sine, Start, Timing, Trajectory
+from mmnn_pin import PD, Circle, Loop, Sine, Timing, Trajectory
 from mmnn_pin.errors import ConfigError, RobotError, UnknownName
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.inspection import NamedState
 

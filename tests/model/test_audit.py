@@ -22,7 +22,7 @@ from mmnn_pin.model.urdf.packages import locate
 from mmnn_pin.model.urdf.reading import audit_file, parse
 from mmnn_pin.model.urdf.shapes import damage_of
 
-DOCUMENT = ROOT / "docs" / "urdf-audit.md"
+DOCUMENT = ROOT / "docs" / "reference" / "urdf-audit.md"
 TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"
 
 # What is replaced by what, then the severity, the line, the code and the words.

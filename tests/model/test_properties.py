@@ -12,7 +12,7 @@ from test_holonomic import mecanum
 
 from mmnn_pin import load
 from mmnn_pin.model.checks.nonholonomy import bracket, involutive_closure, nonholonomy
-from mmnn_pin.model.checks.properties import PROPERTIES, Report, check_properties, worse
+from mmnn_pin.model.checks.properties import PROPERTIES, Report, check, worse
 from mmnn_pin.model.checks.residuals import (
     Terms,
     annihilation,
@@ -47,7 +47,7 @@ def mobile() -> Robot:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_every_property_holds(name):
     robot = ROBOTS[name]()
-    report = check_properties(robot, samples=5, seed=1)
+    report = check(robot, samples=5, seed=1)
     assert not failed(report)
     assert 0 < report.bounds.M_min <= report.bounds.M_max and report.bounds.C_b > 0
     missing = {
@@ -60,7 +60,7 @@ def test_every_property_holds(name):
 
 def test_one_tolerance_serves_any_mass(mobile):
     """Residuals stay, bounds scale: a robot of 1/100 and of 100 times the mass."""
-    reports = [check_properties(mobile.with_masses(factor), samples=4, seed=3) for factor in (0.01, 1.0, 100.0)]
+    reports = [check(mobile.with_masses(factor), samples=4, seed=3) for factor in (0.01, 1.0, 100.0)]
     assert not any(map(failed, reports))
     for report in reports:
         assert all(p.worst < 1e-9 for name, p in report.properties.items() if not p.at_least)
@@ -76,7 +76,7 @@ def test_one_tolerance_sees_a_small_fault_in_any_mass(mobile, factor):
             return super().coriolis(q, v) * (1 + 1e-4)
 
     robot = mobile.with_masses(factor)
-    assert "property_2" in failed(check_properties(robot, 2, terms=Faulty(robot)))
+    assert "property_2" in failed(check(robot, 2, terms=Faulty(robot)))
 
 
 class Asymmetric(Terms):
@@ -162,16 +162,16 @@ BROKEN = {
 
 @pytest.mark.parametrize("terms", BROKEN, ids=lambda kind: kind.__name__)
 def test_a_broken_property_is_seen(mobile, terms):
-    found = failed(check_properties(mobile, samples=3, seed=2, terms=terms(mobile)))
+    found = failed(check(mobile, samples=3, seed=2, terms=terms(mobile)))
     assert found >= BROKEN[terms]
     blameless = {"constraint", "constraint_rank", "full_rank", "reduced_rate_world"}
     assert not found & blameless
 
 
 def test_what_only_one_check_can_see(mobile):
-    assert failed(check_properties(mobile, samples=3, terms=Antifriction(mobile))) == {"passive"}
-    assert failed(check_properties(mobile, samples=3, terms=NoGravity(mobile))) == {"passive"}
-    cross = failed(check_properties(mobile, samples=3, terms=OtherCross(mobile)))
+    assert failed(check(mobile, samples=3, terms=Antifriction(mobile))) == {"passive"}
+    assert failed(check(mobile, samples=3, terms=NoGravity(mobile))) == {"passive"}
+    cross = failed(check(mobile, samples=3, terms=OtherCross(mobile)))
     assert not cross & {"property_3", "property_5"}
 
 
@@ -180,19 +180,19 @@ def test_a_forgotten_sdot_is_seen(mobile):
         def null_space_rate(self, phi: float, phidot: float) -> Array:
             return 0 * super().null_space_rate(phi, phidot)
 
-    assert failed(check_properties(mobile, samples=3, world=NoSdot(mobile))) == {"reduced_rate_world"}
+    assert failed(check(mobile, samples=3, world=NoSdot(mobile))) == {"reduced_rate_world"}
 
 
 def test_a_wrong_t_is_seen(mobile):
     slipping, doubled = mobile.T.copy(), mobile.T.copy()
     slipping[1, 0] += 1e-6  # drives a little sideways
     doubled[:, 1] = 2 * doubled[:, 0]
-    assert failed(check_properties(replace(mobile, T=slipping), samples=2)) == {"constraint"}
+    assert failed(check(replace(mobile, T=slipping), samples=2)) == {"constraint"}
     terms = Terms(mobile)
     terms.T = doubled
-    assert "full_rank" in failed(check_properties(mobile, samples=1, terms=terms))
+    assert "full_rank" in failed(check(mobile, samples=1, terms=terms))
     fewer = replace(mobile, A=mobile.A[1:])
-    assert failed(check_properties(fewer, samples=2)) == {"constraint_rank"}
+    assert failed(check(fewer, samples=2)) == {"constraint_rank"}
 
 
 def test_nan_never_passes(mobile):
@@ -200,7 +200,7 @@ def test_nan_never_passes(mobile):
         def coriolis(self, q: Array, v: Array) -> Array:
             return np.nan * super().coriolis(q, v)
 
-    assert {"property_1", "property_2", "passive"} <= failed(check_properties(mobile, samples=2, terms=Nan(mobile)))
+    assert {"property_1", "property_2", "passive"} <= failed(check(mobile, samples=2, terms=Nan(mobile)))
     assert np.isnan(worse(np.nan, 1.0, False)) and np.isnan(worse(1.0, np.nan, True))
     assert worse(None, 3.0, True) == 3.0 and worse(1.0, 2.0, False) == 2.0 and worse(1.0, 2.0, True) == 1.0
 
@@ -225,17 +225,17 @@ def test_bounds_against_a_grid():
     dynamics = Dynamics(arm)
     grid = [dynamics.mass_matrix(np.array([0.0, q])) for q in np.linspace(arm.lower[1], arm.upper[1], 200)]
     eigenvalues = np.linalg.eigvalsh(grid)
-    found = check_properties(arm, samples=60, seed=5).bounds
+    found = check(arm, samples=60, seed=5).bounds
     assert eigenvalues.min() <= found.M_min * (1 + 1e-9) <= 1.05 * eigenvalues.min()
     assert eigenvalues.max() >= found.M_max * (1 - 1e-9) >= 0.95 * eigenvalues.max()
-    assert check_properties(arm, samples=60, seed=5).bounds == found
-    more = check_properties(arm, samples=90, seed=5).bounds
+    assert check(arm, samples=60, seed=5).bounds == found
+    more = check(arm, samples=90, seed=5).bounds
     assert more.M_min <= found.M_min and more.C_b >= found.C_b
 
 
 def test_progress_counts_to_one(mobile):
     said: list[float] = []
-    check_properties(mobile, samples=4, progress=said.append)
+    check(mobile, samples=4, progress=said.append)
     assert said == [0.25, 0.5, 0.75, 1.0]
 
 

@@ -11,7 +11,7 @@ from robots import fixed_arm, mobile_arm
 
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model import bundled, load
-from mmnn_pin.model.checks.properties import check_properties
+from mmnn_pin.model.checks.properties import check
 from mmnn_pin.model.checks.second_answers import SecondKinematics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import extra
@@ -51,7 +51,7 @@ def test_a_wrong_placement_is_seen():
     model = robot.model.copy()
     model.jointPlacements[4].translation += 1e-6
     wrong = replace(robot, model=model)
-    report = check_properties(wrong, samples=1)
+    report = check(wrong, samples=1)
     assert not report.properties["forward_kinematics"].passed and not report.passed
 
 
@@ -62,6 +62,6 @@ def test_what_yourdfpy_cannot_read_is_skipped_with_a_reason():
     robot = robot_of(Drive().urdf().replace("</robot>", more + "</robot>"))
     with pytest.raises(RobotError, match="'b', which mimics another"):
         SecondKinematics(robot)
-    report = check_properties(robot, samples=1)
+    report = check(robot, samples=1)
     assert "forward_kinematics" not in report.properties and "'b'" in report.skipped["forward_kinematics"]
     assert report.passed

@@ -14,7 +14,7 @@ from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.base import Wheel
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.base.skid_steer import GRAVITY, loads, rotation_centre, turning_friction, turning_track
-from mmnn_pin.model.checks.properties import check_properties
+from mmnn_pin.model.checks.properties import check
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
@@ -152,7 +152,7 @@ def test_what_is_told_of_it():
 
 
 def test_the_properties_hold():
-    assert check_properties(robot_of(rover((0.3, 0.0, -0.3)), base="skid_steer", track=0.7), samples=5).passed
+    assert check(robot_of(rover((0.3, 0.0, -0.3)), base="skid_steer", track=0.7), samples=5).passed
 
 
 @pytest.mark.parametrize(("rows", "said", "words"), [

@@ -15,7 +15,7 @@ from test_base import MOVE, four
 
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.report import Undecided, Unsupported
-from mmnn_pin.model.checks.properties import check_properties
+from mmnn_pin.model.checks.properties import check
 from mmnn_pin.model.inspection import interfaces_of
 from mmnn_pin.model.loading import load
 
@@ -252,7 +252,7 @@ def test_faults_of_joints_that_stand_still_are_warnings():
     assert told.severity == "warning" and told.joint == "jaw_r" and "stands still" in told.why
     with pytest.raises(RobotError, match="'jaw_r' moves has no mass"):
         robot_of(text, free=("all",))
-    assert check_properties(robot, samples=3).passed
+    assert check(robot, samples=3).passed
     bare = text.replace('effort="9" velocity="2"', 'velocity="2"').replace('effort="9"', "")
     with pytest.raises(RobotError, match="joint 'elbow': effort of <limit> is missing"):
         robot_of(bare)
@@ -266,7 +266,7 @@ def test_locked_joints_stand_with_what_follows_them_when_the_model_is_checked():
     wrist = link("wrist", 0.3, 1e-3) + joint("w", "revolute", "fore", "wrist", p=(0.2, 0, 0), more=LIMIT.format(-1, 1))
     robot = robot_of(four(more=MOVE + wrist + jaws.replace('"fore"', '"wrist"')), lock=("jaw_l=0.01",))
     assert {"jaw_l": 0.01, "jaw_r": 0.01}.items() <= robot.arm.locked.items()
-    report = check_properties(robot, samples=5)
+    report = check(robot, samples=5)
     assert report.properties["forward_kinematics"].passed and report.passed
 
 
@@ -287,9 +287,9 @@ def test_the_triangle_inequality_is_checked_for_the_root_too():
 
 def test_huge_limits_are_not_taken_at_their_word():
     text = four(more=MOVE).replace('lower="0.2" upper="2"', 'lower="-1e16" upper="1e16"')
-    report = check_properties(robot_of(text), samples=5)
+    report = check(robot_of(text), samples=5)
     assert report.passed and "elbow" in report.notes[0] and "+-pi" in report.notes[0]
-    assert not check_properties(robot_of(four(more=MOVE)), samples=2).notes
+    assert not check(robot_of(four(more=MOVE)), samples=2).notes
 
 
 # --- Interfaces -------------------------------------------------------------------------------------------------------

@@ -15,8 +15,9 @@ from learning import assert_engines_agree, assert_frozen, assert_it_resumes
 from places import ROOT
 from scipy.linalg import expm, sqrtm
 
-from mmnn_pin import PD, Circle, Eight, Loop, Sine, Start, Timing, Trajectory, load, load_experiment
+from mmnn_pin import PD, Circle, Eight, Loop, Sine, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters

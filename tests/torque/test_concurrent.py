@@ -12,8 +12,8 @@ from learning import assert_engines_agree, assert_frozen, assert_it_resumes, mad
 from numba import config
 from test_composite import EIGHT
 
-from mmnn_pin import Regressor
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.concurrent import ConcurrentSettings, estimate, into_ball
 from mmnn_pin.torque.controller import ControllerState

@@ -18,32 +18,19 @@ from places import ROOT
 from robots import fixed_arm, mobile_arm
 from scipy.signal import lfilter
 
-from mmnn_pin import (
-    Circle,
-    ComputedTorque,
-    Eight,
-    Feedback,
-    Hold,
-    Loop,
-    Payload,
-    Safety,
-    Sensor,
-    Sine,
-    Start,
-    Stepper,
-    Timing,
-    Trajectory,
-    load,
-    load_experiment,
-)
+from mmnn_pin import Circle, Eight, Feedback, Hold, Loop, Sine, Stepper, Timing, Trajectory, load, load_experiment
+from mmnn_pin.disturbance import Payload
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.controllers import Granted, Nominal, machine_of
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.controller import Torque
 from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robots import extra
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.safety import Safety
+from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import INDEX, Layout, Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
@@ -56,6 +43,7 @@ from mmnn_pin.torque.kalman import (
 )
 from mmnn_pin.torque.law import limit, motor_limits
 from mmnn_pin.torque.linear import Parts, estimate, project, track
+from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.random_features import coprime
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only

@@ -14,24 +14,19 @@ from hypothesis import strategies as st
 from proofs import KINDS, SLOW, learner, loop_of, robot_of_kind, subject_of
 from robots import feedback
 
-from mmnn_pin import (
-    PD,
-    Adaptive,
-    AdaptiveSettings,
-    ComputedTorque,
-    ControllerState,
-    LearningLaw,
-    Regressor,
-    Safety,
-    TorqueController,
-)
+from mmnn_pin import PD, LearningLaw, TorqueController
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.proof.learner import Stepper
 from mmnn_pin.lab.proof.linear import linear_fit
 from mmnn_pin.lab.proof.proof import Proof
+from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
+from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings
+from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.learning_law import norms
+from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.neural import THESIS_INPUT
 
 SIGNALS = ("psi_hat", "torque", "effective_gain", "position", "nu", "motor_torque")

@@ -13,17 +13,7 @@ from learning import SHORT, assert_engines_agree, assert_it_resumes, made
 from proofs import learner, loop_of
 from test_lyapunov import DURATION
 
-from mmnn_pin import (
-    ControllerState,
-    Feedback,
-    LearningLaw,
-    Recording,
-    Robust,
-    Stepper,
-    TorqueController,
-    load,
-    load_experiment,
-)
+from mmnn_pin import Feedback, LearningLaw, Recording, Stepper, TorqueController, load, load_experiment
 from mmnn_pin.lab.experiments.cases import with_case
 from mmnn_pin.lab.proof.certified_loop import refusal
 from mmnn_pin.lab.proof.lyapunov import limited_power, lyapunov
@@ -33,7 +23,9 @@ from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.safety import Safety
 from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import Measurement, Setpoint
+from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.law import limit, motor_limits, share_left
+from mmnn_pin.torque.neural import Robust
 
 ROBOT = load("platform_arm")
 E_INV = np.linalg.pinv(ROBOT.E)

@@ -30,7 +30,8 @@ SHORT = ("--set", "time.duration=0.6", "--set", "time.control_period=0.002", "--
 
 LAW = """
 import numpy as np
-from mmnn_pin import LearningLaw, ControllerState, TorqueController
+from mmnn_pin import LearningLaw, TorqueController
+from mmnn_pin.torque.controller import ControllerState
 
 open({marker!r}, "a").write("x")
 
@@ -276,7 +277,7 @@ def test_a_law_runs_in_cases_and_studies(law: Path, tmp_path: Path, capsys: pyte
 def test_a_proof_of_a_law_defined_in_this_process_needs_no_file() -> None:
     class Here(LearningLaw):
         def init(self, context):
-            from mmnn_pin import ControllerState
+            from mmnn_pin.torque.controller import ControllerState
 
             return ControllerState.of(W=(context.layout.dof,))
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from mmnn_pin import AdaptiveSettings, load_experiment
+from mmnn_pin import load_experiment
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.controllers import renamed
+from mmnn_pin.torque.adaptive import AdaptiveSettings
 
 
 @pytest.mark.parametrize(
@@ -26,7 +27,9 @@ def test_an_old_name_is_refused_with_the_new_one(said, new):
 
 
 def test_in_python_too():
-    from mmnn_pin import Adaptive, Regressor, load
+    from mmnn_pin import load
+    from mmnn_pin.model.regressor import Regressor
+    from mmnn_pin.torque.adaptive import Adaptive
 
     with pytest.raises(ConfigError, match="'guess' is now called 'prior'"):
         Adaptive(Regressor.of(load("platform_arm")), settings=AdaptiveSettings(initial="guess"))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from numba import config
 
-from mmnn_pin import load_experiment, simulate_many
+from mmnn_pin import load_experiment
 from mmnn_pin.errors import ConfigError, UnknownName
+from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.controller import Torque
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.tree.body import parameters

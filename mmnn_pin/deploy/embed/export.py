@@ -89,6 +89,12 @@ def embed(
             folder exists, there is no such compiler.
         Untranslatable: Something in the controller's functions cannot be said in C.
         MmnnError: The self-test fails.
+
+    >>> robot = load("platform_arm")
+    >>> loop = Loop(robot, Trajectory.of(robot, base=Line(speed=0.3)), PD())
+    >>> made = embed(loop, "firmware", steps=20, compiler=None)
+    >>> made.controller, "selftest.c" in made.files
+    ('pd', True)
     """
     folder = Path(folder)
     require_embeddable(loop)
@@ -157,7 +163,7 @@ def require_limits(stepper: Fresh) -> None:
     Raises:
         ConfigError: A motor without a limit.
     """
-    torque, robot = stepper.hardware.supervisor.torque, stepper.robot
+    torque, robot = stepper.hardware.way.supervisor.torque, stepper.robot
     free = [name for name, limit in zip(robot.actuator_names, torque, strict=True) if not np.isfinite(limit)]
     if free:
         why = f"no effort limit of {', '.join(free)} is known"

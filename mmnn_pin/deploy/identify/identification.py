@@ -13,6 +13,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +38,7 @@ from .log import Log
 from .odometry import Wheels, has_reference, wheels_of
 from .programme import BLOCKS, Blocks, Consistent, Prior, consistent_fit
 from .quality import misnamed, sound
+from .reading import Motion, logs_of
 
 HELD_OUT = 1 / 3  # of each log
 FEWEST = 40  # equations of a joint
@@ -45,9 +49,9 @@ FAR = 2.0  # between them: error over that of least squares from which no robot 
 MODELS = ("identified", "urdf", "friction", "least_squares", "urdf_file")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Identification:
-    """What came out.
+    """What came out; `print` shows it joint by joint.
 
     Attributes:
         robot: The robot as its URDF has it.
@@ -78,6 +82,31 @@ class Identification:
     friction: Array
     notes: tuple[str, ...]
     wheels: Wheels | None = None
+
+    def __repr__(self) -> str:
+        ours, file = 100 * self.error("identified"), 100 * self.error("urdf")
+        return f"<Identification: {self.robot.name}, held-out torque error {ours:.3g} %, with its URDF {file:.3g} %>"
+
+    def __str__(self) -> str:  # what shows it stands above it, so it is found by name
+        return str(import_module("mmnn_pin.lab.show.identified").text_of(self.to_dict()))
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers, for JSON: joints, base parameters, bodies, friction."""
+        found: dict[str, Any] = import_module("mmnn_pin.deploy.identify.report").report_of(self)
+        return found
+
+    def save(self, out: str | Path, *, force: bool = False) -> dict[str, Path]:
+        """Write the corrected URDF and what belongs to it; all files or none.
+
+        Args:
+            out: A folder, or the name of the URDF.
+            force: Replace existing files.
+
+        Raises:
+            RecordingError: A file exists or cannot be written.
+        """
+        files: dict[str, Path] = import_module("mmnn_pin.deploy.identify.corrected").write(self, out, force)
+        return files
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -150,9 +179,9 @@ def together(of: Equations, predicted: Array) -> float:
 
 def identify(
     robot: Robot,
-    logs: Log | Sequence[Log],
+    logs: Motion | Sequence[Motion],
     *,
-    held_out: Log | Sequence[Log] = (),
+    held_out: Motion | Sequence[Motion] = (),
     cutoff: float | None = None,
     stribeck: float | None = None,
     torque_constants: Mapping[str, float] | None = None,
@@ -162,7 +191,7 @@ def identify(
 
     Args:
         robot: As its URDF has it: where to start, and what holds for all that the motion does not tell.
-        logs: Recorded motions.
+        logs: Recorded motions: logs, recordings, or files (CSV, bags, recordings).
         held_out: Motions to judge on; without any the last third of every log is held out.
         cutoff: Of the low-pass on positions and efforts [Hz]; by default ten times the motion's own frequencies.
         stribeck: Velocity of Stribeck friction [rad/s or m/s]; by default there is none.
@@ -174,8 +203,15 @@ def identify(
         UnknownName: A torque constant of no motor.
         ConfigError: A number that cannot be.
         SolverError: The programme has no solution.
+
+    >>> robot = load("two_axis_arm")
+    >>> path = Trajectory.of(robot, arm={"arm_1_joint": Sine(0.8, 1.7), "arm_2_joint": Sine(0.9, 1.1)})
+    >>> run = Loop(robot.with_masses({"arm_2_joint": 1.3}), path, PD(), timing=Timing(duration=4.0)).run()
+    >>> found = identify(robot, run)
+    >>> found.better
+    True
     """
-    given, judged = as_list(logs), as_list(held_out)
+    given, judged = logs_of(logs, robot), logs_of(held_out, robot)
     require_settings(cutoff, stribeck, weight)
     given, judged = (
         [sound(scaled(log, robot, torque_constants or {}), robot) for log in some] for some in (given, judged)
@@ -213,11 +249,6 @@ def fitted(
     return Identification(
         robot, tuple(logs), unknowns, training, test, fit, consistent, prior, follows, why, friction, tuple(notes)
     )
-
-
-def as_list(logs: Log | Sequence[Log]) -> list[Log]:
-    """One log or several as a list."""
-    return [logs] if isinstance(logs, Log) else list(logs)
 
 
 def require_settings(cutoff: float | None, stribeck: float | None, weight: float | None) -> None:

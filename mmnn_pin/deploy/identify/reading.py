@@ -28,6 +28,24 @@ TIMES = ("time", "t", "timestamp", "stamp", "sec", "seconds")
 BAGS = (".db3", ".mcap", ".bag")
 
 
+Motion = Log | Recording | str | Path
+
+
+def logs_of(given: Motion | Sequence[Motion], robot: Robot) -> list[Log]:
+    """Logs of whatever holds a motion: a log, a recording, a file of `read_logs`, or several of these.
+
+    Raises:
+        InputError: As `read_logs`.
+    """
+    found: list[Log] = []
+    for one in [given] if isinstance(given, Log | Recording | str | Path) else given:
+        if isinstance(one, Recording):
+            found.append(from_recording(one, robot))
+        else:
+            found += [one] if isinstance(one, Log) else read_logs([one], robot)
+    return found
+
+
 def read_logs(
     paths: Sequence[str | Path],
     robot: Robot,
@@ -53,7 +71,7 @@ def read_logs(
         if not path.exists():
             raise RecordingError("no such file", fix="name a CSV file, a bag or a recording", file=path)
         if path.suffix == ".h5":
-            logs.append(from_recording(path, robot))
+            logs.append(from_recording(Recording.open(path), robot))
         elif path.suffix in BAGS or path.is_dir():
             logs.append(read_bag(path, robot, columns))
         else:
@@ -221,13 +239,13 @@ def meant(header: str, joints: Sequence[str]) -> str:
 # -- recordings of this package ----------------------------------------------------------------------------------------
 
 
-def from_recording(path: Path, robot: Robot) -> Log:
+def from_recording(recording: Recording, robot: Robot) -> Log:
     """What the sensors of a recorded run said, and the torques of its motors.
 
     Raises:
         RecordingError: It cannot be read, is of another robot, or holds too few signals.
     """
-    recording = Recording.open(path)
+    path = recording.path or Path(f"recording of {recording.meta.get('controller', 'a run')}")
     needed = ("q", "qdot", "velocity", "motor_torque")
     size = {"q": robot.dimensions.arm, "qdot": robot.dimensions.arm, "velocity": robot.dimensions.base}
     missing = [name for name in needed if name not in recording and size.get(name, 1)]

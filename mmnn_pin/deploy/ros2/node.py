@@ -1,4 +1,4 @@
-"""The node: a stepper at a fixed rate between what the graph tells and what it is told.
+"""The node: a stepper at a fixed rate between what the graph publishes and what it subscribes to.
 
 A sample: read, step, send; then record, diagnose, and say in one line what is wrong. The stepper's own timeouts answer
 when measurements or setpoints stay away. Ctrl-C is an emergency stop: the robot brakes and holds, then the node leaves.
@@ -119,7 +119,7 @@ class Bridge:
             if clock.monotonic() > deadline:
                 n = self.settings.network
                 why = f"domain {n.domain}, interface {n.interface}, peers {', '.join(n.peers)}, {patience:g} s"
-                raise InputError(lacking, why=why, fix="see docs/ros2.md, 'When nothing comes'")
+                raise InputError(lacking, why=why, fix="see docs/how-to/ros2.md, 'When nothing comes'")
             clock.sleep(0.005)
 
     def missing(self) -> str:

@@ -8,7 +8,7 @@ from ...errors import ConfigError, UnknownName
 from ...model.robot import Robot
 from .settings import Network, Node
 
-EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. `mmnn ros2 --help` and docs/ros2.md explain.
+EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. See `mmnn ros2 --help` and docs/how-to/ros2.md.
 # Topics without a leading / get network.namespace.
 
 robot = "{robot}"             # name or URDF file

@@ -21,7 +21,8 @@ from ...torque.neural import THESIS_INPUT
 from .config import config_error, merged, require_disturbances
 from .controllers import LEARNERS
 from .experiment import Experiment, Tolerance
-from .runner import Result, require_free, require_runnable, run_experiment
+from .result import Result
+from .runner import require_free, require_runnable, run_experiment
 
 AT_END = 0.1  # of a stopped run, in which the robot must be at rest [s]
 

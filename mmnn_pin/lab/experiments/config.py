@@ -41,6 +41,9 @@ def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), var
     Raises:
         UnknownName: No such experiment or variant.
         ConfigError: The file cannot be read or is not TOML, a key is unknown, a value of the wrong type or range.
+
+    >>> load_experiment("chapter4", ["time.duration=0.2"]).time.duration
+    0.2
     """
     path, texts = find(name_or_path), tuple(overrides)
     if variant is not None:
@@ -269,7 +272,7 @@ def require_names(experiment: Experiment) -> None:
         for name in names:
             if name not in there:
                 raise UnknownName("controller", name, there, key=key)
-    for key in ("task", "printed", "rich", "poor"):
+    for key in ("task", "rich", "poor"):
         name = getattr(contest.targets, key)
         if name and name not in tasks:
             raise UnknownName("task", name, tasks, key=f"contest.targets.{key}")

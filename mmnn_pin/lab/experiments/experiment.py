@@ -5,7 +5,9 @@ Its TOML has exactly these keys.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache, partial
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -50,10 +52,10 @@ PLACES = 10  # along the reference at which inertias are looked at that scale ba
 
 
 @lru_cache(16)
-def made_for(robot: Robot, tables: bytes, duration: float) -> Trajectory:
-    """The reference of some tables (JSON) for a robot; errors as in `Experiment.trajectory`."""
+def made_for(robot: Robot, tables: bytes, duration: float, changed: float) -> Trajectory:
+    """The reference of some tables (JSON) for a robot, anew when its file has changed; errors as in `trajectory`."""
     reference = msgspec.json.decode(tables, type=ReferenceTables)
-    return followable(robot, partial(reference.trajectory, robot.dimensions), duration, reference.share)
+    return followable(robot, partial(reference.of, robot), duration, reference.share)
 
 
 class Friction(Settings, frozen=True):
@@ -157,6 +159,7 @@ class Experiment(LearnerTables, frozen=True):
         latency: How long measurements and commands are under way.
         interfaces: What motors take, by joint: effort where one is not named, velocity or position.
         servo: The servos behind velocity and position interfaces.
+        lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
@@ -201,6 +204,7 @@ class Experiment(LearnerTables, frozen=True):
     latency: Latency = Latency()
     interfaces: dict[str, str] = msgspec.field(default_factory=dict)
     servo: Servo = Servo()
+    lead: bool = False
     disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
@@ -215,7 +219,7 @@ class Experiment(LearnerTables, frozen=True):
         controllers, laws = resolved(self.controllers, self.laws, CONTROLLERS)
         msgspec.structs.force_setattr(self, "controllers", controllers)
         msgspec.structs.force_setattr(self, "laws", laws)
-        there = {**CONTROLLERS, **laws}
+        there = {**CONTROLLERS, **laws, **self.objects}
         for name in self.controllers:
             if name not in there:
                 raise UnknownName("controller", name, there, key="controllers")
@@ -235,6 +239,11 @@ class Experiment(LearnerTables, frozen=True):
                     f"{held.duration} s", fix="use a finite number of seconds > 0", key=f"held_out.{name}.duration"
                 )
         require_in_time(self.disturbances, self.time.duration)
+
+    @property
+    def objects(self) -> Mapping[str, Any]:
+        """Controllers by name that are no names of a file; a file has none."""
+        return {}
 
     def load_robot(self) -> Robot:
         """The true robot, with the experiment's masses and friction.
@@ -282,7 +291,9 @@ class Experiment(LearnerTables, frozen=True):
         """
         if self.reference.hand is not None:
             return hand_motion(self.reference.hand, robot, self.time).trajectory
-        return made_for(robot, msgspec.json.encode(self.reference), self.time.duration)
+        file = Path(self.reference.file)
+        changed = file.stat().st_mtime if self.reference.file and file.is_file() else 0.0
+        return made_for(robot, msgspec.json.encode(self.reference), self.time.duration, changed)
 
     def held_out_of(self, robot: Robot, name: str) -> Trajectory:
         """A held-out trajectory for a robot; errors as in `trajectory`, with the keys of `held_out`."""
@@ -351,6 +362,7 @@ class Experiment(LearnerTables, frozen=True):
             latency=self.latency,
             interfaces=self.interfaces,
             servo=self.servo,
+            lead=self.lead,
         )
 
     def to_json(self) -> str:

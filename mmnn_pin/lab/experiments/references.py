@@ -19,6 +19,7 @@ from ...reference import (
     Holonomic,
     Line,
     MinimumJerk,
+    Points,
     Sine,
     Sines,
     Trajectory,
@@ -40,12 +41,13 @@ from ...reference.hand import (
     comfortable,
     plan,
 )
-from ...reference.trajectory import JointProfile
+from ...reference.joint import JointProfile
+from ...reference.trajectory import still
 from ...settings import Settings, Timing, require_gain, wrong_type
 from ...signals import Array, Dimensions
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}
-ARM_PROFILES = {"sine": Sine, "sines": Sines, "hold": Hold, "minimum_jerk": MinimumJerk}
+ARM_PROFILES = {"sine": Sine, "sines": Sines, "hold": Hold, "minimum_jerk": MinimumJerk, "points": Points}
 
 
 OF_A_FIXED_ARM = 0.15  # scale of a path where no base moves, per metre of reach
@@ -197,9 +199,10 @@ class ReferenceTables(Settings, frozen=True):
         share: Share of every motor's effort and speed limits that whoever follows exactly may need: swings move to
             another posture, and the whole reference is slower, where it would be more (`loop.suited`). 0 for any.
         hand: Where the hand goes, in the place of all of these: base and arm follow from it.
+        file: A CSV file as of `Trajectory.from_csv`; what it holds takes the place of base and arm.
 
     Raises:
-        ConfigError: A hand beside a path of the base or profiles of the arm.
+        ConfigError: A hand beside a path of the base, profiles of the arm or a file.
     """
 
     base: dict[str, Any] | None = None
@@ -207,12 +210,23 @@ class ReferenceTables(Settings, frozen=True):
     arm: tuple[dict[str, Any], ...] | dict[str, Any] = ()
     share: float = 0.0
     hand: HandTables | None = None
+    file: str = ""
 
     def __post_init__(self) -> None:
         require_gain(self.share, "reference.share")
-        if self.hand is not None and (self.base or self.heading or self.arm):
+        if self.hand is not None and (self.base or self.heading or self.arm or self.file):
             why, fix = "the motion of base and arm follows from the hand's", "leave out one of them"
-            raise ConfigError("a hand beside [reference.base] or [reference.arm]", why=why, fix=fix, key="reference")
+            beside = "a file" if self.file else "[reference.base] or [reference.arm]"
+            raise ConfigError(f"a hand beside {beside}", why=why, fix=fix, key="reference")
+
+    def of(self, robot: Robot, limits: tuple[Array, Array] | None = None) -> Trajectory:
+        """The reference for a robot, also from a file; arguments and errors as in `trajectory`."""
+        if not self.file:
+            return self.trajectory(robot.dimensions, limits)
+        read = Trajectory.from_csv(robot, self.file)
+        base = self._path(robot.dimensions.base) if still(read.base) and self.base else read.base
+        arm = self._arm(robot.dimensions, limits) if all(map(still, read.arm)) and self.arm else read.arm
+        return Trajectory(base, arm)
 
     def trajectory(self, layout: Dimensions, limits: tuple[Array, Array] | None = None) -> Trajectory:
         """The reference for a robot; arguments and errors as in `Experiment.trajectory`."""

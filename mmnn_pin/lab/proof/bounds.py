@@ -1,7 +1,7 @@
 """Two bounds of the certificate that need no samples of the robot: on the pose error, and on a network's weights.
 
-**The pose** (docs/theory.md, section 2): a strict Lyapunov function of Kanayama's loop, and how strongly it holds the
-pose. With `eta = sin(ephi) / sqrt(ky)` [m] and a number `0 < eps < 1`
+**The pose** (docs/explanation/theory.md, section 2): a strict Lyapunov function of Kanayama's loop, and how strongly
+it holds the pose. With `eta = sin(ephi) / sqrt(ky)` [m] and a number `0 < eps < 1`
 
     Vk = (ex^2 + ey^2)/2 + (1 - cos ephi)/ky + eps ey eta
     Vkdot = -xi' Q xi + ex z1 + (eta + eps cos(ephi) ey) z2 / sqrt(ky),        xi = (ex, ey, eta)

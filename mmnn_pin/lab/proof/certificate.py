@@ -1,4 +1,4 @@
-"""The certificate: what docs/theory.md guarantees for one robot, gains, reference and region, every constant a number.
+"""The certificate: what docs/explanation/theory.md guarantees for one robot, gains, reference and region, in numbers.
 
 A box bounds the size of the pose error, every arm error, and the energy of the errors in velocity. It is *invariant*
 when on each of its faces that error falls: no motion of the sampled loop leaves it, for any weights that the update can
@@ -143,7 +143,7 @@ class Constant:
     """A number of the certificate.
 
     Attributes:
-        name: As in docs/theory.md.
+        name: As in docs/explanation/theory.md.
         value: In SI units.
         unit: Its unit.
         source: "given" by robot, settings, reference; "computed" from others; or "sampled" over configurations.

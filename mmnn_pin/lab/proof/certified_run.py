@@ -1,7 +1,7 @@
 """A run beside its certificate: what is guaranteed, what the run did, its learning rates, the thesis's own bounds.
 
-The thesis's bounds (3.44)-(3.65) are given as printed, in numbers; they are not proved (docs/theory.md, section 7). Per
-network, with the error that drives it of gain k (the smallest of its velocities), |Z*| <= ZB, |x| <= qB + c2 |s|:
+The thesis's bounds (3.44)-(3.65) are given as printed, in numbers; they are not proved (docs/explanation/theory.md,
+section 7). Per network, with the error that drives it of gain k (its smallest), |Z*| <= ZB, |x| <= qB + c2 |s|:
 
     C0 = eps_N + dB + sqrt(h) ZB        C1 = sqrt(2)/4 ZB qB        C2 = sqrt(2)/4 ZB c2
     C6 = ZB + C1/kappa      b = (C0 + kappa C6^2/4)/k      bZ = C6/2 + sqrt(C0/kappa + C6^2/4)      Kz > C2
@@ -14,8 +14,9 @@ weights.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -23,15 +24,18 @@ import numpy as np
 from ...disturbance.settings import MOST
 from ...errors import ConfigError, InputError, UnknownName
 from ...model.base import BY_SIZE
+from ...recording.recording import Recording
 from ...settings import finite
 from ...signals import Array
 from ...torque.neural import Robust
+from .balance import BUDGET
 from .certificate import BoolArray, Box, Certificate, certify
 from .certified_loop import CertifiedLoop, certified_loop, push_bound
 from .learner import NAMES, Networks, seen
 from .lyapunov import motion_energy
 from .networks import Ideal
-from .proof import Proof, sentence
+from .proof import PARTS, Proof, sentence
+from .psi import WINDOWS
 from .rate import Rate, rate_of
 from .subject import Subject
 
@@ -69,6 +73,73 @@ class CertifiedRun:
             result |= certificate.to_dict() | {"run": run.to_dict() if run is not None and shown else None}
         printed = {NAMES[i]: one.to_dict() for i, one in self.thesis_bounds.items()}
         return result | {"rate": None if self.rate is None else self.rate.to_dict(), "printed": printed or None}
+
+
+@dataclass(frozen=True, repr=False)
+class Proved:
+    """One run judged: what it proves, and what is certified of its loop; `print` shows both.
+
+    Attributes:
+        proof: Psi_hat against the truth, the Lyapunov function, the balance of energy; parts that a run does not have
+            raise an `InputError` when they are asked for, and `proof.missing` says why.
+        certificate: What is guaranteed, and the run beside it.
+    """
+
+    proof: Proof
+    certificate: CertifiedRun
+
+    @property
+    def holds(self) -> bool:
+        """Whether the balance holds and the run stays in the region that is certified."""
+        return self.proof.holds and self.certificate.holds
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers, for JSON."""
+        return self.proof.to_dict() | {"certificate": self.certificate.to_dict()}
+
+    def __repr__(self) -> str:
+        return f"<Proved: {self.proof.subject.controller}, {'holds' if self.holds else 'VIOLATED'}>"
+
+    def __str__(self) -> str:  # what shows it stands above it, so it is found by name
+        text = import_module("mmnn_pin.lab.show.proof.text")
+        return f"{text.render(self.proof)}\n{text.render_certificate(self.certificate)}"
+
+
+def prove(
+    recording: Recording,
+    *,
+    payload: float | None = None,
+    windows: int = WINDOWS,
+    budget: float = BUDGET,
+    region: Mapping[str, float] | None = None,
+    disturbance: Mapping[str, float] | None = None,
+    progress: Callable[[str, float], None] | None = None,
+) -> Proved:
+    """Judge one recorded run: did it learn Psi, does its Lyapunov function fall, what is certified of its loop.
+
+    Args:
+        recording: The run.
+        payload: Load of the changed robot on which frozen weights are tried [kg]; None for a usual one.
+        windows: Number of windows of the online FVU.
+        budget: Evaluations of the dynamics that the balance may take; inf looks at every control period.
+        region: As of `certified_run`.
+        disturbance: As of `certified_run`.
+        progress: Called with what is being done and the fraction done.
+
+    Raises:
+        InputError: The recording does not hold what there is to judge, with every reason; or as of `certified_run`.
+
+    >>> robot = load("platform_arm")
+    >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})
+    >>> run = Loop(robot, path, PD(), timing=Timing(duration=0.4)).run()
+    >>> prove(run).holds
+    True
+    """
+    proof = Proof(recording, payload=payload, windows=windows, budget=budget, progress=progress)
+    missing = proof.missing
+    if len(missing) == len(PARTS):
+        raise InputError("nothing to judge", why="; ".join(map(sentence, missing.values())), file=recording.path)
+    return Proved(proof, certified_run(proof, region, disturbance))
 
 
 def certified_run(

@@ -25,7 +25,7 @@ it changes `W~' P^-1 W~` by
     noise       (-2 u e + e^2 phi' P phi / R) / alpha           what it has wrong: sensors, motors, what Phi cannot say
 
 Variance q that comes back at a place j takes `q (P^-1 W~)_j^2 / (1 + q (P^-1)_jj)` out: the term `memory`, never
-positive, as errors count less where less is known. (Continuous: the two sums of V' in docs/learners.md.) The rest, the
+positive, as errors count less where less is known. (Continuous: V' in docs/explanation/learners.md.) The rest, the
 second order of the first move and the projection onto the bound, is `step`.
 
 *A concurrent learner* has `w~' L w~ / (2 tracking)` with L of its stack and `w* = basis^+ (theta - theta_0)` of the

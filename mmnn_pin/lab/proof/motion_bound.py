@@ -1,4 +1,4 @@
-"""How the energy of the errors, `E = s' M s / 2`, may change inside of a box of errors (docs/theory.md, section 4).
+"""How the energy of errors, `E = s' M s / 2`, may change in a box of errors (docs/explanation/theory.md, section 4).
 
     Edot <= -s' (share k + viscous - sym(M Az) + Coriolis) s + s' u + constant
 

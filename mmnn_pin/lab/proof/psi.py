@@ -3,7 +3,7 @@
 The measure is the fraction of variance unexplained (FVU) of every component, after the first 0.5 s. A learner that
 adapts fast follows Psi without knowing it: its error online is small, and the weights of any instant say little about
 the next. Frozen weights show what it knows: along the same trajectory, along one that it never saw (`held_out`), and
-after a change of the robot that it was not told of (docs/proof.md).
+after a change of the robot that it was not told of (docs/explanation/proof.md).
 """
 
 from __future__ import annotations
@@ -157,8 +157,8 @@ def psi_of(
         edges=edges,
         windows=fvu_in(edges, time, psi, psi_hat),
         errors=error_in(edges, time, psi, psi_hat),
-        shares=shares(torque[counts], psi_hat[counts], robust[counts]),
-        sizes=sizes(torque[counts], psi_hat[counts], robust[counts]),
+        shares=shares(torque[counts], subject.applied[counts], robust[counts]),
+        sizes=sizes(torque[counts], subject.applied[counts], robust[counts]),
         frozen=frozen,
         networks=networks,
         weights_time=learner.end_time if learner else float("nan"),

@@ -5,9 +5,9 @@ One update changes the output by `Psi_hat <- Psi_hat + L s`, with the kernel of 
     L = F (sigma' (sigma - sigma' V'x)) I + G |x|^2 W' sigma'^2 W            (p, p), rates per sample
 
 (a one-layer network: beta |phi|^2 I). Linearised about the reference, with the torque held over a period, deviations
-and Psi_hat then follow a matrix (docs/theory.md, section 6); a spectral radius above 1 means that they grow. For one
-velocity of inertia m alone it is stable if and only if `L < k` and `h (2 k - L) < 4 m` (updates after the output). This
-speaks of small errors and an input that stands still; the leakage is left out.
+and Psi_hat then follow a matrix (docs/explanation/theory.md, section 6); a spectral radius above 1 means that they
+grow. For one velocity of inertia m alone it is stable if and only if `L < k` and `h (2 k - L) < 4 m` (updates after
+the output). This speaks of small errors and an input that stands still; the leakage is left out.
 """
 
 from __future__ import annotations

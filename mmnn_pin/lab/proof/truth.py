@@ -9,7 +9,8 @@ Psi on every motion, those are the ones nearest to their start, measured by thei
 The weights' part of adaptive control is `V_theta / a`.
 
 a is the factor on the gradient of the tracking error, `tracking`, 1 without a prediction error. A gradient g moves the
-estimate by `Gamma g`, which takes `g' theta~` out of V_theta, whatever g is (docs/learners.md). With `g = eta Y' s` in
+estimate by `Gamma g`, which takes `g' theta~` out of V_theta, whatever g is (docs/explanation/learners.md).
+With `g = eta Y' s` in
 every sample, eta < a where the sample's update was cut,
 
     d/dt V_theta / a = -s' Y theta~ + (1 - eta / a) s' Y theta~ + leakage:        pull, cut, leakage.

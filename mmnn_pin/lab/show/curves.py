@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...errors import RecordingError
-from ...model.urdf.xml import parse_xml
 from ...recording.metrics import TRUE
 from ...recording.recording import Recording, recorded_robot
+from ...recording.tracking import prismatic_joints
 from ...signals import Array
 from ..experiments.config import recorded_experiment
 from ..experiments.controllers import ORACLES
@@ -305,10 +305,3 @@ def column_units(recording: Recording, name: str) -> list[str]:
 def milli(unit: str) -> str:
     """The unit in which errors are shown: a thousandth."""
     return f"m{unit}" if unit else ""
-
-
-def prismatic_joints(urdf: str) -> set[str]:
-    """Names of the sliding joints in the text of a URDF; none without a text that can be read."""
-    root, _ = parse_xml(urdf.encode())
-    joints = () if root is None else root.iter("joint")
-    return {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}

@@ -50,10 +50,9 @@ class Column:
 def columns_of(recording: Recording) -> Iterator[Column]:
     """All columns of all signals, the time first."""
     for signal in recording:
-        labels, units = recording.labels(signal), column_units(recording, signal)
-        for label, unit, values in zip(labels, units, as_columns(recording[signal]).T, strict=True):
-            own = label == signal or label.startswith(f"{signal}[")
-            yield Column(label if own else f"{signal}.{label}", unit, values)
+        names, units = recording.column_names(signal), column_units(recording, signal)
+        for name, unit, values in zip(names, units, as_columns(recording[signal]).T, strict=True):
+            yield Column(name, unit, values)
 
 
 def about(recording: Recording) -> dict[str, Any]:

@@ -24,7 +24,7 @@ TYPES = {"f4": np.float32, "u2": np.uint16, "u4": np.uint32}  # what the page ca
 ALIGNMENT = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HtmlPage:
     """A page of HTML that stands alone.
 
@@ -37,6 +37,9 @@ class HtmlPage:
     warnings: tuple[str, ...] = ()
 
     what: ClassVar[str] = "page"
+
+    def __repr__(self) -> str:
+        return f'<{self.what}: {self.size / 1e6:.2g} MB; .save("{self.what}.html") writes it>'
 
     @property
     def size(self) -> int:

@@ -8,16 +8,21 @@ from __future__ import annotations
 import base64
 import html
 import io
+import shutil
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...errors import InputError, UnknownName
 from ...recording.recording import Recording
-from . import contest, plots, thesis_figures
-from .figure import FIGURES, RC, write_figures
+from ..experiments.result import Result
+from ..study.results import Results
+from . import comparison, contest, plots, study, thesis_figures
+from .figure import FIGURES, RC, save, write_figures
 from .proof import figures
 from .replay import page
+from .table import WIDTH
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,6 +60,87 @@ def require_plots(names: Iterable[str]) -> None:
             raise UnknownName("plot", name, PICTURES, key="plots")
 
 
+@dataclass(frozen=True, repr=False)
+class Shown:
+    """Tables that print as text, and that a notebook shows.
+
+    Attributes:
+        text: For a terminal.
+    """
+
+    text: str
+
+    def __repr__(self) -> str:
+        return self.text
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{html.escape(self.text)}</pre>"
+
+
+@dataclass(frozen=True, repr=False)
+class Picture:
+    """A figure of matplotlib; a notebook shows it.
+
+    Attributes:
+        name: Of the figure.
+        figure: It.
+    """
+
+    name: str
+    figure: Figure
+
+    def __repr__(self) -> str:
+        return f'<Picture {self.name}: .save("{self.name}.svg") writes it, .figure is matplotlib\'s>'
+
+    def _repr_html_(self) -> str:
+        return image(self.figure, self.name)
+
+    def save(self, path: str | Path) -> Path:
+        """Write it as PNG, SVG or PDF, by the suffix.
+
+        Raises:
+            RecordingError: Another suffix, or a place that cannot be written.
+        """
+        return save(self.figure, path)
+
+
+def tables(result: Result) -> Shown:
+    """The tables of an experiment with its notes, as wide as the terminal."""
+    found = "".join(f"\nnote: {note}" for note in comparison.notes(result))
+    return Shown(comparison.render(result, width=columns()) + ("\n" + found if found else ""))
+
+
+def sweep_table(results: Results, factor: str) -> Shown:
+    """What every value of a factor did, as text."""
+    return Shown(study.levels_text(results, factor, columns()))
+
+
+def sweep_picture(results: Results) -> Picture:
+    """Errors against what was swept.
+
+    Raises:
+        RecordingError: It is no number.
+    """
+    return Picture("sweep", FIGURES["study"]["study-errors"].make(results))
+
+
+def columns() -> int:
+    """Columns of the terminal, 80 at least."""
+    return max(80, shutil.get_terminal_size((WIDTH, 24)).columns)
+
+
+def picture(what: str, recordings: Mapping[str, Recording]) -> Picture:
+    """A figure of runs.
+
+    Raises:
+        UnknownName: There is no such figure.
+        RecordingError: The runs have nothing for it.
+    """
+    if what not in PICTURES:
+        raise UnknownName("figure", what, PICTURES)
+    return Picture(what, PICTURES[what](recordings))
+
+
 def notebook_html(recording: Recording) -> str:
     """A recording in a notebook: its summary, its plots, its replay; what it has nothing for is left out."""
     name = str(recording.meta.get("controller", "run"))
@@ -64,12 +150,16 @@ def notebook_html(recording: Recording) -> str:
 
 def image_of(name: str, recording: Recording, what: str) -> str:
     """A figure as an image; nothing where there is nothing to plot."""
-    from matplotlib import rc_context
-
     try:
-        figure = PICTURES[what]({name: recording})
+        return image(PICTURES[what]({name: recording}), what)
     except InputError:
         return ""
+
+
+def image(figure: Figure, what: str) -> str:
+    """A figure as an image of a page."""
+    from matplotlib import rc_context
+
     data = io.BytesIO()
     with rc_context(RC):
         figure.savefig(data, format="png", dpi=110)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...model.checks.nonholonomy import RANK_TOLERANCE
-from ...model.checks.properties import Report, check_properties
+from ...model.checks.properties import Report, check
 from ...model.inspection import inspection_of
 from ...recording.recording import Recording, recorded_robot
 
@@ -262,6 +262,6 @@ def about_robot(recording: Recording, samples: int = CHECK_SAMPLES) -> RobotShow
     """The robot of a run."""
     robot = recorded_robot(recording)
     content = inspection_of(robot) | {"file": robot.path.name, "sha256": recording.meta["urdf_sha256"]}
-    report = check_properties(robot, samples, CHECK_SEED)
+    report = check(robot, samples, CHECK_SEED)
     findings = tuple(f | {"text": f["text"].replace(str(robot.path), robot.path.name)} for f in content["findings"])
     return RobotShown(robot.name, understood_text(content), findings, properties_text(report), report.passed)

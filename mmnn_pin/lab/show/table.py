@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from rich.table import Table as RichTable
 
 WIDTH = 100  # columns of a terminal
+CUT = "\u2026"  # what rich puts where a text is cut off
 Kind = Literal["", "best", "good", "bad", "warn", "dim"]
 STYLES: dict[Kind, str] = {"best": "bold", "good": "green", "bad": "bold red", "warn": "yellow", "dim": "dim"}
 
@@ -122,10 +123,42 @@ def terminal_text(parts: Iterable[str | Line | Table], colour: bool = False, wid
     with console.capture() as capture:
         for part in (Line(part) if isinstance(part, str) else part for part in parts):
             if isinstance(part, Table):
-                console.print(terminal_table(part))
+                for piece in folded(part, width):
+                    console.print(terminal_table(piece))
             else:
                 console.print(Text(part.text), style=part.style or None)
     return "\n".join(line.rstrip() for line in capture.get().splitlines())
+
+
+def folded(table: Table, width: int) -> list[Table]:
+    """A table that is too wide for a terminal as several below each other, each with the texts at its left."""
+    heads = next((i for i, column in enumerate(table.columns) if not column.text), len(table.columns))
+    pieces: list[Table] = []
+    first = heads
+    while first < len(table.columns) or not pieces:
+        end = len(table.columns)
+        while end > first + 1 and not fits(of_columns(table, heads, first, end), width):
+            end -= 1
+        pieces.append(of_columns(table, heads, first, end))
+        first = end
+    return pieces
+
+
+def of_columns(table: Table, heads: int, first: int, end: int) -> Table:
+    """The table with its first columns, and with those from one place to another."""
+    kept = [*range(heads), *range(first, end)]
+    rows = tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in table.rows)
+    return replace(table, columns=tuple(table.columns[i] for i in kept), rows=rows)
+
+
+def fits(table: Table, width: int) -> bool:
+    """Whether nothing of a table is cut off on a terminal."""
+    from rich.console import Console
+
+    console = Console(width=width, color_system=None)
+    with console.capture() as capture:
+        console.print(terminal_table(table))
+    return CUT not in capture.get() or any(CUT in cell.text for row in table.rows for cell in row.cells)
 
 
 def terminal_table(table: Table) -> RichTable:

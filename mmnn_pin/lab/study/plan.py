@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 
 from ...errors import ConfigError, InputError
-from ...model.robot import bodies_of
+from ...model.structure import bodies_of
 from ..experiments.config import config_error
 from ..experiments.experiment import Experiment
 from ..experiments.laws import LAW, digest_of, name_of

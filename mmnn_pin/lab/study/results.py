@@ -79,8 +79,13 @@ class Results:
         return Counter(row.status for row in self.of[controller])
 
     def metric(self, controller: str, pattern: str) -> Array:
-        """A metric of every run of a controller, (n,); inf for a run that did not complete, whatever it had so far."""
-        return np.array([worth(row.status, row.metrics, pattern) for row in self.of[controller]])
+        """A metric of every run of a controller, (n,); inf for a run that did not complete, whatever it had so far.
+
+        NaN for a completed run without a number, such as the RMS of a window that no run reaches.
+        """
+        rows = self.of[controller]
+        values = np.array([worth(row.status, row.metrics, pattern) for row in rows])
+        return np.where(np.isinf(values) & [row.completed for row in rows], math.nan, values)
 
     def succeeded(self, controller: str) -> NDArray[np.bool_]:
         """Which runs of a controller are a success, (n,)."""

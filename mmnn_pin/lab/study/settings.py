@@ -101,7 +101,7 @@ class Tune(Settings, frozen=True):
 
 
 class StudySettings(Settings, frozen=True):
-    """Everything that defines a study; see docs/studies.md and examples/robustness.toml.
+    """Everything that defines a study; see docs/how-to/studies.md and examples/robustness.toml.
 
     Args:
         experiment: A bundled experiment, or the path of one from the study's folder.

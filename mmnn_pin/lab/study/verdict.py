@@ -250,7 +250,8 @@ def verdict(results: Results) -> Verdict:
     alike = [name for name in others if chance(results, best, name) > CHANCE / max(1, len(others))]
     deciding = results.patterns[0] if alike and results.patterns else ""
     if deciding:
-        best = min([best, *alike], key=lambda name: float(np.median(results.metric(name, deciding))))
+        medians = {name: float(np.median(results.metric(name, deciding))) for name in (best, *alike)}
+        best = min(medians, key=lambda name: medians[name] if medians[name] < np.inf else np.inf)  # NaN is none
         alike = [name for name in rates if name != best and chance(results, best, name) > CHANCE / len(others)]
     points = np.array([row.point for row in results.of[best]])
     half = (np.random.default_rng(0).random(points.max() + 1) < 0.5)[points]  # finds the region; the others judge it

@@ -36,7 +36,7 @@ OPINION = 0.01  # lengths that differ by more than this fraction are told
 
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
 
-# Severity by code; docs/urdf-audit.md tells each with its reason.
+# Severity by code; docs/reference/urdf-audit.md tells each with its reason.
 CODES = {
     # refused, with the candidates or the machine's name
     "base-undecided": "error",

@@ -25,7 +25,8 @@ import pinocchio as pin
 from ...errors import RobotError
 from ...signals import Array
 from ..base.differential import DifferentialDrive
-from ..robot import Robot, scale_body
+from ..robot import Robot
+from ..structure import scale_body
 
 
 class WorldFrame:

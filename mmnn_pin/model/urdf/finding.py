@@ -10,7 +10,7 @@ from lxml import etree
 
 from mmnn_pin.errors import RobotError
 
-# Severity by code; docs/urdf-audit.md tells each with its reason. `strict`: a warning that strictness makes an error.
+# Severity by code; docs/reference/urdf-audit.md gives the reason of each. `strict`: a warning, with --strict an error.
 CODES = {
     # the file
     "file": "error",

@@ -23,8 +23,9 @@ from ...errors import ConfigError, TrajectoryError
 from ...model.robot import Robot
 from ...settings import given_array
 from ...signals import Array, IntArray
+from ..joint import JointProfile, JointSamples, MinimumJerk
 from ..path import BasePath, BaseSamples, times
-from ..trajectory import JointProfile, JointSamples, MinimumJerk, Trajectory
+from ..trajectory import Trajectory
 from .chain import SIZE
 from .path import HandPath, placed
 from .tasks import TARGET, P

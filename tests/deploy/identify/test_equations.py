@@ -11,7 +11,7 @@ import pytest
 from motions import efforts, rubbing, simulated, sines
 from scipy.optimize import minimize
 
-from mmnn_pin import Regressor, load
+from mmnn_pin import load
 from mmnn_pin.deploy.identify import equations as eq
 from mmnn_pin.deploy.identify import least_squares as ls
 from mmnn_pin.deploy.identify.programme import (
@@ -24,6 +24,7 @@ from mmnn_pin.deploy.identify.programme import (
     positive_bodies,
     thickened,
 )
+from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.signals import Array
 from mmnn_pin.torque.pseudo_inertia import pseudo_inertias

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mmnn_pin import Regressor, Table, load
+from mmnn_pin import load
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.excitation import (
     NOISE,
@@ -21,8 +21,10 @@ from mmnn_pin.deploy.identify.excitation import (
     excite,
 )
 from mmnn_pin.errors import ConfigError
+from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot, speed_limits
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.reference import Table
 
 LIMITS = Limits(duration=20.0, space=0.6, seconds=1.0)
 

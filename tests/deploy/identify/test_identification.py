@@ -14,11 +14,12 @@ import pytest
 from lxml import etree
 from motions import efforts, rubbing, simulated, sines
 
-from mmnn_pin import Log, identify, load
+from mmnn_pin import identify, load
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify import programme
 from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, transport, write
 from mmnn_pin.deploy.identify.identification import Identification
+from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
 from mmnn_pin.errors import InputError, MmnnError, RecordingError, UnknownName
 from mmnn_pin.model.inspection import inspection_of

@@ -192,7 +192,8 @@ def test_a_contest_tells_before_it_runs_where_no_errors_will_be(capsys, tmp_path
 def test_a_law_that_says_inf_at_once_is_a_lost_run(capsys, tmp_path):
     """Its recording holds no rows, which nothing behind it may mind."""
     (tmp_path / "mine.py").write_text(
-        "import numpy as np\nfrom mmnn_pin import ControllerState, LearningLaw\n\n\nclass Inf(LearningLaw):\n"
+        "import numpy as np\nfrom mmnn_pin import LearningLaw\n"
+        "from mmnn_pin.torque.controller import ControllerState\n\n\nclass Inf(LearningLaw):\n"
         "    def init(self, context):\n        return ControllerState.of(w=(2,))\n\n"
         "    def estimate(self, now, state):\n        return np.full(now.s.size, np.inf)\n\n"
         "    def learn(self, now, state):\n        pass\n"

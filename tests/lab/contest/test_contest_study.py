@@ -1,4 +1,4 @@
-"""The study behind docs/contest.md: its document, what the contest takes from the search, and the search itself."""
+"""The study behind docs/explanation/contest.md: its document, what the contest takes from the search, the search."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def loaded():
 
 
 def test_the_document_is_made_from_the_summary_that_is_kept():
-    assert (DOCS / "contest.md").read_text(encoding="utf-8") == document.render(kept(document.SUMMARY))
+    assert (DOCS / "explanation/contest.md").read_text(encoding="utf-8") == document.render(kept(document.SUMMARY))
 
 
 @pytest.mark.parametrize("tuning", TUNINGS)

@@ -12,17 +12,18 @@ import numpy as np
 import pytest
 from marks import leaves, marked
 
-from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
+from mmnn_pin import Recording, load, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.experiments.cases import readings
 from mmnn_pin.lab.experiments.config import bundled, read_toml
 from mmnn_pin.lab.experiments.controllers import effective
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.runner import Result, unfair
+from mmnn_pin.lab.experiments.result import Result, unfair
 from mmnn_pin.lab.experiments.thesis import PRINTED, largest_errors, mean_ratio, ratios, thesis_ratios
 from mmnn_pin.lab.proof.learner import recorded_learner
 from mmnn_pin.lab.show import comparison
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.recording import recorded_robot
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import Inputs, Neural

@@ -161,9 +161,9 @@ def test_the_document_is_what_the_saved_summary_gives(saved):
     from studies.chapter5.document import render
     from studies.document import DOCS
 
-    text = (DOCS / "chapter5.md").read_text(encoding="utf-8")
+    text = (DOCS / "thesis/chapter5.md").read_text(encoding="utf-8")
     assert text == render(saved) and saved["ranking"]["rigs"] >= 100
-    shown = re.findall(r"\(figures/([^)]+)\)", text)
+    shown = re.findall(r"\(\.\./figures/([^)]+)\)", text)
     assert len(shown) >= 2 and all((DOCS / "figures" / name).is_file() for name in shown)
 
 

@@ -296,9 +296,9 @@ def test_the_document_is_what_the_saved_summary_gives(saved):
     from studies.chapter4.document import render
     from studies.document import DOCS
 
-    text = (DOCS / "chapter4.md").read_text(encoding="utf-8")
+    text = (DOCS / "thesis/chapter4.md").read_text(encoding="utf-8")
     assert text == render(saved)
-    shown = re.findall(r"\(figures/([^)]+)\)", text)
+    shown = re.findall(r"\(\.\./figures/([^)]+)\)", text)
     assert len(shown) >= 5 and all((DOCS / "figures" / name).is_file() for name in shown)
 
 

@@ -1,4 +1,4 @@
-"""The errata of the thesis, each by a proof or a run; docs/errata.md names the tests."""
+"""The errata of the thesis, each by a proof or a run; docs/thesis/errata.md names the tests."""
 
 from __future__ import annotations
 
@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from places import ROOT
 from scipy.special import expit
 
-from mmnn_pin import Dynamics, Recording, load, load_experiment, run_experiment
+from mmnn_pin import Recording, load, load_experiment, run_experiment
 from mmnn_pin.kinematic import command
 from mmnn_pin.lab.experiments.cases import readings, summaries
 from mmnn_pin.model.checks.second_answers import WorldFrame
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import INDEX, Array, Layout
 from mmnn_pin.torque.neural import Inputs
 from mmnn_pin.torque.two_layer import numerical_rank, two_layer_update
@@ -26,7 +27,7 @@ from mmnn_pin.torque.two_layer import numerical_rank, two_layer_update
 pytestmark = pytest.mark.lab
 
 HERE = Path(__file__)
-DOCUMENT = ROOT / "docs" / "errata.md"
+DOCUMENT = ROOT / "docs" / "thesis" / "errata.md"
 SECONDS = 0.04 if numba.config.DISABLE_JIT else 1.0
 compiled_only = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="slow in plain Python")
 

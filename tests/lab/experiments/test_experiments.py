@@ -14,7 +14,8 @@ from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.lab.experiments.config import bundled, keys_of, kind_at, override, parse_value
 from mmnn_pin.lab.experiments.controllers import CONTROLLERS, DEFAULT, EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.runner import Result, in_order
+from mmnn_pin.lab.experiments.result import Result
+from mmnn_pin.lab.experiments.runner import in_order
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recording import as_columns
 from mmnn_pin.signals import Layout

@@ -16,7 +16,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.lab.experiments.cases import SWITCHES, readings, summaries
 from mmnn_pin.lab.experiments.controllers import EFFECTIVE
 from mmnn_pin.lab.experiments.experiment import Experiment
-from mmnn_pin.lab.experiments.runner import Improvement, Result, improvements
+from mmnn_pin.lab.experiments.result import Improvement, Result, improvements
 from mmnn_pin.lab.experiments.thesis import figure_intervals, figure_ranges
 from mmnn_pin.lab.show import comparison as effects
 from mmnn_pin.lab.show import comparison as verdicts

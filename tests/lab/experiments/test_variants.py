@@ -15,7 +15,7 @@ from mmnn_pin import Recording, load_experiment, run_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, UnknownName
 from mmnn_pin.lab.experiments.config import bundled, read_toml, variants
-from mmnn_pin.lab.experiments.runner import Result, unfair
+from mmnn_pin.lab.experiments.result import Result, unfair
 from mmnn_pin.lab.show import comparison
 
 pytestmark = pytest.mark.lab

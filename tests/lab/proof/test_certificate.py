@@ -15,21 +15,7 @@ from proofs import SLOW, learner, subject_of
 from proofs import loop_of as small_loop
 from scipy.optimize import differential_evolution
 
-from mmnn_pin import (
-    PD,
-    Feedback,
-    Hold,
-    Line,
-    Loop,
-    Neural,
-    Safety,
-    Start,
-    Timing,
-    TorqueController,
-    Trajectory,
-    TwoLayer,
-    load,
-)
+from mmnn_pin import PD, Feedback, Hold, Line, Loop, Neural, Timing, TorqueController, Trajectory, load
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Push
 from mmnn_pin.kinematic import Kinematic
@@ -38,7 +24,10 @@ from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
 from mmnn_pin.lab.proof.certified_run import Sizes, sizes_of
 from mmnn_pin.lab.proof.rate import Rate, rate_of
 from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.loop.before_run import Start
 from mmnn_pin.recording.recording import Recording
+from mmnn_pin.safety import Safety
+from mmnn_pin.torque.two_layer import TwoLayer
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
 FORCE = np.array([4.0, 1.0, 0.3, 0.1])  # [N, N m] within which the pushes stay

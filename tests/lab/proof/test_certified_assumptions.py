@@ -11,14 +11,17 @@ from certified import DIAGONAL, kinematic, learner_loop, loop_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin import PD, Feedback, Hold, Line, Safety, Start, Table, Timing, Trajectory, load
+from mmnn_pin import PD, Feedback, Hold, Line, Timing, Trajectory, load
 from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, certify
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop, drift, jump, refusal
 from mmnn_pin.lab.proof.certified_run import compare, sizes_of
 from mmnn_pin.lab.proof.motion_bound import motion_bound
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.show.proof.text import side
+from mmnn_pin.loop.before_run import Start
+from mmnn_pin.reference import Table
 from mmnn_pin.reference.path import BasePath, BaseSamples
+from mmnn_pin.safety import Safety
 
 STILL = Trajectory(Line(speed=0.3), (Hold(0.0), Hold(0.8)))
 
@@ -167,7 +170,8 @@ def test_a_reference_that_drifts_is_counted_with(sideways: bool) -> None:
 
 def test_the_drift_of_paths_of_this_package_is_none() -> None:
     rng = np.random.default_rng(0)
-    from mmnn_pin import Circle, Eight, Waypoints
+    from mmnn_pin import Circle, Eight
+    from mmnn_pin.reference import Waypoints
 
     for path in (
         Circle(1.0, 0.5),

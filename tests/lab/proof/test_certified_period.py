@@ -1,4 +1,4 @@
-"""One control period of robots in any directions against (A), (B), (E) of docs/theory.md: adversarial torques, held.
+"""One control period of robots in any directions against (A), (B), (E) of docs/explanation/theory.md, torques held.
 
 What runs of the certified robot cannot show, as its bounds are far above them: from states anywhere in boxes the
 errors are moved over a period by Pinocchio's dynamics, under forces and a velocity error that feed the most energy in,
@@ -15,11 +15,13 @@ import pytest
 from proofs import SLOW
 from robots import mobile_arm
 
-from mmnn_pin import PD, Circle, Dynamics, Eight, Feedback, Line, Loop, Sine, Start, Timing, Trajectory, load
+from mmnn_pin import PD, Circle, Eight, Feedback, Line, Loop, Sine, Timing, Trajectory, load
 from mmnn_pin.kinematic import Kinematic, command
 from mmnn_pin.lab.proof.certificate import Box, Boxes, Faces
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop
 from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.loop.before_run import Start
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Array, Layout
 
 compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")

@@ -15,7 +15,7 @@ from learning import COMMON, SHORT
 from proofs import SLOW, loop_of, robot_of_kind
 from robots import feedback
 
-from mmnn_pin import ControllerState, LearningLaw, load_experiment
+from mmnn_pin import LearningLaw, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.proof.learner import Networks, Stepper, frozen_psi_hat
 from mmnn_pin.lab.proof.linear import covariance_part, stack_part
@@ -24,6 +24,7 @@ from mmnn_pin.lab.proof.networks import network_part
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.truth import distances, metric, numbers_of, prediction_step, true_weights
 from mmnn_pin.model.tree.body import parameters
+from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.pseudo_inertia import directions, factor, move
 
 slow = pytest.mark.skipif(SLOW, reason="too long for uncompiled code")

@@ -13,7 +13,7 @@ from proofs import KINDS, PERIOD, SLOW, learner, loop_of, robot_of_kind, subject
 from scipy.spatial.distance import cdist
 from scipy.special import expit
 
-from mmnn_pin import Dynamics, Timing, load, load_experiment
+from mmnn_pin import Timing, load, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.proof import held_out as held
 from mmnn_pin.lab.proof import networks as ideal_module
@@ -24,6 +24,7 @@ from mmnn_pin.lab.proof.linear import PENALTY, variances
 from mmnn_pin.lab.proof.networks import hidden_weights, ideal_weights, output_weights
 from mmnn_pin.lab.proof.psi import error_in, fvu, fvu_in, psi_along, psi_of, shares, sizes, windows, worst
 from mmnn_pin.lab.proof.subject import Subject
+from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.neural import Neural
 from mmnn_pin.torque.two_layer import TwoLayer

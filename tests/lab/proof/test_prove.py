@@ -318,7 +318,7 @@ def judgement_number(proof: Proof) -> str:
 
 # -- the documents --
 
-DOCUMENT = (ROOT / "docs/proof.md").read_text()
+DOCUMENT = (ROOT / "docs/explanation/proof.md").read_text()
 
 
 def numbers_of(line: str) -> list[float]:

@@ -1,4 +1,4 @@
-"""The algebra of docs/theory.md by sympy, and each of its inequalities on random numbers, against the code.
+"""The algebra of docs/explanation/theory.md by sympy, and each of its inequalities on random numbers, against the code.
 
 The document names the tests that prove its steps; a test here holds it to that.
 """
@@ -30,7 +30,7 @@ from mmnn_pin.signals import Array, Layout
 from mmnn_pin.torque.one_layer import one_layer_update
 from mmnn_pin.torque.two_layer import two_layer_update
 
-DOCUMENT = ROOT / "docs" / "theory.md"
+DOCUMENT = ROOT / "docs" / "explanation" / "theory.md"
 ex, ey, ephi, vr, wr, z1, z2, w = sp.symbols("ex ey ephi vr wr z1 z2 w", real=True)
 kx, ky, kth = sp.symbols("kx ky kth", positive=True)
 eps = sp.Symbol("eps", positive=True)

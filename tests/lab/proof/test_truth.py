@@ -15,20 +15,7 @@ from robots import feedback, robot_of
 from scipy.linalg import eigvals
 from test_arm import slaves
 
-from mmnn_pin import (
-    Adaptive,
-    AdaptiveSettings,
-    ComputedTorque,
-    Hold,
-    Loop,
-    Regressor,
-    Robot,
-    Sine,
-    Timing,
-    Trajectory,
-    load,
-    load_experiment,
-)
+from mmnn_pin import Hold, Loop, Robot, Sine, Timing, Trajectory, load, load_experiment
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.experiment import Experiment
 from mmnn_pin.lab.proof import learner as learners
@@ -40,8 +27,11 @@ from mmnn_pin.lab.proof.lyapunov import lyapunov
 from mmnn_pin.lab.proof.proof import Proof
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.proof.truth import distances, divergence, estimate_part, shares_of_update, stepped, true_parameters
+from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Line
+from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings
+from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.prior import scales
 from mmnn_pin.torque.pseudo_inertia import pseudo_inertias
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from proofs import SLOW, learner, loop_of
 
-from mmnn_pin import ControllerState, LearningLaw, load_experiment
+from mmnn_pin import LearningLaw, load_experiment
 from mmnn_pin.lab.contest.task import tasks_of
 from mmnn_pin.lab.contest.trial import KEPT, findings_after
 from mmnn_pin.lab.experiments.cases import chosen_cases
@@ -27,6 +27,7 @@ from mmnn_pin.lab.proof.excitation import (
 from mmnn_pin.lab.proof.learner import Learner
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.loop.batch import simulate_many
+from mmnn_pin.torque.controller import ControllerState
 from mmnn_pin.torque.one_layer import OneLayer
 from mmnn_pin.torque.two_layer import TwoLayer
 

@@ -16,10 +16,12 @@ import numpy as np
 import pytest
 from browser import browser
 
-from mmnn_pin import PD, BaseVelocity, Feedback, Measurement, Safety, Stepper, load
+from mmnn_pin import PD, Feedback, Measurement, Stepper, load
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.lab.show.live import LiveView
 from mmnn_pin.lab.show.serving import FIRST, SEQUENCE, Frames, as_json, new_memory
+from mmnn_pin.reference.wishes import BaseVelocity
+from mmnn_pin.safety import Safety
 
 PERIOD = 0.002
 
@@ -156,7 +158,8 @@ for k in itertools.count():
 
 def test_the_server_ends_with_the_process_that_started_it():
     program = (
-        "from mmnn_pin import *\nfrom mmnn_pin.lab.show.live import LiveView\nimport time\n"
+        "from mmnn_pin import *\nfrom mmnn_pin.safety import Safety\n"
+        "from mmnn_pin.lab.show.live import LiveView\nimport time\n"
         "s = Stepper(load('platform_arm'), PD(Feedback(15.0, 20.0, 'inertia')), safety=Safety())\n"
         "v = LiveView(s, port=0)\nprint(v.url, v.server.pid, flush=True)\ntime.sleep(600)\n"
     )

@@ -8,11 +8,12 @@ from builders import THESIS
 from numba import config
 from test_holonomic import PATHS
 
-from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory, TwoLayer, load
+from mmnn_pin import PD, Hold, Loop, Neural, Sine, Timing, Trajectory, load
 from mmnn_pin.cli.results import whats
 from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.show.gallery import PICTURES
 from mmnn_pin.lab.show.plots import residuals_figure, step_times_figure, weights_figure
+from mmnn_pin.torque.two_layer import TwoLayer
 
 
 def test_figures_draw_what_was_recorded() -> None:

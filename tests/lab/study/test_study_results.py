@@ -20,7 +20,7 @@ from study_files import SHORT, planned, run_here
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
-from mmnn_pin.lab.show import study as plots
+from mmnn_pin.lab.show import study_figures as plots
 from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
@@ -231,11 +231,11 @@ def test_the_table_tells_outcomes_rates_and_quantiles(done: Path, capsys) -> Non
     assert np.isinf(ordered[8:]).all() and np.isfinite(ordered[:8]).all()
 
 
-def test_the_caption_says_what_inf_is_of_runs_that_completed() -> None:
+def test_a_bound_that_too_few_runs_give_is_a_dash_and_the_caption_says_so() -> None:
     """Of three runs that completed, no interval of the 95 % quantile is bounded above."""
     results = made({"pd": np.ones(3, bool)}, {"pd": np.array([0.1, 0.2, 0.3])}, {"x": np.linspace(0, 1, 3)})
     text = " ".join(render(results).split())
-    assert "inf]" in text and "inf: too few runs to bound it" in text and "so many did not complete" not in text
+    assert ", -]" in text and "inf" not in text and "A dash: not enough runs completed, or too few to bound it." in text
 
 
 def test_json_holds_the_same_numbers(done: Path, capsys) -> None:
@@ -268,7 +268,7 @@ def test_the_page_is_whole_and_tells_the_answer(done: Path, tmp_path: Path, caps
     results = load_results(done)
     assert sentences(results, verdict(results))[0].replace("'", "&#39;") in text
     head, *_ = text.partition("<svg")
-    assert text.count("<svg") == 4 and "src=" not in text and "http" not in head
+    assert text.count("<svg") == 5 and "src=" not in text and "http" not in head
     assert re.search(r"row \d+: nu\[\d\] left its bounds", text)
     assert main(["report", str(done), "--html", str(tmp_path / "page.html")]) == 2
     assert main(["report", str(done), str(done), "--html", str(tmp_path / "two.html")]) == 2

@@ -19,9 +19,9 @@ from ....model.robot import Robot
 from ....model.urdf.document import Document, Joint
 from ....plant.contact.plant import SLIPPING
 from ....recording.recording import Recording, as_columns, recorded_position
+from ....recording.tracking import prismatic_joints
 from ....safety import RAMPING, STEPPED_IN, STOPPING
 from ....signals import Array, IntArray
-from ..curves import prismatic_joints
 from ..files import Blob
 
 Kind = Literal["stop", "slip", "limit"]

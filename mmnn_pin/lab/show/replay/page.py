@@ -127,7 +127,7 @@ def extent_of(recordings: Mapping[str, Recording]) -> list[float]:
     return [*every.min(axis=0).tolist(), *every.max(axis=0).tolist()]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Page(HtmlPage):
     """A replay.
 
@@ -142,6 +142,10 @@ class Page(HtmlPage):
     samples: int = 0
 
     what: ClassVar[str] = "replay"
+
+    def _repr_html_(self) -> str:
+        """The page within a notebook, isolated from it."""
+        return self.iframe()
 
     def iframe(self, height: int = 520) -> str:
         """The page as an element for another page: isolated from it, at rest until it is played.

@@ -28,7 +28,7 @@ from ...experiments.config import bundled, load_experiment, recorded_experiment
 from ...experiments.controllers import CONTROLLERS
 from ...experiments.experiment import Experiment
 from ...experiments.references import ReferenceTables
-from ...experiments.runner import Result
+from ...experiments.result import Result
 from ...proof.proof import proofs_with
 from .. import replay
 from ..comparison import tables_of
@@ -58,7 +58,7 @@ LARGEST = 1e30  # what single precision and a plot can still hold
 PROVED = ("fvu", "lyapunov")  # charts that stand with what is proved
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Report(HtmlPage):
     """A report."""
 

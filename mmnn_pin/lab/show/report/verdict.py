@@ -12,7 +12,7 @@ import numpy as np
 from ....recording.metrics import halves
 from ....recording.recording import Recording
 from ...experiments.controllers import LEARNERS, ORACLES, effective
-from ...experiments.runner import Improvement, Result, unfair
+from ...experiments.result import Improvement, Result, unfair
 from ...proof.balance import TOLERANCE
 from ...proof.proof import Proof, proofs_with
 from ...proof.psi import worst
@@ -28,6 +28,7 @@ ABOUT_PROOF = (
     "d/dt (s\u1d40Ms/2) = s\u1d40(\u03a8 - \u03c4 + d) over control periods, worst relative error, "
     f"tolerance {TOLERANCE:g}. mmnn prove tells more of each run."
 )
+PLAIN = ("pd", "pd_gravity", "pid")
 FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a payload"}
 
 
@@ -57,11 +58,14 @@ def headline(result: Result) -> str:
     if len(judged) < 2:
         return alone(result, next(iter([*judged, *result.recordings])))
     best, second = judged[:2]
-    base = compared_with(result)
-    than = f"{percent(1 - scores[best])} smaller than those of {base}" if base and best != base else ""
+    base, others = compared_with(result), plain_runs(result)
+    than = ""
+    if base != best and len(others) > 1:  # feedback alone is no rival
+        beside = ", ".join(others[:-1]) + f" and {others[-1]}"
+        than = f"{percent(1 - scores[best])} smaller than those of {base}, the best of {beside},"
     ahead = f"{percent(1 - scores[best] / scores[second])} smaller than those of {second}, the next best"
-    errors = than if not than or second == base else f"{than} and {ahead}"
-    return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {errors or ahead}."
+    errors = (than if second == base else f"{than} and {ahead}") if than else ahead
+    return f"{best} tracks best of {len(judged)}: in {when(result)} its RMS errors are on average {errors.rstrip(',')}."
 
 
 def alone(result: Result, name: str) -> str:
@@ -99,9 +103,20 @@ def ranking(result: Result) -> tuple[dict[str, float], list[str]]:
 
 
 def compared_with(result: Result) -> str:
-    """The run of plain feedback that the others are measured against, if it reached its end; empty without."""
+    """The run that others are measured against: the best of `plain_runs`; empty without."""
+    return min(plain_runs(result), key=lambda name: mean_log(result, name), default="")
+
+
+def plain_runs(result: Result) -> list[str]:
+    """The runs of what an engineer tries before any learner that reached their end: PD, PD with gravity, PID."""
     runs = result.recordings.items()
-    return next((n for n, r in runs if controller_of(n, r) == "pd" and r.outcome.status == "completed"), "")
+    return [name for name, r in runs if controller_of(name, r) in PLAIN and r.outcome.status == "completed"]
+
+
+def mean_log(result: Result, name: str) -> float:
+    """Mean logarithm of the RMS errors of a run in the last window; inf where it has none."""
+    numbers = [value for key, value in result.metrics[name].items() if key.endswith(window(result)) and value > 0]
+    return math.fsum(map(math.log, numbers)) / len(numbers) if numbers else math.inf
 
 
 def window(result: Result) -> str:
@@ -168,6 +183,9 @@ def warnings(result: Result) -> Iterator[str]:
     yield from (f"{note}." for note in notes(result))
     yield from torques(result)
     yield from unlike(result)
+    ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
+    if "pd" in ran and (missing := [name for name in PLAIN if name not in ran]) and ran - {"pd", *ORACLES}:
+        yield f"{' and '.join(missing)} did not run: nothing is said of what is gained over plain controllers."
     for pd, learner in effective(result.recordings).items():
         if learner in result.recordings and pd not in result.recordings:
             yield f"{learner} has no {pd} beside it: what is gain and what is learning cannot be told apart."

@@ -1,0 +1,284 @@
+"""What an experiment gave: its runs by controller, their numbers beside each other, and what shows them.
+
+How much of a learner's advantage over PD is gain, and how much is learning? A learner's robust term adds feedback, so
+part of what it wins it would win without its network. PD at the learner's own effective gain, sample by sample, has
+the one and not the other:
+
+    pd -> learner  =  (pd -> pd at the learner's effective gain)  +  (pd at that gain -> learner)
+      improvement  =                  gain                        +            learning
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any
+
+from ...errors import UnknownName
+from ...recording.recording import Recording, as_columns
+from ...settings import finite
+from .controllers import LEARNERS, effective
+from .experiment import Experiment
+from .hand import HandErrors
+from .thesis import beside_the_thesis, figure_ranges
+
+
+@dataclass(frozen=True, repr=False)
+class Result(Mapping[str, Recording]):
+    """What an experiment gave: its recordings by controller, and what shows them.
+
+    In a notebook it shows its table and its errors; `print` shows the table.
+
+    Attributes:
+        experiment: The experiment.
+        name: Its name.
+        recordings: Controller to recording, in the order asked for.
+        metrics: Controller to numbers (see `metrics`).
+        notes: What the user should know.
+        hand: Controller to what it did at the hand, where the reference is a hand's.
+    """
+
+    experiment: Experiment
+    name: str
+    recordings: dict[str, Recording]
+    metrics: dict[str, dict[str, float]]
+    notes: tuple[str, ...]
+    hand: dict[str, HandErrors] = field(default_factory=dict)
+
+    def __getitem__(self, controller: str) -> Recording:
+        if controller not in self.recordings:
+            raise UnknownName("run", str(controller), self.recordings)
+        return self.recordings[controller]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.recordings)
+
+    def __len__(self) -> int:
+        return len(self.recordings)
+
+    def __contains__(self, controller: object) -> bool:
+        return controller in self.recordings
+
+    def __repr__(self) -> str:
+        ends = (f"{name} {recording.outcome.status}" for name, recording in self.items())
+        return f"<Result: {', '.join(ends)}>"
+
+    def __str__(self) -> str:
+        return str(self.table())
+
+    def _repr_html_(self) -> str:
+        return str(self.table()._repr_html_() + self.plot()._repr_html_())
+
+    def table(self) -> Any:
+        """The runs beside each other: errors, torques, what was learned; it prints as text."""
+        return gallery().tables(self)
+
+    def plot(self, what: str = "errors") -> Any:
+        """A figure of the runs, of those that `mmnn plot --help` names; `.save("errors.svg")` writes it.
+
+        Raises:
+            UnknownName: There is no such figure.
+            RecordingError: The runs have nothing for it.
+        """
+        return gallery().picture(what, self)
+
+    def replay(self, **options: Any) -> Any:
+        """A page that plays the runs in one scene; `.save("replay.html")` writes it. Options as of `show.replay.page`.
+
+        Raises:
+            InputError: There is nothing to show.
+        """
+        return gallery().page(self.recordings, **options)
+
+    def report(self, **options: Any) -> Any:
+        """A page that says how good the runs were; `.save("report.html")` writes it. Options as of `show.report`.
+
+        Raises:
+            RecordingError: There is nothing to report.
+        """
+        return import_module("mmnn_pin.lab.show.report").report(self.recordings, **options)
+
+    @property
+    def completed(self) -> bool:
+        """Whether every run reached its end."""
+        return all(recording.outcome.status == "completed" for recording in self.recordings.values())
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as the command line's JSON object."""
+        runs = {
+            name: {
+                "file": str(recording.path) if recording.path else None,
+                "outcome": recording.outcome.status,
+                "message": recording.outcome.message,
+                "metrics": {key: finite(value) for key, value in self.metrics[name].items()},
+            }
+            for name, recording in self.recordings.items()
+        }
+        comparison = {
+            "relative_to_pd": self.relative_to("pd"),
+            "torque_limits": self.torque_limits(),
+            "improvement": {
+                learner: {row: {key: finite(value) for key, value in i.to_dict().items()} for row, i in rows.items()}
+                for learner, rows in self.improvements().items()
+            },
+            "figure_ranges": self.figure_ranges(),
+            **self.largest_errors(),
+            **({"hand": {name: errors.numbers() for name, errors in self.hand.items()}} if self.hand else {}),
+            "unfair": unfair(self.experiment, self.metrics),
+            "notes": list(self.notes),
+        }
+        about = {"experiment": self.name, "variant": self.experiment.variant, "robot": self.experiment.robot}
+        return about | {"runs": runs, "comparison": comparison}
+
+    def improvements(self) -> dict[str, dict[str, Improvement]]:
+        """What of each learner's improvement over PD is gain and what is learning, see `improvements`."""
+        return improvements(self.metrics, self.experiment.windows)
+
+    def figure_ranges(self) -> list[dict[str, Any]]:
+        """The runs beside the intervals of the thesis's figures that this experiment is compared with."""
+        figures = tuple(name.removeprefix("figure-") for name in self.experiment.plots if name.startswith("figure-"))
+        return [row for row in figure_ranges(self.recordings) if row["figure"].startswith(figures)]
+
+    def largest_errors(self) -> dict[str, Any]:
+        """The runs beside the largest errors that chapter 5 prints; empty for an experiment without its figure 5.5."""
+        return beside_the_thesis(self.recordings) if "figure-5.5" in self.experiment.plots else {}
+
+    def torque_limits(self) -> list[dict[str, Any]]:
+        """Per actuator its effort limit (None without one) and every controller's peak torque [N m or N].
+
+        The torque is the one that the motors gave, where they are simulated.
+        """
+        if not self.recordings:
+            return []
+        first = next(iter(self.recordings.values()))
+        limits = first.meta["effort_limits"]
+        given = {name: "applied" if "applied" in r else "motor_torque" for name, r in self.recordings.items()}
+        peaks = {name: as_columns(r[given[name]]) for name, r in self.recordings.items() if len(r)}
+        return [
+            {
+                "actuator": actuator,
+                "limit": finite(limit),
+                "peak": {name: finite(abs(torque[:, i]).max()) for name, torque in peaks.items()},
+            }
+            for i, (actuator, limit) in enumerate(zip(first.meta["actuator_names"], limits, strict=True))
+        ]
+
+    def relative_to(self, other: str) -> dict[str, dict[str, float | None]]:
+        """Every error metric of every controller divided by that of another one; empty without it."""
+        if other not in self.metrics:
+            return {}
+        base = self.metrics[other]
+        return {
+            name: {
+                key: finite(value / base[key]) if base.get(key) else None
+                for key, value in numbers.items()
+                if key.endswith("peak") or ".rms_" in key
+            }
+            for name, numbers in self.metrics.items()
+            if name != other
+        }
+
+
+def gallery() -> Any:
+    """What shows results; it stands above them, so it is found by name."""
+    return import_module("mmnn_pin.lab.show.gallery")
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """A learner's RMS error beside that of PD and of PD at its effective gain, in the error's unit.
+
+    Attributes:
+        pd: RMS error of PD.
+        pd_effective: RMS error of PD at the learner's effective gain.
+        learner: RMS error of the learner.
+    """
+
+    pd: float
+    pd_effective: float
+    learner: float
+
+    @property
+    def total(self) -> float:
+        """`pd - learner`; negative where the learner is worse."""
+        return self.pd - self.learner
+
+    @property
+    def gain(self) -> float:
+        """What the higher gain alone takes away from PD's error; negative where it adds to it."""
+        return self.pd - self.pd_effective
+
+    @property
+    def learning(self) -> float:
+        """What the network takes away from there; negative where it adds to it."""
+        return self.pd_effective - self.learner
+
+    @property
+    def learning_share(self) -> float | None:
+        """`learning / total`; above 1 or below 0 where the two work against each other.
+
+        None where there is no improvement to share, or no numbers.
+        """
+        return self.learning / self.total if self.total > 0 else None
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Numbers for JSON; shares are None where the learner is not better than PD."""
+        learning = self.learning_share
+        return {
+            "pd": self.pd,
+            "pd_effective": self.pd_effective,
+            "learner": self.learner,
+            "improvement": self.total,
+            "gain": self.gain,
+            "learning": self.learning,
+            "gain_share": None if learning is None else 1.0 - learning,
+            "learning_share": learning,
+        }
+
+
+def improvements(
+    metrics: Mapping[str, Mapping[str, float]], windows: tuple[tuple[float, float], ...]
+) -> dict[str, dict[str, Improvement]]:
+    """Learner to error (`pose_error.x`) to its improvement over PD, in the RMS of the last window.
+
+    Learners without PD and PD at their effective gain beside them are left out.
+
+    Args:
+        metrics: Controller to numbers, see `metrics`.
+        windows: Windows of the RMS errors [s].
+    """
+    if not windows or "pd" not in metrics:
+        return {}
+    ending = ".rms_{:g}_{:g}".format(*windows[-1])
+    rows = [key.removesuffix(ending) for key in metrics["pd"] if key.endswith(ending)]
+    return {
+        learner: {
+            row: Improvement(*(float(metrics[name][row + ending]) for name in ("pd", pd, learner))) for row in rows
+        }
+        for pd, learner in effective(metrics).items()
+        if pd in metrics and learner in metrics
+    }
+
+
+def unfair(experiment: Experiment, metrics: Mapping[str, Mapping[str, float]]) -> str:
+    """Why the learners are not compared on equal terms, with their mean effective gains; empty if they are.
+
+    Args:
+        experiment: The experiment; its learners' robust terms and hidden units are compared.
+        metrics: Controller to numbers, see `metrics`.
+    """
+    names = [name for name in LEARNERS if name in metrics]
+    reasons = []
+    if len({experiment.robust_term(name) for name in names}) > 1 and experiment.learning.robust_term:
+        reasons.append("each learner has a robust term of its own")
+    if len({getattr(experiment, "one_layer" if name == "one_layer" else "two_layer").hidden for name in names}) > 1:
+        reasons.append("the networks differ in size")
+    if not reasons:
+        return ""
+    gains = ", ".join(
+        f"{part} {' against '.join(f'{metrics[name][key]:.4g}' for name in names)}"
+        for part in ("base", "arm")
+        if (key := f"effective_gain.{part}") in metrics[names[0]]
+    )
+    return f"not a fair comparison: {' and '.join(reasons)}; mean effective gain {gains} ({' against '.join(names)})"

@@ -1,0 +1,302 @@
+"""What a robot is made of: its Pinocchio model and the motions that its wheels permit.
+
+All velocities of the full model follow from the independent ones, `nu = [base velocity; arm joint velocities]`:
+
+    velocity = T nu        A velocity = 0        A T = 0        (2.17), (2.18)
+
+T is constant because the root is Pinocchio's planar joint, whose velocity `(vx, vy, w)` is in the body frame. Motor
+torques u act on the joints as `E_full u` and on nu as `E u`, `E = T' E_full` (2.25).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import ConfigError, UnknownName
+from ..settings import one_or_each
+from ..signals import Array, Dimensions
+from .arm import Arm
+from .base.base import Base
+from .base.overrides import Overrides
+from .urdf.finding import Finding
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Its Pinocchio model, its base, and the maps between its velocities. Arrays are read-only.
+
+    Sizes: p independent velocities, nv velocities of the full model, n_u motors, nc = nv - p constraints.
+
+    Attributes:
+        name: File name without its suffix.
+        path: The URDF file.
+        urdf: The XML that Pinocchio read.
+        sha256: Hash of the file.
+        model: Full Pinocchio model, nothing locked away; planar root joint for a mobile base.
+        base: The mobile base.
+        dimensions: How many velocities, joints and motors it has.
+        arm: The manipulator: its joints, what is locked and where, and what follows.
+        joint_names: The n arm joints in the model's order.
+        velocity_names: Names of nu, p of them.
+        full_velocity_names: Names of the model's velocities, nv of them.
+        actuator_names: Joints with a motor, n_u of them: drive wheels from left to right, then the arm.
+        T: (nv, p) map from nu to all velocities.
+        A: (nc, nv) constraint rows.
+        E_full: (nv, n_u) map from motor torques to joint torques.
+        E: (p, n_u) `T' E_full`.
+        q_index: (nv,) first index in Pinocchio's q of each velocity's joint; 0, 1, 2 for the planar root.
+        is_continuous: (nv,) 1 where q holds (cos, sin) of an angle, the root's heading included; else 0.
+        frame: (3,) control frame `(x, y, heading)` in the root link's frame [m, m, rad].
+        lower: (nv,) lower position limits [rad or m], -inf when unlimited.
+        upper: (nv,) upper position limits [rad or m], inf when unlimited.
+        effort_limits: (n_u,) largest motor torques [N m or N]; inf when the file states none or 0.
+        damping: (nv,) viscous friction of the joints [N m s or N s/m].
+        coulomb: (nv,) Coulomb friction of the joints [N m or N]; on the root's yaw rate that of a skid-steer base's
+            turning.
+        viscous: (p,) further viscous friction, on nu, declared by the user.
+        rest: (nv,) position at rest: locked joints where they are locked, the others at 0 clipped into their limits.
+        findings: What the audit and the understanding have to say, warnings and notes.
+        overrides: What the user says about it, in the call and beside the file.
+        breakaway: (nv,) ratio of static to Coulomb friction, at least 1.
+        stribeck: Velocity over which the one falls to the other [rad/s or m/s].
+        masses: Factors that `with_masses` put on its bodies, by the joint that carries them.
+    """
+
+    name: str
+    path: Path
+    urdf: str
+    sha256: str
+    model: pin.Model
+    base: Base
+    arm: Arm
+    dimensions: Dimensions
+    joint_names: tuple[str, ...]
+    velocity_names: tuple[str, ...]
+    full_velocity_names: tuple[str, ...]
+    actuator_names: tuple[str, ...]
+    T: Array
+    A: Array
+    E_full: Array
+    E: Array
+    q_index: NDArray[np.int64]
+    is_continuous: NDArray[np.uint8]
+    frame: Array
+    lower: Array
+    upper: Array
+    effort_limits: Array
+    damping: Array
+    coulomb: Array
+    viscous: Array
+    rest: Array
+    findings: tuple[Finding, ...] = field(default=())
+    overrides: Overrides = field(default_factory=Overrides)
+    masses: Mapping[str, float] = field(default_factory=dict)
+    breakaway: Array | float = 1.0
+    stribeck: float = 0.05
+
+    @property
+    def position_names(self) -> tuple[str, ...]:
+        """Names of the columns of a position, nv of them: the pose, then every joint in the model's order."""
+        root = self.dimensions.pose
+        return ("x", "y", "phi")[:root] + self.full_velocity_names[root:]
+
+    @cached_property
+    def arm_index(self) -> NDArray[np.int64]:
+        """Places of the arm joints in a position, (n,)."""
+        return np.array([self.full_velocity_names.index(name) for name in self.joint_names], dtype=np.int64)
+
+    def configuration(self, position: ArrayLike) -> Array:
+        """Pinocchio's configuration q of a position.
+
+        Args:
+            position: (nv,) pose of the control frame in the world (mobile bases), then every joint in the model's
+                order; angles unwrapped [m, rad].
+
+        Returns:
+            (nq,) with the root link's pose and (cos, sin) for continuous joints.
+        """
+        given = np.asarray(position, dtype=float)
+        q = np.zeros(self.model.nq)
+        root = self.dimensions.pose
+        if root:
+            x, y, psi = self.frame
+            heading = given[2] - psi
+            c, s = np.cos(heading), np.sin(heading)
+            q[:4] = given[0] - c * x + s * y, given[1] - s * x - c * y, c, s
+        turns = self.is_continuous[root:].astype(bool)
+        at, angles = self.q_index[root:], given[root:]
+        q[at] = np.where(turns, np.cos(angles), angles)
+        q[at[turns] + 1] = np.sin(angles[turns])
+        return q
+
+    def neutral_position(self) -> Array:
+        """Position at rest, (nv,): locked joints where they are locked, the others at 0 clipped into their limits."""
+        return self.rest.copy()
+
+    def follow(self, position: Array) -> Array:
+        """The position with its slaves (mimic joints) where their masters have them, (nv,), changed in place."""
+        names = self.full_velocity_names
+        for name, slave in self.arm.slaves.items():
+            position[names.index(name)] = slave.at(position[names.index(slave.master)])
+        return position
+
+    def arm_map(self) -> tuple[Array, Array]:
+        """Position at rest with the arm's joints at 0, (nv,), and what each arm joint adds per unit, (nv, n).
+
+        A slave (mimic joint) moves with its master.
+        """
+        offset = self.neutral_position()
+        offset[self.arm_index] = 0.0
+        self.follow(offset)
+        columns = np.zeros((offset.size, self.dimensions.arm))
+        for i, place in enumerate(self.arm_index):
+            one = offset.copy()
+            one[place] = 1.0
+            columns[:, i] = self.follow(one) - offset
+        return offset, columns
+
+    def with_masses(self, factors: float | Mapping[str, float]) -> Self:
+        """The same robot with the inertias of its moving bodies scaled (mass and rotational inertia alike).
+
+        Args:
+            factors: One factor for all bodies, or a factor per joint that carries the body (`root` for a mobile base).
+
+        Raises:
+            ConfigError: A factor that is not positive and finite.
+            UnknownName: A joint that the robot does not have.
+        """
+        model = self.model.copy()
+        names = dict(zip(bodies_of(model), range(1, model.njoints), strict=True))
+        table = factors if isinstance(factors, Mapping) else dict.fromkeys(names, factors)
+        for name, factor in table.items():
+            if name not in names:
+                raise UnknownName("body", name, names)
+            if not (np.isfinite(factor) and factor > 0):
+                raise ConfigError(f"factor {factor} for the mass at '{name}'", fix="give a finite number > 0")
+            scale_body(model, names[name], factor)
+        masses = {**self.masses, **{name: self.masses.get(name, 1.0) * factor for name, factor in table.items()}}
+        return replace(self, model=model, masses=masses)
+
+    def with_armature(self, inertia: ArrayLike) -> Self:
+        """The same robot with the rotors of its arm's motors, seen through their gears; a URDF does not know them.
+
+        They are added to the diagonal of the mass matrix; the gyroscopic effects of their spin are left out.
+
+        Args:
+            inertia: Rotor inertia times the square of the gear ratio, one number or (n,) [kg m^2 or kg].
+
+        Raises:
+            ConfigError: A number that is negative or not finite, or not one number per joint.
+        """
+        rotors = one_or_each(inertia, self.dimensions.arm, "joint", "armature", least=0)
+        model = self.model.copy()
+        armature = np.array(model.armature)
+        armature[self.arm_index] = rotors
+        model.armature = armature
+        return replace(self, model=model)
+
+    def with_friction(self, viscous: ArrayLike) -> Self:
+        """The same robot with viscous friction on nu besides that of its joints.
+
+        Args:
+            viscous: (p,) coefficients, or one number for all [N s/m, N m s].
+
+        Raises:
+            ConfigError: Wrong number of coefficients, or a negative or non-finite one.
+        """
+        given = one_or_each(viscous, self.dimensions.dof, "velocity", "friction", least=0, names=self.velocity_names)
+        return replace(self, viscous=read_only(given))
+
+    def with_joint_friction(
+        self,
+        viscous: float | Sequence[float] | Array = 0.0,
+        coulomb: float | Sequence[float] | Array = 0.0,
+        breakaway: float | Sequence[float] | Array = 1.0,
+        stribeck: float = 0.05,
+    ) -> Self:
+        """The same robot with more friction in the gears of its arm, beside that of its URDF.
+
+        Args:
+            viscous: One number or (n,) [N m s or N s/m].
+            coulomb: One number or (n,) [N m or N].
+            breakaway: Ratio of static to all Coulomb friction, one number or (n,), at least 1.
+            stribeck: Velocity over which static friction falls to Coulomb friction [rad/s or m/s].
+
+        Raises:
+            ConfigError: A number that is negative or not finite, a ratio below 1, or not one number per joint.
+        """
+        n, at = self.dimensions.arm, self.arm_index
+        damping, level, ratio = self.damping.copy(), self.coulomb.copy(), np.ones(self.dimensions.full)
+        damping[at] += one_or_each(viscous, n, "joint", "friction.viscous", least=0)
+        level[at] += one_or_each(coulomb, n, "joint", "friction.coulomb", least=0)
+        ratio[at] = one_or_each(breakaway, n, "joint", "friction.breakaway", least=1)
+        if not (np.isfinite(stribeck) and stribeck > 0):
+            raise ConfigError(f"{stribeck}", fix="use a finite number > 0", key="friction.stribeck")
+        rough = replace(self, damping=read_only(damping), coulomb=read_only(level), breakaway=read_only(ratio))
+        return replace(rough, stribeck=float(stribeck))
+
+    def without_friction(self) -> Self:
+        """The same robot with no friction at all: of its joints, of its gears, of its base."""
+        none, smooth = read_only(np.zeros(self.dimensions.full)), read_only(np.ones(self.dimensions.full))
+        viscous = read_only(np.zeros(self.dimensions.dof))
+        return replace(self, damping=none, coulomb=none, viscous=viscous, breakaway=smooth)
+
+    @property
+    def dry(self) -> Array:
+        """Dry friction of the joints, (nv, 3): Coulomb, static minus Coulomb, Stribeck velocity."""
+        more = self.coulomb * (np.asarray(self.breakaway) - 1.0)
+        return np.column_stack((self.coulomb, more, np.full(self.coulomb.size, self.stribeck)))
+
+    def dry_friction(self, v: Array) -> Array:
+        """Largest dry friction of every joint at its velocity v, (nv,) [N m or N]."""
+        coulomb, more, speed = self.dry.T
+        return coulomb + more * np.exp(-((v / speed) ** 2))
+
+    def facts(self) -> dict[str, Any]:
+        """What a recording should know of it, enough for `recorded_robot` to build it again."""
+        return {
+            "robot": self.name,
+            "urdf": self.urdf,
+            "urdf_file": str(self.path.absolute()),
+            "urdf_sha256": self.sha256,
+            "overrides": self.overrides.stated(),
+            "mass_factors": dict(self.masses),
+            "armature": self.model.armature[self.arm_index].tolist(),
+            "viscous": self.viscous.tolist(),
+            "joint_friction": {
+                "damping": self.damping.tolist(),
+                "coulomb": self.coulomb.tolist(),
+                "breakaway": np.broadcast_to(self.breakaway, self.coulomb.shape).tolist(),
+                "stribeck": self.stribeck,
+            },
+            "velocity_names": self.velocity_names,
+            "position_names": self.position_names,
+            "actuator_names": self.actuator_names,
+            "effort_limits": self.effort_limits.tolist(),
+        }
+
+
+def bodies_of(model: pin.Model) -> list[str]:
+    """Joint that carries each moving body, `root` for a planar base."""
+    names = list(model.names)[1:]
+    return ["root", *names[1:]] if names and model.joints[1].shortname() == "JointModelPlanar" else names
+
+
+def scale_body(model: pin.Model, joint: int, factor: float) -> None:
+    """Scale the mass and the rotational inertia of the body that a joint carries."""
+    body = model.inertias[joint]
+    model.inertias[joint] = pin.Inertia(body.mass * factor, body.lever, body.inertia * factor)
+
+
+def read_only(array: Array) -> Array:
+    """The array, closed for writing."""
+    array.flags.writeable = False
+    return array

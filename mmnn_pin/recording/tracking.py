@@ -1,0 +1,118 @@
+"""How well a run followed its reference: one line for every direction of the base and every joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from ..model.urdf.xml import parse_xml
+from ..signals import Array
+
+
+@dataclass(frozen=True)
+class Error:
+    """The error of one direction of the base or of one joint.
+
+    Attributes:
+        rms: Root of its mean square.
+        peak: Its largest magnitude.
+        last: Its magnitude at the end.
+        unit: Of all three: m or rad.
+    """
+
+    rms: float
+    peak: float
+    last: float
+    unit: str
+
+
+class Errors(Mapping[str, Error]):
+    """Errors by name: `x`, `y`, `phi` of the base in its own frame, then the arm's joints.
+
+    It prints as a table in mm and mrad.
+
+    Args:
+        errors: By name.
+        start: Since when [s].
+        stop: Until when [s].
+    """
+
+    def __init__(self, errors: Mapping[str, Error], start: float, stop: float) -> None:
+        self._errors, self.start, self.stop = dict(errors), start, stop
+
+    @classmethod
+    def of(
+        cls, time: Array, columns: Mapping[str, tuple[Array, str]], start: float = 0.0, stop: float = np.inf
+    ) -> Errors:
+        """Errors of columns (N,) with their units, over the samples from `start` on and before `stop` [s]."""
+        kept = (time >= start) & (time < stop)
+        found = {}
+        for name, (values, unit) in columns.items():
+            size = np.abs(values[kept])
+            some = bool(size.size)
+            found[name] = Error(
+                rms=float(np.sqrt(np.mean(size * size))) if some else np.nan,
+                peak=float(size.max()) if some else np.nan,
+                last=float(size[-1]) if some else np.nan,
+                unit=unit,
+            )
+        return cls(found, start, min(stop, float(time[-1])) if len(time) else stop)
+
+    def __getitem__(self, name: str) -> Error:
+        return self._errors[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._errors)
+
+    def __len__(self) -> int:
+        return len(self._errors)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Numbers by name, in SI units."""
+        return {name: asdict(error) for name, error in self.items()}
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Lines of a table, the heads first: name, RMS, peak and last in thousandths, their unit."""
+        numbers = ((name, e, [f"{1e3 * value:.3g}" for value in (e.rms, e.peak, e.last)]) for name, e in self.items())
+        return [("error", "RMS", "peak", "last", ""), *((name, *three, f"m{e.unit}") for name, e, three in numbers)]
+
+    def __repr__(self) -> str:
+        rows = self.rows()
+        return f"from {self.start:.3g} s to {self.stop:.3g} s\n{in_columns(rows)}"
+
+    def _repr_html_(self) -> str:
+        """The table for a notebook."""
+        head, *rows = (tuple(map(escape, row)) for row in self.rows())
+        lines = [f"<tr>{''.join(f'<{tag}>{cell}</{tag}>' for cell in row)}</tr>" for tag, row in tagged(head, rows)]
+        return f"<p>from {self.start:.3g} s to {self.stop:.3g} s</p><table>{''.join(lines)}</table>"
+
+
+def tagged(head: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[tuple[str, Sequence[str]]]:
+    """Rows of a table of HTML with the tags of their cells."""
+    yield "th", head
+    yield from (("td", row) for row in rows)
+
+
+def in_columns(rows: Sequence[Sequence[str]]) -> str:
+    """Texts under each other: the first and the last column from the left, the others to the right."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    last = len(widths) - 1
+    padded = (
+        [
+            cell.ljust(w) if i in (0, last) else cell.rjust(w)
+            for i, (cell, w) in enumerate(zip(row, widths, strict=True))
+        ]
+        for row in rows
+    )
+    return "\n".join("  ".join(cells).rstrip() for cells in padded)
+
+
+def prismatic_joints(urdf: str) -> set[str]:
+    """Names of the sliding joints in the text of a URDF; none without a text that can be read."""
+    root, _ = parse_xml(urdf.encode())
+    joints = () if root is None else root.iter("joint")
+    return {joint.get("name", "") for joint in joints if joint.get("type") == "prismatic"}

@@ -1,0 +1,175 @@
+"""Trajectories from data: waypoints, arrays and CSV files, for base and arm, in Python, in TOML and by `--set`."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
+
+from mmnn_pin import Circle, Eight, Hold, Line, Sine, Trajectory, load, load_experiment
+from mmnn_pin.errors import InputError, TrajectoryError, UnknownName
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.reference import JointTable, Points
+from mmnn_pin.signals import Setpoint
+
+T = np.linspace(0.0, 4.0, 201)
+
+
+@cache
+def robot(name: str = "platform_arm") -> Robot:
+    return load(name)
+
+
+def drawn(path: Trajectory, r: Robot, times: np.ndarray) -> Setpoint:
+    return Setpoint.side_by_side(path.table(times, r.dimensions), r.dimensions)
+
+
+def test_arrays_give_back_the_motion_that_they_were_drawn_from() -> None:
+    """The second answer is the analytic path: the splines between its samples must agree with it."""
+    r, arm = robot(), {"arm_1_joint": Sine(0.5, 3.0), "arm_2_joint": Sine(0.3, 2.0, 0.1)}
+    whole = Trajectory.of(r, base=Eight(2.0, 1.0, 12.0, ramp=1.0), arm=arm)
+    at = drawn(whole, r, T)
+    for given_rates in (False, True):
+        rates = {"velocity": at.velocity, "qdot": at.qdot} if given_rates else {}
+        made = drawn(Trajectory.from_arrays(r, T, at.pose, at.q, **rates), r, T[5:-5] + 0.007)  # type: ignore[arg-type]
+        true = drawn(whole, r, T[5:-5] + 0.007)
+        np.testing.assert_allclose(made.pose, true.pose, atol=1e-6)
+        np.testing.assert_allclose(made.q, true.q, atol=1e-6)
+        np.testing.assert_allclose(made.velocity, true.velocity, atol=2e-4)
+        np.testing.assert_allclose(made.qdot, true.qdot, atol=2e-4)
+        np.testing.assert_allclose(made.qddot, true.qddot, atol=2e-2)
+
+
+def test_a_heading_may_be_wrapped() -> None:
+    r = robot()
+    circle = drawn(Trajectory.of(r, base=Circle(0.5, 1.0)), r, T)
+    wrapped = circle.pose.copy()
+    wrapped[:, 2] = np.angle(np.exp(1j * wrapped[:, 2]))
+    assert np.ptp(wrapped[:, 2]) < np.ptp(circle.pose[:, 2])
+    np.testing.assert_allclose(drawn(Trajectory.from_arrays(r, T, wrapped), r, T).velocity, circle.velocity, atol=1e-3)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.floats(-3, 3), min_size=2, max_size=8),
+    st.lists(st.floats(0.05, 2.0), min_size=1, max_size=7),
+    st.floats(0.0, 2.0),
+)
+def test_an_arm_goes_through_its_points_from_rest_to_rest(q: list[float], gaps: list[float], first: float) -> None:
+    count = min(len(q), len(gaps) + 1)
+    time = first + np.cumsum([0.0, *gaps[: count - 1]])
+    points = Points(tuple(time), tuple(q[:count]))
+    at = points.sample(time)
+    np.testing.assert_allclose(at.q, q[:count], atol=1e-9)
+    ends = points.sample([0.0, time[0], time[-1], time[-1] + 1.0])
+    np.testing.assert_allclose(ends.qdot, 0.0, atol=1e-7)
+    np.testing.assert_allclose(ends.q, [q[0], q[0], q[count - 1], q[count - 1]], atol=1e-9)
+    inside = np.linspace(time[0] + 1e-4, time[-1] - 1e-4, 20)
+    h = 1e-5
+    slope = (points.sample(inside + h).q - points.sample(inside - h).q) / (2 * h)
+    np.testing.assert_allclose(points.sample(inside).qdot, slope, atol=1e-3 * max(1.0, abs(slope).max()))
+
+
+def test_waypoints_share_one_time_and_what_is_not_named_stands_still() -> None:
+    r = robot()
+    path = Trajectory.from_waypoints(r, base=[(0, 0), (2, 0), (2, 2)], arm=[(0, 0), (0.5, 1), (0, 0.3)], speed=0.4)
+    end = drawn(path, r, np.array([path.duration, path.duration + 3.0]))
+    np.testing.assert_allclose(end.pose[:, :2], 2.0, atol=1e-9)
+    np.testing.assert_allclose(end.q, [[0, 0.3]] * 2, atol=1e-9)
+    still = drawn(Trajectory.from_waypoints(r, arm=[(0, 0), (1, 1)], times=(0.5, 2.0)), r, T)
+    assert not still.pose.any() and not still.velocity.any()
+    only = Trajectory.from_arrays(r, T, q={"arm_2_joint": 0.1 * T})
+    np.testing.assert_allclose(drawn(only, r, T).q[:, 0], r.neutral()[3])
+    assert only.duration == 4.0 and Trajectory.of(r, base=Line(0.3)).duration == np.inf
+
+
+def test_a_csv_file_gives_the_same_motion_as_its_arrays(tmp_path: Path) -> None:
+    r = robot()
+    at = drawn(Trajectory.of(r, base=Circle(1.0, 0.4, ramp=1.0), arm={"arm_1_joint": Sine(0.5, 3.0)}), r, T)
+    columns = np.column_stack((at.q[:, 0], T, at.pose, at.velocity, at.qdot[:, 0]))
+    heads = "position.arm_1_joint [rad],t [s],x,y,phi,v,w,velocity.arm_1_joint"
+    np.savetxt(file := tmp_path / "motion.csv", columns, delimiter=",", header=heads, comments="", fmt="%.17g")
+    rates = {"velocity": at.velocity, "qdot": {"arm_1_joint": at.qdot[:, 0]}}
+    arrays = Trajectory.from_arrays(r, T, at.pose, {"arm_1_joint": at.q[:, 0]}, **rates)  # type: ignore[arg-type]
+    read = Trajectory.from_csv(r, file)
+    np.testing.assert_array_equal(read.table(T, r.dimensions), arrays.table(T, r.dimensions))
+    made = load_experiment("track", [f"reference.file={file}", "time.duration=4"]).trajectory_of(r)
+    np.testing.assert_array_equal(made.table(T, r.dimensions), read.table(T, r.dimensions))
+
+
+def test_a_file_of_the_base_alone_leaves_the_arm_to_the_tables(tmp_path: Path) -> None:
+    r, file = robot(), tmp_path / "base.csv"
+    np.savetxt(file, np.column_stack((T, 0.2 * T, 0 * T, 0 * T)), delimiter=",", header="t,x,y,phi", comments="")
+    arm = 'reference.arm={ type = "points", time = [0.0, 2.0, 4.0], position = [0.0, 0.7, 0.1] }'
+    made = load_experiment("track", [f"reference.file={file}", arm, "time.duration=4"]).trajectory_of(r)
+    np.testing.assert_allclose(drawn(made, r, np.array([2.0, 4.0])).q, [[0.7, 0.7], [0.1, 0.1]], atol=1e-12)
+    np.testing.assert_allclose(drawn(made, r, T).velocity[:, 0], 0.2, atol=1e-9)
+    file.write_text("t,x,y,phi\n" + "\n".join(f"{t},{0.4 * t},0,0" for t in T))
+    again = load_experiment("track", [f"reference.file={file}", "time.duration=4"])
+    np.testing.assert_allclose(drawn(again.trajectory_of(r), r, T).velocity[:, 0], 0.4, atol=1e-6)
+
+
+BAD = {
+    "no x": ("t,y,phi,position.arm_9\n0,0,0,1\n", "no motion of platform_arm", 1),
+    "no time": ("x,y,phi\n0,0,0\n", "no column t", 1),
+    "a word": ("t,x,y,phi\n0,0,0,0\n1,one,0,0\n", "x = 'one' is not a number", 3),
+    "a short line": ("t,x,y,phi\n0,0,0,0\n1,1,0\n", "phi = '' is not a number", 3),
+    "too few": ("t,x,y,phi\n0,0,0,0\n1,1,0,0\n", "four or more samples", None),
+    "sideways": ("t,x,y,phi\n" + "".join(f"{k},0,{k},0\n" for k in range(6)), "moves sideways", None),
+    "nothing": ("", "no column t", 1),
+    "no rows": ("t,x,y,phi\n\n", "no rows", 1),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_file_is_named_with_its_line(case: str, tmp_path: Path) -> None:
+    text, words, line = BAD[case]
+    (file := tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(TrajectoryError, match=words) as refused:
+        Trajectory.from_csv(robot(), file)
+    assert (refused.value.file, refused.value.line) == (file, line)
+    with pytest.raises(InputError, match=words):
+        load_experiment("track", [f"reference.file={file}"]).trajectory_of(robot())
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda r: Trajectory.from_arrays(r, T, np.zeros((9, 3))), "samples of shapes"),
+        (lambda r: Trajectory.from_arrays(r, T, np.zeros((201, 2))), "samples of shapes"),
+        (lambda r: Trajectory.from_arrays(r, T, q=np.zeros((201, 3))), "give \\(N, 2\\): arm_1_joint, arm_2_joint"),
+        (lambda r: Trajectory.from_arrays(r, T, q={"arm_1_joint": T[1:]}), "give as many of each"),
+        (lambda r: Trajectory.from_arrays(r, T[::-1], q={"arm_1_joint": T}), "does not increase from 0"),
+        (lambda r: Trajectory.from_arrays(r, T, q={"arm_1_joint": T * np.nan}), "not finite"),
+        (lambda r: Trajectory.from_waypoints(r, base=[(0, 0)]), "two or more"),
+        (lambda r: Trajectory.from_waypoints(r, base=[(0, 0, 0), (1, 1, 1)]), "two or more \\(x, y\\)"),
+        (lambda r: Trajectory.from_waypoints(r, arm=[(0, 0), (1, 1)], times=(1.0, 1.0)), "do not increase"),
+        (lambda r: Trajectory.from_waypoints(r, arm=[(0, 0), (1, 1)], times=(1.0,)), "one time for each"),
+        (lambda r: Trajectory.of(load("two_axis_arm"), base=Line(0.3)), "its base does not move"),
+    ],
+)
+def test_wrong_data_is_refused_with_what_is_taken(make: object, words: str) -> None:
+    with pytest.raises(TrajectoryError, match=words):
+        make(robot())  # type: ignore[operator]
+
+
+def test_a_joint_that_is_not_there_is_named() -> None:
+    for make in (
+        lambda: Trajectory.of(robot(), arm={"arm_1_jont": Hold(0.0)}),
+        lambda: Trajectory.from_arrays(robot(), T, q={"arm_1_jont": T}),
+    ):
+        with pytest.raises(UnknownName, match="did you mean 'arm_1_joint'"):
+            make()
+
+
+def test_samples_of_a_joint_are_scipys_spline_and_end_when_they_end() -> None:
+    q = np.cumsum(np.random.default_rng(0).normal(size=T.size)) * 0.01
+    table = JointTable(T, q)
+    np.testing.assert_allclose(table.sample(T[:-1] + 0.01).qdot, CubicSpline(T, q)(T[:-1] + 0.01, 1), atol=1e-12)
+    with pytest.raises(TrajectoryError, match=r"time\.duration = 4"):
+        table.sample([4.1])

@@ -1,0 +1,81 @@
+"""What a shell and a log see: names completed by Tab, a line of progress every 10 s, tables as wide as the terminal."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from mmnn_pin.cli import main, mmnn, output
+from mmnn_pin.lab.experiments.config import keys_of, kind_at
+from mmnn_pin.torque import CONTROLLERS
+
+
+def completed(words: str) -> list[str]:
+    """What a bash completes the last of some words to."""
+    count = len(words.split()) - (0 if words.endswith(" ") else 1)
+    environment = {"COMP_WORDS": words, "COMP_CWORD": str(count), "_MMNN_COMPLETE": "bash_complete"}
+    done = CliRunner().invoke(mmnn, env=environment, prog_name="mmnn")
+    return [line.partition(",")[2] for line in done.stdout.splitlines() if line.startswith("plain,")]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("mmnn run chap", ["chapter4", "chapter5"]),
+        ("mmnn run track --controller pd_e", [name for name in sorted(CONTROLLERS) if name.startswith("pd_e")]),
+        ("mmnn embed track --controller kalman_b", ["kalman_bilinear"]),
+        ("mmnn run track --robot platform_", ["platform_arm"]),
+        ("mmnn inspect two_ax", ["two_axis_arm"]),
+        ("mmnn run track --set feedba", ["feedback."]),
+        ("mmnn run track --set feedback.a", ["feedback.arm="]),
+        ("mmnn readings chapter4 --set time.int", ["time.integrator="]),
+        ("mmnn run track --set feedback.arm=3", []),
+        ("mmnn stu", ["study"]),
+        ("mmnn nothing here", []),
+    ],
+)
+def test_a_shell_completes_names_and_keys(words: str, found: list[str]) -> None:
+    assert completed(words) == found
+
+
+def test_every_key_that_is_completed_exists() -> None:
+    for words in completed("mmnn run track --set "):
+        assert words.rstrip(".=") in keys_of(kind_at(None))
+
+
+def test_a_log_gets_a_line_every_ten_seconds(capsys) -> None:
+    clock = iter([0.0, 1.0, 9.9, 10.1, 12.0, 19.9, 25.0])
+    lines = output.Lines(now=lambda: next(clock))
+    for share in range(6):
+        lines.show(lambda share=share: f"pd: {10 * share} %")
+    told = capsys.readouterr()
+    assert told.err.splitlines() == ["pd: 20 %, after 10 s", "pd: 50 %, after 25 s"] and told.out == ""
+
+
+def test_progress_in_a_log_goes_to_standard_error(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(output, "EVERY", 0.0)
+    with output.progress_bar() as show, output.counter("runs", 8, 2) as count:
+        show("pd", 0.5)
+        count(3, "1.0/s")
+    told = capsys.readouterr()
+    assert told.out == "" and [line.partition(", after")[0] for line in told.err.splitlines()] == [
+        "pd: 50 %",
+        "3 of 8 runs  1.0/s",
+    ]
+
+
+def test_tables_are_as_wide_as_the_terminal_and_plain_in_a_file(monkeypatch) -> None:
+    assert output.look() == {}
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
+    for columns, wanted in ((63, 63), (10, output.NARROW), (999, output.WIDE)):
+        monkeypatch.setattr(shutil, "get_terminal_size", lambda columns=columns: os.terminal_size((columns, 24)))
+        assert output.look() == {"colour": True, "width": wanted}
+
+
+def test_help_says_how_to_switch_completion_on(capsys) -> None:
+    assert main(["--help"]) == 0
+    assert "_MMNN_COMPLETE=bash_source mmnn" in " ".join(capsys.readouterr().out.split())
