@@ -116,7 +116,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def unexpected(error: Exception) -> InputError:
     """A fault of ours."""
     why = f"{type(error).__name__}: {error}"
-    return InputError("this should not happen", why=why, fix="--debug shows where; please report it")
+    return InputError("internal error", why=why, fix="run it again with --debug and report what it prints")
 
 
 def usage_error(error: click.ClickException) -> InputError:

@@ -174,7 +174,7 @@ def excite(
     """Find a motion of ROBOT within its limits that tells most of its inertias and friction, and write it as CSV.
 
     It starts and ends at rest. The table has t, for a base x, y, phi, v, w, and position.JOINT, velocity.JOINT,
-    acceleration.JOINT at 100 rows per second. What it would determine is told before anything moves: predicted standard
+    acceleration.JOINT at 100 rows per second. What it would determine is printed first: predicted standard
     deviations of the base parameters, for noise of 2 % of each motor's limit.
     """
     from ..deploy.identify import excitation

@@ -140,7 +140,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
 
     with progress_bar() as show, interruptible(show) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress)
-    pictures = write_pictures(result.recordings, asked.plots, folder)
+    pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
         remarks = [f"note: {note}" for note in notes(result)]
@@ -259,7 +259,7 @@ def list_text(there_is: dict[str, dict[str, Any]]) -> str:
 
 
 @click.command(
-    short_help="Turn each switch that the thesis leaves open, one at a time.",
+    short_help="Run an experiment under each reading that the thesis allows.",
     epilog=examples(
         "mmnn readings chapter4",
         "mmnn readings chapter4 --variant printed",
@@ -271,9 +271,9 @@ def list_text(there_is: dict[str, dict[str, Any]]) -> str:
 @CHANGES
 @shared
 def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as_json: bool) -> int:
-    """Run both learners of EXPERIMENT as it is, then with each switch turned alone, and print what that changes.
+    """Run both learners of EXPERIMENT as it is, then with one reading changed at a time, and print what that changes.
 
-    The switches: learning rates per sample or per second, weights from zero or random, Appendix B's order and its
+    The readings: learning rates per sample or per second, weights from zero or random, Appendix B's order and its
     wd = 5, the frame of the pose error in the networks' input, the input with and without absolute position. Nothing
     is written.
     """

@@ -71,7 +71,7 @@ class Latency(Settings, frozen=True):
         sensing: Age of a measurement when it is used [s]; a whole number of measurements in a simulation.
         command: Time from there to the motors [s], rounded to steps of the plant.
         jitter: Largest further delay of a command, every one by its own chance; none overtakes another [s].
-        margin: Delay beyond these that a loop should bear; less is told [s].
+        margin: Delay beyond these that a loop should bear; less is reported [s].
 
     Raises:
         ConfigError: A number that is negative or not finite.

@@ -31,7 +31,7 @@ class Entry:
         table: Key path of its table; its name unless it says.
         beside: Names of controllers whose tables it takes before its own.
         gain_of: The learner whose effective gain it takes; empty for all others.
-        oracle: Whether it is told the true model.
+        oracle: Whether it knows the true model.
         thesis: Whether it is a learner of the thesis.
     """
 

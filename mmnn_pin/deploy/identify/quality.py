@@ -1,4 +1,4 @@
-"""What is wrong with a recorded motion, found before it is fitted: mended where that is safe, told, or refused.
+"""What is wrong with a recorded motion, found before it is fitted: mended where that is safe, reported, or refused.
 
 Times: unit, order, duplicates, gaps, jitter. Signals: NaN, constants, saturation, spikes. Velocities against the
 derivative of the positions: unit, sign, lag. Efforts against the robot's own prediction: signs and exchanged joints

@@ -1,4 +1,4 @@
-"""The node: a stepper at a fixed rate between what the graph tells and what it is told.
+"""The node: a stepper at a fixed rate between what the graph publishes and what it subscribes to.
 
 A sample: read, step, send; then record, diagnose, and say in one line what is wrong. The stepper's own timeouts answer
 when measurements or setpoints stay away. Ctrl-C is an emergency stop: the robot brakes and holds, then the node leaves.

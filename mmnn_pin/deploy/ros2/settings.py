@@ -305,7 +305,7 @@ class Node(Settings, frozen=True):
         trajectory: Motions of the arm.
         action: Motions of the arm with an answer.
         path: Of the base.
-        diagnostics: What is told.
+        diagnostics: What is published of the node itself.
 
     Raises:
         ConfigError: A number that is not positive, no commands.

@@ -21,10 +21,10 @@ BASELINE = "pd"
 FIXED = (BASELINE, "pd_gravity", "pid", "nominal")  # they learn nothing of Psi
 THESIS, ORACLE = "two_layer", "computed_torque"
 PRIOR = {
-    "kinematics": "told the kinematics, not masses and friction",
-    "form": "told the form of the equations",
-    "nothing": "told nothing but the error",
-    "nominal": "told a model with wrong masses",
+    "kinematics": "knows the kinematics, not masses and friction",
+    "form": "knows the form of the equations",
+    "nothing": "knows nothing of the robot",
+    "nominal": "knows a model with wrong masses",
 }
 Results = Callable[[str, str], list[TrialResult]]
 

@@ -100,6 +100,10 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     since: float
     curve: list[list[float]]
 
+    def __post_init__(self) -> None:
+        if any(len(window) != len(self.rms) for window in self.curve):
+            raise ValueError(f"a window of the curve of {self.controller} has not {len(self.rms)} axes")
+
     @property
     def completed(self) -> bool:
         """Whether the training reached its end."""

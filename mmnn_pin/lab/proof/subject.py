@@ -27,6 +27,7 @@ from ...torque.neural import Neural
 from .learner import Learner, Networks, recorded_learner
 
 MOST_STEPS = 10_000  # of the plant in a control period
+LARGEST = 1e50  # what a robot's signals stay below; its square can be counted with
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
 
 
@@ -177,7 +178,7 @@ def require_periods(recording: Recording, timing: Timing, time: Array) -> None:
 
 
 def finite_rows(recording: Recording, layout: Layout) -> Array:
-    """Rows of a recording, (N, width), up to the first one that is not finite.
+    """Rows of a recording, (N, width), up to the first one that is not finite, or as large as no robot's.
 
     Raises:
         RecordingError: A signal has other columns than those of the robot.
@@ -190,7 +191,7 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
                 why = f"{name} has the columns {', '.join(labels)}"
                 raise RecordingError("its signals are those of another robot", why=why, file=recording.path)
             rows[:, where] = recording[name].reshape(len(recording), where.stop - where.start)
-    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(rows) < LARGEST).all(axis=1))
     return rows[: bad[0]] if len(bad) else rows
 
 

@@ -110,7 +110,7 @@ def notes_of(result: Result) -> tuple[str, ...]:
     oracles = [name for name in result.recordings if name in ORACLES]
     notes = []
     if len(result.recordings) - len(oracles) > 1:
-        notes.append(f"* best of the row, {oracles[0]} not counted." if oracles else "* best of the row.")
+        notes.append(f"* best in its row; {oracles[0]} does not compete." if oracles else "* best in its row.")
     if oracles:
         notes.append(f"{oracles[0]} knows the true model: its share in brackets.")
     if any(map(exceeded, limited(result))):
@@ -181,7 +181,7 @@ def torque_rows(result: Result) -> Iterator[Row]:
 def other_rows(result: Result) -> Iterator[Row]:
     """Effort, learned share, effective gain and outcome."""
     recording, metrics = next(iter(result.recordings.values())), result.metrics
-    yield row_of("torque effort [N^2 m^2 s]", "", *(number(m["effort"]) for m in metrics.values()))
+    yield row_of("torque effort [N²m²s]", "", *(number(m["effort"]) for m in metrics.values()))
     for part in halves(recording):
         shares = {c: number(m[f"learned_share.{part}"]) for c, m in metrics.items()}
         yield row_of("learned share", part, *(f"({s})" if c in ORACLES else s for c, s in shares.items()))
