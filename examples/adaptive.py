@@ -13,9 +13,8 @@ regressor, gains = Regressor.of(robot), Feedback(500.0, 30.0)
 
 def loop(controller, base, periods, duration):
     """A closed loop on the thesis robot with friction."""
-    arm = [Sine(amplitude=0.785, period=period, phase=np.pi / 2) for period in periods]
-    timing = Timing(duration=duration, control_period=0.002, plant_step=0.002, integrator="implicit_friction")
-    return Loop(robot, Trajectory(base=base, arm=arm), controller, timing=timing)
+    motion = Trajectory(base, arm=[Sine(0.785, period, phase=np.pi / 2) for period in periods])
+    return Loop(robot, motion, controller, timing=Timing(duration, 0.002, 0.002, integrator="implicit_friction"))
 
 
 def unexplained(theta, run):
@@ -25,19 +24,20 @@ def unexplained(theta, run):
     return np.sum(error[250:] ** 2, axis=0) / np.sum((run["psi"] - run["psi"].mean(0))[250:] ** 2, axis=0)
 
 
-TRAINING = {
-    "eight, arm swinging": (Eight(length=1.5, width=0.75, period=12.0, ramp=1.0), (4.0, 3.0)),
-    "circle, arm slow": (Circle(radius=1.0, speed=0.4, ramp=1.0), (40.0, 40.0)),
-}
-HELD_OUT = {
-    "eight": (Eight(length=1.5, width=0.75, period=9.2, ramp=1.0), (3.1, 2.3)),
-    "circle": (Circle(radius=0.7, speed=0.5, ramp=1.0), (3.1, 2.3)),
-}
-
 if __name__ == "__main__":
-    truth = {name: loop(ComputedTorque(gains), *motion, 10.0).run() for name, motion in HELD_OUT.items()}
-    for name, motion in TRAINING.items():
-        learned = loop(Adaptive(regressor, gains), *motion, 48.0).run()
-        theta = learned.weights["theta"][-1]
-        frozen = "  ".join(f"{held} {unexplained(theta, run).mean():.4f}" for held, run in truth.items())
-        print(f"{name:20} FVU frozen, held out: {frozen}   {learned.outcome.message}")
+    TRAINING = {
+        "eight, arm swinging": (Eight(length=1.5, width=0.75, period=12.0, ramp=1.0), (4.0, 3.0)),
+        "circle, arm slow": (Circle(radius=1.0, speed=0.4, ramp=1.0), (40.0, 40.0)),
+    }
+    HELD_OUT = {
+        "eight": (Eight(length=1.5, width=0.75, period=9.2, ramp=1.0), (3.1, 2.3)),
+        "circle": (Circle(radius=0.7, speed=0.5, ramp=1.0), (3.1, 2.3)),
+    }
+    if __name__ == "__main__":
+        truth = {name: loop(ComputedTorque(gains), *motion, 10.0).run() for name, motion in HELD_OUT.items()}
+        for name, motion in TRAINING.items():
+            learned = loop(Adaptive(regressor, gains), *motion, 48.0).run()
+            left = [
+                f"{held} {unexplained(learned.weights['theta'][-1], run).mean():.4f}" for held, run in truth.items()
+            ]
+            print(f"{name:20} FVU frozen, held out:", *left, learned.outcome.message)

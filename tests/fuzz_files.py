@@ -3,8 +3,9 @@
 python tests/fuzz_files.py [--files 10000] [--seed 0] [--batch 100] [--kinds recording study ...]
 
 A batch is worked through in a process of its own, so that a crash of the interpreter is seen and its file known. Every
-command has 10 s of processor time and 1 GB more than at the start there; what it writes outside its output folder, what
-it runs out of a file, and what it reads from a folder that nobody named is noticed.
+command has 10 s of processor time (60 s in all, if it waits) and 1 GB more than at the start there; what it writes,
+makes or removes outside its output folder, what it runs out of a file, and what it reads from a folder that nobody
+named is noticed.
 """
 
 from __future__ import annotations
@@ -12,11 +13,13 @@ from __future__ import annotations
 import argparse
 import collections
 import contextlib
+import faulthandler
 import io
 import json
 import math
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -32,10 +35,13 @@ import fuzz_urdf
 import h5py
 import numpy as np
 
+from mmnn_pin.compiled import cache_root
+
 ROOT = Path(__file__).parent.parent
-SECONDS, MEMORY = 10, 1 << 30  # of a command
+SECONDS, WAITING, MEMORY = 10, 60, 1 << 30  # of a command: processor time, time, bytes
 DRAWING = ("plot", "report", "run")  # what takes seconds
 GOOD = ("done", "failed", "refused")
+OUTPUT = ("out", "db", "tuned")  # folders that a command may write to
 EVIL = "from pathlib import Path\nPath('ran').touch()\nclass Evil: pass\n"
 SECRET = (
     b"solid x\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
@@ -347,6 +353,77 @@ def structure(name: str) -> Mutation:
     return mutate
 
 
+def folder_of_runs(folder: Path, rng: random.Random) -> None:
+    """A sound recording and a broken one in a folder."""
+    (folder / "runs").mkdir()
+    for name in ("a", "b"):
+        shutil.copy(folder / "run.h5", folder / "runs" / f"{name}.h5")
+    rng.choice([structure("runs/b.h5"), raw("runs/b.h5")])(folder, rng)
+
+
+# -- robots and their meshes -------------------------------------------------------------------------------------------
+
+HEADS = [
+    '<!DOCTYPE robot [<!ENTITY a "{e}">]>',
+    '<!DOCTYPE robot [<!ENTITY a SYSTEM "file://{here}/secret/x.stl">]>',
+    '<!DOCTYPE robot SYSTEM "{here}/secret/x.dtd">',
+    '<!DOCTYPE robot [<!ENTITY % p SYSTEM "http://127.0.0.1:1/x"> %p;]>',
+    '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "{ten_a}"><!ENTITY c "{ten_b}"><!ENTITY d "{ten_c}">]>',
+    '<?xml version="1.0" encoding="UTF-16"?>',
+    '<?xml-stylesheet href="{here}/secret/x.xsl"?>',
+]
+BODIES = [
+    "&a;",
+    "<a>" * 5000,
+    "<xi:include xmlns:xi='http://www.w3.org/2001/XInclude' href='secret/x.stl' parse='text'/>",
+    f'<gazebo a="{"1" * 100_000}"/>',
+    "<!--" + "-" * 1000,
+    "<![CDATA[" * 50,
+]
+
+
+def xml(name: str) -> Mutation:
+    """A mutation of a URDF: as `fuzz_urdf`, or with entities, includes, far too deep."""
+
+    def mutate(folder: Path, rng: random.Random) -> None:
+        data = (folder / name).read_bytes()
+        if rng.random() < 0.5:
+            data = rng.choice(fuzz_urdf.MUTATIONS)(data, rng)
+        else:
+            tens = {f"ten_{letter}": f"&{letter};" * 10 for letter in "abc"}
+            head = rng.choice(HEADS)
+            for key, value in {"here": str(folder), "e": "x" * 50, **tens}.items():
+                head = head.replace(f"{{{key}}}", value)
+            body = rng.choice(BODIES)
+            data = head.encode() + data.replace(b"</robot>", body.encode() + b"</robot>").replace(
+                b'name="base_link"', b'name="&a;"' if rng.random() < 0.3 else b'name="base_link"'
+            )
+        (folder / name).write_bytes(data)
+
+    return mutate
+
+
+MESHES = ("m.stl", "m.obj", "m.mtl", "m.dae", "m.glb", "m.ply", "t.png")
+PART = '<link name="part_{i}"><visual><geometry><mesh filename="{file}"/></geometry></visual></link>'
+PART += '<joint name="part_{i}" type="fixed"><parent link="base_link"/><child link="part_{i}"/></joint>'
+
+
+def mesh(folder: Path, rng: random.Random) -> None:
+    """A robot, and a recording of it, with a mesh of every kind, one of them broken or exchanged for another."""
+    name = rng.choice(MESHES)
+    if rng.random() < 0.2:
+        (folder / "meshes" / name).write_bytes((folder / "meshes" / rng.choice(MESHES)).read_bytes())
+    else:
+        (words if name in ("m.obj", "m.mtl", "m.dae") and rng.random() < 0.5 else raw)(f"meshes/{name}")(folder, rng)
+    files = [f"{where}{one}" for one in MESHES[:6] if one != "m.mtl" for where in ("", "meshes/")]
+    parts = "".join(PART.format(i=i, file=file) for i, file in enumerate(files))
+    text = (folder / "robot.urdf").read_text().replace("</robot>", f"{parts}</robot>")
+    (folder / "robot.urdf").write_text(text)
+    with h5py.File(folder / "run.h5", "r+") as file:
+        del file["urdf"]
+        file["urdf"] = text
+
+
 # -- databases ---------------------------------------------------------------------------------------------------------
 
 
@@ -424,6 +501,29 @@ KINDS: dict[str, tuple[list[Mutation], list[str]]] = {
     ),
     "state": ([json_file("state.json"), raw("state.json")], ["model platform_arm --at state.json"]),
     "controllers": ([words("c.yaml"), raw("c.yaml")], ["inspect robot.urdf --controllers c.yaml"]),
+    "run folder": (
+        [folder_of_runs],
+        ["plot runs --out out", "report runs --html out/r.html --no-replay", "export runs --to csv --out out"],
+    ),
+    "robot": ([xml("robot.urdf")], ["inspect robot.urdf", "model robot.urdf"]),
+    "mesh": (
+        [mesh],
+        ["inspect robot.urdf", "replay run.h5 --html out/p.html --package-dir meshes", "prove run.h5"],
+    ),
+    "log": (
+        [*3 * [words("log.csv")], raw("log.csv"), raw("log.mcap"), structure("run.h5"), words("columns.toml")],
+        [
+            *2 * ["identify log.csv --robot two_axis_arm --out out --columns columns.toml"],
+            "identify log.mcap --robot platform_arm --out out",
+            "identify run.h5 --robot platform_arm --out out",
+            "identify log.csv --robot two_axis_arm --payload",
+        ],
+    ),
+    "identified": (
+        [json_file("identified/two_axis_arm.identified.json"), raw("identified/two_axis_arm.identified.json")],
+        ["report identified --html out/i.html"],
+    ),
+    "node": ([*3 * [words("node.toml")], raw("node.toml")], ["ros2 node.toml --check"]),
 }
 
 
@@ -435,24 +535,49 @@ def stop(*_: Any) -> None:
     raise Hang
 
 
-Opened = list[tuple[str, str]]
-OPENED: Opened = []
+READ: list[str] = []  # what Python opened
+CHANGED: list[str] = []  # what it wrote, made, moved or removed
+CHANGES = {
+    "os.mkdir": 1,
+    "os.rename": 2,
+    "os.remove": 1,
+    "os.rmdir": 1,
+    "os.link": 2,
+    "os.symlink": 2,
+    "os.truncate": 1,
+}
 
 
 def watch() -> None:
-    """Note what Python opens from now on."""
+    """Note what Python opens and changes from now on."""
 
     def hook(event: str, given: tuple[Any, ...]) -> None:
-        if event == "open" and isinstance(given[0], str):
-            OPENED.append((given[0], str(given[1] or "")))
+        if event == "open" and isinstance(given[0], str | bytes):
+            name, flags = os.path.abspath(os.fsdecode(given[0])), given[2] if isinstance(given[2], int) else 0
+            writes = flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT) and not os.path.isdir(name)  # a file without a name
+            (CHANGED if writes else READ).append(name)
+        elif event in CHANGES:
+            names = [
+                os.path.abspath(os.fsdecode(n)) for n in given[: CHANGES[event]] if isinstance(n, str | bytes | Path)
+            ]
+            CHANGED.extend(name for name in names if event != "os.mkdir" or not os.path.isdir(name))
+        elif event in ("os.system", "os.exec", "os.posix_spawn", "subprocess.Popen"):
+            CHANGED.append(f"the program {given[0]}")
 
     sys.addaudithook(hook)
 
 
+def outside(folder: Path) -> list[str]:
+    """What was changed elsewhere than in the folders for output and for passing files of this process."""
+    allowed = (*(str(folder / name) for name in OUTPUT), os.devnull, "/dev/shm", "/proc/self", str(cache_root()))
+    passing = re.compile(rf"{re.escape(tempfile.gettempdir())}/(tmp|\.|mmnn|matplotlib-)[^/]*(/|$)")
+    found = (name for name in CHANGED if not name.startswith(allowed))
+    return [name for name in found if name.startswith(str(folder)) or not passing.match(name)]
+
+
 def listed(folder: Path) -> dict[str, int]:
     """Files of a folder with their times, those for output left out."""
-    skip = ("out", "db", "tuned")
-    return {str(f): f.lstat().st_mtime_ns for f in folder.rglob("*") if f.relative_to(folder).parts[0] not in skip}
+    return {str(f): f.lstat().st_mtime_ns for f in folder.rglob("*") if f.relative_to(folder).parts[0] not in OUTPUT}
 
 
 @contextlib.contextmanager
@@ -462,11 +587,13 @@ def limits() -> Iterator[None]:
     old = resource.getrlimit(resource.RLIMIT_AS)
     signal.signal(signal.SIGPROF, stop)
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    faulthandler.dump_traceback_later(WAITING, exit=True, file=sys.__stderr__)  # seen as a crash
     resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, old[1]))
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
+        faulthandler.cancel_dump_traceback_later()
         resource.setrlimit(resource.RLIMIT_AS, old)
 
 
@@ -475,7 +602,8 @@ def verdict(command: list[str], folder: Path) -> str:
     from mmnn_pin.cli import main
 
     before, output, errors = listed(folder), io.StringIO(), io.StringIO()
-    OPENED.clear()
+    READ.clear()
+    CHANGED.clear()
     try:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors), limits():
             code = main(command)
@@ -483,16 +611,16 @@ def verdict(command: list[str], folder: Path) -> str:
         return f"more than {SECONDS} s"
     except BaseException as error:
         return f"it raised {type(error).__name__}: {error}"
-    told = errors.getvalue()
-    wrong = {
+    told, beyond = errors.getvalue(), outside(folder)
+    wrong: dict[str, Any] = {
         "internal error": "internal error" in told,
-        "more than 1 GB": "not enough memory" in told,
+        "more than 1 GB": re.search(r"not enough memory|[Uu]nable to allocate|[Cc]annot allocate|MemoryError", told),
         f"exit code {code}": code not in (0, 1, 2),
         "an error without words": code == 2 and "error: " not in told,
         "a traceback": "Traceback" in told,
         "a program of the file was run": (folder / "ran").exists(),
-        "a secret was read": any("secret" in name for name, _ in OPENED),
-        "something was written outside": listed(folder) != before,
+        "a secret was read": any("/secret/" in name for name in READ),
+        f"written outside: {beyond[:3]}": beyond or listed(folder) != before,
     }
     if "--json" in command:
         try:

@@ -9,9 +9,15 @@ from io import StringIO
 from pathlib import Path
 
 import msgspec
+import numpy as np
+import trimesh
+from motions import simulated
+from PIL import Image
 from places import ROOT
 from study_files import SHORT, planned
 
+from mmnn_pin import load
+from mmnn_pin.cli import main
 from mmnn_pin.lab.contest.contest import About, AboutTask
 from mmnn_pin.lab.contest.task import Demand
 from mmnn_pin.lab.contest.trial import Tracking, Trial, TrialResult
@@ -90,11 +96,42 @@ def sound_files(
         (folder / name).write_text(text)
     (folder / "state.json").write_text(json.dumps(STATE))
     (folder / "robot.urdf").write_bytes((ROOT / "urdf" / "platform_arm.urdf").read_bytes())
+    meshes(folder / "meshes")
     study(folder)
     contest(folder / "contest")
+    logs(folder)
     if tuned:
         command(f"tune {folder / 'tuning.toml'} --out {folder / 'tuned'}")
     return folder
+
+
+def meshes(folder: Path) -> None:
+    """A ball in every format of meshes, one with a material and a picture on it."""
+    folder.mkdir()
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.1)
+    for kind in ("stl", "dae", "glb", "ply"):
+        ball.export(folder / f"m.{kind}")
+    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in ball.vertices.round(4))
+    faces = "".join(f"f {a}/1 {b}/2 {c}/3\n" for a, b, c in ball.faces + 1)
+    (folder / "m.obj").write_text(f"mtllib m.mtl\n{corners}vt 0 0\nvt 1 0\nvt 0 1\nusemtl a\n{faces}")
+    (folder / "m.mtl").write_text("newmtl a\nKd 1 0 0\nmap_Kd t.png\n")
+    Image.new("RGB", (8, 8), "red").save(folder / "t.png")
+
+
+def logs(folder: Path) -> None:
+    """A short motion of an arm as CSV with its columns, a recording as MCAP, what was identified, a ROS 2 node."""
+    arm = load("two_axis_arm")
+    log = simulated(arm, 3.0)
+    columns = {"time": log.time, **log.signals}
+    rows = np.column_stack(list(columns.values()))
+    np.savetxt(folder / "log.csv", rows, "%.6g", ",", header=",".join(columns), comments="")
+    (folder / "columns.toml").write_text('time = "time"\n"position.{joint}" = "position.{joint}"\n')
+    recording = sorted(folder.glob("run_*.h5"))[0]
+    command(f"export {recording} --to mcap --out {folder / 'log.mcap'}")
+    command(f"identify {folder / 'log.csv'} --robot two_axis_arm --even-if-worse --out {folder / 'identified'}")
+    with redirect_stdout(StringIO()) as text:
+        assert main(["ros2", "--example"]) == 0
+    (folder / "node.toml").write_text(text.getvalue())
 
 
 def old_recording(file: Path) -> Path:
@@ -106,8 +143,6 @@ def old_recording(file: Path) -> Path:
 
 def command(line: str) -> None:
     """A command of ours that must succeed."""
-    from mmnn_pin.cli import main
-
     with redirect_stdout(StringIO()):
         assert main(line.split()) == 0
 

@@ -10,11 +10,13 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
+from contextlib import suppress
 
 import click
 
 from .. import __version__
 from ..errors import InputError, MmnnError, UnknownName
+from ..files import reason, way_out
 from .embed import embed
 from .identify import excite, identify
 from .options import examples
@@ -102,10 +104,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except MemoryError as error:
         fix = "use a shorter duration, longer periods or fewer hidden units"
         return complain(BAD_INPUT, InputError("not enough memory", why=str(error), fix=fix), given)
+    except OSError as error:
+        if fix := way_out(error):  # a disk that is full, a place that is closed
+            found = InputError("cannot be written", why=reason(error), fix=fix, file=error.filename)
+            return complain(BAD_INPUT, found, given)
+        return complain(FAILED, unexpected(error), given)
     except Exception as error:
-        why = f"{type(error).__name__}: {error}"
-        found = InputError("internal error", why=why, fix="run it again with --debug and report what it prints")
-        return complain(FAILED, found, given)
+        return complain(FAILED, unexpected(error), given)
+
+
+def unexpected(error: Exception) -> InputError:
+    """A fault of ours."""
+    why = f"{type(error).__name__}: {error}"
+    return InputError("internal error", why=why, fix="run it again with --debug and report what it prints")
 
 
 def usage_error(error: click.ClickException) -> InputError:
@@ -123,9 +134,11 @@ def complain(code: int, error: InputError, given: Sequence[str]) -> int:
     if "--debug" in given:
         traceback.print_exc()
     problems = [str(problem) for problem in getattr(error, "errors", None) or [error]]  # an audit has several
-    click.echo("\n".join(printable(" ".join(problem.split())) for problem in problems), err=True)
+    with suppress(OSError):
+        click.echo("\n".join(printable(" ".join(problem.split())) for problem in problems), err=True)
     if "--json" in given:
         fields = {name: getattr(error, name) for name in ("what", "why", "fix", "line", "key")}
         file = None if error.file is None else str(error.file)
-        answer(True, lambda: {"error": fields | {"file": file}, "errors": problems}, str)
+        with suppress(InputError):  # where nothing can be written, the exit code says it
+            answer(True, lambda: {"error": fields | {"file": file}, "errors": problems}, str)
     return code

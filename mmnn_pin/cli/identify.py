@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..files import require_free
 from .options import FORCE, examples, numbers, robots, shared, understanding
 from .output import DONE, FAILED, answer, named, warn, wrote
 
@@ -177,14 +178,13 @@ def excite(
     deviations of the base parameters, for noise of 2 % of each motor's limit.
     """
     from ..deploy.identify import excitation
-    from ..lab.show.files import require_free
     from ..lab.show.identified import excitation_text
     from ..model.loading import load
 
     require_free(out, force)
     limits = excitation.Limits(duration, space, share, clearance, seconds, seed)
     found = excitation.excite(load(robot, **overrides), limits)
-    found.save(out)
+    found.save(out, force)
     report = found.to_dict() | {"file": str(out)}
     answer(as_json, lambda: report, lambda: f"{excitation_text(report)}\n{wrote([out])}")
     return DONE

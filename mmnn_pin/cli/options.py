@@ -70,7 +70,7 @@ def with_all(options: Sequence[Callable[[F], F]], function: F) -> F:
     return functools.reduce(lambda made, option: option(made), reversed(options), function)
 
 
-# -- what a shell completes; imported is only what a press of the key needs ---------------------------------------------
+# -- what a shell completes; imported is only what a press of the key needs --
 
 
 def starting(names: Iterable[str], incomplete: str) -> list[CompletionItem]:

@@ -14,14 +14,15 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 import click
 
-from ..errors import ConfigError, RecordingError
+from ..errors import ConfigError, InputError, RecordingError
+from ..files import reason, way_out
 
 if TYPE_CHECKING:
     from ..recording.recording import Recording
@@ -34,11 +35,18 @@ STUDY, CONTEST, IDENTIFIED = "study.sqlite", ("contest.json", "rows.json"), "*.i
 
 
 def say(text: str) -> None:
-    """Print on standard output; a reader that has left (`| head`) is no error."""
+    """Print on standard output; a reader that has left (`| head`) is no error.
+
+    Raises:
+        InputError: It cannot be written to.
+    """
     try:
         print(printable(text), flush=True)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left over goes there
+        if not isinstance(error, BrokenPipeError):
+            fix = way_out(error)
+            raise InputError("standard output cannot be written", why=reason(error), fix=fix) from error
 
 
 def look() -> dict[str, Any]:
@@ -90,7 +98,8 @@ def compile_if_cold(hardware: bool = False) -> None:
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
         click.echo(f"first run with {parts}: their part of the loop is compiled, about half a minute more", err=True)
-        announced.touch()
+        with suppress(OSError):  # a full disk: it is announced again
+            announced.touch()
 
 
 class Lines:

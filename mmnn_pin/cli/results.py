@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..errors import ConfigError, RecordingError
+from ..files import require_free
 from .options import FORCE, PACKAGE_DIRS, examples, law, numbers, shared
 from .output import (
     DONE,
@@ -84,7 +85,6 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     from ..lab.contest.contest import opened
     from ..lab.show.curves import require_comparable
     from ..lab.show.figure import save
-    from ..lab.show.files import require_free
     from ..lab.show.gallery import CONTEST, PICTURES
 
     folder = found_in(runs, "contest")
@@ -102,7 +102,7 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     for file in files.values():
         require_free(file, force, "picture")
     for what, figure in {what: make(what) for what in files}.items():
-        save(figure, files[what])
+        save(figure, files[what], force)
     answer(as_json, lambda: about | {"files": named(files)}, lambda: wrote(files.values()))
     return DONE
 
@@ -294,7 +294,6 @@ def replay(
     parent = os.getppid()  # before anything slow: a parent that dies meanwhile counts, too
     import webbrowser
 
-    from ..lab.show.files import require_free
     from ..lab.show.replay import page, wait_until_left
 
     if html is not None:
@@ -307,7 +306,7 @@ def replay(
     about |= {"samples": made.samples, "warnings": list(made.warnings)}
     summary = f"{made.size / 1e6:.2g} MB, {made.frames:,} frames of {made.samples:,} samples"
     if html is not None:
-        made.save(html)
+        made.save(html, force)
         answer(as_json, lambda: about | {"html": str(html)}, lambda: f"wrote {html}: {summary}")
         return DONE
     with made.served(port) as url:
@@ -349,7 +348,6 @@ def report(
 
     RUN is a recording or a folder of them, one study, one contest, or what `mmnn identify` wrote.
     """
-    from ..lab.show.files import require_free
     from ..lab.show.report import report as make
 
     require_free(html, force)
@@ -375,7 +373,7 @@ def report(
         made = make(recordings, command=command, with_replay=not no_replay, package_dirs=package_dirs)
     for warning in made.warnings:
         warn(warning)
-    made.save(html)
+    made.save(html, force)
     answer(
         as_json,
         lambda: about | {"html": str(html), "bytes": made.size, "warnings": list(made.warnings)},
@@ -407,7 +405,6 @@ def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_js
     """
     from ..lab.show.export import export as write
     from ..lab.show.export import export_study
-    from ..lab.show.files import require_free
 
     if (study := found_in(runs, "study")) is not None:
         from ..lab.study.results import load_results
@@ -421,7 +418,7 @@ def export(runs: tuple[Path, ...], to: str, out: Path | None, force: bool, as_js
         for file in files.values():
             require_free(file, force)
         for run, recording in recordings.items():
-            write(recording, files[run], to, force=True)
+            write(recording, files[run], to, force=force)
     answer(
         as_json,
         lambda: {"to": to, "files": {str(run): str(file) for run, file in files.items()}},

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..files import read_toml, require_free
 from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
@@ -109,7 +110,6 @@ def run(
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
     from ..lab.experiments.runner import has_hardware
-    from ..lab.show.files import require_free
     from ..lab.show.gallery import require_plots
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
@@ -160,8 +160,8 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
 
     with progress_bar() as show, interruptible(show) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
-    look = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
-    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {look}"
+    command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
+    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
     answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, **look())}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 
@@ -222,7 +222,7 @@ def list_(as_json: bool) -> int:
 
     A contest's cases are its tasks. Controllers are listed with what they know and what they learn.
     """
-    from ..lab.experiments.config import bundled, read_toml, variants
+    from ..lab.experiments.config import bundled, variants
     from ..lab.experiments.controllers import CONTROLLERS
     from ..lab.experiments.references import ARM_PROFILES, BASE_PATHS
     from ..model.robots import bundled as robots

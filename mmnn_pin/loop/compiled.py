@@ -193,8 +193,8 @@ def advance(
                 tau = hardware.tau
             move(n, i, body, true, tau)
         if hardware is not None:
-            note(n.steps, run.rows[k - first], run.at, hardware.totals)
-            supervisor = hardware.supervisor
+            note(n.steps, run.rows[k - first], run.at, hardware.way.totals)
+            supervisor = hardware.way.supervisor
             if supervisor.on and has_ended(time, supervisor.numbers, supervisor.state):
                 return TRIPPED
     return -1
@@ -223,7 +223,7 @@ def control(
     n, row, at, asked = run.numbers, run.row, run.at, True
     before_torque(row, at, time, run.setpoints[k], run.gains, run.K)
     if hardware is not None:
-        asked = not is_stopped(hardware.supervisor.on, hardware.supervisor.state)
+        asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
     if asked:
         if n.uses_model:
             model_psi(row, at, nominal)
@@ -231,7 +231,7 @@ def control(
             estimate(row, at, learner, run.state)
         law.step(row, at, run.law, run.state, limits)
     if hardware is not None:
-        send(k, time, row, at, run.state, hardware)
+        send(k, time, row, at, run.state, hardware.way)
     if learner is not None and asked:
         settle(row, at, learner, run.state)
 

@@ -199,19 +199,37 @@ class Totals(NamedTuple):
     force: Array
 
 
+class Way(NamedTuple):
+    """What a torque meets between the controller and the motors, all that `send` needs: Python hands it over each time.
+
+    Attributes:
+        line, lines: The command under way, and the effects that it meets.
+        supervisor: What stands before the motors.
+        E_inv: (motors, p) motor torques from the torque on nu.
+        totals: Command of the motors, and what they and the world gave.
+        sent: (p,) the last torque that reached the motors, part of the hardware's state.
+        shorted: (1,) how many motors, from the first on, have their windings shorted.
+    """
+
+    line: Command
+    lines: tuple[Any, ...]
+    supervisor: Supervisor
+    E_inv: Array
+    totals: Totals
+    sent: Array
+    shorted: IntArray
+
+
 class Hardware(NamedTuple):
     """The hardware model of one run.
 
     Attributes:
         exact: Whether the state is measured as it is.
         sensors: The sensors.
-        line, lines: The command under way, and the effects that it meets.
-        supervisor: What stands before the motors.
+        way: From the controller to the motors.
         motors: The motors.
         world: The disturbances from outside.
-        E, E_inv: (p, motors) torque on nu from motor torques, and back.
-        totals: Command of the motors, and what they and the world gave.
-        sent: (p,) the last torque that reached the motors, part of the state.
+        E: (p, motors) torque on nu from motor torques.
         tau: (p,) generalized torque of motors and world.
         state: State of all effects, flat: sensors, motors, supervisor, frozen encoders, the last torque sent, commands
             under way, servo rows and their servos.
@@ -220,15 +238,10 @@ class Hardware(NamedTuple):
 
     exact: bool
     sensors: Sensors
-    line: Command
-    lines: tuple[Any, ...]
-    supervisor: Supervisor
+    way: Way
     motors: Motors
     world: World
     E: Array
-    E_inv: Array
-    totals: Totals
-    sent: Array
     tau: Array
     state: Array
     split: Split | None
@@ -284,8 +297,9 @@ def sense(
         copy_to(wire.received, row[at[POSE] : at[QDOT + 1]])
         is_new = wire.clock[RECEIVED] != before
         measured = wire.clock[RECEIVED] * hardware.sensors.period
-    if hardware.supervisor.on:
-        safety.accept(row, at, measured, time, is_new, hardware.supervisor.message, hardware.supervisor.state)
+    supervisor = hardware.way.supervisor
+    if supervisor.on:
+        safety.accept(row, at, measured, time, is_new, supervisor.message, supervisor.state)
 
 
 @compiled
@@ -295,7 +309,7 @@ def is_stopped(on: bool, state: Array) -> bool:
 
 
 @compiled
-def send(k: int, time: float, row: Array, at: IntArray, weights: Array, hardware: Hardware) -> None:
+def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way) -> None:
     """The torque of control sample k on its way to the motors: what is lost or broken, and what the supervisor does.
 
     Args:
@@ -304,31 +318,26 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, hardware
         row: (width,) row of signals; its torque becomes the one that reaches the motors.
         at: Offsets of the signals.
         weights: The controller's state.
-        hardware: The hardware model.
+        way: The way.
     """
-    tau, supervisor, motors, line = (
-        row[at[TORQUE] : at[TORQUE + 1]],
-        hardware.supervisor,
-        hardware.motors,
-        hardware.line,
-    )
+    tau, supervisor, line = row[at[TORQUE] : at[TORQUE + 1]], way.supervisor, way.line
     if is_stopped(supervisor.on, supervisor.state):
         for i in range(at[PSI_HAT], at[TORQUE + 1]):  # the controller was not asked
             row[i] = 0.0
     copy_to(tau, line.torque)
-    pass_through(hardware.lines, line, k, time)
+    pass_through(way.lines, line, k, time)
     copy_to(line.torque, tau)
     if supervisor.on:
         safety.supervise(row, at, time, line.arrived[0] > 0.0, weights, supervisor)
-        motors.wire.shorted[0] = shorted(row[at[SAFETY]], supervisor)
-    copy_to(tau, hardware.sent)
-    command = hardware.totals.command
+        way.shorted[0] = shorted(row[at[SAFETY]], supervisor)
+    copy_to(tau, way.sent)
+    command, states = way.totals.command, way.totals.states
     for j in range(command.size):
         command[j] = 0.0
         for i in range(tau.size):
-            command[j] += hardware.E_inv[j, i] * tau[i]
-        motors.states[j, motor.SUM] = 0.0
-    hardware.totals.force[:] = 0.0
+            command[j] += way.E_inv[j, i] * tau[i]
+        states[j, motor.SUM] = 0.0
+    way.totals.force[:] = 0.0
 
 
 @spliced
@@ -364,7 +373,7 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
     motors, world, tau = hardware.motors, hardware.world, hardware.tau
     copy_to(row[at[TORQUE] : at[TORQUE + 1]], tau)
     if motors.imperfect:
-        copy_to(hardware.totals.command, motors.wire.torque)
+        copy_to(hardware.way.totals.command, motors.wire.torque)
         pass_through(motors.effects, motors.wire, k, time)
         for i in range(tau.size):
             tau[i] = 0.0
@@ -375,7 +384,7 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
         pass_through(world.effects, world.wire, k, time)
         for i in range(tau.size):
             tau[i] += world.wire.force[i]
-            hardware.totals.force[i] += world.wire.force[i]
+            hardware.way.totals.force[i] += world.wire.force[i]
 
 
 @compiled

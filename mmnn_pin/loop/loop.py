@@ -390,16 +390,17 @@ def run_to_end(
         return Outcome("interrupted", k * h, message="stopped by Ctrl-C")
     if weights := loop.controller.weights(state):
         sink.weights(k * h, weights)
-    if engine.hardware is not None and engine.hardware.supervisor.on and engine.hardware.supervisor.state[HAS_TRIPPED]:
-        return Outcome("tripped", *trip_of(engine.hardware.supervisor.state, loop.robot))
+    supervisor = None if engine.hardware is None else engine.hardware.way.supervisor
+    if supervisor is not None and supervisor.on and supervisor.state[HAS_TRIPPED]:
+        return Outcome("tripped", *trip_of(supervisor.state, loop.robot))
     return Outcome("completed", samples * h)
 
 
 def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
     """An outcome whose message also tells what supervisor and plant saw."""
     found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
-    if engine.hardware is not None and engine.hardware.supervisor.on:
-        found = remarks(engine.hardware.supervisor.state, robot, outcome.status) + found
+    if engine.hardware is not None and engine.hardware.way.supervisor.on:
+        found = remarks(engine.hardware.way.supervisor.state, robot, outcome.status) + found
     return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
 
 

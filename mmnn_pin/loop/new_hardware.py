@@ -19,7 +19,7 @@ from ..settings import given_array
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
-from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, World
+from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, Way, World
 from .servo import interfaces_of, require_no_torque_regressor, servo_slots, split_of, state_size, velocity_servo
 from .setup import Setup
 
@@ -81,15 +81,18 @@ def new_hardware(
     return Hardware(
         exact=is_exact,
         sensors=sensors._replace(effects=(*before, *sensors.effects)),
-        line=Command(np.zeros(layout.dof), np.zeros(1)),
-        lines=(CommandLine(disturbance.commands(events, timing), sent),),
-        supervisor=supervisor_of(loop, state, guard),
+        way=Way(
+            line=Command(np.zeros(layout.dof), np.zeros(1)),
+            lines=(CommandLine(disturbance.commands(events, timing), sent),),
+            supervisor=supervisor_of(loop, state, guard),
+            E_inv=pseudo_inverse(robot.E),
+            totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
+            sent=sent,
+            shorted=motors.wire.shorted,
+        ),
         motors=motors,
         world=world_of(loop, gust_rng),
         E=np.ascontiguousarray(robot.E),
-        E_inv=pseudo_inverse(robot.E),
-        totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
-        sent=sent,
         tau=np.zeros(layout.dof),
         state=values,
         split=split,

@@ -86,8 +86,8 @@ class OrdinaryLoop:
             self.rows[done], self.step_times[done], self.counter[0] = self.row, step_time, done + 1
             self.move(k)
             if hardware is not None:
-                note(timing.steps_per_control, self.rows[done], self.at, hardware.totals)
-                supervisor = hardware.supervisor
+                note(timing.steps_per_control, self.rows[done], self.at, hardware.way.totals)
+                supervisor = hardware.way.supervisor
                 if supervisor.on and has_ended(time, supervisor.numbers, supervisor.state):
                     return TRIPPED
             if began - started > PATIENCE:

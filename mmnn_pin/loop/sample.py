@@ -183,15 +183,16 @@ class Control:
             k: Number of the sample, where commands may get lost on their way.
         """
         before_torque(self.row, self.at, time, setpoint, self.gains, self.K)
-        asked = self.hardware is None or not is_stopped(self.hardware.supervisor.on, self.hardware.supervisor.state)
-        split = None if self.hardware is None else self.hardware.split
+        hardware = self.hardware
+        asked = hardware is None or not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
+        split = None if hardware is None else hardware.split
         if split is not None and asked:
             ask(self.row, self.at, split)
         if asked:
             self.torque.step(time)
         if split is not None:
             answered(self.row, self.at, not asked, split)
-        if self.hardware is not None:
-            send(k, time, self.row, self.at, self.weights, self.hardware)
+        if hardware is not None:
+            send(k, time, self.row, self.at, self.weights, hardware.way)
             if asked:
                 self.torque.keep()

@@ -236,7 +236,7 @@ class Stepper:
         courses = [self.follower.check(wish) for wish in wishes]
         if measurement is not None:
             self._take(measurement, time, time if measured is None else measured)
-        if not self.follower.stands and self.hardware.supervisor.state[GOOD] > 0.0:
+        if not self.follower.stands and self.hardware.way.supervisor.state[GOOD] > 0.0:
             self.follower.stand(self.received)
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
         self.control.step(time, self.follower.now)
@@ -276,7 +276,7 @@ class Stepper:
             why: For the recording.
         """
         if not self.tripped:
-            press(max(self.time, 0.0), self.hardware.supervisor)
+            press(max(self.time, 0.0), self.hardware.way.supervisor)
             self._tell(why)
 
     def reset(self) -> None:
@@ -287,8 +287,8 @@ class Stepper:
         """
         if not self.tripped:
             raise ConfigError("nothing to reset", why="the supervisor has not tripped", key="reset")
-        text = trip_of(self.hardware.supervisor.state, self.robot)[2]
-        if not release(self.time, self.hardware.supervisor):
+        text = trip_of(self.hardware.way.supervisor.state, self.robot)[2]
+        if not release(self.time, self.hardware.way.supervisor):
             why, fix = "the last measurement is too old", "go on stepping until measurements come, then reset"
             raise ConfigError("a reset that is blind", why=why, fix=fix, key="reset")
         self._tell(text)
@@ -327,12 +327,12 @@ class Stepper:
     @property
     def tripped(self) -> bool:
         """Whether the supervisor has stopped the robot."""
-        return bool(self.hardware.supervisor.state[HAS_TRIPPED])
+        return bool(self.hardware.way.supervisor.state[HAS_TRIPPED])
 
     @property
     def is_over(self) -> bool:
         """Whether the supervisor has stopped the robot and shown its stop for `safety.stop_time`."""
-        return bool(has_ended(self.time, self.hardware.supervisor.numbers, self.hardware.supervisor.state))
+        return bool(has_ended(self.time, self.hardware.way.supervisor.numbers, self.hardware.way.supervisor.state))
 
     @property
     def is_moving(self) -> bool:
@@ -352,7 +352,7 @@ class Stepper:
         Raises:
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
-        outcome, supervisor = Outcome(status, (self.k + 1) * self.period), self.hardware.supervisor
+        outcome, supervisor = Outcome(status, (self.k + 1) * self.period), self.hardware.way.supervisor
         if self.tripped:
             outcome = Outcome("tripped", *trip_of(supervisor.state, self.robot))
         losses = self.follower.losses
@@ -395,7 +395,7 @@ class Stepper:
     def _command(self) -> None:
         """What is sent, from the row and from the servo rows."""
         command, split, (rows, motors) = self.command, self.hardware.split, self.by_effort
-        self.motor_torque[:] = self.hardware.totals.command
+        self.motor_torque[:] = self.hardware.way.totals.command
         np.copyto(command.effort, self.torque, where=rows)
         np.copyto(command.motor_effort, self.motor_torque, where=motors)
         if split is not None:
@@ -406,7 +406,7 @@ class Stepper:
 
     def _take(self, measurement: Measurement, time: float, measured: float) -> None:
         """Put a measurement into the row and before the supervisor."""
-        supervisor = self.hardware.supervisor
+        supervisor = self.hardware.way.supervisor
         require_shapes("measurement", measurement, self.measured)
         if supervisor.state[GOOD] > 0.0 and measured < supervisor.state[HEARD]:
             return
@@ -430,7 +430,7 @@ class Stepper:
     def _rehearse(self) -> None:
         """Compile all that a step calls, and forget it."""
         kept = self.hardware.state.copy(), self.control.weights.copy()
-        supervisor = self.hardware.supervisor
+        supervisor = self.hardware.way.supervisor
         accept(self.row, self.at, 0.0, 0.0, True, supervisor.message, supervisor.state)
         self.follower.rehearse(self.received)
         if isinstance(self.setup.controller, CompiledController | LearningLaw):

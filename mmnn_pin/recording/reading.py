@@ -18,8 +18,9 @@ from typing import Any
 import h5py
 
 from ..errors import RecordingError
+from ..files import reason
 from ..settings import shortly
-from .run_file import FORMAT, FORMAT_VERSION, Arrays, Columns, decode, reason
+from .run_file import FORMAT, FORMAT_VERSION, Arrays, Columns, decode
 from .schema import Damaged, facts_problem, require_plain, signal_problem, time_problem
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_LZF}

@@ -13,6 +13,7 @@ file grows its space is reserved, so a full disk is found before HDF5 is half wa
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -28,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import RecordingError
+from ..files import folders_for, reason, settle, way_out
 from ..signals import Array, Layout
 
 FORMAT = "mmnn_pin recording"
@@ -95,7 +97,8 @@ class RunFile:
         texts: Mapping[str, str],
     ) -> None:
         self.path, self.rows, self.is_open = path, 0, True
-        self._file = _create(path, force, lambda file: _write_header(file, columns, meta, texts))
+        self._before = path.with_name(f".{path.name}.before") if force else None
+        self._file = _create(path, self._before, lambda file: _write_header(file, columns, meta, texts))
         self._tables = [(self._file[f"signals/{name}"], layout.where(name)) for name in columns]
         self._weights: dict[str, h5py.Dataset] = {}
         self._row_bytes = 8 * (layout.width + 1)
@@ -147,6 +150,8 @@ class RunFile:
             self._file.flush()
             self._file.attrs["complete"] = True
             self.close()
+        if self._before is not None:
+            self._before.unlink(missing_ok=True)
 
     def close(self) -> None:
         """Close the file as it is; unless `finish` came before, it reads as incomplete."""
@@ -154,10 +159,12 @@ class RunFile:
         self._file.close()
 
     def _reserve(self, size: int) -> None:
-        """Take room on the disk for what HDF5 is about to add."""
+        """Take room on the disk for what HDF5 is about to add; the file must still be where it was made."""
+        handle = self._file.id.get_vfd_handle()
+        if not os.path.samestat(os.stat(self.path), os.fstat(handle)):
+            raise FileNotFoundError(errno.ENOENT, "another file has its name")
         if size and sys.platform == "linux":
-            with open(self.path, "r+b") as raw:
-                os.posix_fallocate(raw.fileno(), self._file.id.get_filesize(), size + SLACK_BYTES)
+            os.posix_fallocate(handle, self._file.id.get_filesize(), size + SLACK_BYTES)
 
     @contextmanager
     def _closing_on_failure(self) -> Iterator[None]:
@@ -168,8 +175,13 @@ class RunFile:
             with suppress(OSError, RuntimeError):
                 self.close()
             fix = f"make room on the disk; the first {self.rows:,} rows can be read"
-            why = reason(error)
-            raise RecordingError("cannot write the recording", why=why, fix=fix, file=self.path) from error
+            if self._before is not None and self._before.exists():
+                with suppress(OSError):
+                    os.replace(self._before, self.path)
+                    fix = "make room on the disk; the recording that was to be replaced is back"
+            elif isinstance(error, FileNotFoundError):
+                fix = "leave its folder where it is until the run is over"
+            raise RecordingError("cannot write the recording", why=reason(error), fix=fix, file=self.path) from error
 
 
 def encode(value: Any) -> Any:
@@ -191,23 +203,42 @@ def decode(value: Any) -> Any:
     return json.loads(value[5:]) if isinstance(value, str) and value.startswith("json:") else value
 
 
-def _create(path: Path, force: bool, fill: Callable[[h5py.File], None]) -> h5py.File:
-    """Make the file, whole or not at all: one that is replaced stays until its successor has a header."""
+def _create(path: Path, before: Path | None, fill: Callable[[h5py.File], None]) -> h5py.File:
+    """Make the file, whole or not at all.
+
+    A complete recording that is replaced stays under the name `before` until its successor is complete; None replaces
+    nothing.
+    """
     part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with ExitStack() as undo:
-            _require_free(path, force)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            file = h5py.File(part, "w", locking=True)
+            _require_free(path, before is not None)
+            undo.enter_context(folders_for(path))
             undo.callback(part.unlink, missing_ok=True)
+            file = h5py.File(part, "w", locking=True)
             undo.callback(file.close)
             fill(file)
             file.flush()
-            os.replace(part, path)
+            if before is not None and _is_complete(path):
+                with suppress(OSError):  # a file system without links
+                    before.unlink(missing_ok=True)
+                    os.link(path, before)
+                    undo.callback(before.unlink, missing_ok=True)
+            settle(part, path, "recording", before is not None)
+            part.unlink(missing_ok=True)
             undo.pop_all()
     except (OSError, RuntimeError) as error:
-        raise RecordingError("cannot create the recording", why=reason(error), file=path) from error
+        raise RecordingError("cannot create the recording", why=reason(error), fix=way_out(error), file=path) from error
     return file
+
+
+def _is_complete(path: Path) -> bool:
+    """Whether there is a recording whose run closed it."""
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            return file.attrs["format"] == FORMAT and bool(file.attrs["complete"])
+    except Exception:  # whatever HDF5 raises of another file
+        return False
 
 
 def _require_free(path: Path, force: bool) -> None:
@@ -255,9 +286,3 @@ def _extend(table: h5py.Dataset, rows: Array, where: slice, start: int) -> None:
     source = h5py.h5s.create_simple(rows.shape)
     source.select_hyperslab((0, where.start), (len(rows), where.stop - where.start))
     table.id.write(source, target, rows)
-
-
-def reason(error: Exception) -> str:
-    """Cause of a failed file operation, without HDF5's own stack of phrases where the system has a name for it."""
-    number = getattr(error, "errno", None)
-    return os.strerror(number) if number else str(error)

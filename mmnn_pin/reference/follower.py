@@ -189,6 +189,7 @@ def require_shapes(key: str, given: object, mine: object) -> None:
         ConfigError: One has.
     """
     for name in mine.__slots__:  # type: ignore[attr-defined]
-        shape, ours = np.shape(getattr(given, name)), getattr(mine, name).shape
+        value, ours = getattr(given, name), getattr(mine, name).shape
+        shape = value.shape if isinstance(value, np.ndarray) else np.shape(value)
         if shape != ours:
             raise ConfigError(f"a {key} with {name} of shape {shape}", fix=f"give one of shape {ours}", key=key)

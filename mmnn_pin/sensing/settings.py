@@ -104,9 +104,7 @@ class Sensor(Settings, frozen=True):
         faults = np.zeros((count, 2)) if faults is None else faults
         state = self.init(robot, faults) if state is None else state
         wheels, nw, n, p = self._wheels(robot), len(self._wheels(robot)), layout.arm, layout.dof
-        W: Array = np.zeros((layout.base, 0))
-        if wheels:
-            W = pseudo_inverse(robot.T[wheels, : layout.base])
+        W = pseudo_inverse(robot.T[wheels, : layout.base]) if wheels else np.zeros((layout.base, 0))
         normal, uniform = rng.spawn(2)
         normals = np.split(standard_normal(normal, (count, nw + n + p + layout.pose)), [nw + n, nw + n + p], axis=1)
         uniforms = uniform.random((count, 2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -149,7 +150,8 @@ def test_broken_packets_are_refused_and_the_run_goes_on(runs):
     for what in ("refused", "packets out of order dropped", "malformed packets dropped"):
         assert what in run.outcome.message
     assert all(np.isfinite(run[name]).all() for name in run.names)
-    assert run.time[-1] == pytest.approx(1.195) and (np.diff(run.time) > 0).all()
+    skipped = int(re.search(r"([\d,]+) skipped by overruns", out)[1].replace(",", ""))  # where the machine is busy
+    assert len(run) + skipped == 240 and 1.0 < run.time[-1] < 1.196 and (np.diff(run.time) > 0).all()
     assert np.isfinite(run.final["late"]).sum() == len(run)
     plant = Recording.open(folder / "broken/plant.h5")
     assert plant.complete and "true_z" in plant and np.isfinite(plant["nu"]).all()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import ConfigError, MmnnError
+from ...files import whole_folder
 from ...loop.loop import Loop
 from ...model.tree.body import body_of
 from ...safety import Safety
@@ -109,16 +110,14 @@ def embed(
     answered = answers(stepper, events, [m.live for m in export.remembered])
     texts["selftest.c"] = selftest(export, events, answered, title)
     texts["README.md"] = readme(export, steps, ram_bytes(export))
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".embed-") as made:
+    with whole_folder(folder, "source", force) as made:
         for name, text in texts.items():
-            (Path(made) / name).parent.mkdir(exist_ok=True)
-            (Path(made) / name).write_text(text)
+            (made / name).parent.mkdir(exist_ok=True)
+            (made / name).write_text(text)
         code, of = None, ""
         if tool:
-            check(Path(made), tool)
-            code, of = size_of_code(Path(made), tool)
-        place(Path(made), folder, list(texts))
+            check(made, tool)
+            code, of = size_of_code(made, tool)
     initial = sum(root.data.size * width(export, root.kind) for root in starts(export))
     return Embedded(
         loop.controller.name, loop.robot.name, str(folder), sorted(texts), ram_bytes(export), code, initial, of, steps
@@ -164,7 +163,7 @@ def require_limits(stepper: Fresh) -> None:
     Raises:
         ConfigError: A motor without a limit.
     """
-    torque, robot = stepper.hardware.supervisor.torque, stepper.robot
+    torque, robot = stepper.hardware.way.supervisor.torque, stepper.robot
     free = [name for name, limit in zip(robot.actuator_names, torque, strict=True) if not np.isfinite(limit)]
     if free:
         why = f"no effort limit of {', '.join(free)} is known"
@@ -254,14 +253,3 @@ def size_of_code(folder: Path, compiler: list[str]) -> tuple[int | None, str]:
             run([*tool, *FLAGS, "-c", str(folder / f"{name}.c"), "-o", made_of], "the export does not compile")
             total += int(run([measure, made_of], "no size").splitlines()[1].split()[0])
     return total, "arm-none-eabi-gcc -O2, Cortex-M7" if is_board else f"{compiler[0]} -O2, this machine"
-
-
-def place(made: Path, folder: Path, names: list[str]) -> None:
-    """Put files where they belong: the whole folder at once, or into one that exists."""
-    if not folder.exists():
-        made.chmod(0o755)
-        shutil.copytree(made, folder)
-        return
-    for name in names:
-        (folder / name).parent.mkdir(parents=True, exist_ok=True)
-        (made / name).replace(folder / name)

@@ -98,7 +98,7 @@ class Linked(Fresh):
             raise ConfigError(f"a control sample at t = {time:g} s", fix="go forward in time", key="time")
         if result == BAD_SETPOINT:
             raise ConfigError("a setpoint that is not finite", fix="give finite numbers", key="setpoint")
-        self.hardware.totals.command[:] = self.motor_torque
+        self.hardware.way.totals.command[:] = self.motor_torque
         self._command()
         self.time, self.k = float(time), self.k + 1
         return self.command

@@ -107,25 +107,10 @@ def collected(
         first = stamped if first is None else first
         time, kind = (stamped - first) * 1e-9, topics[connection.topic]  # of integers: a double has no ns since 1970
         if kind == "joints":
-            for signal, values in (
-                ("position", message.position),
-                ("velocity", message.velocity),
-                ("effort", message.effort),
-            ):
-                if len(values) not in (0, len(message.name)):
-                    what = f"{len(values)} numbers of {signal} for {len(message.name)} joints at t = {time:.6g} s"
-                    raise RecordingError(what, fix="record it again", file=path)
-                for name, value in zip(message.name, values, strict=False):
-                    if name in names:
-                        add(f"{signal}.{names[name]}", time, float(value))
+            add_joints(add, time, message, names, path)
         elif kind == "odometry" and hasattr(message, "twist"):
-            twist = message.twist.twist
-            for signal, value in (
-                ("v", twist.linear.x),
-                ("vx", twist.linear.x),
-                ("vy", twist.linear.y),
-                ("w", twist.angular.z),
-            ):
+            linear, w = message.twist.twist.linear, message.twist.twist.angular.z
+            for signal, value in (("v", linear.x), ("vx", linear.x), ("vy", linear.y), ("w", w)):
                 add(f"base.{signal}", time, float(value))
             add_pose(add, "base", time, message.pose.pose.position, message.pose.pose.orientation)
         else:
@@ -134,6 +119,22 @@ def collected(
             point = where.translation if hasattr(where, "translation") else where.position
             add_pose(add, "reference", time, point, where.rotation if hasattr(where, "rotation") else where.orientation)
     return series
+
+
+def add_joints(add: Any, time: float, message: Any, names: dict[str, str], path: Path) -> None:
+    """Add what a `JointState` says of the joints that have a name here.
+
+    Raises:
+        RecordingError: More or fewer numbers than joints.
+    """
+    for signal in ("position", "velocity", "effort"):
+        values = getattr(message, signal)
+        if len(values) not in (0, len(message.name)):
+            what = f"{len(values)} numbers of {signal} for {len(message.name)} joints at t = {time:.6g} s"
+            raise RecordingError(what, fix="record it again", file=path)
+        for name, value in zip(message.name, values, strict=False):
+            if name in names:
+                add(f"{signal}.{names[name]}", time, float(value))
 
 
 def add_pose(add: Any, kind: str, time: float, at: Any, turned: Any) -> None:

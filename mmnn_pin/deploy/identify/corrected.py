@@ -8,9 +8,7 @@ by `P_link+ = G P_link G'` with `G = P^1/2 (P^-1/2 P+ P^-1/2)^1/2 P^-1/2`, the m
 from __future__ import annotations
 
 import json
-import os
 import re
-import tempfile
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +19,7 @@ import numpy as np
 from lxml import etree
 
 from ...errors import RecordingError
+from ...files import whole_folder
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -252,22 +251,15 @@ def write(of: Identification, out: str | Path, force: bool = False) -> dict[str,
     require_free(files, of.robot, force)
     urdf = files["urdf"]
     said, curves = said_of(of), curves_of(of)
-    try:
-        urdf.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".identified", dir=urdf.parent) as folder:
-            parts = {kind: Path(folder) / file.name for kind, file in files.items()}
-            parts["urdf"].write_bytes(corrected_urdf(of))
-            parts["overrides"].write_bytes(as_toml(said.stated()))
-            require_same(of, parts["urdf"], said)
-            parts["toml"].write_bytes(toml_of(of))
-            report = report_of(of) | {"file": str(urdf)}
-            parts["json"].write_text(json.dumps(report, allow_nan=False, indent=1), "utf-8")
-            np.savez_compressed(parts["curves"], **curves)
-            for kind, file in files.items():
-                os.replace(parts[kind], file)
-    except OSError as error:
-        why = error.strerror or str(error)
-        raise RecordingError("cannot be written", why=why, fix="choose another place with --out", file=urdf) from None
+    with whole_folder(urdf.parent, "file", force) as folder:
+        parts = {kind: folder / file.name for kind, file in files.items()}
+        parts["urdf"].write_bytes(corrected_urdf(of))
+        parts["overrides"].write_bytes(as_toml(said.stated()))
+        require_same(of, parts["urdf"], said)
+        parts["toml"].write_bytes(toml_of(of))
+        report = report_of(of) | {"file": str(urdf)}
+        parts["json"].write_text(json.dumps(report, allow_nan=False, indent=1), "utf-8")
+        np.savez_compressed(parts["curves"], **curves)
     return files
 
 

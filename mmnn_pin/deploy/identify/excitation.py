@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from ...errors import ConfigError
+from ...files import whole_file
 from ...model.regressor import Regressor
 from ...model.robot import Robot, speed_limits
 from ...signals import Array
@@ -117,15 +118,21 @@ class Excitation:
             found[f"acceleration.{joint}"] = self.nudot[:, nb + i]
         return found
 
-    def save(self, path: str | Path) -> Path:
-        """Write the table as CSV."""
-        columns, path = self.columns(), Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_name(f".{path.name}.part")
+    def save(self, path: str | Path, force: bool = True) -> Path:
+        """Write the table as CSV, whole or not at all.
+
+        Args:
+            path: The file.
+            force: Whether it may replace another one.
+
+        Raises:
+            RecordingError: A place that cannot be written, or a file that is there.
+        """
+        columns = self.columns()
         rows = np.column_stack(list(columns.values()))
-        np.savetxt(part, rows, "%.10g", ",", header=",".join(columns), comments="")
-        part.replace(path)
-        return path
+        with whole_file(Path(path), "motion", force) as part:
+            np.savetxt(part, rows, "%.10g", ",", header=",".join(columns), comments="")
+        return Path(path)
 
     def to_dict(self) -> dict[str, Any]:
         """What it would determine, for JSON."""

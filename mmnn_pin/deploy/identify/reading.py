@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import re
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError, RecordingError, UnknownName
+from ...files import read_toml
 from ...model.robot import Robot
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
@@ -278,11 +278,7 @@ def read_columns(given: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for text in given:
         if text.endswith(".toml"):
-            try:
-                read = tomllib.loads(Path(text).read_text("utf-8"))
-            except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-                raise InputError("cannot be read", why=str(error), fix="give a TOML file", file=text) from None
-            found |= flat(read)
+            found |= flat(read_toml(Path(text)))
             continue
         for part in text.split(","):
             signal, equals, name = part.partition("=")

@@ -48,32 +48,31 @@ def inertia_of(P: Array) -> tuple[float, Array, Array]:
     return mass, centre, np.trace(second) * np.eye(3) - second
 
 
+HELD_OUT = {  # key of the error that a model makes on motion held out
+    "held_out": "identified",
+    "urdf_held_out": "urdf",
+    "friction_held_out": "friction",
+    "least_squares_held_out": "least_squares",
+    "without_toml_held_out": "urdf_file",
+}
+
+
 def report_of(of: Identification) -> dict[str, Any]:
     """All numbers, for JSON: the contract of `mmnn identify --json`, and covariances."""
     regressor, labels = of.unknowns.regressor, of.unknowns.labels
-    errors = {model: of.errors(model) for model in ("identified", "urdf", "friction", "least_squares", "urdf_file")}
-    joints = {}
+    errors = {key: of.errors(model) for key, model in HELD_OUT.items()}
+    joints: dict[str, Any] = {}
     for i, name in enumerate(of.names):
-        joints[name] = {
-            "held_out": number(errors["identified"][i]),
-            "urdf_held_out": number(errors["urdf"][i]),
-            "friction_held_out": number(errors["friction"][i]),
-            "least_squares_held_out": number(errors["least_squares"][i]),
-            "without_toml_held_out": number(errors["urdf_file"][i]),
-            "identified": bool(of.follows[i]),
-            "why": of.why.get(name, "its effort follows the rigid body"),
-        }
+        why = of.why.get(name, "its effort follows the rigid body")
+        joints[name] = {key: number(errors[key][i]) for key in HELD_OUT}
+        joints[name] |= {"identified": bool(of.follows[i]), "why": why}
     base = of.fit.base
     return {
         "robot": of.robot.name,
         "rows": len(of.training),
         "cutoff": of.training.cutoff,
         "joints": joints,
-        "held_out": number(of.error("identified")),
-        "urdf_held_out": number(of.error("urdf")),
-        "friction_held_out": number(of.error("friction")),
-        "least_squares_held_out": number(of.error("least_squares")),
-        "without_toml_held_out": number(of.error("urdf_file")),
+        **{key: number(of.error(model)) for key, model in HELD_OUT.items()},
         "better": of.better,
         "plausible": of.plausible,
         "condition": number(of.fit.condition),

@@ -197,8 +197,10 @@ class Bridge:
             self.meet(patience)
             gc.collect()
             gc.freeze()  # what is there is no garbage: a collection looks only at what comes
-            status, message = self._drive(seconds, motion)
-            self._leave()
+            try:
+                status, message = self._drive(seconds, motion)
+            finally:  # also where the recording cannot be written any more
+                self._leave()
         finally:
             sys.setswitchinterval(switch)
             for number, handler in zip(STOPS, before, strict=True):

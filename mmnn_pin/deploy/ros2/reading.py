@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
+from ...files import parsed_toml, read_text, read_toml
 from ...settings import Settings, wrong_type
 from .settings import Node
 
@@ -27,14 +27,10 @@ def load_settings(file: str | Path, changes: Iterable[str] = ()) -> Node:
     """
     path = Path(file)
     try:
-        text = path.read_text(encoding="utf-8")
-        table = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        fix = "mmnn ros2 --example > robot.toml writes one to start from"
-        raise ConfigError("cannot be read", why=str(error), fix=fix, file=path) from error
-    except tomllib.TOMLDecodeError as error:
-        line = re.search(r"at line (\d+)", str(error))
-        raise ConfigError("not valid TOML", why=str(error), file=path, line=int(line[1]) if line else None) from error
+        table, text = read_toml(path), read_text(path)
+    except ConfigError as error:
+        error.fix = "mmnn ros2 --example > robot.toml writes one to start from"
+        raise
     for change in changes:
         put(table, change)
     return converted(table, path, text)
@@ -55,8 +51,8 @@ def put(table: dict[str, Any], change: str) -> None:
     if not (equals and last):
         raise ConfigError(f"'{change}' sets nothing", fix="write key.path=value, e.g. rate=500", key="--set")
     try:
-        table[last] = tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        table[last] = parsed_toml(f"value = {value}")["value"]
+    except ValueError:
         table[last] = value.strip()
 
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 
 from ...errors import InputError, RecordingError
+from ...files import locked, whole_file
 from ...settings import finite, plain
 from ..experiments.config import without_null
 from ..experiments.contest import Contest
@@ -72,9 +73,12 @@ def run_contest(
         {t.name: AboutTask(t.title, t.experiment.controllers, demands[t.name]) for t in tasks},
         notes,
     )
-    if out is not None:
-        write(out / ABOUT, msgspec.json.encode(about if force else about.after(read_about(out))))
-    failed, interrupted = run_missing(store, todo, tuple(experiment.laws), workers, progress)
+    with locked(out / RESULTS, "contest") if out is not None else nullcontext():
+        if out is not None:
+            store = Store(out) if force else Store.opened(out)  # another process may have gone on meanwhile
+            todo = [entry for entry in plan if not is_done(store, entry)]
+            write(out / ABOUT, msgspec.json.encode(about if force else about.after(read_about(out))))
+        failed, interrupted = run_missing(store, todo, tuple(experiment.laws), workers, progress)
     trials = {entry.key: store.trials[entry.label] for entry in plan if entry.label in store.trials}
     missing = tuple(entry.label for entry in plan if entry.key not in trials and entry.key not in failed)
     titles = {task.name: task.title for task in tasks}
@@ -329,10 +333,5 @@ def write(path: Path, content: bytes) -> None:
     Raises:
         RecordingError: It cannot be written.
     """
-    part = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path, "contest") as part:
         part.write_bytes(content)
-        os.replace(part, path)
-    except OSError as error:
-        raise RecordingError("cannot be written", why=error.strerror or str(error), file=path) from error

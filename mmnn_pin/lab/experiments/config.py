@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import glob
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +17,7 @@ import msgspec
 
 from ...disturbance import Disturbance
 from ...errors import ConfigError, InputError, RecordingError, UnknownName
+from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
 from ...recording.recording import Recording
 from ...settings import wrong_type
@@ -138,24 +138,6 @@ def find_variant(path: Path, variant: str) -> Path:
     return known[variant]
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Content of a TOML file.
-
-    Raises:
-        ConfigError: It cannot be read, is not UTF-8 or not TOML; with the line.
-    """
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from error
-    except UnicodeDecodeError as error:
-        raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
-    except tomllib.TOMLDecodeError as error:
-        line = re.search(r"at line (\d+)", str(error))
-        number = int(line[1]) if line else None
-        raise ConfigError("not valid TOML", why=str(error), file=path, line=number) from error
-
-
 def complete(path: Path, before: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Content of a TOML file; where its key `experiment` names another one, on top of what that one says.
 
@@ -268,8 +250,8 @@ def place(items: list[Any], part: str, key: str) -> int:
 def parse_value(text: str) -> Any:
     """Value as TOML reads it; what TOML does not read is a text."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parsed_toml(f"value = {text}")["value"]
+    except ValueError:
         return text
 
 

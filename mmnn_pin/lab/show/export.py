@@ -16,11 +16,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ...errors import RecordingError, UnknownName
+from ...files import whole_file
 from ...recording.recording import Recording, as_columns
 from ...signals import Array
 from ..study.results import Results
 from .curves import column_units
-from .files import atomic_file, require_free
 
 T = TypeVar("T")
 STUDY_FACTS = (
@@ -149,8 +149,7 @@ def write_as(
     """Write something in one of its formats; errors as in `export`."""
     if to not in formats:
         raise UnknownName(what, to, formats)
-    require_free(path, force)
-    with atomic_file(path, "export") as part:
+    with whole_file(path, "file", force) as part:
         try:
             formats[to](content, part)
         except ModuleNotFoundError as error:

@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING, Any, Literal, ParamSpec
 import numpy as np
 
 from ...errors import RecordingError
+from ...files import whole_file
 from ...recording.recording import Recording
 from ...signals import Array
 from ...torque import CONTROLLERS
-from .files import atomic_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -292,11 +292,16 @@ def mark_end(axes: Axes, recording: Recording, style: Style, x: Array, y: Array)
         axes.plot(x[last], y[last], "X", ms=8, color=style.color, mec="white", clip_on=False, zorder=5)
 
 
-def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure as PNG, SVG or PDF, by the suffix; atomically.
+def save(figure: Figure, path: str | Path, force: bool = True) -> Path:
+    """Write a figure as PNG, SVG or PDF, by the suffix; whole or not at all.
+
+    Args:
+        figure: The figure.
+        path: The file.
+        force: Whether it may replace another one.
 
     Raises:
-        RecordingError: Another suffix, or a place that cannot be written.
+        RecordingError: Another suffix, a place that cannot be written, or a file that is there.
     """
     from matplotlib import rc_context
 
@@ -305,7 +310,7 @@ def save(figure: Figure, path: str | Path) -> Path:
         fix = f"end its name in {', '.join(f'.{known}' for known in FORMATS)}"
         raise RecordingError("cannot write the figure", why=f"unknown format '{path.suffix}'", fix=fix, file=path)
     undated: dict[str, Any] = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(suffix, {})
-    with atomic_file(path, "figure") as part, rc_context(RC):
+    with whole_file(path, "figure", force) as part, rc_context(RC):
         figure.savefig(part, format=suffix, dpi=160, metadata=undated)
         if suffix == "png":
             thin(part)

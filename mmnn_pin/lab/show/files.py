@@ -1,7 +1,6 @@
-"""Files for people: written atomically, and HTML pages that stand alone, made of templates and numbers.
+"""HTML pages that stand alone, made of templates and numbers.
 
-A file is there when it is complete, or not at all. The templates of reports lie in `web`, those of the replay in
-`replay/web`.
+The templates of reports lie in `web`, those of the replay in `replay/web`.
 """
 
 from __future__ import annotations
@@ -9,9 +8,6 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from html import escape
@@ -22,43 +18,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ...errors import RecordingError
+from ...files import whole_file
 
 TYPES = {"f4": np.float32, "u2": np.uint16, "u4": np.uint32}  # what the page can read
 ALIGNMENT = 4
-
-
-@contextmanager
-def atomic_file(path: Path, what: str) -> Iterator[Path]:
-    """A temporary name to write to; it becomes `path` at the end of the block, or vanishes with an error.
-
-    Args:
-        path: The file; missing folders are made.
-        what: What it is, for the message of an error.
-
-    Raises:
-        RecordingError: A place that cannot be written.
-    """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield part
-        os.replace(part, path)
-    except OSError as error:
-        raise RecordingError(f"cannot write the {what}", why=error.strerror or str(error), file=path) from error
-    finally:
-        with suppress(OSError):
-            part.unlink()
-
-
-def require_free(path: Path, force: bool, what: str = "file") -> None:
-    """Refuse to replace a file unasked; `what` names it in the error.
-
-    Raises:
-        RecordingError: It exists, and `force` is off.
-    """
-    if path.exists() and not force:
-        raise RecordingError(f"the {what} exists", fix="choose another, or replace it with --force", file=path)
 
 
 @dataclass(frozen=True, repr=False)
@@ -90,13 +53,17 @@ class HtmlPage:
             f'<iframe title="{self.what}" sandbox="allow-scripts" style="{look}" srcdoc="{escape(self.html)}"></iframe>'
         )
 
-    def save(self, path: str | Path) -> Path:
-        """Write the page, atomically.
+    def save(self, path: str | Path, force: bool = True) -> Path:
+        """Write the page, whole or not at all.
+
+        Args:
+            path: The file.
+            force: Whether it may replace another one.
 
         Raises:
-            RecordingError: A place that cannot be written.
+            RecordingError: A place that cannot be written, or a file that is there.
         """
-        with atomic_file(Path(path), self.what) as part:
+        with whole_file(Path(path), self.what, force) as part:
             part.write_text(self.html, encoding="utf-8")
         return Path(path)
 

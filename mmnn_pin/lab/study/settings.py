@@ -13,8 +13,9 @@ from typing import Any, Literal, TypeVar
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
+from ...files import read_toml
 from ...settings import Settings, wrong_type
-from ..experiments.config import bundled, load_experiment, override, read_toml, words_of
+from ..experiments.config import bundled, load_experiment, override, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
 from .factors import Factor

@@ -7,11 +7,9 @@ held off from others by a lock on a file beside the database.
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import json
 import math
 import os
-import socket
 import sqlite3
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -23,12 +21,14 @@ from typing import Any, Literal
 import msgspec
 
 from ...errors import StudyError
+from ...files import locked
 from ...settings import wrong_type
 from .worker import JobResult
 
 FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
 NAME = "study.sqlite"
 AGAIN = "take the database from a copy, or choose another folder with --out"
+ROOM = "free some space; what is stored is kept, and the same command goes on from there"
 SCHEMA = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE rows (
@@ -230,7 +230,7 @@ def writing(path: Path) -> Iterator[Store]:
     Raises:
         StudyError: Another process writes it, it is no study's, of another version, or it cannot be made.
     """
-    with locked(path):
+    with locked(path, "database", StudyError):
         is_new = not path.exists() or not path.stat().st_size
         store = Store(path, connect(path, "rwc"))
         try:
@@ -290,44 +290,24 @@ def require_ours(store: Store) -> None:
 
 
 @contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Keep other processes from writing a database; the lock ends with this process, however that ends.
-
-    Raises:
-        StudyError: Another process has it; with its number and machine.
-    """
-    lock = path.with_name(f"{path.name}.lock")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        file = lock.open("a+", encoding="utf-8")
-    except OSError as error:
-        fix = "choose another folder with --out"
-        raise StudyError("the folder cannot be written to", why=error.strerror or "", fix=fix, file=path) from None
-    with file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            file.seek(0)
-            why = f"process {file.read().strip() or 'unknown'} runs this study"
-            fix = "wait for it, or choose another folder with --out"
-            raise StudyError("the database is in use", why=why, fix=fix, file=path) from None
-        with contextlib.suppress(OSError):  # a full disk must not keep anyone from reading on
-            file.truncate(0)
-            file.write(f"{os.getpid()} on {socket.gethostname()}\n")
-            file.flush()
-        yield
-
-
-@contextmanager
 def sqlite_errors(path: Path, verb: str) -> Iterator[None]:
     """Errors of SQLite as ours."""
     try:
         yield
     except sqlite3.Error as error:
         why = str(error)
-        full = "full" in why or "disk I/O" in why
-        fix = "free some space; what is stored is kept, and the same command goes on from there" if full else ""
+        fix = ROOM if "full" in why or "disk I/O" in why else ""
         raise StudyError(f"cannot {verb} the database", why=why, fix=fix, file=path) from None
+
+
+def storage_error(error: Exception, file: Path) -> StudyError | None:
+    """What Optuna raises where its database cannot be written any more, as ours; None for any other error."""
+    inner = getattr(error, "__cause__", None) or error
+    kind = f"{type(inner).__module__}.{type(inner).__name__}"
+    if not kind.startswith(("sqlalchemy.", "sqlite3.", "optuna.exceptions.StorageInternalError")):
+        return None
+    why = str(getattr(inner, "orig", None) or inner).splitlines()[0]
+    return StudyError("cannot write the database", why=why, fix=ROOM, file=file)
 
 
 def encoded(metrics: Mapping[str, float]) -> str:

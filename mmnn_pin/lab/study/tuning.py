@@ -25,6 +25,7 @@ import numpy as np
 from ... import __version__
 from ...actuator import Actuator
 from ...errors import ConfigError, MmnnError, StudyError
+from ...files import locked
 from ...loop.loop import Loop
 from ...sensing import Sensor
 from ...signals import Array
@@ -39,7 +40,7 @@ from .plan import Plan, changed_base, plan_of
 from .pools import Pool
 from .results import worth
 from .settings import StudyFile, Tune, placing
-from .store import AGAIN, locked
+from .store import AGAIN, storage_error
 from .verdict import Interval, quantile
 from .worker import loop_of, optional
 
@@ -56,7 +57,7 @@ class Score:
 
     Attributes:
         metric: (n,) the metric of every run, inf where it did not complete.
-        quantile: Which quantile counts.
+        quantile: Which counts.
         refused: Share of runs on which the gains break a constraint; nothing was run then.
         complaint: One of these complaints.
     """
@@ -306,7 +307,7 @@ def search(
     """
     optuna, (tune, table) = imported(), tuned_part(study)
     scorer, own = Scorer(study, tune, pool), own_gains(tune.gains, table)
-    with locked(folder / NAME), opened(optuna, study, folder / NAME, force) as trials:
+    with locked(folder / NAME, "database", StudyError), opened(optuna, study, folder / NAME, force) as trials:
         for trial in trials.get_trials(states=(optuna.trial.TrialState.RUNNING,)):  # of a process that was killed
             trials.tell(trial.number, state=optuna.trial.TrialState.FAIL)
         while (done := len(finished(optuna, trials))) < tune.trials:
@@ -315,11 +316,7 @@ def search(
             trials.sampler = sampler(optuna, tune, done)
             trial = trials.ask()
             drawn = {name: suggested(trial, name, gain) for name, gain in tune.gains.items()}
-            try:
-                score = scorer.score(settings_of(drawn, tune.gains, table))
-            except BaseException:
-                trials.tell(trial, state=optuna.trial.TrialState.FAIL)
-                raise
+            score = scorer.score(settings_of(drawn, tune.gains, table))
             trial.set_user_attr("lost", score.lost)
             trial.set_user_attr("refused", score.complaint)
             trial.set_user_attr("own", not done and own is not None)
@@ -418,6 +415,10 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
             raise StudyError("cannot open the trials", why=why, file=file) from None
         try:
             yield trials
+        except Exception as error:
+            if (found := storage_error(error, file)) is None:
+                raise
+            raise found from None
         finally:
             storage.remove_session()
             storage.engine.dispose()

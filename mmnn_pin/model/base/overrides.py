@@ -24,6 +24,7 @@ from typing import Any
 import msgspec
 
 from ...errors import ConfigError, UnknownName
+from ...files import read_toml
 from ...settings import Settings, wrong_type
 from ..robots import package_dirs_of
 from ..urdf.finding import Finding
@@ -170,12 +171,10 @@ def read_overrides(path: Path) -> Overrides:
         UnknownName: A key or a kind of base that does not exist.
     """
     try:
-        found = msgspec.toml.decode(path.read_bytes(), type=Overrides)
+        found = msgspec.convert(read_toml(path), Overrides)
         folders = tuple(str(path.parent / folder) for folder in found.package_dirs)
         file = None if found.controllers_file is None else str(path.parent / found.controllers_file)
         return msgspec.structs.replace(found, package_dirs=folders, controllers_file=file)
-    except OSError as error:
-        raise ConfigError("cannot be read", why=error.strerror or str(error), file=path) from None
     except msgspec.ValidationError as error:
         if isinstance(error.__cause__, ConfigError | UnknownName):
             error.__cause__.file = path
@@ -185,8 +184,6 @@ def read_overrides(path: Path) -> Overrides:
             raise UnknownName("key", unknown[1], Overrides.__struct_fields__, file=path) from None
         what, fix = wrong_type(message)
         raise ConfigError(what, fix=fix, file=path, key=where.strip("`").removeprefix("$.") or None) from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ConfigError("not valid TOML", why=str(error), file=path) from None
     except (ConfigError, UnknownName) as error:
         error.file = path
         raise

@@ -147,42 +147,55 @@ def audit_file(
         RobotError: A xacro file that cannot be expanded.
     """
     path = Path(path)
+    data = content(path)
+    if isinstance(data, str):
+        return None, settle([finding("file", 1, data)], path, strict)
+    if is_xacro(path, data):
+        return audit_xacro(data, path, strict, package_dirs, xacro, without)
+    if xacro or without:
+        what = "arguments of xacro for a file with nothing to expand"
+        raise ConfigError(what, why="nothing would use them", fix="leave them out", file=path)
+    return audit_data(data, path, strict, package_dirs)
+
+
+def content(path: Path) -> bytes | str:
+    """All of a regular file of bearable size, or what is wrong with it."""
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):
-            raise ValueError("not a regular file")
+            return "cannot be read (not a regular file)"
         with path.open("rb") as file:
             data = file.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        problem = "no such file"
+        return "no such file"
     except IsADirectoryError:
-        problem = "is a folder, not a URDF file"
-    except OSError as error:
-        problem = f"cannot be read ({error.strerror})"
-    except ValueError as error:
-        problem = f"cannot be read ({error})"
-    else:
-        if len(data) <= MAX_BYTES and is_xacro(path, data):
-            data, absent = expand(path, xacro, package_dirs, without)
-            if len(data) > MAX_BYTES:
-                what = f"expands to more than {MAX_BYTES // 1_000_000} MB"
-                return None, settle([finding("file", 1, what)], path, strict)
-            document, findings = audit_data(data, path, strict, package_dirs)
-            notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
-            if absent:
-                what, why = f"packages not found: {', '.join(absent)}", "what their files would add is left out"
-                fix = "give the folder that holds them with --package-dir"
-                notes.append(finding("xacro-package", 1, what, why, fix))
-            if without:
-                notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", "you said --without"))
-            findings = (*settle(notes, path, strict), *findings)
-            return document and replace(document, findings=findings), findings
-        if xacro or without:
-            what = "arguments of xacro for a file with nothing to expand"
-            raise ConfigError(what, why="nothing would use them", fix="leave them out", file=path)
-        if len(data) <= MAX_BYTES:
-            return audit_data(data, path, strict, package_dirs)
-        problem = f"has more than {MAX_BYTES // 1_000_000} MB"
-    return None, settle([finding("file", 1, problem)], path, strict)
+        return "is a folder, not a URDF file"
+    except (OSError, ValueError) as error:  # a path with a null byte
+        return f"cannot be read ({getattr(error, 'strerror', None) or error})"
+    return data if len(data) <= MAX_BYTES else f"has more than {MAX_BYTES // 1_000_000} MB"
+
+
+def audit_xacro(
+    data: bytes,
+    path: Path,
+    strict: bool,
+    package_dirs: Sequence[str | Path],
+    xacro: Sequence[str],
+    without: Sequence[str],
+) -> tuple[Document | None, tuple[Finding, ...]]:
+    """The same for the content of a xacro file; raises `RobotError` where it cannot be expanded."""
+    data, absent = expand(path, xacro, package_dirs, without)
+    if len(data) > MAX_BYTES:
+        return None, settle([finding("file", 1, f"expands to more than {MAX_BYTES // 1_000_000} MB")], path, strict)
+    document, findings = audit_data(data, path, strict, package_dirs)
+    notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
+    if absent:
+        what, why = f"packages not found: {', '.join(absent)}", "what their files would add is left out"
+        fix = "give the folder that holds them with --package-dir"
+        notes.append(finding("xacro-package", 1, what, why, fix))
+    if without:
+        notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", "you said --without"))
+    whole = (*settle(notes, path, strict), *findings)
+    return document and replace(document, findings=whole), whole
 
 
 def audit_data(

@@ -202,7 +202,7 @@ def test_a_killed_study_has_lost_nothing_and_goes_on(tmp_path: Path) -> None:
     file = written(tmp_path, MANY)
     process = started(file, 5)
     with (
-        pytest.raises(StudyError, match=rf"in use: process {process.pid} on .* runs this study"),
+        pytest.raises(StudyError, match=rf"in use: process {process.pid} on .* writes it"),
         writing(tmp_path / NAME),
     ):
         pass

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ....errors import RecordingError
+from ....files import require_free
 from ....recording.recording import Recording
 from ....signals import Array
 from ...experiments.controllers import ORACLES
@@ -33,7 +34,6 @@ from ..figure import (
     styles_of,
     write_figures,
 )
-from ..files import require_free
 from ..plots import Curves, stacked
 
 if TYPE_CHECKING:

@@ -1,0 +1,264 @@
+"""Files of others are read within limits, our own are written whole or not at all.
+
+A file, or a folder of files, is made under another name beside its place and moved there when it is complete: a full
+disk, a folder that is gone or a kill leaves what was there before, and nothing half written. Where a file must not be
+replaced it is not, also if another process has written it meanwhile. TOML is bounded before it is parsed: the time that
+the parser takes grows with the square of a key's length, and its stack with every bracket.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import re
+import shutil
+import socket
+import tempfile
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from .errors import ConfigError, InputError, RecordingError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+CLOSED = (errno.EACCES, errno.EPERM, errno.EROFS)
+LONGEST, DEEPEST = 1_000_000, 32  # bytes of a TOML file; levels of its tables and lists
+PART = r"(?:\"[^\"\n]*+\"|'[^'\n]*+'|[\w-]++)"  # of a key
+DEEP_KEY = re.compile(rf"(?:^|[\[{{,])[ \t]*+{PART}(?:[ \t]*+\.[ \t]*+{PART}){{{DEEPEST},}}", re.MULTILINE)
+DEEP = f"it is nested more than {DEEPEST} levels deep"
+
+
+def reason(error: Exception) -> str:
+    """Cause of a failed file operation, without HDF5's own stack of phrases where the system has a name for it."""
+    number = getattr(error, "errno", None)
+    return os.strerror(number) if number else str(error)
+
+
+def way_out(error: Exception) -> str:
+    """What to do where a file cannot be written."""
+    number = getattr(error, "errno", None)
+    if number in FULL:
+        return "make room on the disk, and give the same command again"
+    return "choose another place" if number in CLOSED else ""
+
+
+# -- what is read ------------------------------------------------------------------------------------------------------
+
+
+def read_text(path: Path, most: int = LONGEST) -> str:
+    """A text in UTF-8.
+
+    Raises:
+        ConfigError: It cannot be read, is no plain file, too large, or not in UTF-8.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise ConfigError("cannot be read", why="it is no plain file", file=path)
+        with path.open("rb") as file:
+            data = file.read(most + 1)
+        if len(data) > most:
+            raise ConfigError("cannot be read", why=f"it has more than {most // 1000:,} kB", file=path)
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise ConfigError("not a text in UTF-8", why=str(error), file=path) from error
+    except (OSError, ValueError) as error:  # a name that no file can have
+        raise ConfigError("cannot be read", why=reason(error), file=path) from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Content of a TOML file.
+
+    Raises:
+        ConfigError: It cannot be read, is too large or too deep, not UTF-8 or not TOML; with the line.
+    """
+    text = read_text(path)
+    try:
+        return parsed_toml(text)
+    except ValueError as error:
+        line = re.search(r"at line (\d+)", str(error))
+        number = int(line[1]) if line else None
+        raise ConfigError("not valid TOML", why=str(error), file=path, line=number) from error
+
+
+def parsed_toml(text: str) -> dict[str, Any]:
+    """A text of TOML as a table.
+
+    Raises:
+        ValueError: It is none, or too deep.
+    """
+    if key := DEEP_KEY.search(text):
+        raise ValueError(f"{DEEP} (at line {text.count(chr(10), 0, key.start()) + 1})")
+    try:
+        table = tomllib.loads(text)
+    except RecursionError:
+        raise ValueError(DEEP) from None
+    level: list[Any] = [table]
+    for _ in range(DEEPEST + 1):
+        level = [
+            inner
+            for item in level
+            for inner in (item.values() if isinstance(item, dict) else item)
+            if isinstance(inner, dict | list)
+        ]
+        if not level:
+            return table
+    raise ValueError(DEEP)
+
+
+# -- what is written ---------------------------------------------------------------------------------------------------
+
+
+def require_free(path: Path, force: bool, what: str = "file") -> None:
+    """Refuse to replace a file unasked; `what` names it in the error.
+
+    Raises:
+        RecordingError: It exists, and `force` is off; or it is a folder.
+    """
+    if path.is_dir():
+        raise RecordingError(f"cannot write the {what}", why="there is a folder of that name", file=path)
+    if path.exists() and not force:
+        raise taken(path, what)
+
+
+def taken(path: Path, what: str) -> RecordingError:
+    """The error of a file that is there."""
+    return RecordingError(f"the {what} exists", fix="choose another, or replace it with --force", file=path)
+
+
+@contextmanager
+def whole_file(path: Path, what: str, force: bool = True) -> Iterator[Path]:
+    """A temporary name to write to; it becomes `path` at the end of the block, or vanishes with an error.
+
+    Args:
+        path: The file; missing folders are made.
+        what: What it is, for the message of an error.
+        force: Whether it may replace another one.
+
+    Raises:
+        RecordingError: A place that cannot be written, or a file that is there.
+    """
+    require_free(path, force, what)
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    with errors_of(path, what), folders_for(path):
+        try:
+            yield part
+            settle(part, path, what, force)
+        finally:
+            with suppress(OSError):
+                part.unlink()
+
+
+def settle(part: Path, path: Path, what: str, force: bool) -> None:
+    """Give a complete file its name, once it is on the disk.
+
+    Raises:
+        RecordingError: Another process has written it meanwhile, and `force` is off.
+        OSError: It cannot be.
+    """
+    with part.open("rb") as file:
+        os.fsync(file.fileno())  # a disk over a network says only now that it is full
+    if not force:
+        try:
+            os.link(part, path)  # as a rename, but never over a file
+            return
+        except FileExistsError:
+            raise taken(path, what) from None
+        except OSError:  # a file system without links
+            require_free(path, force, what)
+    os.replace(part, path)
+
+
+@contextmanager
+def whole_folder(folder: Path, what: str, force: bool = True) -> Iterator[Path]:
+    """A temporary folder to write files into; at the end they are in `folder`, all of them or none.
+
+    Args:
+        folder: Where they go; other files that are there stay.
+        what: What it is, for the message of an error.
+        force: Whether files there may be replaced.
+
+    Raises:
+        RecordingError: A place that cannot be written, or a file that is there.
+    """
+    with errors_of(folder, what), folders_for(folder):
+        made = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
+        try:
+            yield made
+            if not folder.exists():
+                made.chmod(0o777 & ~umask())
+                made.rename(folder)
+                return
+            files = sorted(file.relative_to(made) for file in made.rglob("*") if file.is_file())
+            for file in files:
+                require_free(folder / file, force, what)
+            for file in files:
+                (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                settle(made / file, folder / file, what, force)
+        finally:
+            shutil.rmtree(made, ignore_errors=True)
+
+
+def umask() -> int:
+    """The permissions that new files of this process do not get."""
+    found = os.umask(0o077)
+    os.umask(found)
+    return found
+
+
+@contextmanager
+def errors_of(path: Path, what: str) -> Iterator[None]:
+    """Errors of the system while a file is written, as ours."""
+    try:
+        yield
+    except OSError as error:
+        raise RecordingError(f"cannot write the {what}", why=reason(error), fix=way_out(error), file=path) from error
+
+
+@contextmanager
+def folders_for(path: Path) -> Iterator[None]:
+    """The folders above a file, made for the block; those that are still empty after an error are taken away again."""
+    new = [folder for folder in path.parents if not folder.exists()]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        for folder in new:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+@contextmanager
+def locked(path: Path, what: str, kind: type[InputError] = RecordingError) -> Iterator[None]:
+    """Keep other processes from writing a file; the lock ends with this process, however that ends.
+
+    Args:
+        path: The file; its lock is a file beside it.
+        what: What it is, for the message of an error.
+        kind: Of that error.
+
+    Raises:
+        InputError: Another process has it, with its number and machine; or the folder cannot be written to.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        file = path.with_name(f"{path.name}.lock").open("a+", encoding="utf-8")
+    except OSError as error:
+        fix = way_out(error) or "choose another folder with --out"
+        raise kind("the folder cannot be written to", why=reason(error), fix=fix, file=path) from None
+    with file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.seek(0)
+            why = f"process {file.read().strip() or 'unknown'} writes it"
+            fix = "wait for it, or choose another folder with --out"
+            raise kind(f"the {what} is in use", why=why, fix=fix, file=path) from None
+        with suppress(OSError):  # a full disk must not keep anyone from reading on
+            file.truncate(0)
+            file.write(f"{os.getpid()} on {socket.gethostname()}\n")
+            file.flush()
+        yield
