@@ -38,10 +38,12 @@ def reason(error: Exception) -> str:
 
 
 def way_out(error: Exception) -> str:
-    """What to do where a file cannot be written."""
+    """What to do about an error that is the disk's, the place's or the name's; empty for others."""
     number = getattr(error, "errno", None)
     if number in FULL:
         return "make room on the disk, and give the same command again"
+    if number in (errno.ENAMETOOLONG, errno.ELOOP):
+        return "use a shorter name"
     return "choose another place" if number in CLOSED else ""
 
 
@@ -95,17 +97,20 @@ def parsed_toml(text: str) -> dict[str, Any]:
         table = tomllib.loads(text)
     except RecursionError:
         raise ValueError(DEEP) from None
-    level: list[Any] = [table]
+    if is_deep(table):
+        raise ValueError(DEEP)
+    return table
+
+
+def is_deep(value: Any) -> bool:
+    """Whether tables and lists are nested in one another more than `DEEPEST` times."""
+    level = [value]
     for _ in range(DEEPEST + 1):
-        level = [
-            inner
-            for item in level
-            for inner in (item.values() if isinstance(item, dict) else item)
-            if isinstance(inner, dict | list)
-        ]
+        inner = [item for item in level if isinstance(item, dict | list)]
+        level = [part for item in inner for part in (item.values() if isinstance(item, dict) else item)]
         if not level:
-            return table
-    raise ValueError(DEEP)
+            return False
+    return True
 
 
 # -- what is written ---------------------------------------------------------------------------------------------------
@@ -187,18 +192,23 @@ def whole_folder(folder: Path, what: str, force: bool = True) -> Iterator[Path]:
         made = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
         try:
             yield made
-            if not folder.exists():
-                made.chmod(0o777 & ~umask())
-                made.rename(folder)
-                return
-            files = sorted(file.relative_to(made) for file in made.rglob("*") if file.is_file())
-            for file in files:
-                require_free(folder / file, force, what)
-            for file in files:
-                (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                settle(made / file, folder / file, what, force)
+            settle_folder(made, folder, what, force)
         finally:
             shutil.rmtree(made, ignore_errors=True)
+
+
+def settle_folder(made: Path, folder: Path, what: str, force: bool) -> None:
+    """Give complete files their names; errors as of `settle`."""
+    if not folder.exists():
+        made.chmod(0o777 & ~umask())
+        made.rename(folder)
+        return
+    files = sorted(file.relative_to(made) for file in made.rglob("*") if file.is_file())
+    for file in files:
+        require_free(folder / file, force, what)
+    for file in files:
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        settle(made / file, folder / file, what, force)
 
 
 def umask() -> int:
@@ -245,7 +255,7 @@ def locked(path: Path, what: str, kind: type[InputError] = RecordingError) -> It
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        file = path.with_name(f"{path.name}.lock").open("a+", encoding="utf-8")
+        file = path.with_name(f"{path.name}.lock").open("a+b", buffering=0)
     except OSError as error:
         fix = way_out(error) or "choose another folder with --out"
         raise kind("the folder cannot be written to", why=reason(error), fix=fix, file=path) from None
@@ -254,11 +264,10 @@ def locked(path: Path, what: str, kind: type[InputError] = RecordingError) -> It
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             file.seek(0)
-            why = f"process {file.read().strip() or 'unknown'} writes it"
+            why = f"process {file.read().decode(errors='replace').strip() or 'unknown'} writes it"
             fix = "wait for it, or choose another folder with --out"
             raise kind(f"the {what} is in use", why=why, fix=fix, file=path) from None
         with suppress(OSError):  # a full disk must not keep anyone from reading on
             file.truncate(0)
-            file.write(f"{os.getpid()} on {socket.gethostname()}\n")
-            file.flush()
+            file.write(f"{os.getpid()} on {socket.gethostname()}\n".encode())
         yield

@@ -118,13 +118,16 @@ def meshes(folder: Path) -> None:
     Image.new("RGB", (8, 8), "red").save(folder / "t.png")
 
 
+def motion(file: Path) -> None:
+    """Three seconds of an arm's motion as CSV."""
+    log = simulated(load("two_axis_arm"), 3.0)
+    columns = {"time": log.time, **log.signals}
+    np.savetxt(file, np.column_stack(list(columns.values())), "%.6g", ",", header=",".join(columns), comments="")
+
+
 def logs(folder: Path) -> None:
     """A short motion of an arm as CSV with its columns, a recording as MCAP, what was identified, a ROS 2 node."""
-    arm = load("two_axis_arm")
-    log = simulated(arm, 3.0)
-    columns = {"time": log.time, **log.signals}
-    rows = np.column_stack(list(columns.values()))
-    np.savetxt(folder / "log.csv", rows, "%.6g", ",", header=",".join(columns), comments="")
+    motion(folder / "log.csv")
     (folder / "columns.toml").write_text('time = "time"\n"position.{joint}" = "position.{joint}"\n')
     recording = sorted(folder.glob("run_*.h5"))[0]
     command(f"export {recording} --to mcap --out {folder / 'log.mcap'}")
@@ -163,22 +166,27 @@ def study(folder: Path) -> None:
 def contest(folder: Path) -> None:
     """The folder of a contest with rows of invented numbers."""
     folder.mkdir()
-    asked, axes = load_experiment("contest"), ("x", "y", "phi", "arm_1_joint", "arm_2_joint")
+    asked = load_experiment("contest")
     who, trials = ("pd", "two_layer", "computed_torque"), {}
     for k, name in enumerate(who):
-        rows = [
-            TrialResult(
-                task="eight", controller=name, seed=seed, outcome="completed", ended=20.0, effort=3.0, torque=0.5,
-                kick=0.6, rms=dict.fromkeys(axes, 0.01 * (k + 1)), peak=dict.fromkeys(axes, 0.02),
-                peak_of_all=dict.fromkeys(axes, 0.1), online_fvu=0.1, online_worst=0.3, frozen_fvu=0.2,
-                frozen_worst=0.4, frozen_on={"similar": 0.2}, findings=(), since=0.0, curve=[[0.1] * 5, [0.01] * 5],
-                held_out={"similar": dict.fromkeys(("frozen", "learning"), Tracking("completed", {"x": 0.01}))},
-            )
-            for seed in (0, 1)
-        ]  # fmt: skip
-        trials[f"eight/{name}"] = Trial(f"{k:016x}", 1e-5, rows)
+        trials[f"eight/{name}"] = Trial(f"{k:016x}", 1e-5, invented(name, 0.01 * (k + 1)))
     demand = Demand(("wheel_left_joint", "wheel_right_joint"), (0.4, 0.4), (0.2, 0.2))
     plain = msgspec.json.decode(msgspec.structs.replace(asked, cases={}).to_json())
     about = About("contest", plain, who, {"eight": AboutTask("An eight", who, demand)})
     (folder / "contest.json").write_bytes(msgspec.json.encode(about))
     (folder / "rows.json").write_bytes(msgspec.json.encode(trials))
+
+
+def invented(controller: str, error: float) -> list[TrialResult]:
+    """What two seeds of a controller would give in a contest."""
+    axes = ("x", "y", "phi", "arm_1_joint", "arm_2_joint")
+    return [
+        TrialResult(
+            task="eight", controller=controller, seed=seed, outcome="completed", ended=20.0, effort=3.0, torque=0.5,
+            kick=0.6, rms=dict.fromkeys(axes, error), peak=dict.fromkeys(axes, 0.02),
+            peak_of_all=dict.fromkeys(axes, 0.1), online_fvu=0.1, online_worst=0.3, frozen_fvu=0.2,
+            frozen_worst=0.4, frozen_on={"similar": 0.2}, findings=(), since=0.0, curve=[[0.1] * 5, [0.01] * 5],
+            held_out={"similar": dict.fromkeys(("frozen", "learning"), Tracking("completed", {"x": 0.01}))},
+        )
+        for seed in (0, 1)
+    ]  # fmt: skip

@@ -140,7 +140,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
 
     with progress_bar() as show, interruptible(show) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress)
-    pictures = write_pictures(result.recordings, asked.plots, folder)
+    pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
         remarks = [f"note: {note}" for note in notes(result)]

@@ -58,7 +58,7 @@ def call_control_blocks() -> None:
     moves_sideways(layout.base)
     exact(row, at, y[:nv], nu, arm)
     before_torque(row, at, 0.0, setpoint, np.ones(3), np.ones(1))
-    law.step(row, at, numbers, state.values, None)
+    law.step(row, at, numbers, state.values, None, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
     joints = Joints(T, v.copy(), np.zeros((nv, 3)), nu, 2)

@@ -7,10 +7,11 @@ hold, facts of a wrong type. What a disk can do to one dataset is told (`Content
 
 from __future__ import annotations
 
+import json
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -217,6 +218,8 @@ class Examined:
             raise RecordingError(f"it has {len(names)} attributes", fix=AGAIN, file=self.path)
         for name in names:
             try:
+                if not isinstance(name, str):  # h5py gives the bytes of what is not UTF-8
+                    raise Damaged("its name is not a text in UTF-8")
                 found[name] = attribute(self.file, name)
             except Damaged as error:
                 what = f"its attribute {shortly(name)} cannot be read"
@@ -362,6 +365,9 @@ class Examined:
             self.require_own(data, name)
             text = str(data.asstr()[()])
             require_plain(text)
+            if name == "config":
+                with suppress(ValueError):  # a text of a user's own
+                    require_plain(json.loads(text))
             return text
         except RecordingError:
             raise

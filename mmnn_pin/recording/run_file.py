@@ -215,10 +215,9 @@ def _create(path: Path, before: Path | None, fill: Callable[[h5py.File], None]) 
             _require_free(path, before is not None)
             undo.enter_context(folders_for(path))
             undo.callback(part.unlink, missing_ok=True)
-            file = h5py.File(part, "w", locking=True)
+            part.write_bytes(_header(fill))  # not by HDF5, which does not survive a full disk
+            file = h5py.File(part, "r+", locking=True)
             undo.callback(file.close)
-            fill(file)
-            file.flush()
             if before is not None and _is_complete(path):
                 with suppress(OSError):  # a file system without links
                     before.unlink(missing_ok=True)
@@ -230,6 +229,14 @@ def _create(path: Path, before: Path | None, fill: Callable[[h5py.File], None]) 
     except (OSError, RuntimeError) as error:
         raise RecordingError("cannot create the recording", why=reason(error), fix=way_out(error), file=path) from error
     return file
+
+
+def _header(fill: Callable[[h5py.File], None]) -> bytes:
+    """The file before its first row."""
+    with h5py.File("header", "w", driver="core", backing_store=False) as file:
+        fill(file)
+        file.flush()
+        return bytes(file.id.get_file_image())
 
 
 def _is_complete(path: Path) -> bool:

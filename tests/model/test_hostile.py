@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import resource
 import struct
+import sys
 import time
 import zipfile
 from pathlib import Path
@@ -15,9 +16,10 @@ from drives import CYLINDER, robot_of
 from test_wild import codes, drive_of
 
 from mmnn_pin.errors import RobotError
+from mmnn_pin.lab.show.replay.shapes import BrokenMesh, read_mesh
 from mmnn_pin.model.base.report import Undecided
 from mmnn_pin.model.loading import load
-from mmnn_pin.model.urdf.shapes import obj_vertices, vertices_of
+from mmnn_pin.model.urdf.shapes import damage_of, obj_vertices, vertices_of
 
 LARGE = 49_000_000  # bytes
 TRIANGLE = struct.Struct("<12fH")
@@ -141,6 +143,60 @@ def test_a_mesh_of_50_mb_takes_little_time_and_memory(tmp_path, name):
         robot_of(drive_of(f'<mesh filename="{name}"/>', 0.2, 0.1), tmp_path / "r.urdf")
     assert time.perf_counter() - begun < 30  # 6 s compiled, on an idle machine
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1_000_000  # kB
+
+
+def collada(levels: int, copies: int, end: str = "") -> bytes:
+    """A scene whose node stands for several others, and so on."""
+    nodes = "".join(
+        f'<node id="n{k}">{f"""<instance_node url="#n{k + 1}"/>""" * copies if k + 1 < levels else end}</node>'
+        for k in reversed(range(levels))
+    )
+    return COLLADA + f"<library_nodes>{nodes}</library_nodes></COLLADA>".encode()
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (collada(60, 2), "it unfolds to more than 100,000 nodes"),
+        (collada(3, 1, '<instance_node url="#n0"/>'), "it unfolds to more than 100,000 nodes"),
+        (collada(10, 2), ""),
+    ],
+)
+def test_a_collada_file_of_copies_of_copies_is_refused(data, words, tmp_path):
+    (tmp_path / "m.dae").write_bytes(data)
+    begun = time.process_time()
+    assert damage_of(tmp_path / "m.dae") == words
+    if words:
+        assert vertices_of(tmp_path / "m.dae", 0).size == 0
+        with pytest.raises(BrokenMesh, match=words):
+            read_mesh(tmp_path / "m.dae")
+    assert time.process_time() - begun < 5
+
+
+@pytest.mark.parametrize("suffix", ["3mf", "zip", "zae", "glb", "stl"])
+def test_the_replay_unpacks_no_archive_and_believes_no_count(tmp_path, bomb, suffix):
+    file = tmp_path / f"bomb.{suffix}"
+    file.write_bytes({"glb": HOSTILE["lies.glb"], "stl": HOSTILE["lies.stl"]}.get(suffix, bomb))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(BrokenMesh):
+        read_mesh(file)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # kB
+
+
+def test_the_replay_opens_no_picture_and_nothing_elsewhere(tmp_path):
+    (folder := tmp_path / "meshes").mkdir()
+    for place in (tmp_path, folder):
+        (place / "m.mtl").write_text("newmtl a\nKd 1 0 0\nmap_Kd t.png\nmap_Kd ../t.png\n")
+        (place / "t.png").write_bytes(b"\x89PNG\r\n")
+    corners = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nusemtl a\nf 1/1 2/2 3/3\n"
+    opened: list[str] = []
+    sys.addaudithook(lambda event, given: opened.append(str(given[0])) if event == "open" else None)
+    for mtl, red in (("m.mtl", 1.0), ("../m.mtl", None), (str(tmp_path / "m.mtl"), None)):
+        (folder / "m.obj").write_text(f"mtllib {mtl}\n{corners}")
+        (part,) = read_mesh(folder / "m.obj")
+        assert (part.color is not None and part.color[0] == red) or red is None
+    assert not [name for name in opened if name.endswith(".png") or name == str(tmp_path / "m.mtl")]
+    assert str(folder / "m.mtl") in opened
 
 
 def test_a_pipe_is_no_mesh(tmp_path):

@@ -16,6 +16,8 @@ from .log import Columns, Log, from_signals
 
 JOINTS, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
 POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+AGAIN = "record it again, or export CSV"
+CHUNK, MOST_CHUNK = 6, 1 << 27  # of MCAP: the kind of record, bytes that one may unpack to
 TRANSFORMED = "geometry_msgs/msg/TransformStamped"
 
 
@@ -45,6 +47,26 @@ def read_bag(path: Path, robot: Robot, columns: Columns) -> Log:
     return merged(str(path), series, wanted["joints"], path)
 
 
+def require_bounded(path: Path) -> None:
+    """Refuse an MCAP file whose records are longer than the file, or unpack to far more than a chunk has.
+
+    Raises:
+        RecordingError: With the place of the first.
+    """
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(8)  # behind the magic bytes
+        while len(head := file.read(9)) == 9 and file.tell() <= size - 8:
+            at, length = file.tell(), int.from_bytes(head[1:], "little")
+            if at + length > size:
+                why = f"the record at byte {at - 9:,} has {length:,} bytes, the file {size:,}"
+                raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
+            if head[0] == CHUNK and (unpacked := int.from_bytes(file.read(24)[16:], "little")) > MOST_CHUNK:
+                why = f"the chunk at byte {at - 9:,} says it unpacks to {unpacked / 1e6:,.0f} MB"
+                raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path)
+            file.seek(at + length)
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """A bag, open.
@@ -59,15 +81,16 @@ def opened(path: Path) -> Iterator[Any]:
         fix = "pip install 'mmnn_pin[identify]'"
         raise RecordingError("bags need rosbags", why=f"no {error.name}", fix=fix, file=path) from None
     try:
+        for file in [path] if path.is_file() else sorted(path.glob("*.mcap")):
+            if file.suffix == ".mcap":
+                require_bounded(file)
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
             yield bag
     except InputError:
         raise
     except Exception as error:  # rosbags, sqlite and the decoders each have their own
         why = " ".join(str(error).split()) or type(error).__name__
-        raise RecordingError(
-            "the bag cannot be read", why=why, fix="record it again, or export CSV", file=path
-        ) from None
+        raise RecordingError("the bag cannot be read", why=why, fix=AGAIN, file=path) from None
 
 
 def one_topic(path: Path, topics: dict[str, list[str]], kinds: tuple[str, ...], what: str, columns: Columns) -> str:

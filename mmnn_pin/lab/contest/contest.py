@@ -16,7 +16,7 @@ from typing import Any
 import msgspec
 
 from ...errors import InputError, RecordingError
-from ...files import locked, whole_file
+from ...files import DEEP, is_deep, locked, whole_file
 from ...settings import finite, plain
 from ..experiments.config import without_null
 from ..experiments.contest import Contest
@@ -222,7 +222,7 @@ class Store:
             return cls(folder)
         try:
             return cls(folder, msgspec.json.decode(file.read_bytes(), type=dict[str, Trial]))
-        except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise RecordingError(
                 "not a file of rows",
                 why=str(error),
@@ -312,8 +312,11 @@ def read_about(folder: Path) -> About | None:
     if not file.exists():
         return None
     try:
-        return msgspec.json.decode(file.read_bytes(), type=About)
-    except (OSError, UnicodeDecodeError, msgspec.DecodeError) as error:
+        about = msgspec.json.decode(file.read_bytes(), type=About)
+        if is_deep(about.experiment):
+            raise ValueError(DEEP)
+        return about
+    except (OSError, ValueError, RecursionError) as error:  # msgspec's are values, too
         raise broken(folder, error) from error
 
 

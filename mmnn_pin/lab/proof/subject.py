@@ -27,6 +27,7 @@ from ...torque.neural import Neural
 from .learner import Learner, Networks, recorded_learner
 
 MOST_STEPS = 10_000  # of the plant in a control period
+LARGEST = 1e50  # what a robot's signals stay below; its square can be counted with
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
 
 
@@ -110,6 +111,13 @@ class Subject:
         every = self.timing.steps_per_control % self.timing.steps_per_measurement == 0
         return "sensor" not in self.recording.meta and not self.hardware.senses and every
 
+    @property
+    def applied(self) -> Array:
+        """What was sent of Psi_hat, (N, p): that of a later instant where it led, else Psi_hat [N, N m]."""
+        if "psi_applied" not in self.recording:
+            return self.signal("psi_hat")
+        return np.asarray(self.recording["psi_applied"][: len(self.rows)])
+
     @cached_property
     def learner(self) -> Learner | None:
         """The learner, or None where the controller of the run has none; errors as in `recorded_learner`."""
@@ -132,7 +140,7 @@ class Subject:
 
     def dynamics(self, time: float) -> Dynamics:
         """Pinocchio's dynamics of the robot in the control period that begins at a time [s]."""
-        return self._dynamics[int(time + 5e-10 >= self.hardware.pick)]
+        return self._dynamics[int(self.hardware.pick <= time + 5e-10 < self.hardware.drop)]
 
     def truth(self, rows: Array) -> Array:
         """Rows as they were if the sensors gave the true state: measurement, command, errors and Psi of the truth."""
@@ -177,7 +185,7 @@ def require_periods(recording: Recording, timing: Timing, time: Array) -> None:
 
 
 def finite_rows(recording: Recording, layout: Layout) -> Array:
-    """Rows of a recording, (N, width), up to the first one that is not finite.
+    """Rows of a recording, (N, width), up to the first one that is not finite, or as large as no robot's.
 
     Raises:
         RecordingError: A signal has other columns than those of the robot.
@@ -190,7 +198,7 @@ def finite_rows(recording: Recording, layout: Layout) -> Array:
                 why = f"{name} has the columns {', '.join(labels)}"
                 raise RecordingError("its signals are those of another robot", why=why, file=recording.path)
             rows[:, where] = recording[name].reshape(len(recording), where.stop - where.start)
-    bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    bad = np.flatnonzero(~(np.abs(rows) < LARGEST).all(axis=1))
     return rows[: bad[0]] if len(bad) else rows
 
 
@@ -202,7 +210,7 @@ class Hardware:
         torque: (N, p) generalized torque of the motors [N, N m].
         push: (N, p) external force `f` of `M nudot + C nu + ... = tau + f`; d of the equality is `-f` [N, N m].
         loaded: The robot once it carries its payload; None without one.
-        pick: When that is [s], inf for never.
+        pick, drop: When it picks it up and puts it down [s], inf for never.
         varies: Whether torque or push change within control periods.
         blocked: Whether a joint is blocked at some time.
         senses: Whether disturbances touch what the controller measures.
@@ -212,6 +220,7 @@ class Hardware:
     push: Array
     loaded: Robot | None
     pick: float
+    drop: float
     varies: bool
     blocked: bool
     senses: bool
@@ -237,6 +246,7 @@ class Hardware:
             push=push,
             loaded=None if load is None else carrying(robot, load.mass, load.joint, load.at),
             pick=np.inf if load is None else load.start,
+            drop=np.inf if load is None else load.end,
             varies=changes and timing.steps_per_control > 1,
             blocked=has(events, Block),
             senses=has(events, Frozen, Messages),

@@ -133,11 +133,13 @@ def signals(*names: str) -> Callable[[Mapping[str, Recording]], str]:
     return lacks
 
 
-def write_figures(entries: Mapping[str, Entry], recordings: Mapping[str, Recording], folder: Path) -> dict[str, Path]:
+def write_figures(
+    entries: Mapping[str, Entry], recordings: Mapping[str, Recording], folder: Path, force: bool = True
+) -> dict[str, Path]:
     """Draw the figures that these recordings have something for, then write them as PNG; name to file.
 
     Raises:
-        RecordingError: A file that cannot be written.
+        RecordingError: A file that cannot be written, or that is there without `force`.
     """
     figures = {}
     for name, entry in entries.items():
@@ -145,7 +147,7 @@ def write_figures(entries: Mapping[str, Entry], recordings: Mapping[str, Recordi
             figures[name] = entry.make(recordings)
         except RecordingError:  # such as a figure of two learners where only one was run
             continue
-    return {name: save(figure, folder / f"{name}.png") for name, figure in figures.items()}
+    return {name: save(figure, folder / f"{name}.png", force) for name, figure in figures.items()}
 
 
 def styles_of_controllers(controllers: Iterable[str]) -> dict[str, Style]:

@@ -36,7 +36,9 @@ NOTEBOOK = ("errors", "path", "torque")
 MOST = 5_000_000  # bytes of a replay that goes into a notebook
 
 
-def write_pictures(recordings: Mapping[str, Recording], names: Iterable[str], folder: Path) -> dict[str, Path]:
+def write_pictures(
+    recordings: Mapping[str, Recording], names: Iterable[str], folder: Path, force: bool = True
+) -> dict[str, Path]:
     """Write the pictures that these recordings have something for, as PNG; name to file.
 
     Raises:
@@ -44,7 +46,7 @@ def write_pictures(recordings: Mapping[str, Recording], names: Iterable[str], fo
     """
     runs = {name: recording for name, recording in recordings.items() if len(recording)}
     entries = FIGURES["runs"] | FIGURES["proof"]
-    return write_figures({name: entries[name] for name in names}, runs, folder)
+    return write_figures({name: entries[name] for name in names}, runs, folder, force)
 
 
 def require_plots(names: Iterable[str]) -> None:

@@ -226,7 +226,7 @@ def page(file: Path, command: str) -> HtmlPage:
         tables += [wheels_table(report)] if report["wheels"] else []
         points = [*unidentified(report), *report["notes"]]
         first = headline(report)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         fix = "run mmnn identify again"
         raise RecordingError(
             "not an identification", why=f"{type(error).__name__}: {error}", fix=fix, file=file

@@ -197,6 +197,7 @@ class Store:
         Raises:
             StudyError: It cannot be written, for example on a full disk.
         """
+        require_there(self.path)
         values = vars(done) | {"metrics": encoded(done.metrics), "parameters": json.dumps(parameters)}
         values |= {"fingerprint": fingerprint, "point": point, "controller": controller, "seed": seed}
         values["finished"] = datetime.now(UTC).isoformat(timespec="seconds")
@@ -307,7 +308,19 @@ def storage_error(error: Exception, file: Path) -> StudyError | None:
     if not kind.startswith(("sqlalchemy.", "sqlite3.", "optuna.exceptions.StorageInternalError")):
         return None
     why = str(getattr(inner, "orig", None) or inner).splitlines()[0]
-    return StudyError("cannot write the database", why=why, fix=ROOM, file=file)
+    fix = ROOM if "full" in why or "disk I/O" in why else ""
+    return StudyError("cannot write the database", why=why, fix=fix, file=file)
+
+
+def require_there(path: Path) -> None:
+    """Refuse to go on where a database was taken away: rows would go into a file without a name, and be lost.
+
+    Raises:
+        StudyError: It is gone.
+    """
+    if not path.is_file():
+        fix = "leave its folder where it is until the study is over; the same command makes its rows again"
+        raise StudyError("cannot write the database", why="it is gone", fix=fix, file=path)
 
 
 def encoded(metrics: Mapping[str, float]) -> str:

@@ -40,7 +40,7 @@ from .plan import Plan, changed_base, plan_of
 from .pools import Pool
 from .results import worth
 from .settings import StudyFile, Tune, placing
-from .store import AGAIN, storage_error
+from .store import AGAIN, require_there, storage_error
 from .verdict import Interval, quantile
 from .worker import loop_of, optional
 
@@ -320,8 +320,9 @@ def search(
             trial.set_user_attr("lost", score.lost)
             trial.set_user_attr("refused", score.complaint)
             trial.set_user_attr("own", not done and own is not None)
+            require_there(folder / NAME)
             trials.tell(trial, score.value)
-            progress(done + 1, trials.best_value)
+            progress(done + 1, min(one.value for one in finished(optuna, trials)))
 
 
 def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:
@@ -412,13 +413,12 @@ def opened(optuna: ModuleType, study: StudyFile, file: Path, force: bool) -> Ite
             raise
         except Exception as error:  # SQLAlchemy's, which comes with Optuna
             why = " ".join(str(error).split())[:200]
-            raise StudyError("cannot open the trials", why=why, file=file) from None
+            found = storage_error(error, file)
+            raise found if found and found.fix else StudyError("cannot open the trials", why=why, file=file) from None
         try:
             yield trials
         except Exception as error:
-            if (found := storage_error(error, file)) is None:
-                raise
-            raise found from None
+            raise storage_error(error, file) or error from None
         finally:
             storage.remove_session()
             storage.engine.dispose()

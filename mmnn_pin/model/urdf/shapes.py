@@ -41,6 +41,8 @@ MOST_BYTES = {".stl": 60_000_000, ".dae": 60_000_000, ".obj": 60_000_000}  # of 
 
 OTHER_FORMATS = {".ply": 8_000_000, ".glb": 8_000_000, ".gltf": 8_000_000, ".off": 8_000_000}  # read by trimesh
 
+MOST_NODES = 100_000  # of a COLLADA file with all its copies
+
 CHUNK = 65_536  # bytes looked at, at either end of a file
 
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
@@ -349,7 +351,8 @@ def damage_of(file: Path) -> str:
     if size > most:
         return f"it has more than {most // 1_000_000} MB"
     check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage}.get(file.suffix.lower())
-    return check(head, tail, size) if check else ""
+    damage = check(head, tail, size) if check else ""
+    return damage or (copies_damage(file) if file.suffix.lower() == ".dae" else "")
 
 
 def stl_damage(head: bytes, tail: bytes, size: int) -> str:
@@ -371,6 +374,31 @@ def dae_damage(head: bytes, tail: bytes, size: int) -> str:
     if b"<!DOCTYPE" in head:
         return "a DOCTYPE, whose entities could blow up"
     return "" if b"<COLLADA" in head and b"</COLLADA" in tail else "not a whole Collada file"
+
+
+def copies_damage(file: Path) -> str:
+    """Nodes of a Collada file may stand for others, those for others, and so on: a small file of a billion nodes."""
+    if b"instance_node" not in (data := file.read_bytes()):
+        return ""
+    try:
+        root = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
+        named = {node.get("id", ""): node for node in root.iter("{*}node")}
+        known: dict[str, float] = {}
+
+        def copies(node: etree._Element) -> float:
+            inner = [copies(child) for child in node.iterchildren("{*}node")]
+            for instance in node.iterchildren("{*}instance_node"):
+                name = instance.get("url", "").removeprefix("#")
+                if name not in known:
+                    known[name] = math.inf  # until it is known: a node that stands for itself has no end
+                    known[name] = copies(named[name]) if name in named else 0.0
+                inner.append(known[name])
+            return 1.0 + sum(inner)
+
+        most = max(map(copies, named.values()), default=0.0)
+    except (etree.XMLSyntaxError, RecursionError) as error:
+        return f"not a whole Collada file ({type(error).__name__})"
+    return f"it unfolds to more than {MOST_NODES:,} nodes" if most > MOST_NODES else ""
 
 
 def obj_damage(head: bytes, tail: bytes, size: int) -> str:

@@ -101,6 +101,15 @@ def test_bags_without_a_motion_are_refused(log: Log, arm: Robot, tmp_path: Path)
     (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\nno more")
     (tmp_path / "broken.db3").write_bytes(b"nothing")
     (tmp_path / "empty").mkdir()
+    chunk = bytes(16) + (2**40).to_bytes(8, "little") + bytes(40)
+    (tmp_path / "long.mcap").write_bytes(b"\x89MCAP0\r\n\x01" + (2**40).to_bytes(8, "little") + bytes(40))
+    (tmp_path / "dense.mcap").write_bytes(b"\x89MCAP0\r\n\x06" + len(chunk).to_bytes(8, "little") + chunk + bytes(40))
+    for name, why in {
+        "long.mcap": "record at byte 8 has 1,099,511,627,776",
+        "dense.mcap": "unpacks to 1,099,512 MB",
+    }.items():
+        with pytest.raises(RecordingError, match=why):
+            read_logs([tmp_path / name], arm)
     for name in ("broken.mcap", "broken.db3", "empty"):
         with pytest.raises(RecordingError, match="the bag cannot be read") as error:
             read_logs([tmp_path / name], arm)

@@ -347,4 +347,4 @@ def write_proof(proof: Proof, folder: Path, force: bool = False) -> dict[str, Pa
     keep(proof)
     for name in FIGURES["proof"]:
         require_free(folder / f"{name}.png", force)
-    return write_figures(FIGURES["proof"], {proof.subject.controller: proof.subject.recording}, folder)
+    return write_figures(FIGURES["proof"], {proof.subject.controller: proof.subject.recording}, folder, force)
