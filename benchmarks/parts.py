@@ -59,7 +59,7 @@ def repeat_before(n, row, at, position, nu, setpoint, arm, gains, K):  # type: i
 def repeat_law(n, row, at, numbers, state):  # type: ignore[no-untyped-def]
     """Torque and update of the weights."""
     for _ in range(n):
-        law.step(row, at, numbers, state, None)
+        law.step(row, at, numbers, state, None, None)
 
 
 @repeated

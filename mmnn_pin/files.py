@@ -38,10 +38,12 @@ def reason(error: Exception) -> str:
 
 
 def way_out(error: Exception) -> str:
-    """What to do where a file cannot be written."""
+    """What to do about an error that is the disk's, the place's or the name's; empty for others."""
     number = getattr(error, "errno", None)
     if number in FULL:
         return "make room on the disk, and give the same command again"
+    if number in (errno.ENAMETOOLONG, errno.ELOOP):
+        return "use a shorter name"
     return "choose another place" if number in CLOSED else ""
 
 

@@ -24,7 +24,7 @@ IntArray = NDArray[np.int64]
 # The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
 # Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number;
 # on the contact plant "wheel" drive wheels and "floor" 1 with wheels, else 0; those that begin with "rig" where motors,
-# disturbances or a supervisor are simulated, else 0.
+# disturbances or a supervisor are simulated, else 0; "lead all" p where Psi_hat leads, else 0.
 SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("time", "1", "s", ""),
     ("position", "full", "m, rad", "rad or m"),
@@ -54,6 +54,7 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("nudot_ref", "all", "m/s^2, rad/s^2", "rad/s^2 or m/s^2"),
     ("psi", "all", "N, N m", "N m or N"),
     ("psi_hat", "all", "N, N m", "N m or N"),
+    ("psi_applied", "lead all", "N, N m", "N m or N"),
     ("robust", "all", "N, N m", "N m or N"),
     ("weight_norm", "2", "", ""),
     ("effective_gain", "all", "N s/m, N m s", "N m s or N s/m"),
@@ -108,16 +109,18 @@ class Layout(Dimensions):
     Args:
         wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
         hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
+        lead: 1 where the torque has Psi_hat as of the time in which it acts (`loop.lead`), else 0.
     """
 
     wheels: int = 0
     hardware: int = 0
+    lead: int = 0
 
     @classmethod
-    def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0) -> Layout:
+    def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0) -> Layout:
         """Layout of the rows of a robot with these dimensions."""
         d = dimensions
-        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware)
+        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware, lead)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
@@ -125,6 +128,7 @@ class Layout(Dimensions):
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
+        size |= {"lead all": self.lead * self.dof}
         return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
 
     @property
@@ -144,7 +148,7 @@ class Layout(Dimensions):
     def unit(self, name: str) -> str:
         """Unit of a signal on this robot; base and arm parts separated by a semicolon."""
         _, kind, base, arm = SIGNALS[INDEX[name]]
-        if kind in ("all", "rig all"):
+        if kind in ("all", "rig all", "lead all"):
             return "; ".join(u for u, used in ((base, self.base), (arm, self.arm)) if used)
         return base or arm
 

@@ -105,8 +105,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         fix = "use a shorter duration, longer periods or fewer hidden units"
         return complain(BAD_INPUT, InputError("not enough memory", why=str(error), fix=fix), given)
     except OSError as error:
-        if fix := way_out(error):  # a disk that is full, a place that is closed
-            found = InputError("cannot be written", why=reason(error), fix=fix, file=error.filename)
+        if fix := way_out(error):  # a disk that is full, a place that is closed, a name that no file can have
+            found = InputError("cannot be used", why=reason(error), fix=fix, file=error.filename)
             return complain(BAD_INPUT, found, given)
         return complain(FAILED, unexpected(error), given)
     except Exception as error:

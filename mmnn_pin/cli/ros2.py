@@ -10,7 +10,7 @@ import click
 
 from ..errors import ConfigError, InputError
 from .options import examples, robots, shared
-from .output import DONE, FAILED, STOPPED, answer, compile_if_cold, say
+from .output import DONE, FAILED, STOPPED, answer, compile_if_cold
 
 if TYPE_CHECKING:
     from ..deploy.ros2.settings import Node
@@ -74,7 +74,8 @@ def ros2(
     if show_example:
         from ..model.loading import load
 
-        say(example(load(robot or "platform_arm"), robot or "platform_arm"))
+        text = example(load(robot or "platform_arm"), robot or "platform_arm")
+        answer(as_json, lambda: {"toml": text}, lambda: text)
         return DONE
     if file is None:
         raise ConfigError("no SETTINGS.toml", fix="mmnn ros2 --example > robot.toml writes one to start from")

@@ -159,8 +159,8 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
 
     with progress_bar() as show, interruptible(show) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
-    look = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
-    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {look}"
+    command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
+    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
     answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, **look())}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 

@@ -80,15 +80,17 @@ class Payload(Settings, frozen=True, kw_only=True, tag="payload"):
     Args:
         mass: [kg].
         start: When [s].
+        end: When it is put down, inf for never [s].
         joint: Joint whose link carries it; empty for the last of the arm.
         at: Where, in that joint's frame [m].
 
     Raises:
-        ConfigError: A mass that is not positive, a time that is negative.
+        ConfigError: A mass that is not positive, a time that is negative, an end that is not after the start.
     """
 
     mass: float
     start: float = 0.0
+    end: float = math.inf
     joint: str = ""
     at: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -97,6 +99,9 @@ class Payload(Settings, frozen=True, kw_only=True, tag="payload"):
             raise ConfigError(f"{self.mass} kg", fix="use a finite number > 0", key="disturbances.mass")
         if not (math.isfinite(self.start) and self.start >= 0):
             raise ConfigError(f"{self.start} s", fix="use a finite time >= 0", key="disturbances.start")
+        if not self.end > self.start:
+            what = f"put down at {self.end:g} s, picked up at {self.start:g} s"
+            raise ConfigError(what, fix="end after the start", key="disturbances.end")
         if not np.all(np.isfinite(self.at)):
             raise ConfigError(f"{self.at}", fix="use finite numbers", key="disturbances.at")
 

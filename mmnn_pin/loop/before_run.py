@@ -12,7 +12,7 @@ from ..elementary.matrices import product
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.robot import Robot
-from ..settings import Settings, Timing, one_or_each, require_gains
+from ..settings import Numbers, Settings, Timing, one_or_each, require_gains
 from ..signals import Array, Dimensions, Setpoint
 
 
@@ -83,6 +83,12 @@ class Bounds(Settings, frozen=True):
 def viscous_friction(robot: Robot) -> Array:
     """Viscous friction of a robot's joints and base on nu, (p, p); Coulomb friction has none once it slides."""
     return product(robot.T.T, robot.damping[:, None] * robot.T) + np.diag(robot.viscous)
+
+
+def lags(robot: Robot, lag: Numbers) -> Array:
+    """Time constants of the motors, seen from the velocities (p,); the longest of those that move one [s]."""
+    motors = np.broadcast_to(np.asarray(lag, float), robot.dimensions.motors)
+    return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in robot.E])
 
 
 def require_nominal(nominal: Robot, robot: Robot) -> None:

@@ -27,8 +27,9 @@ from ..sensing import exact
 from ..signals import EARLY, INDEX, Array, IntArray
 from ..torque import law
 from ..torque.controller import CompiledController, ControllerState
-from ..torque.law import MotorLimits, Packed, estimate, settle
+from ..torque.law import Ahead, MotorLimits, Packed, estimate, settle
 from .hardware import Hardware, act, is_stopped, note, rotate, send, sense
+from .lead import catch_up, look_ahead
 from .sample import Plan, after_torque, before_torque
 
 NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi", "psi_hat", "torque"))
@@ -36,7 +37,7 @@ POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
 
 
 class Numbers(NamedTuple):
-    """The numbers of a run: control period, plant step, steps per control and measurement, integrator."""
+    """The numbers of a run: periods, steps per control and measurement, integrator, age of a measurement."""
 
     h: float
     dt: float
@@ -45,6 +46,7 @@ class Numbers(NamedTuple):
     method: int
     uses_model: bool
     start_energy: float
+    age: float
 
 
 class Run(NamedTuple):
@@ -106,6 +108,8 @@ class CompiledLoop:
         )
         self.counter, self.state, self.hardware = np.zeros(1, np.int64), state, hardware
         self.learner, self.limits = torque.learner, plan.context.limits
+        self.ahead = None if plan.lead is None else plan.lead.ahead
+        self.later = None if plan.lead is None else plan.lead.learner
         self.true = new_machine(plan.robot, plan.loaded, position, nu)
         uses_model = plan.controller.uses_model
         nominal = plan.believed if uses_model else plan.robot
@@ -120,6 +124,7 @@ class CompiledLoop:
                 method=METHODS[timing.integrator],
                 uses_model=uses_model,
                 start_energy=start_energy(plan.robot, self.true),
+                age=plan.age,
             ),
             at=layout.offsets,
             setpoints=plan.setpoints,
@@ -136,7 +141,8 @@ class CompiledLoop:
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`."""
-        return advance(first, last, self.run, self.true, self.nominal, self.hardware, self.learner, self.limits)
+        blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later)
+        return advance(first, last, self.run, *blocks)
 
 
 def start_energy(robot: Robot, true: Machine) -> float:
@@ -156,6 +162,8 @@ def advance(
     hardware: Hardware | None,
     learner: Any,
     limits: MotorLimits | None,
+    ahead: Ahead | None,
+    later: Any,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -168,16 +176,20 @@ def advance(
         hardware: Sensors, motors, supervisor and disturbances; None for an ideal robot.
         learner: What the controller learns with beside networks; None for nothing.
         limits: What Psi_hat is kept within; None for nothing.
+        ahead: Where Psi_hat leads; None where it does not.
+        later: The learner with its weights held, which is asked there.
     """
     n = run.numbers
     for k in range(first, last):
         time, body, energy = k * n.h, true.body, n.start_energy
         if hardware is not None and time + EARLY >= hardware.world.pick:
-            pick_up(true, hardware)
-            body, energy = true.loaded, n.start_energy + hardware.world.shift[0]
+            pick_up(time, true, hardware)
+            energy = n.start_energy + hardware.world.shift[0]
+            if hardware.world.shift[1] == 1.0:
+                body = true.loaded
         if k * n.steps % n.per_measurement == 0:
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
-        control(k, time, run, nominal, hardware, learner, limits)
+        control(k, time, run, nominal, hardware, learner, limits, ahead, later)
         bad = observe(run, body, true, energy)
         if bad >= 0:
             return bad
@@ -218,18 +230,30 @@ def control(
     hardware: Hardware | None,
     learner: Any,
     limits: MotorLimits | None,
+    ahead: Ahead | None,
+    later: Any,
 ) -> None:
     """Setpoint -> kinematic -> torque -> safety of sample k, as `sample.Control.step`."""
     n, row, at, asked = run.numbers, run.row, run.at, True
+    before = run.setpoints[max(k - 1, 0)]
+    if n.age > 0.0:
+        catch_up(row, at, run.setpoints[k], before, n.h, n.age)
     before_torque(row, at, time, run.setpoints[k], run.gains, run.K)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
     if asked:
+        if ahead is not None:
+            look_ahead(row, at, before, ahead)
+            if n.uses_model:
+                model_psi(ahead.row, at, nominal)
+            if later is not None:
+                estimate(ahead.row, at, later, run.state)
+            law.step(ahead.row, at, ahead.law, run.state, None, None)
         if n.uses_model:
             model_psi(row, at, nominal)
         if learner is not None:
             estimate(row, at, learner, run.state)
-        law.step(row, at, run.law, run.state, limits)
+        law.step(row, at, run.law, run.state, limits, ahead)
     if hardware is not None:
         send(k, time, row, at, run.state, hardware.way)
     if learner is not None and asked:
@@ -245,12 +269,14 @@ def drive(k: int, time: float, run: Run, true: Machine, hardware: Hardware) -> N
 
 
 @spliced
-def pick_up(true: Machine, hardware: Hardware) -> None:
-    """Note the energy that comes with the payload, once: it is no error of the balance."""
-    shift = hardware.world.shift
-    if shift[1] == 0.0:
-        before = energy_of(true.body, true.work, true.position, true.nu)
-        shift[0], shift[1] = energy_of(true.loaded, true.work, true.position, true.nu) - before, 1.0
+def pick_up(time: float, true: Machine, hardware: Hardware) -> None:
+    """Note the energy that comes with the payload and goes with it, once each: it is no error of the balance."""
+    shift, now = hardware.world.shift, 1.0 if time + EARLY < hardware.world.drop else 2.0
+    if shift[1] != now:
+        empty = energy_of(true.body, true.work, true.position, true.nu)
+        gain = energy_of(true.loaded, true.work, true.position, true.nu) - empty
+        shift[0] += gain if now == 1.0 else -gain if shift[1] == 1.0 else 0.0
+        shift[1] = now
 
 
 @spliced

@@ -17,11 +17,12 @@ from ..model.robot import Robot
 from ..model.tree.twin import Terms, terms_of
 from ..recording.recording import Outcome
 from ..settings import given_array
-from ..signals import Array, Layout, Measurement, Setpoint, VelocityCommand
+from ..signals import INDEX, Array, Layout, Measurement, Setpoint, VelocityCommand
 from ..torque import law
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from ..torque.law import estimate, limit, motor_limits, settle
 from ..torque.learning_law import LearningLaw, Sample, blamed, norms
+from .lead import Lead, look_ahead
 
 
 def state_from(controller: CompiledController | TorqueController, context: Context, given: Any = None) -> Any:
@@ -89,6 +90,8 @@ def with_findings(outcome: Outcome, controller: CompiledController | TorqueContr
     return replace(outcome, message="; ".join(text for text in (outcome.message, *findings) if text))
 
 
+POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
+NU_REF, NUDOT_REF, PSI_HAT = (INDEX[name] for name in ("nu_ref", "nudot_ref", "psi_hat"))
 REGRESSORS: WeakKeyDictionary[Robot, Regressor] = WeakKeyDictionary()
 
 
@@ -140,6 +143,7 @@ class Torque:
         row: The row it reads and writes.
         nominal: The robot that a controller believes in which uses a model and brings none.
         state: Its state.
+        lead: How Psi_hat looks ahead; None where it does not.
     """
 
     def __init__(
@@ -149,6 +153,7 @@ class Torque:
         row: Array,
         nominal: Robot,
         state: Any,
+        lead: Lead | None = None,
     ) -> None:
         layout = context.layout
         self.controller, self.state, self.row, self.at = controller, state, row, layout.offsets
@@ -157,11 +162,13 @@ class Torque:
         self.command = VelocityCommand.of(row, layout)
         self.torque, self.psi_hat = row[layout.where("torque")], row[layout.where("psi_hat")]
         self.gain, self.weight_norm = row[layout.where("effective_gain")], row[layout.where("weight_norm")]
+        self.lead, self.ahead = lead, None if lead is None else lead.ahead
         self.model: Terms | None = None
         self.learner: Any = None
         self.python = controller if isinstance(controller, TorqueController) else None
         if isinstance(controller, LearningLaw):
             self.layout, self.sample, self.K = layout, Sample.of(row, context), controller.feedback_gain(layout)
+            self.later = self.sample if lead is None else Sample.of(lead.ahead.row, context)
         if isinstance(controller, CompiledController):
             self.law = controller.law(context)
             self.learner = self.law.learner
@@ -170,8 +177,15 @@ class Torque:
                 self.model, self.arm_map = terms_of(believed), believed.arm_map()
                 self.position, self.nu = believed.neutral_position(), np.zeros(layout.dof)
 
-    def step(self, time: float) -> None:
-        """Write psi_hat, robust, effective_gain and torque of this sample into the row."""
+    def step(self, time: float, before: Array | None = None) -> None:
+        """Write psi_hat, robust, effective_gain and torque of this sample into the row.
+
+        Args:
+            time: [s].
+            before: The setpoint of the sample before, where Psi_hat leads.
+        """
+        if self.lead is not None and before is not None:
+            look_ahead(self.row, self.at, before, self.lead.ahead)
         if self.python is not None:
             try:
                 if isinstance(self.python, LearningLaw):
@@ -183,12 +197,23 @@ class Torque:
             except Exception as error:
                 raise blamed(error, self.python) from error
             return
+        if self.lead is not None:
+            self._psi_ahead(self.lead)
         if self.model is not None:
-            self._model_psi(self.model)
+            self._model_psi(self.model, self.row)
         if self.learner is not None:
             estimate(self.row, self.at, self.learner, self.state.values)
-        law.step(self.row, self.at, self.law.numbers, self.state.values, self.limits)
+        law.step(self.row, self.at, self.law.numbers, self.state.values, self.limits, self.ahead)
         self.keep()
+
+    def _psi_ahead(self, lead: Lead) -> None:
+        """Psi_hat of the weights as they are where the torque acts, into the row there."""
+        row, values = lead.ahead.row, self.state.values
+        if self.model is not None:
+            self._model_psi(self.model, row)
+        if lead.learner is not None:
+            estimate(row, self.at, lead.learner, values)
+        law.step(row, self.at, lead.ahead.law, values, None, None)
 
     def keep(self) -> None:
         """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""
@@ -215,6 +240,11 @@ class Torque:
 
     def _learning_law(self, time: float, controller: LearningLaw) -> None:
         """`tau = K s + Psi_hat` of a law in plain Python, and what it learns."""
+        if self.ahead is not None:
+            self.later.refresh(time + self.ahead.time)
+            self.ahead.row[self.layout.where("psi_hat")] = self._of_shape(
+                "Psi_hat", controller.estimate(self.later, self.state)
+            )
         self.sample.refresh(time)
         self.psi_hat[:] = self._of_shape("Psi_hat", controller.estimate(self.sample, self.state))
         self.gain[:] = self.K
@@ -225,9 +255,15 @@ class Torque:
 
     def _answer(self, feedback: Array) -> None:
         """The torque: a feedback (p,) and Psi_hat, this within the motors' limits where it is to be."""
+        sent = self.psi_hat
+        if self.ahead is not None:
+            sent = self.row[self.layout.where("psi_applied")]
+            law.lead(self.psi_hat, self.ahead.row[self.layout.where("psi_hat")], self.ahead.share, sent)
+            if self.limits is not None:
+                limit(sent, feedback, self.limits)
         if self.limits is not None:
             limit(self.psi_hat, feedback, self.limits)
-        self.torque[:] = feedback + self.psi_hat
+        self.torque[:] = feedback + sent
 
     def _of_shape(self, what: str, values: Any) -> Any:
         """The same, if there is one number per velocity.
@@ -242,9 +278,12 @@ class Torque:
             )
         return values
 
-    def _model_psi(self, model: Terms) -> None:
-        """Psi of the nominal model at the measured state, into psi_hat."""
-        m = self.measurement
-        as_measured(*self.arm_map, m.pose, m.velocity, m.q, m.qdot, self.position, self.nu)
+    def _model_psi(self, model: Terms, row: Array) -> None:
+        """Psi of the nominal model at the state that a row measures, into its psi_hat."""
+        at, psi_hat = self.at, row[self.at[PSI_HAT] : self.at[PSI_HAT + 1]]
+        pose, velocity = row[at[POSE] : at[POSE + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
+        q, qdot = row[at[Q] : at[Q + 1]], row[at[QDOT] : at[QDOT + 1]]
+        as_measured(*self.arm_map, pose, velocity, q, qdot, self.position, self.nu)
         model.refresh(self.position, self.nu)
-        model.refresh_psi(self.command.nu_ref, self.command.nudot_ref, self.psi_hat)
+        nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
+        model.refresh_psi(nu_ref, nudot_ref, psi_hat)

@@ -72,6 +72,8 @@ class Latency(Settings, frozen=True):
         command: Time from there to the motors [s], rounded to steps of the plant.
         jitter: Largest further delay of a command, every one by its own chance; none overtakes another [s].
         margin: Delay beyond these that a loop should bear; less is reported [s].
+        predict: Whether a measurement is brought up to now, by what the reference has moved since it was taken
+            (`loop.lead.catch_up`); it needs one at every control sample.
 
     Raises:
         ConfigError: A number that is negative or not finite.
@@ -81,6 +83,7 @@ class Latency(Settings, frozen=True):
     command: float = 0.0
     jitter: float = 0.0
     margin: float = 0.003
+    predict: bool = False
 
     def __post_init__(self) -> None:
         require_gains(self, "latency")
@@ -89,6 +92,21 @@ class Latency(Settings, frozen=True):
     def total(self) -> float:
         """All of it at its longest [s]."""
         return self.sensing + self.command + self.jitter
+
+    def caught_up(self, timing: Timing) -> float:
+        """By how much a measurement is brought up to now [s].
+
+        Raises:
+            ConfigError: There is none at some control samples, and what was brought up once is kept there.
+        """
+        if not self.predict:
+            return 0.0
+        if timing.measurement_period > timing.control_period * (1 + 1e-9):
+            why = f"the sensors measure every {timing.measurement_period:g} s, the controller acts every"
+            why += f" {timing.control_period:g} s"
+            fix = "use latency.predict = false, or a shorter time.sensor_period"
+            raise ConfigError("a measurement that is not new at every sample", why=why, fix=fix, key="latency.predict")
+        return self.sensing
 
     def measurements(self, timing: Timing) -> int:
         """Measurements by which the sensors are late.
@@ -171,8 +189,8 @@ class World(NamedTuple):
         wire: The force of a step.
         effects: In the order in which they add up.
         blocked: (k, 3) joints that are blocked: place in the position, start, end.
-        pick: When a payload is picked up, inf for never [s].
-        shift: (2,) the energy that came with it [J], and 1 once it did.
+        pick, drop: When a payload is picked up and put down, inf for never [s].
+        shift: (2,) the energy that came and went with it [J], and 1 once it came, 2 once it went.
     """
 
     pushes: bool
@@ -180,6 +198,7 @@ class World(NamedTuple):
     effects: tuple[Any, ...]
     blocked: Array
     pick: float
+    drop: float
     shift: Array
 
 

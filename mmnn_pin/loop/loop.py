@@ -35,12 +35,13 @@ from .before_run import Bounds, Start, require_first, require_nominal
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
 from .hardware import Latency
+from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop
 from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, servo_gains
-from .setup import Streams, believed_by, facts_of, new_context, new_streams
+from .setup import Streams, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
 from .suited import Given, suited
 
 Engine = CompiledLoop | OrdinaryLoop
@@ -87,6 +88,8 @@ class Loop:
         latency: How long measurements and commands are under way; gains that do not bear it are refused.
         interfaces: What motors take, by joint: "velocity" or "position", "effort" where one is not named; see `servo`.
         servo: The servos behind velocity and position interfaces.
+        lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag, see
+            `loop.lead`.
 
     >>> robot = load("platform_arm")
     >>> path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, period=4.0)})
@@ -117,6 +120,7 @@ class Loop:
     latency: Latency = field(default_factory=Latency)
     interfaces: Mapping[str, str] = field(default_factory=dict)
     servo: Servo = field(default_factory=Servo)
+    lead: bool = False
 
     def __post_init__(self) -> None:
         if self.plant not in PLANTS:
@@ -131,7 +135,7 @@ class Loop:
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
         more = self.latency.total > 0.0 or bool(self.interfaces)
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
-        return Layout.of(self.robot.dimensions, wheels, hardware)
+        return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self))
 
     @one_thread
     def run(
@@ -228,6 +232,8 @@ class Loop:
             latency=self.latency.total,
             lag=self.actuator.lag,
             servo=servo_gains(self.robot, self.interfaces, self.servo),
+            lead=new_lead(self),
+            age=self.latency.caught_up(self.timing),
         )
 
     def require_stable_gains(self) -> None:
@@ -238,6 +244,11 @@ class Loop:
         """
         if self.check_gains:
             require_stable_gains(self.plan())
+
+    @property
+    def delays(self) -> Array:
+        """How long the torque of every velocity is known to be under way, half of its hold included, (p,) [s]."""
+        return delays(self.robot, self.timing, self.latency, self.actuator.lag)
 
     def delay_margin(self) -> float:
         """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].

@@ -164,8 +164,9 @@ def world_of(loop: Setup, rng: np.random.Generator) -> World:
         why, fix = "only there is friction that holds", "use time.integrator = 'stick'"
         raise ConfigError("a blocked joint", why=why, fix=fix, key="time.integrator")
     _, load = disturbance.payload(loop.disturbances)
-    pick = math.inf if load is None else float(load.start)
-    return World(len(pushes.table) > 0, Forces(np.zeros(robot.dimensions.dof)), (pushes,), blocked, pick, np.zeros(2))
+    pick, drop = (math.inf, math.inf) if load is None else (float(load.start), float(load.end))
+    forces = Forces(np.zeros(robot.dimensions.dof))
+    return World(len(pushes.table) > 0, forces, (pushes,), blocked, pick, drop, np.zeros(2))
 
 
 def supervisor_of(loop: Setup, state: ControllerState | object, values: Array) -> Supervisor:

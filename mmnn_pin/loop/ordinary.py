@@ -59,7 +59,7 @@ class OrdinaryLoop:
         self.counter = np.zeros(1, np.int64)
         self.plant = plant_of(plan)
         self.plant.start(position, nu)
-        self.y, self.loaded = self.plant.y, plan.loaded
+        self.y = self.plant.y
         self.control = Control(plan, self.row, state, hardware)
         self.arm, self.E_inv, self.start_energy = plan.robot.arm_index, plan.E_inv, self.energy()
         names = ("torque", "nu_ref", "nudot_ref", "psi")
@@ -77,7 +77,7 @@ class OrdinaryLoop:
             began, time = clock.perf_counter(), k * timing.control_period
             self.pick_up(time)
             self.measure(k * timing.steps_per_control)
-            self.control.step(time, self.plan.setpoints[k], k)
+            self.control.step(time, self.plan.setpoints[k], k, self.plan.setpoints[max(k - 1, 0)])
             step_time = clock.perf_counter() - began
             bad = self.observe()
             if bad >= 0:
@@ -136,16 +136,18 @@ class OrdinaryLoop:
         plant.step(hardware.tau, world.wire.force)
 
     def pick_up(self, time: float) -> None:
-        """Carry the payload once its time has come; what energy comes with it is no error of the balance."""
-        hardware = self.hardware
-        if self.loaded is None or hardware is None or time + EARLY < hardware.world.pick:
+        """Carry the payload from its time to its end; what energy comes and goes is no error of the balance."""
+        loaded, hardware = self.plan.loaded, self.hardware
+        if loaded is None or hardware is None or time + EARLY < hardware.world.pick:
             return
-        before = self.energy()
-        self.plant.carry(self.loaded)
-        self.loaded = None
-        shift = hardware.world.shift
-        if shift[1] == 0.0:
-            shift[0], shift[1] = self.energy() - before, 1.0
+        shift, now = hardware.world.shift, 1.0 if time + EARLY < hardware.world.drop else 2.0
+        if shift[1] != now:
+            before, carries = self.energy(), shift[1] == 1.0
+            if now == 1.0 or carries:
+                self.plant.carry(loaded if now == 1.0 else self.plan.robot)
+                gain = self.energy() - before if now == 1.0 else before - self.energy()
+                shift[0] += gain if now == 1.0 else -gain
+            shift[1] = now
 
     def energy(self) -> float:
         """Kinetic and potential energy at the plant's state [J]."""

@@ -58,7 +58,7 @@ def control_blocks() -> None:
     moves_sideways(layout.base)
     prepare(exact, row, at, y[:nv], nu, arm)
     prepare(before_torque, row, at, 0.0, setpoint, np.ones(3), np.ones(1))
-    prepare(law.step, row, at, numbers, state.values, None)
+    prepare(law.step, row, at, numbers, state.values, None, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
     joints = Joints(T, v.copy(), np.zeros((nv, 3)), nu, 2)

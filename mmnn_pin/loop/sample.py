@@ -24,6 +24,7 @@ from ..signals import INDEX, Array, IntArray, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from .controller import Torque
 from .hardware import Hardware, is_stopped, send
+from .lead import Lead, catch_up
 from .servo import answered, ask
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
@@ -133,6 +134,8 @@ class Plan:
         latency: Known delay between measurement and torque, for the check of the gains [s].
         lag: Time constant of the motors, one number or one per motor, for the same [s].
         servo: (p,) gains on s that the servos of velocity interfaces amount to, for the same; None without any.
+        lead: How Psi_hat looks ahead to where the torque acts; None where it does not.
+        age: By how much measurements are brought up to now [s].
     """
 
     robot: Robot
@@ -151,6 +154,8 @@ class Plan:
     latency: float = 0.0
     lag: float | tuple[float, ...] = 0.0
     servo: Array | None = None
+    lead: Lead | None = None
+    age: float = 0.0
 
     @property
     def E_inv(self) -> Array:
@@ -170,18 +175,21 @@ class Control:
 
     def __init__(self, plan: Plan, row: Array, state: Any, hardware: Hardware | None) -> None:
         self.row, self.at, self.hardware = row, plan.layout.offsets, hardware
-        self.gains, self.K = plan.gains, plan.K
-        self.torque = Torque(plan.controller, plan.context, row, plan.believed, state)
+        self.gains, self.K, self.age, self.period = plan.gains, plan.K, plan.age, plan.timing.control_period
+        self.torque = Torque(plan.controller, plan.context, row, plan.believed, state, plan.lead)
         self.weights = state.values if isinstance(state, ControllerState) else np.zeros(0)
 
-    def step(self, time: float, setpoint: Array, k: int = 0) -> None:
+    def step(self, time: float, setpoint: Array, k: int = 0, before: Array | None = None) -> None:
         """Write everything of a control sample up to the torque into the row, which has the measurement.
 
         Args:
             time: [s].
             setpoint: The signals `pose_ref` ... `qddot_ref` side by side.
             k: Number of the sample, where commands may get lost on their way.
+            before: The setpoint of the sample before, from which Psi_hat may lead; None for the same one.
         """
+        if self.age > 0.0:
+            catch_up(self.row, self.at, setpoint, setpoint if before is None else before, self.period, self.age)
         before_torque(self.row, self.at, time, setpoint, self.gains, self.K)
         hardware = self.hardware
         asked = hardware is None or not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
@@ -189,7 +197,7 @@ class Control:
         if split is not None and asked:
             ask(self.row, self.at, split)
         if asked:
-            self.torque.step(time)
+            self.torque.step(time, setpoint if before is None else before)
         if split is not None:
             answered(self.row, self.at, not asked, split)
         if hardware is not None:

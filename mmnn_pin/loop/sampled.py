@@ -23,13 +23,11 @@ from ..compiled import one_thread
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
-from ..model.robot import Robot
-from ..settings import Numbers
 from ..signals import Array, Setpoint
 from ..torque.classical import Gravity, Integrator
 from ..torque.controller import CompiledController
 from ..torque.learning_law import LearningLaw
-from .before_run import Start, viscous_friction
+from .before_run import Start, lags, viscous_friction
 from .sample import Plan
 
 TOLERANCE = 1e-9
@@ -201,12 +199,6 @@ def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h
         fix="lower the gains, or shorten the control or sensor period",
         key="feedback",
     )
-
-
-def lags(robot: Robot, lag: Numbers) -> Array:
-    """Time constants of the motors, seen from the velocities (p,); the longest of those that move one [s]."""
-    motors = np.broadcast_to(np.asarray(lag, float), robot.dimensions.motors)
-    return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in robot.E])
 
 
 def linearised(plan: Plan, places: int) -> list[HeldLoop | None]:

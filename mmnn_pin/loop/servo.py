@@ -40,7 +40,7 @@ from .before_run import viscous_friction
 EFFORT, VELOCITY, POSITION = "effort", "velocity", "position"
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
 MEASURED_BASE, MEASURED_ARM = INDEX["velocity"], INDEX["qdot"]
-PSI_HAT, TORQUE, Q = INDEX["psi_hat"], INDEX["torque"], INDEX["q"]
+PSI_HAT, PSI_APPLIED, TORQUE, Q = (INDEX[name] for name in ("psi_hat", "psi_applied", "torque", "q"))
 BRAKING = 2.0  # of a stop [m/s^2, rad/s^2]
 TUNED = 2.0  # times viscous friction that a servo's gain has beside its bandwidth
 
@@ -189,6 +189,8 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     for i in range(split.on.size):
         if split.on[i] > 0.0:
             row[at[TORQUE] + i], row[at[PSI_HAT] + i] = 0.0, 0.0
+            if at[PSI_APPLIED + 1] > at[PSI_APPLIED]:
+                row[at[PSI_APPLIED] + i] = 0.0
             if not stopped:
                 row[at[Z] + i if i < nb else at[R] + i - nb] = split.kept[i]
             else:

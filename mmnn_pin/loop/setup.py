@@ -19,12 +19,13 @@ from ..kinematic import Kinematic
 from ..model.robot import Robot
 from ..safety import Safety
 from ..sensing import Sensor
-from ..settings import Timing, plain
-from ..signals import Layout
+from ..settings import Numbers, Timing, plain
+from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
 from .controller import context_of
 from .hardware import Latency
+from .lead import Lead, delays, lead_of, leads
 from .servo import Servo
 
 Streams = tuple[np.random.Generator, np.random.Generator, np.random.Generator]
@@ -89,6 +90,14 @@ class Setup(Protocol):
     def servo(self) -> Servo:
         """What is known of the servos of velocity interfaces."""
 
+    @property
+    def lead(self) -> bool:
+        """Whether Psi_hat leads."""
+
+    @property
+    def delays(self) -> Array:
+        """How long the torque of every velocity is known to be under way, half of its hold included, (p,) [s]."""
+
     def streams(self) -> Streams:
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
@@ -101,6 +110,20 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
     period = setup.timing.control_period
     return context_of(setup.controller, setup.robot, period, samples, rng, within_limits, setup.layout)
+
+
+def lead_signals(setup: Setup) -> int:
+    """1 where the rows of a setup have what is sent of Psi_hat beside it, else 0."""
+    return int(setup.lead and leads(setup.controller))
+
+
+def new_lead(setup: Setup) -> Lead | None:
+    """How the controller of a setup looks ahead; None where it does not. Errors as of `lead_of`."""
+    if not setup.layout.lead:
+        return None
+    return lead_of(
+        setup.controller, setup.context(), setup.delays, setup.latency.sensing - setup.latency.caught_up(setup.timing)
+    )
 
 
 def new_streams(seed: int) -> Streams:
@@ -127,6 +150,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {} if setup.actuator.perfect else {"actuator": plain(setup.actuator)}
     hardware |= {} if setup.latency == Latency() else {"latency": plain(setup.latency)}
     hardware |= {"interfaces": dict(setup.interfaces), "servo": plain(setup.servo)} if setup.interfaces else {}
+    hardware |= {"lead": setup.delays.tolist()} if setup.layout.lead else {}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -134,7 +158,7 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Outside:
-    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`."""
+    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`, its latency being `way`."""
 
     robot: Robot
     controller: CompiledController | TorqueController
@@ -151,11 +175,19 @@ class Outside:
     latency: Latency = field(default_factory=Latency)
     interfaces: Mapping[str, str] = field(default_factory=dict)
     servo: Servo = field(default_factory=Servo)
+    lead: bool = False
+    way: float = 0.0
+    lag: Numbers = 0.0
 
     @cached_property
     def layout(self) -> Layout:
         """Where the signals stand in a row."""
-        return Layout.of(self.robot.dimensions, 0, 1)
+        return Layout.of(self.robot.dimensions, 0, 1, lead_signals(self))
+
+    @property
+    def delays(self) -> Array:
+        """See `Setup.delays`."""
+        return delays(self.robot, self.timing, Latency(command=self.way), self.lag)
 
     def streams(self) -> Streams:
         """Random generators that nothing draws from."""

@@ -31,7 +31,7 @@ from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
 from ..safety.supervisor import GOOD, HEARD
-from ..settings import Timing, require_gain
+from ..settings import Numbers, Timing, require_gain
 from ..signals import SIGNALS, Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
@@ -42,7 +42,7 @@ from .new_hardware import new_hardware
 from .sample import Control, Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, interfaces_of, servo_gains
-from .setup import Outside, believed_by, facts_of
+from .setup import Outside, believed_by, facts_of, new_lead
 from .suited import MARGIN, Given, postures, suited
 
 # What only a simulated plant knows; a recording from outside does not have these signals.
@@ -99,6 +99,8 @@ class Stepper:
         seed: Of what a controller draws.
         within_limits: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
+        lag: Known time constants of the motors, one number or one per motor [s], likewise.
+        lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
         servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
@@ -144,6 +146,8 @@ class Stepper:
         seed: int = 0,
         within_limits: bool | None = None,
         latency: float = 0.0,
+        lag: Numbers = 0.0,
+        lead: bool = False,
         interfaces: Mapping[str, str] | None = None,
         servo: Servo = Servo(),  # noqa: B008
         check_gains: bool = True,
@@ -159,10 +163,10 @@ class Stepper:
         require_gain(setpoint_timeout, "setpoint_timeout")
         timing = Timing(duration=period, control_period=period, plant_step=period)
         require_gain(latency, "latency")
-        controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN))
+        controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN, lag))
         setup = Outside(
             robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
-            interfaces=dict(interfaces or {}), servo=servo,
+            interfaces=dict(interfaces or {}), servo=servo, lead=lead, way=latency, lag=lag,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
@@ -177,7 +181,7 @@ class Stepper:
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time = -math.inf, -1, 0.0
         self.every, self.weighed = max(1, round(weights_interval / period)), -1
-        self.told = list[str]()
+        self.told, self.before = list[str](), self.follower.now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
         facts = facts_of(setup, seed) | {"loop": "outside"}
@@ -200,6 +204,7 @@ class Stepper:
         said |= {"nominal": loop.nominal, "seed": loop.seed, "within_limits": loop.within_limits}
         said |= {"check_gains": loop.check_gains, "weights_interval": loop.weights_interval}
         said |= {"latency": loop.latency.total, "interfaces": loop.interfaces, "servo": loop.servo}
+        said |= {"lag": loop.actuator.lag, "lead": loop.lead}
         return cls(loop.robot, loop.controller, **(said | more))
 
     def step(
@@ -239,7 +244,8 @@ class Stepper:
         if not self.follower.stands and self.hardware.way.supervisor.state[GOOD] > 0.0:
             self.follower.stand(self.received)
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
-        self.control.step(time, self.follower.now)
+        self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
+        self.before[:] = self.follower.now
         self._command()
         self.time, self.k = time, self.k + 1
         self.step_time = perf_counter() - began
@@ -305,7 +311,8 @@ class Stepper:
         kinematic = kinematic or self.setup.kinematic
         made = self.setup.controller
         if controller is not None:
-            made = suited(controller, self.robot, lambda: Given(kinematic, self.period, self.latency + MARGIN))
+            lag, delay = self.setup.lag, self.latency + MARGIN
+            made = suited(controller, self.robot, lambda: Given(kinematic, self.period, delay, lag))
         setup = replace(self.setup, controller=made, kinematic=kinematic)
         self._equip(setup, state_from(made, setup.context(), self.state), self.hardware.state)
 
@@ -384,7 +391,7 @@ class Stepper:
         bounds, context = np.full(layout.dof, np.inf), setup.context()
         plan = Plan(robot, layout, setup.timing, setup.controller, context, believed, gains, K, bounds, places)
         servo = servo_gains(robot, setup.interfaces, setup.servo)
-        plan = replace(plan, latency=self.latency, servo=servo)
+        plan = replace(plan, latency=self.latency, lag=setup.lag, servo=servo, lead=new_lead(setup))
         if self.check_gains:
             require_stable_gains(plan)
         hardware = new_hardware(setup, np.zeros(layout.dof), state, hardware_state)

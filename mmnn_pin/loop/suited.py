@@ -32,8 +32,8 @@ from ..settings import Numbers, Timing
 from ..signals import Array, Dimensions, Setpoint
 from ..torque.controller import Feedback
 from ..torque.neural import Neural, Robust
-from .before_run import Start, viscous_friction
-from .sampled import held_loop, lags, margin_at
+from .before_run import Start, lags, viscous_friction
+from .sampled import held_loop, margin_at
 
 MARGIN = 0.003  # delay that default gains bear, beside the delay that is known [s]
 ROOM = 1.2  # times the gains: what a learner adds to them at first

@@ -253,7 +253,7 @@ def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:
     for name, kind, *_ in SIGNALS:
         if size := layout.where(name).stop - layout.where(name).start:
             own = (name,) if size == 1 else tuple(f"{name}[{i}]" for i in range(size))
-            columns[name] = Columns(layout.unit(name), labels.get(kind.removeprefix("rig "), own))
+            columns[name] = Columns(layout.unit(name), labels.get(kind.split()[-1], own))
     return columns
 
 

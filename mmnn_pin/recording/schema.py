@@ -16,7 +16,7 @@ from ..settings import shortly, wrong_type
 from ..signals import SIGNALS, Array
 from .run_file import Columns
 
-KIND = {name: (kind.removeprefix("rig "), base, arm) for name, kind, base, arm in SIGNALS}
+KIND = {name: (kind.split()[-1], base, arm) for name, kind, base, arm in SIGNALS}
 MOST_TEXT, DEEPEST = 1000, 32  # letters of a name, levels of a value
 
 

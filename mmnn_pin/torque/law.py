@@ -1,7 +1,8 @@
 """One control sample of every compiled controller: what is learned, and the torque, within what the motors can give.
 
     estimate(row, at, learner, state)       Psi_hat and its learning: the code of the learner's own module
-    step(row, at, numbers, state, limits)   tau = (K + Kz (|Z| + ZB)) s + Psi_hat    (3.39), (3.50),   s = [z; r]
+    step(row, at, numbers, state, limits, ahead)
+                                            tau = (K + Kz (|Z| + ZB)) s + Psi_hat    (3.39), (3.50),   s = [z; r]
     settle(row, at, learner, state)         the torque that is held from here on, to be looked back at
 
 The ordinary loop, the compiled loop and the batch call these three. They read and write the row of signals `row`, in
@@ -29,6 +30,7 @@ from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
 from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update
 
 Z, R, PSI_HAT, ROBUST = INDEX["z"], INDEX["r"], INDEX["psi_hat"], INDEX["robust"]
+PSI_APPLIED = INDEX["psi_applied"]
 EFFECTIVE_GAIN, TORQUE, WEIGHT_NORM = INDEX["effective_gain"], INDEX["torque"], INDEX["weight_norm"]
 
 CONSTANT_GAIN, SCHEDULED_GAIN = 0, 1  # kinds of law, beside those of the networks
@@ -69,6 +71,26 @@ class Packed(NamedTuple):
 
     sizes: IntArray
     settings: Array
+
+
+class Ahead(NamedTuple):
+    """Where the torque acts, ahead of its sample (`loop.lead`).
+
+    Attributes:
+        time: How far, for the velocity that waits longest [s].
+        age: Of a measurement when it is used [s].
+        h: Control period [s].
+        share: (p,) how far for every velocity, over `time`.
+        row: (width,) the row of signals there, with Psi_hat.
+        law: The numbers of the law with its weights held.
+    """
+
+    time: float
+    age: float
+    h: float
+    share: Array
+    row: Array
+    law: Packed
 
 
 class Networks(NamedTuple):
@@ -164,16 +186,17 @@ def nothing_to_keep(row: Array, at: IntArray, learner: Any, state: Array) -> Non
 
 
 @compiled
-def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimits | None) -> None:
+def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimits | None, ahead: Ahead | None) -> None:
     """Torque of one sample, and the update of the networks' weights.
 
     Args:
-        row: (width,) row of signals. psi_hat holds what a learner or a model has written there; psi_hat, robust,
-            effective_gain, torque and the norms of the networks' weights are written.
+        row: (width,) row of signals. psi_hat holds what a learner or a model has written there; psi_hat, psi_applied,
+            robust, effective_gain, torque and the norms of the networks' weights are written.
         at: Offsets of the signals.
         law: The numbers of the law.
         state: The controller's state, updated in place.
         limits: What robust term and Psi_hat are kept within; None for nothing, and then nothing is compiled for it.
+        ahead: Where Psi_hat leads, with its row; None where it does not, likewise.
     """
     gain, psi_hat, robust, torque = (
         row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]],
@@ -201,12 +224,28 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
         torque[i] = gain[i] * s
         if kind >= TWO_LAYER:
             robust[i] = (gain[i] - K[i]) * s
-    if limits is not None:
-        if kind >= TWO_LAYER:
-            soften(gain, K, robust, torque, limits)
-        limit(psi_hat, torque, limits)
-    for i in range(torque.size):
-        torque[i] += psi_hat[i]
+    if limits is not None and kind >= TWO_LAYER:
+        soften(gain, K, robust, torque, limits)
+    if ahead is not None:
+        applied = row[at[PSI_APPLIED] : at[PSI_APPLIED + 1]]
+        lead(psi_hat, ahead.row[at[PSI_HAT] : at[PSI_HAT + 1]], ahead.share, applied)
+        if limits is not None:
+            limit(applied, torque, limits)
+            limit(psi_hat, torque, limits)
+        for i in range(torque.size):
+            torque[i] += applied[i]
+    else:
+        if limits is not None:
+            limit(psi_hat, torque, limits)
+        for i in range(torque.size):
+            torque[i] += psi_hat[i]
+
+
+@compiled
+def lead(psi_hat: Array, later: Array, share: Array, applied: Array) -> None:
+    """Psi_hat as of the time in which the torque acts, from that of the sample and one later, into applied (p,)."""
+    for i in range(applied.size):
+        applied[i] = psi_hat[i] + share[i] * (later[i] - psi_hat[i])
 
 
 @compiled

@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from mmnn_pin.lab.contest.standing import Standing
+from mmnn_pin.lab.contest.standing import THESIS, Standing, held_out
 from mmnn_pin.lab.contest.task import held_out_torque, tasks_of
 from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
 from mmnn_pin.lab.show.table import number
@@ -58,6 +58,8 @@ def summed(standing: Standing) -> dict[str, Any]:
     return {
         "tasks": {task: about(standing, task) | {"held_out": held_out[task]} for task in standing.tasks},
         "targets": [target.to_dict() for target in standing.targets()],
+        "axes": best_axes(standing),
+        "margins": margins(standing),
         "seeds": standing.contest.seeds,
         "learned": standing.contest.learned,
         "window": standing.contest.window,
@@ -65,6 +67,23 @@ def summed(standing: Standing) -> dict[str, Any]:
         "told": {name: standing.contest.knowledge_of(name) for name in standing.controllers},
         "poor": findings(standing, standing.contest.targets.poor),
     }
+
+
+def best_axes(standing: Standing) -> dict[str, Any]:
+    """The best learner against the thesis's law on the ordinary task: who, and the ratio of errors on every axis."""
+    task = standing.contest.targets.task
+    best = next((one.by for one in standing.targets() if one.about.startswith(THESIS) and "learning" in one.about), "")
+    thesis, other = (held_out(standing.of(task, name), "learning") for name in (THESIS, best))
+    return {"by": best, "ratios": {axis: thesis[axis] / other[axis] for axis in thesis if other.get(axis)}}
+
+
+def margins(standing: Standing) -> dict[str, float]:
+    """Delay margin of every task's loop with the feedback inside Psi, beside the task's own latency [s]."""
+    found = {}
+    for task in tasks_of(standing.experiment, ("computed_torque",)):
+        loop = task.training(task.controller("computed_torque"), task.seeds[0])
+        found[task.name] = loop.delay_margin() - loop.latency.total
+    return found
 
 
 def about(standing: Standing, task: str) -> dict[str, Any]:

@@ -177,12 +177,30 @@ def test_after_it_was_picked_up_the_run_is_that_of_the_heavier_robot():
     np.testing.assert_allclose(run["psi"][k:], rest["psi"], atol=1e-8)
 
 
-def test_picking_something_up_is_no_error_of_the_energy_balance():
+@pytest.mark.parametrize("engine", ["compiled", "ordinary"])
+def test_once_it_was_put_down_the_run_is_that_of_the_robot_without_it(engine):
+    load = Payload(mass=2.0, start=0.02, end=0.06, at=(0.3, 0.1, 0.0))
+    run, k = replace(loop_of(load), engine=engine).run(), round(load.end / H)
+    rest = loop_of().run(plant_state=(run["position"][k], run["nu"][k]), first=k)
+    for name in ("position", "nu", "torque", "psi"):
+        np.testing.assert_allclose(run[name][k:], rest[name], atol=1e-8)
+    assert np.abs(run["nu"][k] - run_of(duration=0.1)["nu"][k]).max() > 1e-3
+
+
+@pytest.mark.parametrize("end", [float("inf"), 0.08])
+def test_picking_something_up_and_putting_it_down_is_no_error_of_the_energy_balance(end):
     robot = heavy_arm()
     still = Trajectory(None, (Hold(0.3), Hold(0.2)))
-    run = run_of(Payload(mass=2.0, start=0.05), robot=robot, trajectory=still, controller=PD(Feedback(arm=10.0)))
-    jump = np.abs(np.diff(run["energy"])).max()
-    assert jump > 1.0 and np.abs(run["energy_residual"]).max() < 1e-6 * jump
+    load = Payload(mass=2.0, start=0.05, end=end)
+    run = run_of(load, robot=robot, trajectory=still, controller=PD(Feedback(arm=10.0)))
+    jumps = np.abs(np.diff(run["energy"]))
+    assert (jumps > 1.0).sum() == (1 if end > 1.0 else 2)
+    assert np.abs(run["energy_residual"]).max() < 1e-6 * jumps.max()
+
+
+def test_what_is_put_down_before_it_is_picked_up_is_refused():
+    with pytest.raises(ConfigError, match=r"disturbances.end: error: put down at 1 s, picked up at 2 s"):
+        Payload(mass=1.0, start=2.0, end=1.0)
 
 
 def test_a_base_without_an_arm_can_be_loaded_too():

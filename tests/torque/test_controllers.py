@@ -64,7 +64,7 @@ class Bench:
         self.row[:] = np.random.default_rng(seed).uniform(-1, 1, self.row.size)
         for name, value in signals.items():
             self.row[self.layout.where(name)] = value
-        law.step(self.row, self.layout.offsets, self.law.numbers, self.state.values, None)
+        law.step(self.row, self.layout.offsets, self.law.numbers, self.state.values, None, None)
         return self
 
     def __getitem__(self, name: str) -> Array:

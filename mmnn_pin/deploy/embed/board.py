@@ -47,6 +47,7 @@ class Board(NamedTuple):
         timeout: Age of a setpoint that has to be renewed at which it holds [s].
         command: (motors,) torques that reach the motors.
         motor_torque: (motors,) the same in the row.
+        before: (w,) the setpoint of the sample before, from which Psi_hat leads.
         split: The rows that take a velocity; None where all take effort.
         to_motors: (motors, p) velocities of the motors from nu.
         motor_velocity: (motors,) commanded velocities [rad/s or m/s].
@@ -65,6 +66,7 @@ class Board(NamedTuple):
     timeout: float
     command: Array
     motor_torque: Array
+    before: Array
     split: Split | None
     to_motors: Array
     motor_velocity: Array
@@ -96,6 +98,7 @@ def board_of(stepper: Stepper) -> Board:
         timeout=stepper.follower.timeout,
         command=hardware.way.totals.command,
         motor_torque=stepper.motor_torque,
+        before=stepper.before,
         split=hardware.split,
         to_motors=stepper.to_motors,
         motor_velocity=np.zeros(len(stepper.to_motors)),
@@ -124,7 +127,12 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
         clock[STANDS] = 1.0
     follow(b, time, wish)
     advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
-    b.control.step(time, b.guide.now)
+    if clock[STEPPED] == 0.0:
+        for i in range(b.before.size):
+            b.before[i] = b.guide.now[i]
+    b.control.step(time, b.guide.now, 0, b.before)
+    for i in range(b.before.size):
+        b.before[i] = b.guide.now[i]
     for j in range(b.motor_torque.size):
         b.motor_torque[j] = b.command[j]
     if b.split is not None:

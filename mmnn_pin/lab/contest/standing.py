@@ -15,10 +15,12 @@ from ..experiments.contest import Contest
 from ..experiments.controllers import ORACLES
 from ..experiments.experiment import Experiment
 from .task import Demand
-from .trial import Trial, TrialResult, as_json, middle, nan
+from .trial import Number, Trial, TrialResult, arm_of, as_json, base_of, middle, nan
 
 BASELINE = "pd"
-FIXED = (BASELINE, "pd_gravity", "pid", "nominal")  # they learn nothing of Psi
+GRAVITY = "pd_gravity"
+FIXED = (BASELINE, GRAVITY, "pid", "disturbance_observer", "nominal")  # what an engineer has without learning Psi
+WAYS = ("learning", "frozen")
 THESIS, ORACLE = "two_layer", "computed_torque"
 PRIOR = {
     "kinematics": "knows the kinematics, not masses and friction",
@@ -160,7 +162,7 @@ class Target:
     Attributes:
         about: What is asked, in words.
         limit: The number that is asked for.
-        reached: The number that was reached; None where nobody could be judged.
+        reached: The number that was reached, inf where a run was lost; None where nobody could be judged.
         by: Who reached it.
         met: Whether that is enough.
     """
@@ -173,7 +175,7 @@ class Target:
 
     def to_dict(self) -> dict[str, Any]:
         """The target for JSON."""
-        return asdict(self)
+        return asdict(self) | {"reached": None if self.reached is None else finite(self.reached)}
 
 
 def targets(contest: Contest, learners: tuple[str, ...], tasks: Iterable[str], of: Results) -> list[Target]:
@@ -191,37 +193,29 @@ def targets(contest: Contest, learners: tuple[str, ...], tasks: Iterable[str], o
     for prior, limit in asked.frozen_fvu.items():
         names = [name for name in learners if contest.knowledge_of(name) == prior]
         found += [lowest_fvu(names, task, PRIOR[prior], limit, of) for task in (asked.task, asked.rich) if task]
-    for law, about in ((asked.printed, "as printed"), (asked.task, "tuned as the others")):
-        for how in ("learning", "frozen") if law else ():
-            thesis = held_out(of(law, THESIS), how)
-            found.append(better(learners, asked.task, thesis, f"{about}, {how}", asked.better, of, how))
+    found += [better(learners, asked.task, asked.better, of, how) for how in WAYS]
     knowing = [name for name in learners if contest.knowledge_of(name) == "kinematics"]
-    found += [near(knowing, asked.task, how, asked.near, of) for how in ("learning", "frozen")]
+    found += [near(knowing, asked.task, how, asked.near, of) for how in WAYS]
+    found += oracle(asked.task, asked.oracle, of)
     if asked.poor:
-        bounded = f"after '{asked.poor}', in training and held out, bounded"
-        found.append(everyone(bounded, learners, asked.poor, of, lambda row: row.survived))
+        found += [bounded(learners, asked.poor, how, asked.bounded, of) for how in WAYS]
         silent = f"after '{asked.poor}' say that they were not excited"
         found.append(everyone(silent, learners, asked.poor, of, lambda row: row.not_excited))
-    judged = [task for task in (asked.task, asked.rich, asked.poor) if task]
-    return [
-        *found,
-        kick(learners, judged, ", ".join(judged), asked.kick, of),
-        kick(learners, tasks, "any task", asked.kick, of),
-    ]
+    found.append(kick(learners, [task for task in tasks if of(task, ORACLE)], asked.kick, of))
+    return [*found, *everywhere((*FIXED, *learners), learners, tasks, asked.first, of)]
 
 
 def lowest_fvu(names: Iterable[str], task: str, words: str, limit: float, of: Results) -> Target:
-    """Lowest frozen FVU of some learners."""
-    values = {name: middle([nan(row.frozen_fvu) for row in of(task, name)]) for name in names}
+    """Lowest frozen FVU of some learners; of each its worst component counts."""
+    values = {name: middle([nan(row.frozen_worst) for row in of(task, name)]) for name in names}
     return best_of(f"frozen FVU after '{task}', {words}", limit, values)
 
 
-def better(
-    names: Iterable[str], task: str, thesis: dict[str, float], words: str, limit: float, of: Results, how: str
-) -> Target:
+def better(names: Iterable[str], task: str, limit: float, of: Results, how: str) -> Target:
     """Best learner against the thesis's errors, on every axis of every held-out trajectory."""
+    thesis = held_out(of(task, THESIS), how)
     values = {name: least_ratio(thesis, held_out(of(task, name), how)) for name in names if name != THESIS}
-    about = f"{THESIS}'s error over that of the best learner, {words}, held out, worst axis"
+    about = f"{THESIS}'s error over that of the best learner, tuned alike, {how}, held out, worst axis"
     return best_of(about, limit, values, largest=True)
 
 
@@ -233,12 +227,91 @@ def near(names: Iterable[str], task: str, how: str, limit: float, of: Results) -
     return best_of(f"{PRIOR['kinematics']}: error over {ORACLE}'s, {how}, held out, worst axis", limit, values)
 
 
-def kick(names: Iterable[str], tasks: Iterable[str], where: str, limit: float, of: Results) -> Target:
-    """Largest torque of the start on some tasks, over the limits of the motors."""
-    values = {f"{name} on {task}": nan(row.kick) for task in tasks for name in names for row in of(task, name)}
+def oracle(task: str, limits: tuple[float, float], of: Results) -> list[Target]:
+    """Held-out errors of the oracle, over all trajectories: what a model gives that is right."""
+    found, rows = [], of(task, ORACLE)
+    for part, unit, limit, of_axes in (("base", "mm", limits[0], base_of), ("arm", "mrad", limits[1], arm_of)):
+        value = {ORACLE: 1e3 * middle([over_all(row, "learning", of_axes) for row in rows])}
+        found.append(best_of(f"{ORACLE}'s error of the {part} on '{task}', held out [{unit}]", 1e3 * limit, value))
+    return found
+
+
+def bounded(names: Iterable[str], task: str, how: str, limit: float, of: Results) -> Target:
+    """Worst learner against PD, on every axis of every held-out trajectory; a lost run has no bound."""
+    pd = held_out(of(task, BASELINE), "learning")
+    least = {name: least_ratio(pd, held_out(of(task, name), how)) for name in names}
+    values = {name: 1 / value if value > 0 else math.inf for name, value in least.items() if not math.isnan(value)}
+    return worst_of(f"after '{task}' any learner's error over PD's, {how}, held out, worst axis", limit, values)
+
+
+def kick(names: Iterable[str], tasks: Iterable[str], limit: float, of: Results) -> Target:
+    """Largest torque of the start of any learner over the oracle's, medians; the motors' limits do not bound it."""
+    values = {}
+    for task in tasks:
+        least = middle([nan(row.kick) for row in of(task, ORACLE)])
+        for name in names:
+            own = middle([nan(row.kick) for row in of(task, name)])
+            if least > 0 and not math.isnan(own):
+                values[f"{name} on {task}"] = own / least
+    return worst_of(f"largest torque of the start over {ORACLE}'s, any learner, any task", limit, values)
+
+
+def everywhere(
+    names: Iterable[str], learners: Iterable[str], tasks: Iterable[str], limit: float, of: Results
+) -> list[Target]:
+    """One learner for all tasks: how far it is from the least error in each, and whether PD with gravity beats it.
+
+    The error of a task is that of base and of arm in training and held out, and the largest of the four ratios counts;
+    controllers that run in a task by themselves are not compared there.
+    """
+    far, worse = dict.fromkeys(learners, 0.0), dict.fromkeys(learners, 0.0)
+    for task in tasks:
+        errors = {name: task_errors(of(task, name)) for name in names}
+        errors = {name: found for name, found in errors.items() if found}
+        if GRAVITY not in errors:
+            continue
+        least = [min(column) for column in zip(*errors.values(), strict=True)]
+        for name in [one for one in far if one in errors]:
+            far[name] = max(far[name], *ratios(errors[name], least))
+            worse[name] = max(worse[name], *ratios(errors[name], errors[GRAVITY]))
+    ran = {name: far[name] for name in far if far[name] > 0.0}
+    return [
+        best_of("one learner's error over the least of all without the truth, worst task", limit, ran),
+        best_of(f"one learner's error over {GRAVITY}'s, worst task", 1.0, {name: worse[name] for name in ran}),
+    ]
+
+
+def task_errors(rows: list[TrialResult]) -> list[float]:
+    """Median errors of base and arm, in training and held out; inf for what was lost, nothing without rows."""
+    if not rows:
+        return []
+    found = []
+    for of_axes in (base_of, arm_of):
+        trained = [of_axes(row.rms) if row.completed else math.inf for row in rows]
+        tracked = [over_all(row, "learning", of_axes) if row.completed else math.inf for row in rows]
+        found += [math.inf if any(map(math.isinf, each)) else middle(each) for each in (trained, tracked)]
+    return found
+
+
+def ratios(errors: list[float], others: list[float]) -> list[float]:
+    """Error over error where both have one; a lost run is infinitely far from one that was not."""
+    pairs = [(a, b) for a, b in zip(errors, others, strict=True) if not math.isnan(a) and b > 0]
+    return [1.0 if math.isinf(a) and math.isinf(b) else a / b for a, b in pairs] or [0.0]
+
+
+def over_all(row: TrialResult, how: str, of_axes: Callable[[dict[str, Number]], float]) -> float:
+    """Root of the mean square error over all held-out trajectories; inf where one was lost, nan where none was run."""
+    tracked = [ways[how] for ways in row.held_out.values() if how in ways]
+    if any(one.outcome != "completed" for one in tracked):
+        return math.inf
+    return math.sqrt(sum(of_axes(one.rms) ** 2 for one in tracked) / len(tracked)) if tracked else math.nan
+
+
+def worst_of(about: str, limit: float, values: dict[str, float]) -> Target:
+    """Target that the largest number has to meet from below."""
     worst = max(values, key=values.__getitem__, default="")
-    about = f"largest torque of the start over the motors' limits, any learner, on {where}: at most {limit:g}"
-    return Target(about, limit, values.get(worst), worst, bool(values) and values[worst] <= limit)
+    met = bool(values) and values[worst] <= limit
+    return Target(f"{about}: at most {limit:g}", limit, values.get(worst), worst, met)
 
 
 def best_of(about: str, limit: float, values: dict[str, float], largest: bool = False) -> Target:

@@ -56,8 +56,14 @@ class Task:
 
     @property
     def since(self) -> float:
-        """When its last change happens, from which the learning time counts: a payload picked up [s]."""
-        return 0.0 if self.load is None else self.load.start
+        """When its last change happens, from which the learning time counts: a payload picked up or put down [s]."""
+        load = self.load
+        return 0.0 if load is None else load.end if self.puts_down else load.start
+
+    @property
+    def puts_down(self) -> bool:
+        """Whether it puts its payload down before the training ends."""
+        return self.load is not None and self.load.end < self.experiment.time.duration
 
     @property
     def load(self) -> Payload | None:
@@ -71,9 +77,9 @@ class Task:
 
     @cached_property
     def at_the_end(self) -> Robot:
-        """The true robot at the end of the training: with its payload."""
+        """The true robot at the end of the training: with its payload, unless that was put down."""
         load = self.load
-        return self.robot if load is None else carrying(self.robot, load.mass, load.joint, load.at)
+        return self.robot if load is None or self.puts_down else carrying(self.robot, load.mass, load.joint, load.at)
 
     @cached_property
     def rows(self) -> dict[str, Array]:

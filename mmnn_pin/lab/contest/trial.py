@@ -72,7 +72,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         frozen_fvu: With the final weights held fixed, mean over the components, on the worst held-out trajectory; None
             for weights that cannot be held fixed.
         frozen_worst: Of the worst component there.
-        frozen_on: Per held-out trajectory, mean over the components.
+        frozen_on: Per held-out trajectory, of the worst component.
         held_out: Held-out trajectory to "frozen" and "learning" to how it was followed.
         findings: What the controller's state showed at the end.
         since: When the last change of the task happened [s].
@@ -108,12 +108,6 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     def completed(self) -> bool:
         """Whether the training reached its end."""
         return self.outcome == "completed"
-
-    @property
-    def survived(self) -> bool:
-        """Whether training and all held-out runs reached their end."""
-        held = (one.outcome for ways in self.held_out.values() for one in ways.values())
-        return self.completed and all(outcome == "completed" for outcome in held)
 
     @property
     def not_excited(self) -> bool:
@@ -265,7 +259,7 @@ def result_of(
         ended=run.outcome.time,
         frozen_fvu=finite(mean),
         frozen_worst=finite(worst),
-        frozen_on={held: finite(values[0]) for held, values in known_of.items()},
+        frozen_on={held: finite(values[1]) for held, values in known_of.items()},
         held_out=trials,
         findings=tuple(findings),
         since=task.since,

@@ -272,7 +272,7 @@ def require_names(experiment: Experiment) -> None:
         for name in names:
             if name not in there:
                 raise UnknownName("controller", name, there, key=key)
-    for key in ("task", "printed", "rich", "poor"):
+    for key in ("task", "rich", "poor"):
         name = getattr(contest.targets, key)
         if name and name not in tasks:
             raise UnknownName("task", name, tasks, key=f"contest.targets.{key}")

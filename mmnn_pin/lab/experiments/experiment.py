@@ -159,6 +159,7 @@ class Experiment(LearnerTables, frozen=True):
         latency: How long measurements and commands are under way.
         interfaces: What motors take, by joint: effort where one is not named, velocity or position.
         servo: The servos behind velocity and position interfaces.
+        lead: Whether Psi_hat leads by half the control period, the latency of the commands and the motors' lag.
         disturbances: What happens to the robot during a run.
         plant: "ideal", wheels that roll exactly, or "contact", wheels that may slip, in MuJoCo.
         contact: The floor of the contact plant.
@@ -203,6 +204,7 @@ class Experiment(LearnerTables, frozen=True):
     latency: Latency = Latency()
     interfaces: dict[str, str] = msgspec.field(default_factory=dict)
     servo: Servo = Servo()
+    lead: bool = False
     disturbances: tuple[Disturbance, ...] = ()
     plant: str = "ideal"
     contact: Contact = Contact()
@@ -360,6 +362,7 @@ class Experiment(LearnerTables, frozen=True):
             latency=self.latency,
             interfaces=self.interfaces,
             servo=self.servo,
+            lead=self.lead,
         )
 
     def to_json(self) -> str:

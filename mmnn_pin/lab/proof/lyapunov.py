@@ -12,8 +12,8 @@ indefinite. For a holonomic base the heading counts as `1 - cos ephi`; a fixed a
 What the measured change of V over a control period adds to the prediction is split in two: `step`, the second order of
 the update of the weights, and `hold`, the rest: torque and weights are held while the errors move on. With sensors that
 err, `sensors` is what the controller's error in s does. The weights' part speaks of what the weights say; the torque
-has the Psi_hat that `torque.law` leaves of that, which is the term `limits`. The terms add up to the measured
-change exactly.
+has the Psi_hat that `torque.law` leaves of that, which is the term `limits`, and where it leads (`loop.lead`) that of
+a later instant, which is the term `lead`. The terms add up to the measured change exactly.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ TERMS = {
     "robust": "-s' Kz (|Z| + ZB) s",
     "leakage": "weights are pulled to zero, an estimate to its start or prior; kappa |s| tr(Zt' Z)",
     "cut": "updates by s that are cut to a share of the feedback",
+    "lead": "s' (Psi_hat - what is sent of it): it is said for the middle of the time in which it acts",
     "limits": "s' (Psi_hat of the weights - Psi_hat): what the motors' limits take from it",
     "prediction": "filtered torque or kept samples teach the weights, as far as they tell the truth",
     "noise": "what filtered torque has wrong: sensors, motors, what the ideal weights leave",
@@ -138,7 +139,9 @@ def lyapunov(
     weights = None if part is None else part(at, progress)
     values = (pose.value, motion, np.zeros(len(at)) if weights is None else weights.value)
     measured = sum((value[there] - value[here]) / h for value in values)
-    rates = powers(subject, rows[here], true[here], subject.hardware.torque[starts], subject.hardware.push[starts])
+    applied = subject.applied[at][here]
+    hardware = subject.hardware
+    rates = powers(subject, rows[here], true[here], applied, hardware.torque[starts], hardware.push[starts])
     terms = {"pose": pose.decay[here], "coupling": pose.coupling[here]} | rates
     if weights is not None:
         terms |= {name: values[here] for name, values in weights.terms.items()}
@@ -161,13 +164,14 @@ def means(values: Array, every: int) -> Array:
     return np.asarray(values.reshape(-1, every).mean(axis=1))
 
 
-def powers(subject: Subject, rows: Array, true: Array, torque: Array, push: Array) -> dict[str, Array]:
+def powers(subject: Subject, rows: Array, true: Array, applied: Array, torque: Array, push: Array) -> dict[str, Array]:
     """`s' (Psi - tau - f)` taken apart [W].
 
     Args:
         subject: The run.
         rows: (k, width) rows of it.
         true: The same rows of the truth.
+        applied: (k, p) what was sent of Psi_hat.
         torque: (k, p) what the motors gave.
         push: (k, p) external forces f.
     """
@@ -180,7 +184,8 @@ def powers(subject: Subject, rows: Array, true: Array, torque: Array, push: Arra
     seen, true_s = s(rows), s(true)
     truly = (true_s * (true[:, where("psi")] - tau)).sum(axis=1)
     return {
-        "feedback": -(seen * (tau - psi_hat - robust)).sum(axis=1),
+        "feedback": -(seen * (tau - applied - robust)).sum(axis=1),
+        "lead": (seen * (psi_hat - applied)).sum(axis=1),
         "robust": -(seen * robust).sum(axis=1),
         "remainder": (seen * (psi - psi_hat)).sum(axis=1),
         "sensors": truly - (seen * (psi - tau)).sum(axis=1),

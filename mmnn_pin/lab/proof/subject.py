@@ -111,6 +111,13 @@ class Subject:
         every = self.timing.steps_per_control % self.timing.steps_per_measurement == 0
         return "sensor" not in self.recording.meta and not self.hardware.senses and every
 
+    @property
+    def applied(self) -> Array:
+        """What was sent of Psi_hat, (N, p): that of a later instant where it led, else Psi_hat [N, N m]."""
+        if "psi_applied" not in self.recording:
+            return self.signal("psi_hat")
+        return np.asarray(self.recording["psi_applied"][: len(self.rows)])
+
     @cached_property
     def learner(self) -> Learner | None:
         """The learner, or None where the controller of the run has none; errors as in `recorded_learner`."""
@@ -133,7 +140,7 @@ class Subject:
 
     def dynamics(self, time: float) -> Dynamics:
         """Pinocchio's dynamics of the robot in the control period that begins at a time [s]."""
-        return self._dynamics[int(time + 5e-10 >= self.hardware.pick)]
+        return self._dynamics[int(self.hardware.pick <= time + 5e-10 < self.hardware.drop)]
 
     def truth(self, rows: Array) -> Array:
         """Rows as they were if the sensors gave the true state: measurement, command, errors and Psi of the truth."""
@@ -203,7 +210,7 @@ class Hardware:
         torque: (N, p) generalized torque of the motors [N, N m].
         push: (N, p) external force `f` of `M nudot + C nu + ... = tau + f`; d of the equality is `-f` [N, N m].
         loaded: The robot once it carries its payload; None without one.
-        pick: When that is [s], inf for never.
+        pick, drop: When it picks it up and puts it down [s], inf for never.
         varies: Whether torque or push change within control periods.
         blocked: Whether a joint is blocked at some time.
         senses: Whether disturbances touch what the controller measures.
@@ -213,6 +220,7 @@ class Hardware:
     push: Array
     loaded: Robot | None
     pick: float
+    drop: float
     varies: bool
     blocked: bool
     senses: bool
@@ -238,6 +246,7 @@ class Hardware:
             push=push,
             loaded=None if load is None else carrying(robot, load.mass, load.joint, load.at),
             pick=np.inf if load is None else load.start,
+            drop=np.inf if load is None else load.end,
             varies=changes and timing.steps_per_control > 1,
             blocked=has(events, Block),
             senses=has(events, Frozen, Messages),

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...signals import Array
-from ..contest.standing import BASELINE, Standing, Target
-from ..contest.trial import Number, TrialResult, arm_of, base_of, nan
+from ..contest.standing import BASELINE, Standing, Target, over_all
+from ..contest.trial import arm_of, base_of, nan
 from ..experiments.controllers import ORACLES
 from .figure import (
     FIGURES,
@@ -68,14 +68,6 @@ def per_row(number: Callable[..., float], **options: str) -> Values:
     return lambda standing, task, controller: [number(row, **options) for row in standing.of(task, controller)]
 
 
-def over_all(row: TrialResult, how: str, of_axes: Callable[[dict[str, Number]], float]) -> float:
-    """Root of the mean square error over all held-out trajectories; inf where one was lost, nan where none was run."""
-    tracked = [ways[how] for ways in row.held_out.values() if how in ways]
-    if any(one.outcome != "completed" for one in tracked):
-        return math.inf
-    return math.sqrt(sum(of_axes(one.rms) ** 2 for one in tracked) / len(tracked)) if tracked else math.nan
-
-
 ERRORS: Mapping[str, Callable[..., float]] = {
     "base [mm]": lambda row: 1e3 * base_of(row.rms),
     "heading [mrad]": lambda row: 1e3 * nan(row.rms.get("phi")),
@@ -100,8 +92,8 @@ TRAINING: Sequence[Quantity] = (
     Quantity("learned", "learned\nin", "s", Standing.learning_times, "never"),
 )
 KNOWLEDGE: Sequence[Quantity] = (
-    Quantity("online_fvu", "FVU\nonline", "", per_row(lambda row: nan(row.online_fvu))),
-    Quantity("frozen_fvu", "FVU\nfrozen", "", per_row(lambda row: nan(row.frozen_fvu))),
+    Quantity("online_fvu", "FVU\nonline", "", per_row(lambda row: nan(row.online_worst))),
+    Quantity("frozen_fvu", "FVU\nfrozen", "", per_row(lambda row: nan(row.frozen_worst))),
     Quantity("held_base", "base held\nout", "mm", per_row(HELD_BASE, how="learning"), "lost"),
     Quantity("held_arm", "arm held\nout", "mrad", per_row(HELD_ARM, how="learning"), "lost"),
     Quantity("frozen_base", "the same,\nfrozen", "", per_row(HELD_BASE, how="frozen"), "lost"),
@@ -113,7 +105,7 @@ CAPTION = (
     "Medians over the seeds ({seeds}), below them half of the spread from the smallest to the largest, from 1 % on. "
     "Errors are the true ones: RMS and peak in the last window of the training; arm: root of the mean square over its"
     " joints. torque, kick: largest torque asked of a motor over its limit, in the training and in its first "
-    "{start:g} s. learned in: until the error stays below {learned:g} of PD's. FVU: of Psi, mean over its components;"
+    "{start:g} s. learned in: until the error stays below {learned:g} of PD's. FVU: of Psi, its worst component;"
     " frozen: with the final weights held fixed, on the worst of the held-out trajectories. held out: RMS error over "
     "all of those, learning on, or with frozen weights. step: processor time of the controller's step over PD's, "
     "called from Python."
@@ -329,7 +321,7 @@ def known(standing: Standing) -> Figure:
     shown: dict[str, Look] = {}
     for axes, task in zip(panels, tasks, strict=True):
         for name, marker in zip(learners, cycle(MARKERS), strict=False):
-            pairs = [(nan(row.online_fvu), nan(row.frozen_fvu)) for row in standing.of(task, name)]
+            pairs = [(nan(row.online_worst), nan(row.frozen_worst)) for row in standing.of(task, name)]
             if pairs := [pair for pair in pairs if all(value > 0 for value in pair)]:
                 shown[plain(name)] = {"marker": marker, "color": style[name].color, "ls": "", "ms": 5.5, "mew": 0}
                 axes.plot(*zip(*pairs, strict=True), alpha=0.75, **shown[plain(name)])

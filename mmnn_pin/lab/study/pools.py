@@ -269,10 +269,12 @@ def require_scheduler(address: str) -> None:
         StudyError: With both versions.
     """
     from distributed.core import rpc
+    from distributed.security import Security
     from distributed.versions import get_versions
 
     async def ask() -> Any:
-        async with rpc(address, timeout=TIMEOUT) as scheduler:
+        certificates = Security().get_connection_args("client")
+        async with rpc(address, timeout=TIMEOUT, connection_args=certificates) as scheduler:
             return await asyncio.wait_for(scheduler.versions(), TIMEOUT)
 
     try:
@@ -282,6 +284,8 @@ def require_scheduler(address: str) -> None:
     except Exception as error:  # a peer that speaks another protocol
         why = f"{type(error).__name__}: {' '.join(str(error).split())}"
         fix = "give the address of a scheduler of the same version as here"
+        if "TLS" in why or "encryption" in why:
+            fix = "use tls:// and name your certificates, see 'Whom you trust' in docs/cluster.md"
         raise StudyError(f"no Dask scheduler at {address}", why=why, fix=fix, key="--cluster") from None
     require_same_versions({"client": get_versions(), "scheduler": theirs, "workers": {}}, address)
 

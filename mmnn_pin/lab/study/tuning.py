@@ -322,7 +322,7 @@ def search(
             trial.set_user_attr("own", not done and own is not None)
             require_there(folder / NAME)
             trials.tell(trial, score.value)
-            progress(done + 1, trials.best_value)
+            progress(done + 1, min(one.value for one in finished(optuna, trials)))
 
 
 def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:

@@ -17,7 +17,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, RecordingError, UnknownName
 from mmnn_pin.lab.contest import contest as running
 from mmnn_pin.lab.contest.contest import Store, run_contest
-from mmnn_pin.lab.contest.standing import learning_time, targets
+from mmnn_pin.lab.contest.standing import everywhere, learning_time, targets
 from mmnn_pin.lab.contest.task import frozen, tasks_of
 from mmnn_pin.lab.contest.trial import (
     Stopped,
@@ -48,6 +48,7 @@ QUICK = [
 ]
 SET = [word for text in QUICK for word in ("--set", text)]
 NAMES = ("pd", "two_layer", "adaptive", "computed_torque")
+VELOCITY = ("pd", "pd_gravity", "two_layer", "adaptive", "disturbance_observer", "computed_torque")
 
 
 def quick(cases=("eight",), more=(), controllers=NAMES):
@@ -118,9 +119,9 @@ def test_frozen_weights_say_what_the_regressor_times_the_estimate_says(standing)
         np.testing.assert_allclose(psi_hat_along(loop, layout, state.snapshot(), rows), wanted, rtol=1e-7, atol=1e-7)
         late = rows[:, layout.where("time")][:, 0] > 0.499
         psi = rows[late][:, layout.where("psi")]
-        found.append((np.mean((psi - wanted[late]) ** 2, axis=0) / psi.var(axis=0)).mean())
+        found.append((np.mean((psi - wanted[late]) ** 2, axis=0) / psi.var(axis=0)).max())
         assert row.frozen_on[name] == pytest.approx(found[-1], rel=1e-6)
-    assert row.frozen_fvu == pytest.approx(max(found), rel=1e-6)
+    assert row.frozen_worst == pytest.approx(max(found), rel=1e-6)
 
 
 def test_what_learns_nothing_is_frozen_as_it_is(standing):
@@ -132,7 +133,7 @@ def test_what_learns_nothing_is_frozen_as_it_is(standing):
     for row in standing.of("eight", "computed_torque"):
         assert row.frozen_fvu < 1e-20  # Psi itself
     psi = task.rows["tight"][200:, Layout.of(task.robot.dimensions).where("psi")]  # from 0.5 s on
-    nothing = ((psi**2).mean(axis=0) / psi.var(axis=0)).mean()
+    nothing = ((psi**2).mean(axis=0) / psi.var(axis=0)).max()
     assert standing.of("eight", "pd")[0].frozen_on["tight"] == pytest.approx(nothing)
 
 
@@ -152,6 +153,12 @@ def test_held_out_runs_are_those_of_the_final_weights(standing):
         assert [tracked.rms["arm_1_joint"], tracked.rms["arm_2_joint"]] == pytest.approx(found.tolist())
         moved = not np.array_equal(run.final["controller_state"], state.values)
         assert moved == (how == "learning") or how == "frozen"
+
+
+def test_the_held_out_robot_carries_nothing_once_it_was_put_down():
+    more = ['disturbances=[{type="payload", mass=3.0, start=0.4, end=0.8}]']
+    (task,) = tasks_of(quick(more=more), NAMES)
+    assert task.at_the_end is task.robot and task.since == 0.8
 
 
 def test_the_held_out_robot_carries_what_was_picked_up():
@@ -316,7 +323,16 @@ def rows_of(table):
             if not math.isfinite(fixed):
                 ways["frozen"] = Tracking("diverged", {"x": None, "a": None})
         return [
-            row(frozen_fvu=fvu, held_out={"h": ways}, findings=findings, kick=kick, seed=seed, controller=name)
+            row(
+                frozen_fvu=fvu / 10,
+                frozen_worst=fvu,
+                held_out={"h": ways},
+                findings=findings,
+                kick=kick,
+                seed=seed,
+                controller=name,
+                rms={"x": learning, "a": learning},
+            )
             for seed in (1, 2, 3)
         ]
 
@@ -325,7 +341,7 @@ def rows_of(table):
 
 ASKED = Contest(
     knows={"kinematics": ("knows",), "form": ("form",), "nothing": ("two_layer",)},
-    targets=Targets("eight", "printed", "rich", "poor", {"kinematics": 0.001, "form": 0.01, "nothing": 0.1}),
+    targets=Targets("eight", "rich", "poor", {"kinematics": 0.001, "form": 0.01, "nothing": 0.1}),
 )
 
 
@@ -345,8 +361,9 @@ def test_targets_are_met_or_not():
         ("eight", "form"): (0.02, 0.05, math.inf, (), 0.4),
         ("eight", "two_layer"): (1.2, 0.04, 0.07, (), 0.3),
         ("eight", "computed_torque"): (0.0, 0.008, 0.01, (), 0.9),
-        ("printed", "two_layer"): (1.5, 0.3, 0.4, (), 0.3),
         ("rich", "two_layer"): (0.05, 0.04, 0.07, (), 0.3),
+        ("poor", "pd"): (2.0, 0.1, 0.1, (), 0.2),
+        ("poor", "computed_torque"): (0.0, 0.1, 0.1, (), 0.25),
         ("poor", "knows"): (2.0, 0.01, 0.02, ("c: not excited: 30 % of what random motion excites",), 0.5),
         ("poor", "two_layer"): (2.0, 0.01, math.inf, (), 1.2),
     }
@@ -357,18 +374,43 @@ def test_targets_are_met_or_not():
     assert not about(found, "frozen FVU after 'eight'", "nothing").met  # its value after an ordinary motion
     assert about(found, "frozen FVU after 'rich'", "nothing").met
     learning, fixed = (about(found, "two_layer's", "tuned", how) for how in ("learning", "frozen"))
-    printed = about(found, "two_layer's", "as printed", "learning")
-    assert printed.met and printed.reached == pytest.approx(30.0)
+    assert not any("printed" in text for text in found)
     assert learning.met and learning.reached == pytest.approx(4.0) and learning.by == "knows"
     assert fixed.met and fixed.reached == pytest.approx(3.5) and fixed.by == "knows"  # a lost run does not win
     near, far = about(found, "computed_torque", "learning"), about(found, "computed_torque", "frozen")
     assert near.met and near.reached == pytest.approx(0.01 / 0.008)
     assert not far.met and far.reached == pytest.approx(0.02 / 0.008)
-    bounded, said_so = about(found, "bounded"), about(found, "not excited")
-    assert not bounded.met and bounded.by == "all but two_layer" and bounded.reached == 0.5
+    going, fixed = (about(found, "after 'poor'", "over PD's", how) for how in ("learning", "frozen"))
+    assert going.met and going.reached == pytest.approx(0.1)
+    assert not fixed.met and fixed.reached == math.inf and fixed.by == "two_layer"  # a lost run has no bound
+    said_so = about(found, "not excited")
     assert not said_so.met and said_so.by == "all but two_layer"
-    kick = about(found, "on any task")
-    assert not kick.met and kick.reached == 1.2 and kick.by == "two_layer on poor"
+    kick = about(found, "largest torque of the start")
+    assert not kick.met and kick.reached == pytest.approx(1.2 / 0.25) and kick.by == "two_layer on poor"
+    base, arm = (about(found, "computed_torque's error of the", part) for part in ("base", "arm"))
+    assert not base.met and not arm.met and arm.reached == pytest.approx(16.0)  # mrad
+
+
+def test_one_learner_is_measured_by_the_best_in_every_task_and_by_pd_with_gravity():
+    table = {
+        ("eight", "pd_gravity"): (1.0, 0.10, 0.1, (), 0.2),
+        ("eight", "knows"): (0.1, 0.01, 0.1, (), 0.2),
+        ("eight", "form"): (0.1, 0.02, 0.1, (), 0.2),
+        ("late", "pd_gravity"): (1.0, 0.10, 0.1, (), 0.2),
+        ("late", "knows"): (0.1, 0.30, 0.1, (), 0.2),
+        ("late", "form"): (0.1, 0.11, 0.1, (), 0.2),
+        ("printed", "form"): (0.1, 90.0, 0.1, (), 0.2),  # without the others it is no comparison
+    }
+    of = rows_of(table)
+    tasks = ("eight", "late", "printed")
+    far, gravity = everywhere(("pd_gravity", "knows", "form"), ("knows", "form"), tasks, 1.2, of)
+    assert far.by == "form" and far.reached == pytest.approx(2.0) and not far.met
+    assert gravity.by == "form" and gravity.reached == pytest.approx(1.1) and not gravity.met
+    lost = [row(rms={"x": 1.0, "a": 1.0}, outcome="diverged")]
+    lose = everywhere(
+        ("pd_gravity", "form"), ("form",), ("eight",), 1.2, lambda t, n: lost if n == "form" else of(t, n)
+    )
+    assert [one.reached for one in lose] == [None, None] and not any(one.met for one in lose)
 
 
 def test_nobody_to_judge_is_not_met():
@@ -462,18 +504,27 @@ def test_a_lost_run_is_a_row_too(tmp_path):
 
 
 def test_all_tasks_of_the_bundled_contest_can_be_made():
-    """Without TIAGo, which is not bundled."""
+    """Without TIAGo and Panda, which are not bundled, and without the contact plant, which is an extra."""
     experiment = load_experiment("contest")
-    names = [name for name in experiment.cases if name != "tiago"]
+    names = [name for name in experiment.cases if name not in ("tiago", "arm7", "wheels")]
     found = tasks_of(chosen_cases(experiment, names), ("pd", "adaptive"))
     for task in found:
-        own = ("pd", "one_layer", "two_layer") if task.name == "printed" else ("pd", "adaptive")
+        own = {"printed": ("pd", "one_layer", "two_layer"), "velocity": VELOCITY}.get(task.name, ("pd", "adaptive"))
         assert task.experiment.controllers == own
+        assert task.experiment.lead == (task.name != "unled")
     by_name = {task.name: task.experiment for task in found}
     printed, chapter4 = by_name["printed"], by_name["chapter4"]
     assert (printed.two_layer, printed.one_layer) == (chapter4.two_layer, chapter4.one_layer)
     assert [task.name for task in found] == names
-    assert all(task.contest.seeds == 5 and len(task.seeds) == 5 for task in found)
+    outside = ("friction", "lag", "late1", "late3", "encoders", "drop", "velocity")  # of the learners' model class
+    for task in found:
+        assert (
+            len(task.seeds) == task.contest.seeds == (5 if task.name not in outside else 2 - (task.name == "velocity"))
+        )
+    for task in found:
+        if task.name in outside:
+            loop = task.training(task.controller("computed_torque"), 1)
+            assert loop.delay_margin() - loop.latency.total > 0.003
     gains = {task.name: task.controller("pd").feedback for task in found}
     assert len({gains[name].arm for name in ("eight", "payload", "rich", "poor", "chapter4")}) == 1
     assert replace(found[0], name="x").name == "x"

@@ -158,7 +158,7 @@ def test_scaling_is_a_change_of_coordinates():
             view = getattr(law.numbers_of, "py_func", law.numbers_of)  # plain Python where numba is off
             scale_of_inputs = view(number.numbers.settings, number.numbers.sizes).inputs[0]
             scale_of_inputs[10:12] = scale_of_inputs[14:16] = 0.0
-            law.step(row, layout.offsets, number.numbers, state.values, None)
+            law.step(row, layout.offsets, number.numbers, state.values, None, None)
         torque = rows[1][layout.where("torque")]
         np.testing.assert_allclose(rows[0][layout.where("torque")], np.sqrt(m * c) * torque, rtol=1e-12)
     for name in ("W1", "V1", "W2", "V2"):

@@ -93,18 +93,19 @@ def network() -> Iterator[str | None]:
 class Cluster:
     """A scheduler and workers as processes of their own."""
 
-    def __init__(self, folder: Path, within: str | None) -> None:
-        self.folder, self.within = folder, within
+    def __init__(self, folder: Path, within: str | None, more: tuple[str, ...] = ()) -> None:
+        self.folder, self.within, self.more = folder, within, more
         self.processes: list[subprocess.Popen[str]] = []
         host = INSIDE if within else "127.0.0.1"
-        command = ("distributed.cli.dask_scheduler", "--host", host, "--port", "0", "--no-dashboard")
+        command = ("distributed.cli.dask_scheduler", "--host", host, "--port", "0", "--no-dashboard", *more)
         self.processes.append(started(folder / "scheduler", *command, within=within))
-        self.address = self.told(folder / "scheduler" / "log", r"Scheduler at: +(tcp://[\d.:]+)")
+        self.address = self.told(folder / "scheduler" / "log", r"Scheduler at: +(\w+://[\d.:]+)")
 
     def worker(self, inside: bool = False) -> subprocess.Popen[str]:
         """Start a worker, in the scheduler's network or outside of it."""
         folder = self.folder / f"worker{len(self.processes)}"
-        options = ("--nworkers", "1", "--nthreads", "1", "--no-nanny", "--no-dashboard")
+        own = tuple(word for word in self.more if word not in ("--protocol", "tls"))
+        options = ("--nworkers", "1", "--nthreads", "1", "--no-nanny", "--no-dashboard", *own)
         command = ("distributed.cli.dask_worker", self.address, *options, "--local-directory", str(folder / "scratch"))
         process = started(folder, *command, within=self.within if inside else None)
         self.processes.append(process)
@@ -202,6 +203,60 @@ def test_the_command_line_runs_a_study_on_a_cluster(cluster: Cluster, tmp_path: 
     assert f"24 runs, on the cluster at {cluster.address}" in said.err and "Traceback" not in said.err
     local = run_here(planned(tmp_path / "here"), tmp_path / "here")
     assert numbers(stored(tmp_path / "there")) == numbers(local)
+
+
+@contextlib.contextmanager
+def holding(files: tuple[Path, Path] | None) -> Iterator[None]:
+    """This machine holds a certificate and its key, and speaks to nobody without TLS; None holds nothing."""
+    import dask as settings
+
+    cert, key = files or (None, None)
+    tls = {"ca-file": cert, "client.cert": cert, "client.key": key}
+    given = {f"distributed.comm.tls.{name}": file and str(file) for name, file in tls.items()}
+    with settings.config.set(given | {"distributed.comm.require-encryption": True}):
+        yield
+
+
+def certificate(folder: Path, name: str) -> tuple[Path, Path]:
+    """A certificate and its key, made as docs/cluster.md says."""
+    (folder / name).mkdir()
+    command = re.search(r"^    (openssl req .*)$", (ROOT / "docs" / "cluster.md").read_text(), re.M)
+    assert command is not None
+    subprocess.run(command[1].split(), cwd=folder / name, check=True, capture_output=True)
+    return folder / name / "cert.pem", folder / name / "key.pem"
+
+
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl here to make certificates: apt install openssl")
+def test_a_cluster_with_tls_lets_in_who_holds_its_certificate_and_nobody_else(tmp_path: Path, capsys) -> None:
+    cert, key = certificate(tmp_path, "ours")
+    tls = ("--protocol", "tls", "--tls-ca-file", str(cert), "--tls-cert", str(cert), "--tls-key", str(key))
+    (tmp_path / "cluster").mkdir()
+    made = Cluster(tmp_path / "cluster", None, tls)
+    try:
+        assert made.address.startswith("tls://")
+        worker = made.worker()
+        made.told(made.folder / "worker1" / "log", "(Registered to)")
+        file = written(tmp_path, SHORT.replace("points = 4", "points = 1"))
+        foreign = certificate(tmp_path, "foreign")
+
+        def study(where: str, holds: tuple[Path, Path] | None, address: str) -> tuple[int, str]:
+            with holding(holds):
+                code = main(["study", str(file), "--out", str(tmp_path / where), "--cluster", address])
+            return code, capsys.readouterr().err
+
+        for holds, address, words in (
+            (None, made.address, "use tls:// and name your certificates"),
+            (foreign, made.address, "cannot be reached"),
+            ((cert, key), made.address.replace("tls", "tcp"), "use tls:// and name your certificates"),
+        ):
+            code, said = study("none", holds, address)
+            assert code == 2 and said.count("\n") == 1 and said.startswith("--cluster: error: ") and words in said, said
+            assert not stored(tmp_path / "none")
+        code, said = study("there", (cert, key), made.address)
+        assert code == 0, said
+        assert worker.poll() is None and len(stored(tmp_path / "there")) == 6
+    finally:
+        made.stop()
 
 
 def test_a_scheduler_that_goes_away_is_told_and_loses_nothing(tmp_path: Path) -> None:

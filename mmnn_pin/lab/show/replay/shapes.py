@@ -211,7 +211,8 @@ def read_mesh(file: Path) -> list[Part]:
     if damage := damage_of(file):
         raise BrokenMesh(f"cannot be read ({damage})")
     try:
-        loaded: Any = trimesh.load(file, process=False, resolver=Beside(file.parent))
+        resolver: Any = Beside(file.parent)
+        loaded: Any = trimesh.load(file, process=False, resolver=resolver)
         if isinstance(loaded, trimesh.Scene):
             shown = [loaded.graph[name][1] for name in loaded.graph.nodes_geometry]
             if sum(len(getattr(loaded.geometry[one], "faces", ())) for one in shown) > MOST_TRIANGLES:
