@@ -27,14 +27,15 @@ class PI(TorqueController):
         return torque
 
 
-experiment = load_experiment("track")
-robot = experiment.load_robot()
-learner, sizes = experiment.controller("two_layer", robot=robot), robot.dimensions
-(seen, given), F = learner.network_scales(sizes), np.repeat(learner.network.F, (sizes.base, sizes.arm))
-k, ki = learner.feedback_gain(sizes), F * seen * given * learner.network.hidden / 4
+if __name__ == "__main__":
+    experiment = load_experiment("track")
+    robot = experiment.load_robot()
+    learner, sizes = experiment.controller("two_layer", robot=robot), robot.dimensions
+    (seen, given), F = learner.network_scales(sizes), np.repeat(learner.network.F, (sizes.base, sizes.arm))
+    k, ki = learner.feedback_gain(sizes), F * seen * given * learner.network.hidden / 4
 
-network, integrator = (experiment.loop(robot, controller).run() for controller in (learner, PI(k, ki)))
-integral = integrator["torque"] - k * np.hstack((integrator["z"], integrator["r"]))
-for name, run, said in (("two_layer", network, network["psi_hat"]), ("integrator", integrator, integral)):
-    found = fvu(run["psi"][run.time >= START], said[run.time >= START])
-    print(f"{name:10} FVU online: " + ", ".join(f"{value:.4f}" for value in found))
+    network, integrator = (experiment.loop(robot, controller).run() for controller in (learner, PI(k, ki)))
+    integral = integrator["torque"] - k * np.hstack((integrator["z"], integrator["r"]))
+    for name, run, said in (("two_layer", network, network["psi_hat"]), ("integrator", integrator, integral)):
+        found = fvu(run["psi"][run.time >= START], said[run.time >= START])
+        print(f"{name:10} FVU online: " + ", ".join(f"{value:.4f}" for value in found))

@@ -26,15 +26,16 @@ class Driver:
         self.plant.refresh()
 
 
-robot = load("platform_arm")
-limits = Safety(torque=50.0, speed=1.0, joint_error=0.5)
-with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), safety=limits, period=0.002) as stepper:
-    driver, drive = Driver(robot, stepper.period), BaseVelocity((0.3, 0.2))
-    for k in range(2000):  # pacing is yours: here there is none
-        setpoint = drive if k % 50 == 0 else JointGoal((0.8, -0.5)) if k == 1 else None
-        command = stepper.step(k * stepper.period, driver.read(), setpoint)
-        driver.write(command.motor_effort)
-        stepper.record()
-    run = stepper.finish()
-velocity, q = run["velocity"][-1].round(3), run["q"][-1].round(3)
-print(f"{run.outcome.status} after {run.outcome.time:g} s: v, w {velocity}, q {q}")
+if __name__ == "__main__":
+    robot = load("platform_arm")
+    limits = Safety(torque=50.0, speed=1.0, joint_error=0.5)
+    with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), safety=limits, period=0.002) as stepper:
+        driver, drive = Driver(robot, stepper.period), BaseVelocity((0.3, 0.2))
+        for k in range(2000):  # pacing is yours: here there is none
+            setpoint = drive if k % 50 == 0 else JointGoal((0.8, -0.5)) if k == 1 else None
+            command = stepper.step(k * stepper.period, driver.read(), setpoint)
+            driver.write(command.motor_effort)
+            stepper.record()
+        run = stepper.finish()
+    velocity, q = run["velocity"][-1].round(3), run["q"][-1].round(3)
+    print(f"{run.outcome.status} after {run.outcome.time:g} s: v, w {velocity}, q {q}")

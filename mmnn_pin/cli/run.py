@@ -109,7 +109,6 @@ def run(
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
-    from ..lab.experiments.runner import has_hardware
     from ..lab.show.gallery import require_plots
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
@@ -121,7 +120,7 @@ def run(
     require_plots(asked.plots)
     for plot in asked.plots:
         require_free(folder / f"{plot}.png", force, "plot")
-    compile_if_cold(bool(asked.cases) or has_hardware(asked))
+    compile_if_cold()
     command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
     return command(asked, name, folder, force, as_json)
 
@@ -160,8 +159,8 @@ def run_cases(asked: Experiment, name: str, folder: Path, force: bool, as_json: 
 
     with progress_bar() as show, interruptible(show) as progress:
         matrix = run_all(asked, name, out=folder, force=force, progress=progress)
-    plot = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
-    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {plot}"
+    command = f"mmnn plot {folder}/{next(iter(matrix.verdicts))}/*.h5"
+    files = f"wrote {folder}/CASE/CONTROLLER.h5; look at one with: {command}"
     answer(as_json, matrix.to_dict, lambda: f"{render_cases(matrix, **look())}\n\n{files}")
     return STOPPED if matrix.interrupted else DONE if matrix.completed else FAILED
 

@@ -22,7 +22,6 @@ from typing import Any
 import msgspec
 import numpy as np
 import pinocchio as pin
-from lxml import etree
 
 from ..elementary.matrices import product
 from ..errors import RobotError
@@ -41,6 +40,7 @@ from .urdf.finding import excused
 from .urdf.mechanism import Part
 from .urdf.reading import read
 from .urdf.shapes import AtRest
+from .urdf.xml import text_of
 
 ROOT_NAMES = ("root_vx", "root_vy", "root_w")
 
@@ -187,7 +187,7 @@ def welded(document: Document) -> tuple[Document, tuple[str, ...]]:
     for element in root.iterchildren("joint"):
         if element.get("name") in names:
             element.set("type", "fixed")
-    return replace(document, root=root, text=etree.tostring(root, encoding="unicode")), names
+    return replace(document, root=root, text=text_of(root)), names
 
 
 def pinocchio_model(document: Document, mobile: bool) -> tuple[pin.Model, str]:

@@ -18,7 +18,6 @@ from typing import Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
-from lxml import etree
 
 from ..errors import InputError, RecordingError, UnknownName
 from ..model.base.overrides import Overrides
@@ -27,7 +26,7 @@ from ..model.robot import Robot
 from ..model.urdf.document import Document
 from ..model.urdf.packages import locate
 from ..model.urdf.reading import MAX_BYTES, parse
-from ..model.urdf.xml import parse_xml
+from ..model.urdf.xml import parse_xml, text_of
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
 from .run_file import Arrays, Columns, Places, RunFile
@@ -404,7 +403,7 @@ def is_unchanged(file: Path, text: bytes) -> bool:
         if not file.is_file() or file.stat().st_size > MAX_BYTES:
             return False
         one, other = (parse(sealed(data), os.devnull).text for data in (file.read_bytes(), text))
-        return one == other
+        return one.split() == other.split()  # an older version left out the empty lines
     except (OSError, ValueError, InputError):
         return False
 
@@ -426,7 +425,7 @@ def sealed(data: bytes, file: Path | None = None, folders: Sequence[str] = ()) -
         found = locate(name, file, folders).file if file is not None and folders else None
         if found is None or not str(found).startswith(roots):
             mesh.set("filename", f"{UNSEEN}{name}")
-    return etree.tostring(root)
+    return text_of(root).encode()
 
 
 def recorded_position(recording: Recording, robot: Robot) -> Array:

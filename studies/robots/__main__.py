@@ -3,8 +3,7 @@
     python -m studies.robots FOLDER [--only TEXT] [--markdown]
 
 FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, and beside them the packages that
-their xacro files ask for. Robots of example-robot-data are loaded by name. The table goes to
-docs/reference/public-robots.md.
+their xacro files ask for. Robots of example-robot-data load by name. The table is in docs/reference/public-robots.md.
 """
 
 from __future__ import annotations

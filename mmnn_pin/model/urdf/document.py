@@ -14,7 +14,7 @@ from mmnn_pin.signals import Array
 
 from ...elementary import cos, sin
 from .finding import Finding
-from .xml import number, numbers
+from .xml import number, numbers, text_of
 
 KEPT = ("links", "joints", "children", "carrier")  # properties of a tree that are read out once
 TEN_TURNS = 20 * math.pi  # a revolute joint with more travel than this [rad] counts as unlimited
@@ -176,7 +176,7 @@ class Document(Tree):
     @classmethod
     def of(cls, tree: Tree, path: Path, sha256: str, findings: tuple[Finding, ...]) -> Document:
         """Document of an audited tree, which keeps what has been read out of it."""
-        document = cls(tree.root, path, etree.tostring(tree.root, encoding="unicode"), sha256, findings)
+        document = cls(tree.root, path, text_of(tree.root), sha256, findings)
         vars(document).update({name: value for name, value in vars(tree).items() if name in KEPT})
         return document
 

@@ -5,6 +5,7 @@ The element is whole, well-formed, without DOCTYPE, and a URDF at all. A bad num
 
 from __future__ import annotations
 
+import copy
 import math
 import re
 from dataclasses import dataclass
@@ -142,6 +143,28 @@ def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
         what = f"this is {known}, not a URDF"
         return None, [finding("not-urdf", root, what, fix=fix, of="")]
     return root, findings
+
+
+def text_of(root: etree._Element) -> str:
+    """A tree as text, every element on the line of the file that it came from.
+
+    Comments are gone; where they stood are empty lines, so that what is found in the text has the lines of the file.
+    """
+    root, line, before = copy.deepcopy(root), 1, ""
+    for event, element in etree.iterwalk(root, events=("start", "end")):
+        if event == "end":
+            line += (element.tail or "").count("\n") if element is not root else 0
+            continue
+        missing = "\n" * max(0, (element.sourceline or 0) - line)
+        if element is root:
+            before = missing
+        elif (previous := element.getprevious()) is not None:
+            previous.tail = missing + (previous.tail or "")
+        else:
+            parent = element.getparent()
+            parent.text = missing + (parent.text or "")
+        line += len(missing) + (element.text or "").count("\n")
+    return before + etree.tostring(root, encoding="unicode")
 
 
 def parsed(data: bytes, recover: bool = False) -> tuple[etree._Element | None, list[Finding]]:

@@ -131,6 +131,7 @@ def test_two_runs_have_their_colours_and_can_be_hidden(chromium: Any, tmp_path: 
     red, blue = np.array([213, 94, 0]), np.array([0, 114, 178])
     with opened(chromium, file) as seen:
         seen.page.evaluate("replay.player.pause()")
+        seen.page.get_by_label("side by side").uncheck()  # as few runs stand at first
         seek(seen, 1.9)
         both = seen.shot(tmp_path / "replay_two_runs.png")[120:500]
         assert near(both, red, 40).sum() > 300 and near(both, blue, 40).sum() > 300
@@ -154,6 +155,7 @@ def test_what_happens_is_coloured_while_it_lasts(chromium: Any, tmp_path: Path) 
     file = page({"lost": lost, "kept": recorded(load("platform_arm"), "pd", lag=0.5)}).save(tmp_path / "lost.html")
     with opened(chromium, file) as seen:
         seen.page.evaluate("replay.player.pause()")
+        seen.page.get_by_label("side by side").uncheck()
         red, badge = [], seen.page.locator("#event")
         for time in (1.0, 1.5):
             seek(seen, time)

@@ -12,6 +12,7 @@ async function show() {
       draw();
     });
   }
+  for (const part of document.querySelectorAll("details.fold")) part.addEventListener("toggle", draw);
   let width = 0;
   new ResizeObserver(([entry]) => { if (Math.abs(entry.contentRect.width - width) > 1) { width = entry.contentRect.width; draw(); } }).observe(document.querySelector("main"));
   draw();
@@ -30,5 +31,14 @@ function showReplay() {
 }
 
 document.getElementById("load")?.addEventListener("click", showReplay);
+/** Open what is folded where a link leads into it. */
+function unfold() {
+  const place = document.getElementById(location.hash.slice(1));
+  for (let part = place; part; part = part.parentElement) if (part.tagName === "DETAILS") part.open = true;
+  place?.scrollIntoView();
+}
+
+addEventListener("hashchange", unfold);
+unfold();
 addEventListener("beforeprint", () => { for (const part of document.querySelectorAll("details")) part.open = true; });
 show();

@@ -62,7 +62,8 @@ function addLegend(runs, switches) {
     const item = element("li"), line = element("span", "line");
     line.style.background = run.color;
     if (runs.length > 1) {
-      const label = addSwitch(item, "", true, (on) => { run.group.visible = on; switches.update(); });
+      run.group.visible = runs.length <= FEW || run === runs[0];
+      const label = addSwitch(item, "", run.group.visible, (on) => { run.group.visible = on; switches.update(); });
       label.append(line, run.run.label);
     } else item.append(line, run.run.label);
     legend.append(item);
@@ -73,6 +74,8 @@ function addLegend(runs, switches) {
     legend.append(item);
   }
 }
+
+const FEW = 3; // runs that are put side by side from the start; of more the first alone is shown
 
 const LAYERS = { reference: ["reference"], paths: ["paths", "wanted"], "tip trace": ["traces"] };
 
@@ -88,10 +91,13 @@ class Switches {
     }
     if (runs.some((run) => run.robot.mobile)) addSwitch(place, "follow", false, change((on) => { this.follow = on; }));
     this.spread = y1 - y0 + 2.2 * reach;
-    if (runs.length > 1) addSwitch(place, "side by side", false, change((on) => {
+    const spread = (on) => {
       this.apart = on;
       stage.frame([x0, on ? y0 - (runs.length - 1) * this.spread : y0, x1, y1]);
-    }));
+    };
+    const few = runs.length > 1 && runs.length <= FEW;
+    if (runs.length > 1) addSwitch(place, "side by side", few, change(spread));
+    if (few) spread(true);
     this.update();
   }
 

@@ -86,16 +86,25 @@ function solidStyle(THREE, tint, order) {
   };
 }
 
-/** The ghost: only its outer surface, translucent, behind whatever is in the same place. */
+const EDGES = new WeakMap(); // the outlines of geometries, each made once
+
+function edgesOf(THREE, geometry) {
+  if (!EDGES.has(geometry)) EDGES.set(geometry, new THREE.EdgesGeometry(geometry, 40));
+  return EDGES.get(geometry);
+}
+
+/** The ghost: its outer surface, translucent, behind whatever is in the same place; its edges are seen there, too. */
 function ghostStyle(THREE, rgb) {
   const offset = { polygonOffset: true, polygonOffsetFactor: 4, polygonOffsetUnits: 4 };
   const depth = new THREE.MeshBasicMaterial({ colorWrite: false, transparent: true, ...offset });
   const tint = new THREE.MeshStandardMaterial({
-    color: linear(THREE, rgb), roughness: 1, transparent: true, opacity: 0.25, depthWrite: false, ...offset,
+    color: linear(THREE, rgb), roughness: 1, transparent: true, opacity: 0.4, depthWrite: false, ...offset,
   });
-  return (geometry) => [depth, tint].map((material, i) => {
-    const mesh = new THREE.Mesh(geometry, material);
-    mesh.renderOrder = 1 + i;
-    return mesh;
-  });
+  const line = new THREE.LineBasicMaterial({ color: linear(THREE, rgb), transparent: true, opacity: 0.8 });
+  return (geometry) => {
+    const parts = [depth, tint].map((material) => new THREE.Mesh(geometry, material));
+    parts.push(new THREE.LineSegments(edgesOf(THREE, geometry), line));
+    parts.forEach((part, i) => { part.renderOrder = 1 + i; });
+    return parts;
+  };
 }

@@ -33,6 +33,7 @@ class Stage {
     this.viewer.set_camera(new THREE.PerspectiveCamera(FIELD, 1, 0.05, 500));
     this.frame(room.extent);
     this.viewer.set_3d_pane_size();
+    this.viewer.controls.addEventListener("change", () => this.keepLabels());
   }
 
   addLights() {
@@ -65,6 +66,7 @@ class Stage {
   addGround([x0, y0, x1, y1]) {
     const THREE = this.THREE, { reach, height, level } = this.room, margin = 1.5 * Math.max(reach, height);
     this.ground = new THREE.Group();
+    this.labels = [];
     this.ground.position.z = level;
     this.world.add(this.ground);
     const step = roundStep(Math.max(x1 - x0, y1 - y0, margin) / 2);
@@ -115,6 +117,7 @@ class Stage {
     const label = new this.THREE.Sprite(new this.THREE.SpriteMaterial({ map, sizeAttenuation: false, depthWrite: false }));
     label.scale.set(0.075, 0.03, 1);
     label.position.set(x, y, 0);
+    this.labels.push(label);
     this.ground.add(label);
   }
 
@@ -144,7 +147,19 @@ class Stage {
     }
   }
 
+  /** Labels that the edge of the view would cut are left out. */
+  keepLabels() {
+    const { camera } = this.viewer, at = new this.THREE.Vector3(), [across, up] = [0, 5].map((i) => camera.projectionMatrix.elements[i]);
+    camera.updateMatrixWorld();
+    for (const label of this.labels) {
+      label.getWorldPosition(at).project(camera);
+      const { x, y } = label.scale;
+      label.visible = at.z < 1 && Math.abs(at.x) + (across * x) / 2 < 1 && Math.abs(at.y) + (up * y) / 2 < 1;
+    }
+  }
+
   draw() {
+    this.keepLabels();
     this.viewer.set_dirty();
   }
 }
