@@ -11,8 +11,7 @@ import threading
 import pytest
 from numba import config
 
-from mmnn_pin import deferred
-from mmnn_pin.compiled import prepare
+from mmnn_pin.compiled import deferred, prepare
 
 pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
 
