@@ -139,6 +139,7 @@ def assembled(
             raise ConfigError(what, fix="change the robot, the trajectory or the list of controllers", key="settings")
         put(table, key, value)
     times = table.setdefault("time", {})
+    times.setdefault("integrator", "implicit_friction")  # light links in stiff joints, such as wrists, need it
     if duration is not None or "duration" not in times:
         times["duration"] = whole(duration or ending(trajectory), times.get("control_period", Timing().control_period))
     table.setdefault("windows", windows_of(times["duration"]))
@@ -158,7 +159,7 @@ def by_name(controllers: Controllers) -> tuple[list[str], dict[str, Controller]]
     Raises:
         ConfigError: None, something that is no controller, or two of one name.
     """
-    if isinstance(controllers, str | Controller):
+    if isinstance(controllers, str | Controller | type):
         controllers = [controllers]
     pairs: list[tuple[str | None, Any]] = (
         list(controllers.items()) if isinstance(controllers, Mapping) else [(None, one) for one in controllers]
