@@ -20,6 +20,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def verdict(words: list[str]) -> tuple[int, str]:
     def stop(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGALRM, stop)
+    usual = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, PATIENCE, 1.0)
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
@@ -86,15 +87,16 @@ def verdict(words: list[str]) -> tuple[int, str]:
         return -1, f"it raised {type(error).__name__}: {error}"
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, usual)
     told = err.getvalue()
     if code not in (0, 1, 2, 130):
         return code, f"exit code {code}"
-    if "internal error" in told or "Traceback" in told:
+    if "internal error" in told or ("Traceback" in told and code != 130):  # Ctrl-C may hit a destructor
         return code, told
     if code == 2 and "error: " not in told:
         return code, f"no error told: {told}"
-    if "--json" in words and code != 130 and not {"--help", "-h", "--version"} & set(words):
+    asked = any(word == "--json" and not before.startswith("--") for before, word in pairwise(words))
+    if asked and code != 130 and not {"--help", "-h", "--version"} & set(words):
         try:
             if not isinstance(json.loads(out.getvalue()), dict):
                 return code, "no object"

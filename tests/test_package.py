@@ -149,7 +149,9 @@ def test_documents_name_modules_and_commands_that_exist() -> None:
 
     for document in (page.read_text() for page in PAGES):
         for module in re.findall(r"`(?:mmnn_pin/)?((?:[a-z_]+/)*[a-z_]+\.(?:py|toml))`", document):
-            assert list(PACKAGE.rglob(module)) or (ROOT / module).exists(), module
+            assert list(PACKAGE.rglob(module)) or list((ROOT / "examples").rglob(module)) or (ROOT / module).exists(), (
+                module
+            )
         for command in re.findall(r"\bmmnn ([a-z]+)\b", document):
             assert command in mmnn.commands, command
 

@@ -291,6 +291,7 @@ def signals_page() -> Iterator[str]:
         "rig": "1",
         "rig motor": "motors",
         "rig all": "nb + n",
+        "lead all": "nb + n",
     }
     yield "# Signals\n"
     yield (

@@ -29,6 +29,7 @@ MEANINGS = {
     "nudot_ref": "`[alphadot; qddot_ref + K edot]`",
     "psi": "true Ψ: torque that the model needs for `nu_ref`, `nudot_ref`",
     "psi_hat": "what the controller believes Ψ to be",
+    "psi_applied": "Ψ̂ as it is sent with the lead of half a period, see `mmnn_pin.loop.lead`",
     "robust": "robust term of the learner, (3.50)",
     "weight_norm": "Frobenius norms of the learner's weights: of the base's and the arm's network",
     "effective_gain": "all factors on `[z; r]` in the torque together",

@@ -14,7 +14,7 @@ and `psi_applied = psi_hat + share (ahead - psi_hat)` is sent, share being delta
 causal: time, measurement, and the setpoints of this sample and the last. What is added is a difference of the reference
 alone. So the errors inside nudot_ref (`K edot`, alphadot) are held, not extrapolated: psi_applied has the noise of
 psi_hat, and the loop linearised about the reference has the same feedback, to first order in delta
-(docs/explanation/theory.md, 8).
+(docs/explanation/theory.md, section 8).
 """
 
 from __future__ import annotations

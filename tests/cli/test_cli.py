@@ -48,7 +48,7 @@ def call(capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """The plot of a run is only a file: drawing takes longer than all the rest."""
 
-    def draw(recordings: object, names: object, folder: Path) -> dict[str, Path]:
+    def draw(recordings: object, names: object, folder: Path, force: bool = True) -> dict[str, Path]:
         (folder / "errors.png").write_text("plot")
         return {"errors": folder / "errors.png"}
 
