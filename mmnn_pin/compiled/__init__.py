@@ -75,7 +75,7 @@ def cache_folder() -> Path | None:
     package = Path(__file__).parents[1]
     for source in sorted(package.rglob("*.py")):
         text = source.read_bytes()
-        if any(mark in text for mark in MARKS) or source.name in ("signals.py", "deferred.py"):  # frozen; form
+        if any(mark in text for mark in MARKS) or source.name == "signals.py":  # numbers that compiled code freezes
             digest.update(str(source.relative_to(package)).encode() + b"\0" + text)
     folder = cache_root() / digest.hexdigest()[:16]
     try:
