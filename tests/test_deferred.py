@@ -11,7 +11,8 @@ import threading
 import pytest
 from numba import config
 
-from mmnn_pin.compiled import deferred, prepare
+from mmnn_pin import deferred
+from mmnn_pin.compiled import prepare
 
 pytestmark = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="nothing is compiled")
 

@@ -83,7 +83,8 @@ def warn(text: str) -> None:
 
 def compile_if_cold() -> None:
     """Compile what every run needs, unless that was done; say on standard error what is waited for, here and later."""
-    from ..compiled import deferred, is_warm
+    from .. import deferred
+    from ..compiled import is_warm
 
     if not is_warm():
         click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)

@@ -72,7 +72,7 @@ def cache_root() -> Path:
 def cache_folder() -> Path | None:
     """Folder for the code compiled from exactly these sources, None where nothing can be written."""
     digest = hashlib.sha256()
-    package = Path(__file__).parents[1]
+    package = Path(__file__).parent
     for source in sorted(package.rglob("*.py")):
         text = source.read_bytes()
         if any(mark in text for mark in MARKS) or source.name == "signals.py":  # numbers that compiled code freezes
