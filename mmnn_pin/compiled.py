@@ -43,7 +43,7 @@ from .deferred import DEFERS, Dispatcher
 # Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
 # less time. One that does allocate fails to compile, loudly.
 LEAN: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
-PLAIN: dict[str, Any] = {"nogil": True, "error_model": "numpy"} | LEAN  # division by zero gives inf or nan as in numpy
+PLAIN = {"nogil": True, "error_model": "numpy"} | LEAN  # division by zero gives inf or nan as in numpy
 
 MARKS = (b"@compiled", b"@inlined", b"@spliced")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -212,7 +212,7 @@ def by_type(stub: F, argument: str, choose: Callable[[type], Callable[..., Any]]
 
     # numba asks a function with the arguments of the stub
     resolve = spelled(f"def resolve({given}): return chosen({given})", chosen=chosen)
-    overload(stub, jit_options=cast(Any, PLAIN), inline="always")(resolve)
+    overload(stub, jit_options=PLAIN, inline="always")(resolve)
     return stub
 
 

@@ -9,7 +9,6 @@ This stands on numba's extension points (a compiler's pipeline, a dispatcher, a 
 them, which is not a public one; where a version of numba lacks what is used, `DEFERS` is False and numba does as ever.
 """
 
-# mypy: disable-error-code="misc,attr-defined"
 from __future__ import annotations
 
 import gc
