@@ -1,9 +1,8 @@
 """How the arithmetic of the blocks is made fast: compiled by numba, with the linear algebra libraries on one thread.
 
-`@compiled` (`@inlined`, `@spliced` for small functions) is `numba.njit` without the interpreter lock, with a file
-cache, and with machine code only for what Python calls (`deferred`). numba's cache looks only at the file of the
-function itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all sources of the
-package. `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
+`@compiled` (`@inlined`, `@spliced` for small functions) is `numba.njit` without the interpreter lock and with a file
+cache. numba's cache looks only at the file of the function itself, so an edited callee would run stale; here the cache
+folder is keyed by a hash of all sources of the package. `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
 
 What a block remembers is one flat array: from Python one array costs 0.15 us per call, a tuple of twelve 1.6 us.
 Compiled code sees it as a named tuple of views that `views` generates from the tuple's declaration:
@@ -38,12 +37,9 @@ from numba.extending import overload
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
-from .deferred import DEFERS, Dispatcher
-
 # Compiled functions allocate nothing; without numba's reference counts they run up to 1.5 times faster and compile in
 # less time. One that does allocate fails to compile, loudly.
 LEAN: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
-PLAIN = {"nogil": True, "error_model": "numpy"} | LEAN  # division by zero gives inf or nan as in numpy
 
 MARKS = (b"@compiled", b"@inlined", b"@spliced")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -92,18 +88,14 @@ def is_warm() -> bool:
 
 
 def compiled(function: F, **options: Any) -> F:
-    """Compile a function of scalars and float64 arrays: machine code when Python calls it, see `deferred`."""
+    """Compile a function of scalars and float64 arrays; division by zero gives inf or nan as in numpy."""
     folder = cache_folder()
     config: Any = numba.config
     before = config.CACHE_DIR
     config.CACHE_DIR = "" if folder is None else str(folder)
     try:
-        if config.DISABLE_JIT or not DEFERS:
-            return cast(F, numba.njit(cache=folder is not None, **PLAIN, **options)(function))
-        dispatcher = Dispatcher(function, targetoptions={"nopython": True, "boundscheck": None} | PLAIN | options)
-        if folder is not None:
-            dispatcher.enable_caching()
-        return cast(F, dispatcher)
+        given: dict[str, Any] = LEAN | options
+        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **given)(function))
     finally:
         config.CACHE_DIR = before
 
@@ -116,14 +108,6 @@ def inlined(function: F) -> F:
 def spliced(function: F) -> F:
     """Copy a function into the source of its one or two callers: as fast, and nothing is compiled twice."""
     return compiled(function, inline="always")
-
-
-def prepare(function: Callable[..., Any], *args: Any) -> None:
-    """Compile a function for arguments of these types, for other compiled functions to call; it is not run."""
-    if isinstance(function, Dispatcher):
-        function.prepare(*args)
-    else:
-        function(*args)
 
 
 @compiled
@@ -148,7 +132,7 @@ def views(kind: type[T]) -> Callable[[NDArray[np.float64], NDArray[np.int64]], T
     known: dict[str, Any] = {}
     text, _ = constructor(kind, known, 0)
     view = spelled(f"def view(values, layout): return {text}", **known)
-    made = numba.njit(inline="always", **PLAIN)(view)
+    made = numba.njit(nogil=True, error_model="numpy", inline="always", **LEAN)(view)
     return cast(Callable[[NDArray[np.float64], NDArray[np.int64]], T], made)
 
 
@@ -210,9 +194,10 @@ def by_type(stub: F, argument: str, choose: Callable[[type], Callable[..., Any]]
     def chosen(*types: Any) -> Any:
         return spelled(f"def call({given}): return function({given})", function=choose(types[place].instance_class))
 
+    options: Any = {"nogil": True, "error_model": "numpy"} | LEAN
     # numba asks a function with the arguments of the stub
     resolve = spelled(f"def resolve({given}): return chosen({given})", chosen=chosen)
-    overload(stub, jit_options=PLAIN, inline="always")(resolve)
+    overload(stub, jit_options=options, inline="always")(resolve)
     return stub
 
 

@@ -14,7 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Any, ParamSpec
@@ -81,23 +81,25 @@ def warn(text: str) -> None:
     click.echo(f"warning: {text}", err=True)
 
 
-def compile_if_cold() -> None:
-    """Compile what every run needs, unless that was done; say on standard error what is waited for, here and later."""
-    from .. import deferred
-    from ..compiled import is_warm
+def compile_if_cold(hardware: bool = False) -> None:
+    """Compile what a run needs, unless that was done, and announce it on standard error.
+
+    Args:
+        hardware: Whether the run has sensors, motors, a supervisor or disturbances; then more is compiled.
+    """
+    from ..compiled import cache_folder, is_warm
 
     if not is_warm():
         click.echo("first run of this version: compiling takes about half a minute, later runs start at once", err=True)
         from ..loop.precompile import precompile
 
         precompile()
-    if not deferred.waiting:
-        deferred.waiting.append(tell_compiling)
-
-
-def tell_compiling(function: str) -> None:
-    """Say that a part of a run is being compiled, once per part."""
-    click.echo(f"compiling {function}() for the first run of this kind; later runs start at once", err=True)
+    folder = cache_folder()
+    if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
+        parts = "sensors, motors, a supervisor or disturbances"
+        click.echo(f"first run with {parts}: their part of the loop is compiled, about half a minute more", err=True)
+        with suppress(OSError):  # a full disk: it is announced again
+            announced.touch()
 
 
 class Lines:

@@ -150,7 +150,7 @@ def control(
     from ..loop.stepper import Stepper
     from ..safety import Safety
 
-    compile_if_cold()
+    compile_if_cold(True)
     loop = experiment.loop(robot, experiment.controller(settings.controller, robot=robot))
     more: dict[str, Any] = {"limits": settings.limits, "setpoint_timeout": settings.setpoint_timeout}
     more |= {"interfaces": interfaces(robot, settings), "latency": settings.latency, "path": out, "force": force}

@@ -109,6 +109,7 @@ def run(
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
+    from ..lab.experiments.runner import has_hardware
     from ..lab.show.gallery import require_plots
 
     chosen = {"robot": robot, "controllers": list(dict.fromkeys(controllers)) or None, "seed": seed, "plant": plant}
@@ -120,7 +121,7 @@ def run(
     require_plots(asked.plots)
     for plot in asked.plots:
         require_free(folder / f"{plot}.png", force, "plot")
-    compile_if_cold()
+    compile_if_cold(bool(asked.cases) or has_hardware(asked))
     command = run_contest if asked.contest is not None else run_cases if asked.cases else run_one
     return command(asked, name, folder, force, as_json)
 

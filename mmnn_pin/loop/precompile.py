@@ -1,9 +1,8 @@
 """Compiles the blocks in two processes before a first run.
 
-numba holds a lock while it compiles, so threads do not help; two processes meet in the cache on disk. What only the
-compiled loop calls is prepared for it, what Python calls before a run is called, on a small robot: what is compiled
-depends on the types of the arguments only. Imperfect sensors and all else that stands behind a hardware model is left
-out: it is compiled by the first run that has it.
+numba holds a lock while it compiles, so threads do not help; two processes meet in the cache on disk. Each block is
+called once on a small robot: what is compiled depends on the types of its arguments only. Imperfect sensors and all
+else that stands behind a hardware model is left out: it is compiled by the first run that has it.
 """
 
 from __future__ import annotations
@@ -14,12 +13,13 @@ import sys
 
 import numpy as np
 
-from ..compiled import cache_folder, is_warm, prepare
+from ..compiled import cache_folder, is_warm
 from ..elementary import arrays
 from ..model.base.holonomic import moves_sideways
 from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
 from ..model.tree.body import body_of, evaluate, new_work
+from ..model.tree.dynamics import psi_again
 from ..model.tree.twin import Twin
 from ..plant.integrators import Joints, Terms, derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
@@ -41,14 +41,14 @@ def precompile() -> None:
     quiet = subprocess.DEVNULL
     other = subprocess.Popen([sys.executable, "-m", __name__], stdin=quiet, stdout=quiet, stderr=quiet)
     try:
-        control_blocks()
+        call_control_blocks()
         other.wait()
     finally:
         other.kill()
 
 
-def control_blocks() -> None:
-    """Prepare exact measurement, velocity command, torque and the integrators."""
+def call_control_blocks() -> None:
+    """Call exact measurement, velocity command, torque and the integrators."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
     controller, context = Neural(feedback=Feedback(1.0, 1.0)), Context(layout, 0.001, 1)
@@ -56,36 +56,37 @@ def control_blocks() -> None:
     setpoint = np.zeros(at[INDEX["pose"]] - at[INDEX["pose_ref"]])
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
     moves_sideways(layout.base)
-    prepare(exact, row, at, y[:nv], nu, arm)
-    prepare(before_torque, row, at, 0.0, setpoint, np.ones(3), np.ones(1))
-    prepare(law.step, row, at, numbers, state.values, None, None)
+    exact(row, at, y[:nv], nu, arm)
+    before_torque(row, at, 0.0, setpoint, np.ones(3), np.ones(1))
+    law.step(row, at, numbers, state.values, None, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
     ydot, grip = y.copy(), np.zeros((nv, p + 2))
     joints = Joints(T, v.copy(), np.zeros((nv, 3)), nu, 2)
     terms = Terms(v, M, nu, nu, np.zeros(nv), ydot, L, nu.copy(), grip)
-    prepare(derivative, y, nu, 2, terms)
-    prepare(euler, 0, 0.001, joints, terms, nu, y)
-    prepare(rk4_stage, 0, 0.001, y, ydot, y.copy(), y.copy())
+    derivative(y, nu, 2, terms)
+    euler(0, 0.001, joints, terms, nu, y)
+    rk4_stage(0, 0.001, y, ydot, y.copy(), y.copy())
 
 
-def plant_blocks() -> None:
-    """Prepare the dynamics and the guard; call what checks the robot before a run, and what sums up the rows."""
+def call_plant_blocks() -> None:
+    """Call the dynamics, the guard and what sums up the rows."""
     robot = load("platform_arm")
     layout, body = Layout.of(robot.dimensions), body_of(robot)
     work, nv, p = new_work(body), layout.full, layout.dof
     row, y, nu = layout.new_row(), np.concatenate((robot.neutral_position(), np.zeros(p + 1))), np.zeros(p)
     pose, velocity, q, qdot = (row[layout.where(name)] for name in ("pose", "velocity", "q", "qdot"))
-    prepare(as_measured, body.offset, body.columns, pose, velocity, q, qdot, y[:nv], y[nv : nv + p])
-    prepare(evaluate, body, work, y[:nv], y[nv : nv + p])
+    as_measured(body.offset, body.columns, pose, velocity, q, qdot, y[:nv], y[nv : nv + p])
+    evaluate(body, work, y[:nv], y[nv : nv + p])
+    psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
     twin = Twin(robot)
     twin.refresh(y[:nv], y[nv : nv + p])
     twin.potential()
     arrays.cos_sin(np.zeros(1))  # of references
     quadratic(work.M, nu)
-    prepare(after_torque, row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
+    after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))
     sums, windows = np.zeros(1), np.zeros((1, 2))
     accumulate(row[None], np.array([0]), windows, sums, sums.copy(), sums.copy(), np.zeros(1), np.zeros((1, 1)))
 
 
 if __name__ == "__main__":
-    plant_blocks()
+    call_plant_blocks()

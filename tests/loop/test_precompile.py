@@ -17,8 +17,8 @@ from dataclasses import replace
 import mmnn_pin as mm
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop import precompile
-precompile.control_blocks()
-precompile.plant_blocks()
+precompile.call_control_blocks()
+precompile.call_plant_blocks()
 def versions():
     found = {}
     for name, module in list(sys.modules.items()):
@@ -66,7 +66,7 @@ def started(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "is_warm", lambda: False)
     monkeypatch.setattr(module, "cache_folder", lambda: tmp_path)
     monkeypatch.setattr(module.os, "cpu_count", lambda: 2)
-    monkeypatch.setattr(module, "control_blocks", lambda: commands.append("control"))
+    monkeypatch.setattr(module, "call_control_blocks", lambda: commands.append("control"))
     monkeypatch.setattr(module, "PROCESS", Process(), raising=False)
     monkeypatch.setattr(module.subprocess, "Popen", lambda command, **_: commands.append(command) or module.PROCESS)
     return commands

@@ -177,3 +177,9 @@ def hand_notes(experiment: Experiment, robot: Robot) -> list[str]:
     follows = f"{motion.frames[0]} follows its path from t = {begins:.3g} s to {ends:.3g} s"
     found = [f"{follows}; the reference's own distance from it is at most {gap:.2g} mm"]
     return [*found, *([f"the program of the hand had no solution at {missed} samples: it braked"] if missed else [])]
+
+
+def has_hardware(experiment: Experiment) -> bool:
+    """Whether there is more between controller and robot than wires, see `hardware`."""
+    perfect = experiment.sensor.exact and experiment.actuator.perfect
+    return not perfect or experiment.safety is not None or bool(experiment.disturbances)
