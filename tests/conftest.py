@@ -19,7 +19,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def compile_once() -> None:
     from mmnn_pin.cli.output import compile_if_cold
 
-    compile_if_cold()
+    compile_if_cold(hardware=True)
 
 
 @pytest.fixture(autouse=True)
