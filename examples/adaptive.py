@@ -24,20 +24,17 @@ def unexplained(theta, run):
     return np.sum(error[250:] ** 2, axis=0) / np.sum((run["psi"] - run["psi"].mean(0))[250:] ** 2, axis=0)
 
 
+TRAINING = {
+    "eight, arm swinging": (Eight(length=1.5, width=0.75, period=12.0, ramp=1.0), (4.0, 3.0)),
+    "circle, arm slow": (Circle(radius=1.0, speed=0.4, ramp=1.0), (40.0, 40.0)),
+}
+HELD_OUT = {
+    "eight": (Eight(length=1.5, width=0.75, period=9.2, ramp=1.0), (3.1, 2.3)),
+    "circle": (Circle(radius=0.7, speed=0.5, ramp=1.0), (3.1, 2.3)),
+}
 if __name__ == "__main__":
-    TRAINING = {
-        "eight, arm swinging": (Eight(length=1.5, width=0.75, period=12.0, ramp=1.0), (4.0, 3.0)),
-        "circle, arm slow": (Circle(radius=1.0, speed=0.4, ramp=1.0), (40.0, 40.0)),
-    }
-    HELD_OUT = {
-        "eight": (Eight(length=1.5, width=0.75, period=9.2, ramp=1.0), (3.1, 2.3)),
-        "circle": (Circle(radius=0.7, speed=0.5, ramp=1.0), (3.1, 2.3)),
-    }
-    if __name__ == "__main__":
-        truth = {name: loop(ComputedTorque(gains), *motion, 10.0).run() for name, motion in HELD_OUT.items()}
-        for name, motion in TRAINING.items():
-            learned = loop(Adaptive(regressor, gains), *motion, 48.0).run()
-            left = [
-                f"{held} {unexplained(learned.weights['theta'][-1], run).mean():.4f}" for held, run in truth.items()
-            ]
-            print(f"{name:20} FVU frozen, held out:", *left, learned.outcome.message)
+    truth = {name: loop(ComputedTorque(gains), *motion, 10.0).run() for name, motion in HELD_OUT.items()}
+    for name, motion in TRAINING.items():
+        learned = loop(Adaptive(regressor, gains), *motion, 48.0).run()
+        left = [f"{held} {unexplained(learned.weights['theta'][-1], run).mean():.4f}" for held, run in truth.items()]
+        print(f"{name:20} FVU frozen, held out:", *left, learned.outcome.message)

@@ -33,7 +33,6 @@ if __name__ == "__main__":
     learner, sizes = experiment.controller("two_layer", robot=robot), robot.dimensions
     (seen, given), F = learner.network_scales(sizes), np.repeat(learner.network.F, (sizes.base, sizes.arm))
     k, ki = learner.feedback_gain(sizes), F * seen * given * learner.network.hidden / 4
-
     network, integrator = (experiment.loop(robot, controller).run() for controller in (learner, PI(k, ki)))
     integral = integrator["torque"] - k * np.hstack((integrator["z"], integrator["r"]))
     for name, run, said in (("two_layer", network, network["psi_hat"]), ("integrator", integrator, integral)):

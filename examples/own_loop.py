@@ -27,8 +27,7 @@ class Driver:
 
 
 if __name__ == "__main__":
-    robot = load("platform_arm")
-    limits = Safety(torque=50.0, speed=1.0, joint_error=0.5)
+    robot, limits = load("platform_arm"), Safety(torque=50.0, speed=1.0, joint_error=0.5)
     with Stepper(robot, PD(Feedback(15.0, 20.0, "inertia")), safety=limits, period=0.002) as stepper:
         driver, drive = Driver(robot, stepper.period), BaseVelocity((0.3, 0.2))
         for k in range(2000):  # pacing is yours: here there is none
