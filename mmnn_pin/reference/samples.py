@@ -190,7 +190,11 @@ class Columns(Mapping[str, Array]):
     def table(self, nb: int) -> Table:
         """The base's: `x, y, phi`, and `v, w` or `vx, vy, w` where they are there; errors as of `Table`."""
         names = ("vx", "vy", "w") if moves_sideways(nb) else ("v", "w")
-        given = np.stack([self[n] for n in names], axis=1) if set(names) <= set(self) else None
+        missing = [name for name in names if name not in self]
+        if missing and len(missing) < len(names):
+            fix = f"give {', '.join(names)}, or none of them and the poses' own are taken"
+            raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=self.file, line=1)
+        given = None if missing else np.stack([self[n] for n in names], axis=1)
         return table_of(self["t"], np.stack([self[n] for n in ("x", "y", "phi")], axis=1), given, nb)
 
     @contextmanager

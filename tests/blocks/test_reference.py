@@ -315,7 +315,7 @@ def test_table_reads_csv_and_points_at_the_line(tmp_path: Path) -> None:
     with pytest.raises(TrajectoryError) as refused:
         Table.read(file)
     assert str(refused.value).startswith(f"{file}:6: error: x = '' is not a number")
-    file.write_text("t,x,y,phi,v\n")
+    file.write_text("t,x,y,phi,v\n0,0,0,0,0\n1,0,0,0,0\n")
     with pytest.raises(TrajectoryError, match="no column w"):
         Table.read(file)
 

@@ -498,6 +498,7 @@ FRESH = """
 import sys, numpy as np
 from mmnn_pin import *
 from mmnn_pin.reference.wishes import HOLD, BaseVelocity, JointGoal
+from mmnn_pin.torque.model_based import ComputedTorque
 def count():
     return sum(len(f.overloads) for name, m in list(sys.modules.items()) if name.startswith("mmnn_pin")
                for f in vars(m).values() if hasattr(f, "overloads"))
