@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
 import sys
 
 import pytest
@@ -72,7 +70,7 @@ def test_tables_are_as_wide_as_the_terminal_and_plain_in_a_file(monkeypatch) -> 
     assert output.look() == {}
     monkeypatch.setattr(sys.stdout, "isatty", lambda: True, raising=False)
     for columns, wanted in ((63, 63), (10, output.NARROW), (999, output.WIDE)):
-        monkeypatch.setattr(shutil, "get_terminal_size", lambda columns=columns: os.terminal_size((columns, 24)))
+        monkeypatch.setenv("COLUMNS", str(columns))
         assert output.look() == {"colour": True, "width": wanted}
 
 
