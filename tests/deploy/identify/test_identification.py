@@ -164,7 +164,7 @@ def test_nothing_is_replaced_unasked_and_nothing_is_half_written(
     monkeypatch.setattr(
         "mmnn_pin.deploy.identify.corrected.np.savez_compressed", lambda *a, **k: (_ for _ in ()).throw(OSError("full"))
     )
-    with pytest.raises(RecordingError, match="cannot be written: full"):
+    with pytest.raises(RecordingError, match="cannot write the file: full"):
         write(found, tmp_path / "other")
     assert list((tmp_path / "other").iterdir()) == []
 
