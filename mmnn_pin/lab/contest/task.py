@@ -174,9 +174,9 @@ def tasks_of(
 
 
 def names_its_own(experiment: Experiment, name: str) -> bool:
-    """Whether a case says which controllers run in it; what one that starts elsewhere has, the contest says."""
+    """Whether a case says itself which controllers run in it."""
     case = experiment.cases.get(name)
-    return case is not None and not case.experiment and "controllers" in case.set
+    return case is not None and "controllers" in (case.own if case.experiment else case.set)
 
 
 def require_windows(experiment: Experiment) -> None:

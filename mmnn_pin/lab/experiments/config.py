@@ -183,7 +183,8 @@ def with_starts(table: dict[str, Any], own: Mapping[str, Any], path: Path, overr
         for text in overrides:
             if not text.startswith("cases."):
                 override(start, text)
-        case["set"] = merged(start, case.get("set", {}))
+        changes = case.get("set", {})
+        case["own"], case["set"] = list(changes), merged(start, changes)
 
 
 def inherited(table: Mapping[str, Any]) -> dict[str, Any]:

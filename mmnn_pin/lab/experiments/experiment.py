@@ -88,11 +88,13 @@ class Case(Settings, frozen=True):
         set: Keys that it changes, tables in tables.
         experiment: A bundled experiment or a file from which it starts, in place of the one that it is a case of; what
             that one says itself holds in this case, too.
+        own: Keys of `set` that the case itself says; filled in where it starts from another experiment.
     """
 
     title: str
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     experiment: str = ""
+    own: tuple[str, ...] = ()
 
 
 class Tolerance(Settings, frozen=True):

@@ -145,9 +145,9 @@ def folded(table: Table, width: int) -> list[Table]:
 
 
 def of_columns(table: Table, heads: int, first: int, end: int) -> Table:
-    """The table with its first columns, and with those from one place to another."""
+    """The table with its first columns, and with those from one place to another; rows may end early."""
     kept = [*range(heads), *range(first, end)]
-    rows = tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in table.rows)
+    rows = tuple(replace(row, cells=tuple(row.cells[i] for i in kept if i < len(row.cells))) for row in table.rows)
     return replace(table, columns=tuple(table.columns[i] for i in kept), rows=rows)
 
 
