@@ -218,9 +218,9 @@ def holding(files: tuple[Path, Path] | None) -> Iterator[None]:
 
 
 def certificate(folder: Path, name: str) -> tuple[Path, Path]:
-    """A certificate and its key, made as docs/cluster.md says."""
+    """A certificate and its key, made as docs/how-to/cluster.md says."""
     (folder / name).mkdir()
-    command = re.search(r"^    (openssl req .*)$", (ROOT / "docs" / "cluster.md").read_text(), re.M)
+    command = re.search(r"^    (openssl req .*)$", (ROOT / "docs/how-to/cluster.md").read_text(), re.M)
     assert command is not None
     subprocess.run(command[1].split(), cwd=folder / name, check=True, capture_output=True)
     return folder / name / "cert.pem", folder / name / "key.pem"

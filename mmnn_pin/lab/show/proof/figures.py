@@ -235,6 +235,7 @@ COLOURS = (
     "#000000",
     "#882255",
     "#999999",
+    "#B8860B",
 )
 SHOWN = 1e-3  # terms that add less than this share of the largest are left out
 DEEPEST = 1e-10  # part of the largest value below which nothing is shown: a start on the reference has none
