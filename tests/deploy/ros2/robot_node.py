@@ -192,7 +192,7 @@ def main():
     rclpy.init()
     node = rclpy.create_node("robot")
     robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf)), 0, math.inf
-    start, limit = time.monotonic(), time.monotonic() + 120.0
+    start, limit = time.monotonic(), time.monotonic() + 240.0
     while time.monotonic() < limit:
         for _ in range(4):
             rclpy.spin_once(node, timeout_sec=0.0)
