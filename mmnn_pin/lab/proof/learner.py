@@ -22,7 +22,7 @@ from ...model.robots import bundled, extra
 from ...recording.reading import AGAIN
 from ...recording.recording import Recording
 from ...recording.run_file import encode
-from ...settings import shortly
+from ...settings.arguments import shortly
 from ...signals import Array
 from ...torque import CONTROLLERS
 from ...torque.controller import Context, ControllerState, Feedback

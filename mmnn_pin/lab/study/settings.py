@@ -14,7 +14,8 @@ import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
 from ...files import read_toml
-from ...settings import Settings, wrong_type
+from ...settings import Settings
+from ...settings.arguments import wrong_type
 from ..experiments.config import bundled, load_experiment, override, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment

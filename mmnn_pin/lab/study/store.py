@@ -22,7 +22,7 @@ import msgspec
 
 from ...errors import StudyError
 from ...files import locked
-from ...settings import wrong_type
+from ...settings.arguments import wrong_type
 from .worker import JobResult
 
 FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
