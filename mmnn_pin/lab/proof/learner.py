@@ -205,7 +205,7 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
     if entry is None or entry.gain_of:
         return None
     found = entry.load().from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
-    if found is None and entry.thesis:
+    if found is None and (entry.thesis or not settings):
         raise RecordingError(
             f"the recording does not tell the settings of {name}",
             why="an older mmnn_pin wrote it",
