@@ -228,7 +228,7 @@ class Expected(NamedTuple):
     Attributes:
         inertia: (p,) effective inertias of the robot that the controller believes in [kg, kg m^2].
         follows: 1 where Psi_hat answers for nudot_ref, 0 for a controller without one: then the torque is all.
-        acceleration: (p,) written: see `sensing.effects.Reading`.
+        acceleration: (p,) written: see `sensing.effects.Reading`; (0,) without such an observer.
     """
 
     inertia: Array
@@ -246,7 +246,7 @@ class Way(NamedTuple):
         totals: Command of the motors, and what they and the world gave.
         sent: (p,) the last torque that reached the motors, part of the hardware's state.
         shorted: (1,) how many motors, from the first on, have their windings shorted.
-        expected: For an observer on a model; None without one.
+        expected: For an observer on a model.
     """
 
     line: Command
@@ -256,7 +256,7 @@ class Way(NamedTuple):
     totals: Totals
     sent: Array
     shorted: IntArray
-    expected: Expected | None
+    expected: Expected
 
 
 class Hardware(NamedTuple):
@@ -370,8 +370,7 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way
         safety.supervise(row, at, time, line.arrived[0] > 0.0, weights, supervisor)
         way.shorted[0] = shorted(row[at[SAFETY]], supervisor)
     copy_to(tau, way.sent)
-    if way.expected is not None:
-        expect(row, at, way.expected)
+    expect(row, at, way.expected)
     command, states = way.totals.command, way.totals.states
     for j in range(command.size):
         command[j] = 0.0

@@ -103,10 +103,10 @@ def new_hardware(
     )
 
 
-def expected_of(loop: Setup, acceleration: Array) -> Expected | None:
-    """What an observer on a model is told, into an acceleration (p,) of its state; None for one of size 0."""
+def expected_of(loop: Setup, acceleration: Array) -> Expected:
+    """What an observer on a model is told, into an acceleration (p,) of its state; nothing, into one of size 0."""
     if not acceleration.size:
-        return None
+        return Expected(np.zeros(0), 0.0, acceleration)
     believed = believed_by(loop)
     places = (Start().state(believed, row)[0] for row in postures(believed))
     inertia = effective_inertia(believed, places, loop.timing.control_period)
