@@ -67,9 +67,9 @@ class AdaptiveSettings(Settings, frozen=True):
         share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut.
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
-        heaviest: The same upwards. Too light an estimate is too little of a feedforward; one too heavy is a feedback, by
-            the feedback inside nudot_ref, and noise of velocities drives it there. The prior suits the gains, and so
-            does the robot: it is a few times as heavy at most (`tests/torque/test_adaptive.py`).
+        heaviest: The same upwards. Too light an estimate is too little of a feedforward; one too heavy is a feedback,
+            by the feedback inside nudot_ref, and noise of velocities drives it there. The prior suits the gains, and
+            so does the robot: it is a few times as heavy at most (`tests/torque/test_adaptive.py`).
         friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
         initial: "prior" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's (in an
             experiment the one of `[nominal]`).
