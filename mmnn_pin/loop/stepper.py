@@ -31,6 +31,7 @@ from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
 from ..safety.supervisor import GOOD, HEARD
+from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
 from ..settings.arguments import checked
 from ..signals import SIGNALS, Array, Measurement, Setpoint
@@ -102,6 +103,8 @@ class Stepper:
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
+        observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
+            base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
         servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
@@ -150,6 +153,7 @@ class Stepper:
         latency: float = 0.0,
         lag: Numbers = 0.0,
         lead: bool = False,
+        observer: float = 0.0,
         interfaces: Mapping[str, str] | None = None,
         servo: Servo = Servo(),  # noqa: B008
         check_gains: bool = True,
@@ -167,9 +171,10 @@ class Stepper:
         require_gain(latency, "latency")
         require_seed(seed)
         lag = lag if isinstance(lag, int | float) else tuple(lag)
+        sensor = Sensor(velocity="model", bandwidth=observer) if observer else Sensor()
         controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN, lag))
         setup = Outside(
-            robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
+            robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
             interfaces=dict(interfaces or {}), servo=servo, lead=lead, way=latency, lag=lag,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
@@ -328,8 +333,6 @@ class Stepper:
         """Delay from the measurement to the motors at which the loop turns unstable, at the worst posture [s]."""
         return delay_margin(self.judged)
 
-    # -- what it tells -----------------------------------------------------------------------------------------------
-
     @property
     def robot(self) -> Robot:
         """The robot."""
@@ -384,8 +387,6 @@ class Stepper:
     ) -> None:
         self.recorder.__exit__(kind, error, traceback)
 
-    # -- inside --------------------------------------------------------------------------------------------------------
-
     def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
@@ -425,6 +426,8 @@ class Stepper:
             getattr(self.measured, name)[:] = getattr(measurement, name)
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
+        elif not self.setup.sensor.exact:
+            observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
         accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
 
