@@ -53,7 +53,8 @@ def steps(loop: Loop, sink: str = "memory") -> Prepare:
             if sink == "alone":
                 outcome = loop.stream(engine, Nothing())
             else:
-                with Recorder(loop.layout, loop.facts(), file, force=True) as recorder:
+                samples = loop.timing.samples
+                with Recorder(loop.layout, loop.facts(), file, force=True, expected=samples) as recorder:
                     outcome = loop.stream(engine, recorder)
                     recorder.finish(outcome, loop.final(engine))
             assert outcome.status == "completed", outcome.message
