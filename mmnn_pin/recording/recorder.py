@@ -66,7 +66,7 @@ class Recorder:
         columns = _columns(layout, facts)
         if signals is not None:
             columns = {name: about for name, about in columns.items() if name in ("time", *known(signals))}
-        self._about = {"columns": columns, "meta": facts, "texts": texts}
+        self._about: dict[str, Any] = {"columns": columns, "meta": facts, "texts": texts}
         self._store: RunFile | _Memory = (
             _Memory(layout, columns)
             if path is None

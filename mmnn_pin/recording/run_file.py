@@ -179,14 +179,13 @@ class RunFile:
             self._reserve(sum(array.nbytes for array in final.values()))
             group = self._file.require_group("final").id if final else None
             for name, array in final.items():
-                kind = h5py.h5t.py_create(array.dtype, logical=True)
-                h5py.h5d.create(group, name.encode(), kind, _space(array.shape)).write(ALL, ALL, array)
+                _dataset(group, name, array)
             root = h5py.h5g.open(self._file.id, b"/")
             _attribute(root, "outcome", outcome["status"])
             for field in ("time", "signal", "message"):
                 _attribute(root, f"outcome_{field}", encode(outcome[field]))
             self._file.flush()
-            self._file.attrs["complete"] = True
+            h5py.h5a.open(root, b"complete").write(np.array(True))
             self.close()
         if self._before is not None:
             self._before.unlink(missing_ok=True)
@@ -263,7 +262,7 @@ def _create(path: Path, before: Path | None, image: bytes) -> int:
                     before.unlink(missing_ok=True)
                     os.link(path, before)
                     undo.callback(before.unlink, missing_ok=True)
-            settle(part, path, "recording", before is not None)
+            settle(part, path, "recording", before is not None, sync=False)
             part.unlink(missing_ok=True)
             undo.pop_all()
     except (OSError, RuntimeError) as error:
@@ -351,7 +350,13 @@ def _write_facts(file: h5py.File, meta: Mapping[str, Any], texts: Mapping[str, s
     for name, value in meta.items():
         _attribute(root, name, encode(value))
     for name, text in texts.items():
-        file.create_dataset(name, data=text, dtype=h5py.string_dtype())
+        _dataset(root, name, np.asarray(text, dtype=h5py.string_dtype()))
+
+
+def _dataset(group: h5py.h5g.GroupID, name: str, array: NDArray[Any]) -> None:
+    """A dataset that does not grow."""
+    kind = h5py.h5t.py_create(array.dtype, logical=True)
+    h5py.h5d.create(group, name.encode(), kind, _space(array.shape)).write(ALL, ALL, array)
 
 
 def _attribute(place: h5py.h5g.GroupID | h5py.h5d.DatasetID, name: str, value: Any) -> None:
