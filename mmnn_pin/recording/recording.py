@@ -27,6 +27,7 @@ from ..model.urdf.document import Document
 from ..model.urdf.packages import locate
 from ..model.urdf.reading import MAX_BYTES, parse
 from ..model.urdf.xml import parse_xml, text_of
+from ..settings.arguments import checked
 from ..signals import INDEX, Array
 from .reading import AGAIN, contents, read_arrays
 from .run_file import Arrays, Columns, Places, RunFile
@@ -78,6 +79,7 @@ class Recording:
     ((50, 2), ('v', 'w'), 'm')
     """
 
+    @checked
     def __init__(
         self,
         *,
@@ -98,6 +100,7 @@ class Recording:
         self.outcome = outcome or self._killed()
 
     @classmethod
+    @checked
     def open(cls, path: str | Path) -> Recording:
         """Read a recording from a file; its signals stay on disk until asked for.
 

@@ -249,10 +249,10 @@ def _create(path: Path, before: Path | None, image: bytes) -> int:
     A complete recording that is replaced stays under the name `before` until its successor is complete; None replaces
     nothing.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
     try:
         with ExitStack() as undo:
             _require_free(path, before is not None)
+            part = path.with_name(f".{path.name}.{os.getpid()}.part")
             undo.enter_context(folders_for(path))
             undo.callback(part.unlink, missing_ok=True)
             lock = _write_locked(part, image)
