@@ -177,7 +177,7 @@ class Loop:
         self.require_stable_gains()
         engine = self.engine_at(state, plant_state, first, hardware_state)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
-        with Recorder(self.layout, facts, path, force) as recorder:
+        with Recorder(self.layout, facts, path, force, expected=self.timing.samples - first) as recorder:
             outcome = self.stream(engine, recorder, first=first, progress=progress)
             return recorder.finish(with_findings(outcome, self.controller, engine.state), self.final(engine))
 
