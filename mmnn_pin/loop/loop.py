@@ -135,7 +135,8 @@ class Loop:
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
         more = self.latency.total > 0.0 or bool(self.interfaces)
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
-        return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self))
+        hands = 0 if self.trajectory.watched is None else len(self.trajectory.watched.frames)
+        return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self), hands)
 
     @one_thread
     def run(
@@ -312,7 +313,9 @@ class Loop:
     def facts(self) -> dict[str, Any]:
         """What a recording should know of this run."""
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
-        return facts_of(self, self.seed) | {"plant": self.plant} | floor
+        watched = self.trajectory.watched
+        hands = {} if watched is None else {"hands": dict(watched.frames)}
+        return facts_of(self, self.seed) | {"plant": self.plant} | floor | hands
 
     @property
     def believed(self) -> Robot:
@@ -345,6 +348,8 @@ class Loop:
             progress: Called after every block with the simulated time [s].
             cancelled: Asked after every block; true ends the run as interrupted.
         """
+        if self.trajectory.watched is not None:
+            sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
         outcome = run_to_end(self, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
 
@@ -365,6 +370,23 @@ def require_compilable(loop: Loop) -> None:
     else:
         return
     raise ConfigError(what, why=why, fix=fix, key="engine")
+
+
+@dataclass(frozen=True)
+class Watching:
+    """A sink that writes where frames are into the rows before it hands them on."""
+
+    sink: Sink
+    write: Callable[[Array], None]
+
+    def append_block(self, rows: Array, step_times: Array) -> None:
+        """See `Sink`."""
+        self.write(rows)
+        self.sink.append_block(rows, step_times)
+
+    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
+        """See `Sink`."""
+        self.sink.weights(time, arrays)
 
 
 def run_to_end(
