@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -41,22 +41,12 @@ from .ordinary import OrdinaryLoop
 from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, servo_gains
-from .setup import Streams, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
+from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
 from .suited import Given, suited
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
-
-
-class Sink(Protocol):
-    """What takes the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
-
-    def append_block(self, rows: Array, step_times: Array) -> None:
-        """Take rows (k, width) and the wall-clock time of each (k,) [s]."""
-
-    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
-        """Take a snapshot of the weights at a time [s]."""
 
 
 @dataclass(frozen=True)
@@ -370,23 +360,6 @@ def require_compilable(loop: Loop) -> None:
     else:
         return
     raise ConfigError(what, why=why, fix=fix, key="engine")
-
-
-@dataclass(frozen=True)
-class Watching:
-    """A sink that writes where frames are into the rows before it hands them on."""
-
-    sink: Sink
-    write: Callable[[Array], None]
-
-    def append_block(self, rows: Array, step_times: Array) -> None:
-        """See `Sink`."""
-        self.write(rows)
-        self.sink.append_block(rows, step_times)
-
-    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
-        """See `Sink`."""
-        self.sink.weights(time, arrays)
 
 
 def run_to_end(
