@@ -31,11 +31,13 @@ from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
 from ..safety.supervisor import GOOD, HEARD
+from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
+from ..settings.arguments import checked
 from ..signals import SIGNALS, Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import require_nominal
+from .before_run import require_nominal, require_seed, samples_between
 from .controller import state_from, with_findings
 from .lead import Past, bring_up
 from .loop import Loop
@@ -99,12 +101,13 @@ class Stepper:
         setpoint_timeout: Age of a setpoint that has to be renewed at which the base brakes and the arm holds [s].
         nominal: The robot that a controller believes in which uses a model and brings none; None for `robot`.
         seed: Of what a controller draws.
-        within_limits: As in `Loop`.
+        within_limits, lead: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
-        predict: Whether a measurement is brought up to now by what the reference has moved since it was taken, over the
-            latency at most, see `loop.lead.catch_up`; `measured` of `step` says when that was.
+        predict: Whether a measurement is brought up to now by what the reference has moved since it was `measured`,
+            over the latency at most, see `loop.lead.catch_up`.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
-        lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
+        observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
+            base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
         servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
@@ -116,12 +119,10 @@ class Stepper:
 
     Attributes:
         row: (width,) all signals of the last sample; those of `UNKNOWN` mean nothing.
-        measured: The last good measurement, views into the row.
-        setpoint: The setpoint of the last sample, views.
+        measured, setpoint: The last good measurement and the setpoint of the last sample, views into the row.
         command: What the last step returned.
         state: What the controller has learned.
-        time: Of the last sample [s].
-        step_time: Wall-clock time that the last step took [s].
+        time, step_time: Of the last sample, and the wall-clock time that its step took [s].
 
     Raises:
         ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
@@ -136,6 +137,7 @@ class Stepper:
     (4,)
     """
 
+    @checked
     def __init__(
         self,
         robot: Robot,
@@ -153,6 +155,7 @@ class Stepper:
         predict: bool = False,
         lag: Numbers = 0.0,
         lead: bool = False,
+        observer: float = 0.0,
         interfaces: Mapping[str, str] | None = None,
         servo: Servo = Servo(),  # noqa: B008
         check_gains: bool = True,
@@ -166,26 +169,29 @@ class Stepper:
             why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
             raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
         require_gain(setpoint_timeout, "setpoint_timeout")
-        timing = Timing(duration=period, control_period=period, plant_step=period)
         require_gain(latency, "latency")
+        timing = Timing(duration=period, control_period=period, plant_step=period)
+        require_seed(seed)
+        lag = lag if isinstance(lag, int | float) else tuple(lag)
+        sensor = Sensor(velocity="model", bandwidth=observer) if observer else Sensor()
         controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN, lag))
         setup = Outside(
-            robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
+            robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
             interfaces=dict(interfaces or {}), servo=servo, lead=lead, way=latency, lag=lag,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
         self.follower, self.at = Follower(robot, limits, setpoint_timeout), layout.offsets
-        self.row = layout.new_row()
-        self.received = self.row[layout.where("pose").start : layout.where("qdot").stop]
-        self.measured, self.setpoint = Measurement.of(self.row, layout), Setpoint.of(self.row, layout)
-        self.torque, self.motor_torque = self.row[layout.where("torque")], self.row[layout.where("motor_torque")]
+        row = self.row = layout.new_row()
+        self.received = row[layout.where("pose").start : layout.where("qdot").stop]
+        self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
+        self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
         sizes = (layout.dof, layout.dof, layout.dof, layout.motors, layout.motors)
         self.command = Command._make(np.full(size, np.nan) for size in sizes)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
-        self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
-        self.every, self.weighed = max(1, round(weights_interval / period)), -1
+        self.time, self.k, self.step_time, self.told, self.weighed = -math.inf, -1, 0.0, list[str](), -1
+        self.every = samples_between(weights_interval, period)
         self.past, self.before = Past.of(latency * predict, period, self.follower.now), self.follower.now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
@@ -196,8 +202,8 @@ class Stepper:
     @classmethod
     def of(cls, loop: Loop, **more: Any) -> Self:
         """The stepper of a loop, with more arguments of `Stepper`; what the loop simulates is left out."""
-        said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
-        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag, "lead": loop.lead, "servo": loop.servo}
+        said: dict[str, Any] = {name: getattr(loop, name) for name in (*ALIKE, "lead", "servo")}
+        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag}
         said |= {"latency": loop.latency.total, "predict": loop.latency.predict}
         return cls(loop.robot, loop.controller, **(said | more))
 
@@ -322,8 +328,6 @@ class Stepper:
         """Delay from the measurement to the motors at which the loop turns unstable, at the worst posture [s]."""
         return delay_margin(self.judged)
 
-    # -- what it tells -----------------------------------------------------------------------------------------------
-
     @property
     def robot(self) -> Robot:
         """The robot."""
@@ -378,8 +382,6 @@ class Stepper:
     ) -> None:
         self.recorder.__exit__(kind, error, traceback)
 
-    # -- inside --------------------------------------------------------------------------------------------------------
-
     def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
@@ -419,6 +421,8 @@ class Stepper:
             getattr(self.measured, name)[:] = getattr(measurement, name)
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
+        elif not self.setup.sensor.exact:
+            observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
         accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
 
