@@ -165,7 +165,7 @@ def test_a_robot_goes_on_after_its_reset_and_stops_when_told(tmp_path: Path, dom
     assert told["again"][0] and told["runs again"]
     assert "tripped" in run.lines or "nothing fresh" in run.lines
     v = run.rows[:, 4]  # the joystick drives it at first, stands after trip and stop, and drives it again after each
-    assert (np.abs(v[run.rows[:, 0] < 2.5].max() - 0.2) < 0.05) and np.abs(run.at(11.5)[4] - 0.2) < 0.05, run.lines
+    assert (np.abs(v[run.rows[:, 0] < 2.5].max() - 0.2) < 0.05) and np.abs(run.at(10.0)[4] - 0.2) < 0.05, run.lines
 
 
 BY_POSITION = SETTINGS.replace(
