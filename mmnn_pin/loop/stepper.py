@@ -33,10 +33,11 @@ from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, rem
 from ..safety.supervisor import GOOD, HEARD
 from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
+from ..settings.arguments import checked
 from ..signals import SIGNALS, Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import require_nominal
+from .before_run import require_nominal, require_seed, samples_between
 from .controller import state_from, with_findings
 from .loop import Loop
 from .new_hardware import new_hardware
@@ -135,6 +136,7 @@ class Stepper:
     (4,)
     """
 
+    @checked
     def __init__(
         self,
         robot: Robot,
@@ -167,6 +169,8 @@ class Stepper:
         require_gain(setpoint_timeout, "setpoint_timeout")
         timing = Timing(duration=period, control_period=period, plant_step=period)
         require_gain(latency, "latency")
+        require_seed(seed)
+        lag = lag if isinstance(lag, int | float) else tuple(lag)
         sensor = Sensor(velocity="model", bandwidth=observer) if observer else Sensor()
         controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN, lag))
         setup = Outside(
@@ -185,7 +189,7 @@ class Stepper:
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time = -math.inf, -1, 0.0
-        self.every, self.weighed = max(1, round(weights_interval / period)), -1
+        self.every, self.weighed = samples_between(weights_interval, period), -1
         self.told, self.before = list[str](), self.follower.now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()

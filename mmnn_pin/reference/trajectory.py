@@ -18,6 +18,7 @@ from ..errors import TrajectoryError, UnknownName
 from ..model.base import BY_SIZE
 from ..model.base.holonomic import moves_sideways
 from ..model.robot import Robot
+from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Measurement, Setpoint
 from .holonomic import Holonomic
 from .joint import Hold, JointProfile, JointTable, Points
@@ -61,10 +62,12 @@ class Trajectory:
     slowness: float = 1.0
 
     def __post_init__(self) -> None:
+        require_types(self)
         object.__setattr__(self, "arm", tuple(self.arm))
         require_positive(slowness=self.slowness)
 
     @classmethod
+    @checked
     def of(
         cls, robot: Robot, base: BasePath | None = None, arm: Mapping[str, JointProfile] | None = None
     ) -> Trajectory:
@@ -91,6 +94,7 @@ class Trajectory:
         return cls(path, tuple(joints.get(name) or Hold(float(at[name])) for name in robot.joint_names))
 
     @classmethod
+    @checked
     def from_waypoints(
         cls,
         robot: Robot,
@@ -126,6 +130,7 @@ class Trajectory:
         return cls.of(robot, path, made)
 
     @classmethod
+    @checked
     def from_arrays(
         cls,
         robot: Robot,
@@ -160,6 +165,7 @@ class Trajectory:
         return cls.of(robot, path, {name: JointTable(clock, at, rates.get(name)) for name, at in joints.items()})
 
     @classmethod
+    @checked
     def from_csv(cls, robot: Robot, file: str | Path) -> Trajectory:
         """From a CSV file: a column `t` [s], and any of these; others are left alone.
 
