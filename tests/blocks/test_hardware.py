@@ -67,6 +67,7 @@ SENSORS = {
     "rough": ROUGH,
     "motor side": Sensor(side="motor"),
     "motor side, differences": Sensor(side="motor", velocity="difference"),
+    "model": Sensor(velocity="model", bandwidth=60.0, resolution=1e-3, wheel_resolution=1e-3, pose="odometry"),
 }
 SAFETIES = {
     "nothing passed": Safety(),
