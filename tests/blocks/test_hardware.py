@@ -189,6 +189,7 @@ def test_both_engines_do_the_same_on_robots_that_feel_gravity(make):
         "disturbance: frozen encoder",
         "disturbance: payload",
         "actuator: backlash",
+        "sensor: model",
     ],
 )
 @pytest.mark.parametrize("sixths", [2, 4])
