@@ -32,6 +32,7 @@ from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Eight, Sine, Trajectory
 from mmnn_pin.reference.wishes import BaseVelocity
 from mmnn_pin.safety import Safety
+from mmnn_pin.sensing import Sensor
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
@@ -359,3 +360,20 @@ def test_a_file_tells_how_far_a_run_led_and_what_was_sent(tmp_path):
     assert run["psi_applied"].shape == run["psi_hat"].shape
     np.testing.assert_allclose(run.meta["lead"], 0.5 * loop.timing.control_period)
     assert msgspec.json.decode(msgspec.json.encode(run.meta["lead"])) == run.meta["lead"]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["two_axis_arm", "platform_arm"])
+def test_with_coarse_encoders_computed_torque_errs_by_less_than_a_third_of_a_step(name):
+    """1.5 mrad at 1 kHz; the base by a third of what a step of its wheels is on the ground."""
+    wheels = {"wheel_resolution": 0.0015} if name == "platform_arm" else {}
+    sensor = Sensor(velocity="model", bandwidth=60.0, resolution=0.0015, **wheels)
+    loop = loop_of(name, 0.001, sensor=sensor)
+    run = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=3.0)).run()
+    late = run.time > 1.0
+    rms = np.sqrt((run["true_e"][late] ** 2).mean(axis=0))
+    assert run.outcome.status == "completed" and (rms < 0.0015 / 3).all()
+    if wheels:
+        radius = max(wheel.radius for wheel in loop.robot.base.wheels)
+        off = np.sqrt((run["true_pose_error"][late, :2] ** 2).mean(axis=0))
+        assert (off < 0.0015 * radius / 3).all()
