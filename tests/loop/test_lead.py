@@ -363,17 +363,9 @@ def test_a_file_tells_how_far_a_run_led_and_what_was_sent(tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["two_axis_arm", "platform_arm"])
-def test_with_coarse_encoders_computed_torque_errs_by_less_than_a_third_of_a_step(name):
-    """1.5 mrad at 1 kHz; the base by a third of what a step of its wheels is on the ground."""
-    wheels = {"wheel_resolution": 0.0015} if name == "platform_arm" else {}
-    sensor = Sensor(velocity="model", bandwidth=60.0, resolution=0.0015, **wheels)
-    loop = loop_of(name, 0.001, sensor=sensor)
+def test_with_coarse_encoders_computed_torque_errs_by_less_than_a_third_of_a_step():
+    """1.5 mrad at 1 kHz, once the observer has found the speed with which the arm began."""
+    loop = loop_of("two_axis_arm", 0.001, sensor=Sensor(velocity="model", bandwidth=60.0, resolution=0.0015))
     run = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=3.0)).run()
-    late = run.time > 1.0
-    rms = np.sqrt((run["true_e"][late] ** 2).mean(axis=0))
+    rms = np.sqrt((run["true_e"][run.time > 1.0] ** 2).mean(axis=0))
     assert run.outcome.status == "completed" and (rms < 0.0015 / 3).all()
-    if wheels:
-        radius = max(wheel.radius for wheel in loop.robot.base.wheels)
-        off = np.sqrt((run["true_pose_error"][late, :2] ** 2).mean(axis=0))
-        assert (off < 0.0015 * radius / 3).all()
