@@ -39,8 +39,9 @@ from mmnn_pin.compiled import cache_root
 
 ROOT = Path(__file__).parent.parent
 SECONDS, WAITING, MEMORY = 10, 300, 1 << 30  # of a command: processor time, time, bytes
+AT_WORK = re.compile(r", after \d+ s$", re.MULTILINE)  # what a long command tells now and then
 DRAWING = ("plot", "report", "run")  # what takes seconds
-GOOD = ("done", "failed", "refused")
+GOOD = ("done", "failed", "refused", "at work")  # the last: a file asks for much, and the command tells how far it is
 OUTPUT = ("out", "db", "tuned")  # folders that a command may write to
 EVIL = "from pathlib import Path\nPath('ran').touch()\nclass Evil: pass\n"
 SECRET = (
@@ -617,7 +618,7 @@ def verdict(command: list[str], folder: Path) -> str:
         with contextlib.redirect_stdout(output), contextlib.redirect_stderr(errors), limits():
             code = main(command)
     except Hang:
-        return f"more than {SECONDS} s"
+        return "at work" if AT_WORK.search(errors.getvalue()) else f"more than {SECONDS} s"
     except BaseException as error:
         return f"it raised {type(error).__name__}: {error}"
     told, beyond = errors.getvalue(), outside(folder)
@@ -662,10 +663,11 @@ def mutant(sources: Path, folder: Path, kind: str, seed: int, cheap: bool) -> li
 
 def work_through(sources: Path, kinds: list[str], first: int, last: int, cheap: bool) -> None:
     """Try the mutants of some seeds, one line each on standard output."""
-    import mmnn_pin.cli
+    import mmnn_pin.cli.output
     import mmnn_pin.lab.show.report
 
-    assert mmnn_pin.cli and mmnn_pin.lab.show.report  # slow imports are nobody's fault
+    assert mmnn_pin.lab.show.report  # slow imports are nobody's fault
+    mmnn_pin.cli.output.EVERY = SECONDS / 4  # between two lines of progress
     watch()
     out = os.fdopen(os.dup(1), "w")
     with tempfile.TemporaryDirectory() as scratch:

@@ -132,6 +132,13 @@ def test_a_database_that_we_did_not_write_is_one_line(change, sound, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_damaged_text_in_the_list_of_tables_is_one_line(sound, tmp_path):
+    file = tmp_path / NAME
+    file.write_bytes(sound.replace(b"CREATE TABLE rows", b"CREATE TABLE ro\xffs", 1))
+    with pytest.raises(StudyError, match="cannot read the database: "):
+        load_results(file)
+
+
 # -- the replay's server -----------------------------------------------------------------------------------------------
 
 

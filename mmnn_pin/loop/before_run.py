@@ -12,7 +12,8 @@ from ..elementary.matrices import product
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.robot import Robot
-from ..settings import Numbers, Settings, Timing, one_or_each, require_gains
+from ..settings import LARGEST, Numbers, Settings, Timing, one_or_each, require_gains
+from ..settings.arguments import shortly
 from ..signals import Array, Dimensions, Setpoint
 
 
@@ -87,7 +88,7 @@ def viscous_friction(robot: Robot) -> Array:
 
 def lags(robot: Robot, lag: Numbers) -> Array:
     """Time constants of the motors, seen from the velocities (p,); the longest of those that move one [s]."""
-    motors = np.broadcast_to(np.asarray(lag, float), robot.dimensions.motors)
+    motors = one_or_each(lag, robot.dimensions.motors, "motor", "lag", 0.0)
     return np.array([motors[np.abs(row) > 0].max(initial=0.0) for row in robot.E])
 
 
@@ -118,3 +119,24 @@ def require_first(timing: Timing, first: int) -> None:
             fix="choose one of them at which there is a measurement",
             key="first",
         )
+
+
+def samples_between(interval: float, period: float) -> int:
+    """Control samples between two records of the weights.
+
+    Raises:
+        ConfigError: The interval is no number of seconds > 0.
+    """
+    if not 0 < interval <= LARGEST:
+        raise ConfigError(f"{interval} s", fix="use a finite number of seconds > 0", key="weights_interval")
+    return max(1, round(interval / period))
+
+
+def require_seed(seed: int) -> None:
+    """Refuse a seed that a recording cannot hold.
+
+    Raises:
+        ConfigError: It is negative, or too large.
+    """
+    if not 0 <= seed < 2**63:
+        raise ConfigError(f"{shortly(seed)}", fix="use an integer from 0 to 2^63 - 1", key="seed")

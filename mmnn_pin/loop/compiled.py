@@ -248,11 +248,12 @@ def control(
                 model_psi(ahead.row, at, nominal)
             if later is not None:
                 estimate(ahead.row, at, later, run.state)
-            law.step(ahead.row, at, ahead.law, run.state, None, None)
         if n.uses_model:
             model_psi(row, at, nominal)
         if learner is not None:
             estimate(row, at, learner, run.state)
+        if ahead is not None:  # networks have learned by now: their weights are those of this sample's psi_hat
+            law.step(ahead.row, at, ahead.law, run.state, None, None)
         law.step(row, at, run.law, run.state, limits, ahead)
     if hardware is not None:
         send(k, time, row, at, run.state, hardware.way)

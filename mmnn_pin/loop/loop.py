@@ -29,9 +29,10 @@ from ..reference import Trajectory
 from ..safety import HAS_TRIPPED, TRIPPED, Safety, remarks, trip_of
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
+from ..settings.arguments import checked, require_types
 from ..signals import SIGNALS, Array, Dimensions, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from .before_run import Bounds, Start, require_first, require_nominal
+from .before_run import Bounds, Start, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
 from .hardware import Latency
@@ -113,6 +114,9 @@ class Loop:
     lead: bool = False
 
     def __post_init__(self) -> None:
+        require_types(self)
+        require_seed(self.seed)
+        samples_between(self.weights_interval, self.timing.control_period)
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
         given = partial(Given.of, self, self.trajectory, self.timing, self.robot.dimensions)
@@ -128,6 +132,7 @@ class Loop:
         hands = 0 if self.trajectory.watched is None else len(self.trajectory.watched.frames)
         return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self), hands)
 
+    @checked
     @one_thread
     def run(
         self,
@@ -163,7 +168,7 @@ class Loop:
         self.require_stable_gains()
         engine = self.engine_at(state, plant_state, first, hardware_state)
         facts = self.facts() | {"loop": engine.name} | dict(meta or {})
-        with Recorder(self.layout, facts, path, force) as recorder:
+        with Recorder(self.layout, facts, path, force, expected=self.timing.samples - first) as recorder:
             outcome = self.stream(engine, recorder, first=first, progress=progress)
             return recorder.finish(with_findings(outcome, self.controller, engine.state), self.final(engine))
 
@@ -372,7 +377,7 @@ def run_to_end(
 ) -> Outcome:
     """Run to the end, to divergence, to a trip or to an interruption; arguments as in `Loop.stream`."""
     state, k, h, samples = engine.state, first, loop.timing.control_period, loop.timing.samples
-    every = max(1, round(loop.weights_interval / h))
+    every = samples_between(loop.weights_interval, h)
     try:
         while k < samples:
             if k % every == 0 and (weights := loop.controller.weights(state)):

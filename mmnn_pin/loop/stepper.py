@@ -31,11 +31,13 @@ from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
 from ..safety.supervisor import GOOD, HEARD
+from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
+from ..settings.arguments import checked
 from ..signals import SIGNALS, Array, Measurement, Setpoint
 from ..torque.controller import CompiledController, ControllerState, TorqueController
 from ..torque.learning_law import LearningLaw
-from .before_run import require_nominal
+from .before_run import require_nominal, require_seed, samples_between
 from .controller import state_from, with_findings
 from .loop import Loop
 from .new_hardware import new_hardware
@@ -101,6 +103,8 @@ class Stepper:
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
         lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
+        observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
+            base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
         servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
@@ -132,6 +136,7 @@ class Stepper:
     (4,)
     """
 
+    @checked
     def __init__(
         self,
         robot: Robot,
@@ -148,6 +153,7 @@ class Stepper:
         latency: float = 0.0,
         lag: Numbers = 0.0,
         lead: bool = False,
+        observer: float = 0.0,
         interfaces: Mapping[str, str] | None = None,
         servo: Servo = Servo(),  # noqa: B008
         check_gains: bool = True,
@@ -163,9 +169,12 @@ class Stepper:
         require_gain(setpoint_timeout, "setpoint_timeout")
         timing = Timing(duration=period, control_period=period, plant_step=period)
         require_gain(latency, "latency")
+        require_seed(seed)
+        lag = lag if isinstance(lag, int | float) else tuple(lag)
+        sensor = Sensor(velocity="model", bandwidth=observer) if observer else Sensor()
         controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN, lag))
         setup = Outside(
-            robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
+            robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
             interfaces=dict(interfaces or {}), servo=servo, lead=lead, way=latency, lag=lag,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
@@ -180,7 +189,7 @@ class Stepper:
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
         self.time, self.k, self.step_time = -math.inf, -1, 0.0
-        self.every, self.weighed = max(1, round(weights_interval / period)), -1
+        self.every, self.weighed = samples_between(weights_interval, period), -1
         self.told, self.before = list[str](), self.follower.now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
@@ -324,8 +333,6 @@ class Stepper:
         """Delay from the measurement to the motors at which the loop turns unstable, at the worst posture [s]."""
         return delay_margin(self.judged)
 
-    # -- what it tells -----------------------------------------------------------------------------------------------
-
     @property
     def robot(self) -> Robot:
         """The robot."""
@@ -380,8 +387,6 @@ class Stepper:
     ) -> None:
         self.recorder.__exit__(kind, error, traceback)
 
-    # -- inside --------------------------------------------------------------------------------------------------------
-
     def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
@@ -421,6 +426,8 @@ class Stepper:
             getattr(self.measured, name)[:] = getattr(measurement, name)
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
+        elif not self.setup.sensor.exact:
+            observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
         accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
 

@@ -14,7 +14,8 @@ import numpy as np
 from lxml import etree
 
 from ..errors import ConfigError, InputError, RobotError, UnknownName
-from ..settings import Settings, wrong_type
+from ..settings import Settings
+from ..settings.arguments import wrong_type
 from ..signals import Array
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file

@@ -25,6 +25,7 @@ import pinocchio as pin
 
 from ..elementary.matrices import product
 from ..errors import RobotError
+from ..settings.arguments import checked
 from ..signals import Array, Dimensions
 from .arm import Arm, choose_arm
 from .base.base import Base
@@ -54,6 +55,7 @@ SINGULAR = 1e-12  # smallest eigenvalue of the mass matrix scaled to a unit diag
 INDISTINCT = 1e-15  # smallest eigenvalue over the largest entry, unscaled: less is lost in a double
 
 
+@checked
 def load(
     robot: str | Path,
     *,

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
 from ..settings import one_or_each
+from ..settings.arguments import require_types
 from ..signals import Array, Dimensions
 from .arm import Arm
 from .base.base import Base
@@ -101,6 +102,9 @@ class Structure:
     masses: Mapping[str, float] = field(default_factory=dict)
     breakaway: Array | float = 1.0
     stribeck: float = 0.05
+
+    def __post_init__(self) -> None:
+        require_types(self)
 
     @property
     def position_names(self) -> tuple[str, ...]:

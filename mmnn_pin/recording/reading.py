@@ -20,7 +20,7 @@ import h5py
 
 from ..errors import RecordingError
 from ..files import reason
-from ..settings import shortly
+from ..settings.arguments import shortly
 from .run_file import FORMAT, FORMAT_VERSION, Arrays, Columns, decode
 from .schema import Damaged, facts_problem, require_plain, signal_problem, time_problem
 

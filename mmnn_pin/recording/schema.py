@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..settings import shortly, wrong_type
+from ..settings.arguments import shortly, wrong_type
 from ..signals import HAND, SIGNALS, Array
 from .run_file import Columns
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import ConfigError
 from ..model.robot import Robot
+from ..settings.arguments import is_numeric, shortly
 from ..signals import Array, Setpoint
 from .guide import ARM, BASE, HOLD, PLANNED, SAMPLE, VELOCITY, Limits, advance, join, new_guide, stand
 from .hand import FollowHand, HandCourse
@@ -183,13 +184,16 @@ class Follower:
 
 
 def require_shapes(key: str, given: object, mine: object) -> None:
-    """Refuse a record whose arrays have other shapes than ours.
+    """Refuse what is no record as ours, or has arrays of other shapes.
 
     Raises:
-        ConfigError: One has.
+        ConfigError: It is, or one has.
     """
+    if not isinstance(given, type(mine)):
+        what, fix = f"{shortly(given)} is no {type(mine).__name__}", f"give a {type(mine).__name__}"
+        raise ConfigError(what, fix=fix, key=key)
     for name in mine.__slots__:  # type: ignore[attr-defined]
         value, ours = getattr(given, name), getattr(mine, name).shape
-        shape = value.shape if isinstance(value, np.ndarray) else np.shape(value)
+        shape = value.shape if isinstance(value, np.ndarray) else np.shape(value) if is_numeric(value) else None
         if shape != ours:
             raise ConfigError(f"a {key} with {name} of shape {shape}", fix=f"give one of shape {ours}", key=key)

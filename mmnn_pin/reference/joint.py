@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from ..elementary.arrays import cos_sin
 from ..errors import TrajectoryError
+from ..settings.arguments import require_types
 from ..signals import Array
 from .path import require_finite, require_positive, times
 
@@ -56,6 +57,7 @@ class Sine(JointProfile):
     phase: float = 0.0
 
     def __post_init__(self) -> None:
+        require_types(self)
         require_finite(amplitude=self.amplitude, offset=self.offset, phase=self.phase)
         require_positive(period=self.period)
 
@@ -88,6 +90,7 @@ class Sines(JointProfile):
     phase: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        require_types(self)
         require_finite(offset=self.offset)
         count = len(self.amplitude)
         if not count or len(self.period) != count or len(self.phase) not in (0, count):
@@ -120,6 +123,7 @@ class Hold(JointProfile):
     value: float
 
     def __post_init__(self) -> None:
+        require_types(self)
         require_finite(value=self.value)
 
     def sample(self, t: ArrayLike) -> JointSamples:
@@ -145,6 +149,7 @@ class MinimumJerk(JointProfile):
     begin: float = 0.0
 
     def __post_init__(self) -> None:
+        require_types(self)
         require_finite(start=self.start, goal=self.goal, begin=self.begin)
         require_positive(duration=self.duration)
 
@@ -172,6 +177,7 @@ class Points(JointProfile):
     position: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        require_types(self)
         time, position = (np.asarray(part, float) for part in (self.time, self.position))
         if time.ndim != 1 or position.shape != time.shape or time.size < 2:
             what = f"{position.size} positions at {time.size} times"
@@ -219,6 +225,7 @@ class JointTable(JointProfile):
     velocity: Array | None = None
 
     def __post_init__(self) -> None:
+        require_types(self)
         time, position = (np.array(part, float) for part in (self.time, self.position))
         velocity = None if self.velocity is None else np.array(self.velocity, float)
         if time.ndim != 1 or position.shape != time.shape or (velocity is not None and velocity.shape != time.shape):

@@ -14,13 +14,14 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..elementary.arrays import atan2, cos, cos_sin, hypot, sin
 from ..errors import TrajectoryError
+from ..settings.arguments import is_numeric, require_types, shortly
 from ..signals import Array
 
 
@@ -121,8 +122,8 @@ def times(t: ArrayLike) -> Array:
 def require_finite(**values: float | tuple[float, ...] | Array) -> None:
     """Refuse a parameter that is not finite."""
     for name, value in values.items():
-        if not np.isfinite(np.asarray(value, float)).all():
-            raise TrajectoryError(f"{name} = {value} is not finite", fix="give finite numbers")
+        if not is_numeric(value) or not np.isfinite(value).all():
+            raise TrajectoryError(f"{name} = {shortly(value)} is not finite", fix="give finite numbers")
 
 
 def require_positive(**values: float) -> None:
@@ -133,8 +134,10 @@ def require_positive(**values: float) -> None:
             raise TrajectoryError(f"{name} = {value} is not positive", fix=f"give {name} > 0")
 
 
-def require_start(start: tuple[float, float, float], ramp: float) -> None:
-    """Refuse a start that is not `(x, y, phi)`, and a ramp that is not a number of seconds from 0 on."""
+def require_start(path: Any) -> None:
+    """Refuse fields of wrong types, a start that is not `(x, y, phi)`, a ramp that is no time from 0 on."""
+    start, ramp = getattr(path, "start", (0, 0, 0)), path.ramp
+    require_types(path)
     require_finite(start=start, ramp=ramp)
     if len(start) != 3:
         raise TrajectoryError(f"start = {start} is not a pose", fix="give (x, y, phi) in m, m, rad")
@@ -162,13 +165,12 @@ class Line(BasePath):
     ramp: float = 0.0
 
     def __post_init__(self) -> None:
+        require_start(self)
         require_finite(speed=self.speed)
-        require_start(self.start, self.ramp)
 
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`."""
-        t = times(t)
-        x, y, phi = self.start
+        t, (x, y, phi) = times(t), self.start
         progress = start_up(t, self.speed, self.ramp)
         s, zero = progress.s, np.zeros_like(t)
         c, sine = cos_sin(phi)
@@ -199,16 +201,15 @@ class Circle(BasePath):
     ramp: float = 0.0
 
     def __post_init__(self) -> None:
+        require_start(self)
         require_positive(radius=self.radius)
         require_finite(speed=self.speed)
-        require_start(self.start, self.ramp)
         if self.turn not in (-1, 1):
             raise TrajectoryError(f"turn = {self.turn} is neither 1 nor -1", fix="1 turns left, -1 turns right")
 
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`."""
-        t = times(t)
-        x, y, phi0 = self.start
+        t, (x, y, phi0) = times(t), self.start
         progress = start_up(t, self.speed, self.ramp)
         one, k = np.ones_like(t), self.turn / self.radius
         phi = phi0 + k * progress.s
@@ -243,16 +244,15 @@ class Eight(BasePath):
     ramp: float = 0.0
 
     def __post_init__(self) -> None:
+        require_start(self)
         require_positive(length=self.length, width=self.width)
         require_finite(period=self.period)
-        require_start(self.start, self.ramp)
         if self.period == 0:
             raise TrajectoryError("period = 0 s", why="a lap takes time", fix="give the time of one lap")
 
     def sample(self, t: ArrayLike) -> BaseSamples:
         """See `BasePath.sample`."""
-        t = times(t)
-        progress = start_up(t, 2 * np.pi / self.period, self.ramp)
+        progress = start_up(times(t), 2 * np.pi / self.period, self.ramp)
         return driven(t, progress, self._curve(progress.s))
 
     @property
@@ -353,10 +353,10 @@ class Waypoints(BasePath):
     ramp: float = 1.0
 
     def __post_init__(self) -> None:
+        require_start(self)
         points = np.asarray(self.points, float)
         require_finite(points=points, speed=self.speed)
         require_positive(radius=self.radius)
-        require_start((0, 0, 0), self.ramp)
         if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
             raise TrajectoryError("points are not two or more (x, y)", fix="give points = [[x, y], [x, y], ...]")
         if self.speed == 0:

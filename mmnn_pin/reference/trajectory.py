@@ -18,6 +18,7 @@ from ..errors import TrajectoryError, UnknownName
 from ..model.base import BY_SIZE
 from ..model.base.holonomic import moves_sideways
 from ..model.robot import Robot
+from ..settings.arguments import checked, require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
 from .holonomic import Holonomic
 from .joint import Hold, JointProfile, JointTable, Points
@@ -74,10 +75,12 @@ class Trajectory:
     watched: Watched | None = None
 
     def __post_init__(self) -> None:
+        require_types(self)
         object.__setattr__(self, "arm", tuple(self.arm))
         require_positive(slowness=self.slowness)
 
     @classmethod
+    @checked
     def of(
         cls, robot: Robot, base: BasePath | None = None, arm: Mapping[str, JointProfile] | None = None
     ) -> Trajectory:
@@ -104,6 +107,7 @@ class Trajectory:
         return cls(path, tuple(joints.get(name) or Hold(float(at[name])) for name in robot.joint_names))
 
     @classmethod
+    @checked
     def from_waypoints(
         cls,
         robot: Robot,
@@ -139,6 +143,7 @@ class Trajectory:
         return cls.of(robot, path, made)
 
     @classmethod
+    @checked
     def from_arrays(
         cls,
         robot: Robot,
@@ -173,6 +178,7 @@ class Trajectory:
         return cls.of(robot, path, {name: JointTable(clock, at, rates.get(name)) for name, at in joints.items()})
 
     @classmethod
+    @checked
     def from_csv(cls, robot: Robot, file: str | Path) -> Trajectory:
         """From a CSV file: a column `t` [s], and any of these; others are left alone.
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from ..compiled import fields_of
 from ..errors import ConfigError
 from ..settings import Numbers, Settings, one_or_each, plain, require_gain
+from ..settings.arguments import require_types
 from ..signals import Array, Dimensions, Layout, Measurement, Setpoint, VelocityCommand
 from .law import MotorLimits, Packed
 
@@ -215,8 +216,8 @@ class Feedback(Settings, frozen=True):
         if self.scaling != "none":
             raise ConfigError("bandwidths, not gains", fix="call scaled(layout, inertia) first", key="feedback.scaling")
         if not self.given(layout):
-            what, why = "no gains", "a loop or a stepper chooses them for its robot"
-            raise ConfigError(what, why=why, fix="give both: Feedback(base=..., arm=...)", key="feedback")
+            why, fix = "a loop or a stepper chooses them for its robot", "give both: Feedback(base=..., arm=...)"
+            raise ConfigError("no gains", why=why, fix=fix, key="feedback")
         return per_velocity(self.base or 0.0, self.arm or 0.0, layout, "feedback")
 
 
@@ -349,6 +350,7 @@ class CompiledController(Controller):
     feedback: Feedback
     settings: Any
     learning: bool
+    __post_init__ = require_types
 
     @classmethod
     def build(cls, given: Given) -> Self:
@@ -405,8 +407,7 @@ class CompiledController(Controller):
         """
         K = self.feedback.vector(layout)
         if not (K > 0).all():
-            why = why or f"{self.name} needs all > 0"
-            raise ConfigError(f"gains {K.tolist()}", why=why, fix="raise them", key="feedback")
+            raise ConfigError(f"gains {K}", why=why or f"{self.name} needs all > 0", fix="raise them", key="feedback")
         return K
 
     def features(self, law: Law, state: ControllerState) -> Array | None:
@@ -446,5 +447,4 @@ def per_velocity(base: Numbers, arm: Numbers, layout: Dimensions, key: str) -> A
 
 def split(values: Array, layout: Dimensions) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Numbers of all p velocities as those of the base and those of the arm."""
-    numbers = tuple(float(value) for value in values)
-    return numbers[: layout.base], numbers[layout.base :]
+    return tuple(values[: layout.base].tolist()), tuple(values[layout.base :].tolist())

@@ -20,6 +20,7 @@ from ..elementary.normals import standard_normal
 from ..errors import ConfigError
 from ..model.regressor import Regressor
 from ..settings import Settings, plain, require_at_most, require_numbers
+from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
 from .filtered import new_filter, parts
@@ -192,6 +193,7 @@ class Kalman(CompiledController):
     lyapunov_part = "covariance"
 
     def __post_init__(self) -> None:
+        require_types(self)
         key = self.settings.section
         if self.settings.needs_regressor and self.regressor is None:
             raise ConfigError(f"{key} without a regressor", fix="give Regressor.of(robot)", key=key)

@@ -33,6 +33,7 @@ from numpy.typing import ArrayLike
 
 from ..errors import ConfigError, InputError, UnknownName
 from ..model.regressor import Massless, measured, regress
+from ..settings.arguments import require_types
 from ..signals import Array, Dimensions, Measurement, Setpoint, VelocityCommand
 from .controller import Context, ControllerState, Feedback, TorqueController, all_facts
 from .neural import MEASURED
@@ -77,6 +78,9 @@ class LearningLaw(TorqueController):
 
     feedback: Feedback = field(default_factory=Feedback)
     learning: bool = True
+
+    def __post_init__(self) -> None:
+        require_types(self)
 
     learned: ClassVar[tuple[str, ...]] = ()
     knows_motion: ClassVar[bool] = False

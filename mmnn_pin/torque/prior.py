@@ -20,6 +20,7 @@ import numpy as np
 from ..elementary.matrices import product
 from ..errors import ConfigError
 from ..model.regressor import BODY, Regressor
+from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Feedback, Given, Told, read_facts
 
@@ -52,6 +53,7 @@ class ParameterLearner(CompiledController):
     within_limits: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        require_types(self)
         require_start(self.settings.initial, self.nominal, self.regressor.size, self.name.partition("_")[0])
 
     @classmethod

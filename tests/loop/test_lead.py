@@ -35,7 +35,7 @@ from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Feedback
-from mmnn_pin.torque.law import Ahead, constant_gain
+from mmnn_pin.torque.law import Ahead, constant_gain, step
 from mmnn_pin.torque.model_based import ComputedTorque
 
 ROBOTS = {
@@ -181,13 +181,32 @@ def test_to_look_ahead_changes_nothing_that_a_controller_remembers(name):
     weights = {key: np.array(values) for key, values in loop.controller.weights(state).items()}
     kept = {key: state[key].copy() for key in state.shapes}
     look_ahead(row, plan.layout.offsets, plan.setpoints[-2], plan.lead.ahead)
-    torque._psi_ahead(plan.lead)
+    torque._estimate_ahead(plan.lead)
+    step(plan.lead.ahead.row, torque.at, plan.lead.ahead.law, state.values, None, None)
     for key, values in loop.controller.weights(state).items():
         np.testing.assert_array_equal(values, weights[key])
     scratch = {"x", "net1", "net2", "sigma1", "sigma2", "s1", "s2", "used"}  # the step that follows writes them anew
     for key in set(kept) - scratch:
         np.testing.assert_array_equal(state[key], kept[key], err_msg=key)
     assert np.isfinite(plan.lead.ahead.row).all()
+
+
+@pytest.mark.parametrize("name", ["two_layer_composite", "adaptive"])  # one learns before it speaks, one after
+def test_looking_no_way_ahead_sends_what_is_said_of_the_sample(name):
+    """So both are said with the same weights, also while they move most: by tens of newtons a sample at the start."""
+    said = ("lead=true", "start.pose_offset=[-0.01,0.0,0.0]", "two_layer_composite.pole=178.0")
+    loop = replace(made(name, *said, duration=0.05), engine="ordinary")
+    engine = loop.engine_at()
+    ahead = engine.control.torque.lead.ahead._replace(time=0.0, age=0.0, share=np.ones(loop.layout.dof))
+    engine.control.torque.lead = engine.control.torque.lead._replace(ahead=ahead)
+    engine.control.torque.ahead = ahead
+    rows = []
+    for k in range(25):
+        assert engine.advance(k, k + 1) == -1
+        rows.append(engine.row.copy())
+    said, sent = (np.array(rows)[:, loop.layout.where(signal)] for signal in ("psi_hat", "psi_applied"))
+    np.testing.assert_allclose(sent, said, rtol=1e-9, atol=1e-9)
+    assert np.abs(np.diff(said, axis=0)).max() > 1.0
 
 
 def answer_to_the_state(loop, time=0.4, step=1e-6):

@@ -17,6 +17,7 @@ from ...files import whole_folder
 from ...loop.loop import Loop
 from ...model.tree.body import body_of
 from ...safety import Safety
+from ...settings.arguments import checked
 from ...torque.controller import CompiledController
 from .board import Fresh
 from .files import Export, files_of, readme, selftest, starts, translated
@@ -59,6 +60,7 @@ class Embedded:
         return asdict(self)
 
 
+@checked
 def embed(
     loop: Loop,
     folder: str | Path,

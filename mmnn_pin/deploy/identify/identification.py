@@ -22,6 +22,7 @@ import numpy as np
 from ...errors import ConfigError, RecordingError, UnknownName
 from ...model.regressor import Regressor
 from ...model.robot import Robot
+from ...settings.arguments import checked
 from ...signals import Array
 from .equations import (
     Bools,
@@ -177,6 +178,7 @@ def together(of: Equations, predicted: Array) -> float:
     return float(np.sqrt((error**2).sum() / (size**2).sum())) if size.any() else float("nan")
 
 
+@checked
 def identify(
     robot: Robot,
     logs: Motion | Sequence[Motion],

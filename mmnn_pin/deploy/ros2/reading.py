@@ -11,7 +11,8 @@ import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
 from ...files import parsed_toml, read_text, read_toml
-from ...settings import Settings, wrong_type
+from ...settings import Settings
+from ...settings.arguments import wrong_type
 from .settings import Node
 
 

@@ -19,6 +19,7 @@ from ...errors import ConfigError
 from ...model.robot import Robot
 from ...reference import Trajectory
 from ...settings import Timing
+from ...settings.arguments import checked
 from ...signals import Array
 from ...torque.controller import Controller
 from .config import config_error, put
@@ -76,6 +77,7 @@ class Assembled(Experiment, frozen=True, kw_only=True):
         return ""
 
 
+@checked
 def compare(
     robot: Robot,
     trajectory: Trajectory,

@@ -20,7 +20,7 @@ from ...errors import ConfigError, InputError, RecordingError, UnknownName
 from ...files import parsed_toml, read_toml
 from ...model.base.overrides import Overrides
 from ...recording.recording import Recording
-from ...settings import wrong_type
+from ...settings.arguments import checked, wrong_type
 from .contest import ONLY
 from .controllers import CONTROLLERS, new_name, renamed
 from .experiment import Experiment
@@ -30,6 +30,7 @@ ITS_OWN = ("title", "variant", "experiment", "cases")  # keys that no other expe
 UNIONS = (Union, UnionType)
 
 
+@checked
 def load_experiment(name_or_path: str | Path, overrides: Iterable[str] = (), variant: str | None = None) -> Experiment:
     """Experiment by name or from a TOML file.
 

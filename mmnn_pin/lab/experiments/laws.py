@@ -19,7 +19,7 @@ from typing import Any, cast, get_type_hints
 import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
-from ...settings import wrong_type
+from ...settings.arguments import wrong_type
 from ...torque.controller import Feedback, TorqueController
 from ...torque.learning_law import DIGEST, LearningLaw, sha256, told
 

@@ -43,7 +43,8 @@ from ...reference.hand import (
 )
 from ...reference.joint import JointProfile
 from ...reference.trajectory import still
-from ...settings import Settings, Timing, require_gain, wrong_type
+from ...settings import Settings, Timing, require_gain
+from ...settings.arguments import wrong_type
 from ...signals import Array, Dimensions
 
 BASE_PATHS = {"line": Line, "circle": Circle, "eight": Eight, "waypoints": Waypoints}

@@ -15,6 +15,7 @@ from ...recording.metrics import metrics
 from ...recording.recording import Recording, as_columns
 from ...reference import warnings
 from ...settings import finite
+from ...settings.arguments import checked
 from ...torque.controller import TorqueController
 from .controllers import EFFECTIVE, effective
 from .experiment import Experiment
@@ -22,6 +23,7 @@ from .hand import hand_errors, hand_motion
 from .result import Result
 
 
+@checked
 def run_experiment(
     experiment: Experiment,
     name: str,

@@ -26,6 +26,7 @@ from ...errors import ConfigError, InputError, UnknownName
 from ...model.base import BY_SIZE
 from ...recording.recording import Recording
 from ...settings import finite
+from ...settings.arguments import checked
 from ...signals import Array
 from ...torque.neural import Robust
 from .balance import BUDGET
@@ -105,6 +106,7 @@ class Proved:
         return f"{text.render(self.proof)}\n{text.render_certificate(self.certificate)}"
 
 
+@checked
 def prove(
     recording: Recording,
     *,

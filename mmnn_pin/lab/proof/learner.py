@@ -22,7 +22,7 @@ from ...model.robots import bundled, extra
 from ...recording.reading import AGAIN
 from ...recording.recording import Recording
 from ...recording.run_file import encode
-from ...settings import shortly
+from ...settings.arguments import shortly
 from ...signals import Array
 from ...torque import CONTROLLERS
 from ...torque.controller import Context, ControllerState, Feedback
@@ -205,7 +205,7 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
     if entry is None or entry.gain_of:
         return None
     found = entry.load().from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
-    if found is None and entry.thesis:
+    if found is None and (entry.thesis or not settings):
         raise RecordingError(
             f"the recording does not tell the settings of {name}",
             why="an older mmnn_pin wrote it",

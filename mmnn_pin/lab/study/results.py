@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from ...errors import InputError, StudyError, UnknownName
 from ...model.robot import Robot
-from ...settings import plain, shortly
+from ...settings import plain
+from ...settings.arguments import shortly
 from ...signals import Array
 from .factors import Factor, is_number
 from .keys import near

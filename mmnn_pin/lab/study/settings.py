@@ -14,7 +14,8 @@ import msgspec
 
 from ...errors import ConfigError, InputError, UnknownName
 from ...files import read_toml
-from ...settings import Settings, wrong_type
+from ...settings import Settings
+from ...settings.arguments import wrong_type
 from ..experiments.config import bundled, load_experiment, override, words_of
 from ..experiments.controllers import CONTROLLERS
 from ..experiments.experiment import Experiment
@@ -95,9 +96,9 @@ class Tune(Settings, frozen=True):
                 raise ConfigError(f"a gain has no {gain.kind}", fix=fix, key=f"gains.{name}")
         if not 0 < self.quantile <= 1:
             raise ConfigError(f"{self.quantile}", fix="use a number above 0, up to 1", key="quantile")
-        for key, least in (("trials", 1), ("check", 0), ("seed", 0)):
-            if getattr(self, key) < least:
-                raise ConfigError(f"{getattr(self, key)}", fix=f"use a number >= {least}", key=key)
+        for key, least, most in (("trials", 1, MOST), ("check", 0, MOST), ("seed", 0, 2**63 - 1)):
+            if not least <= getattr(self, key) <= most:
+                raise ConfigError(f"{getattr(self, key)}", fix=f"use a number from {least} to {most}", key=key)
 
 
 class StudySettings(Settings, frozen=True):

@@ -22,7 +22,7 @@ import msgspec
 
 from ...errors import StudyError
 from ...files import locked
-from ...settings import wrong_type
+from ...settings.arguments import wrong_type
 from .worker import JobResult
 
 FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
@@ -295,7 +295,7 @@ def sqlite_errors(path: Path, verb: str) -> Iterator[None]:
     """Errors of SQLite as ours."""
     try:
         yield
-    except sqlite3.Error as error:
+    except (sqlite3.Error, UnicodeDecodeError) as error:  # the second is of a damaged text
         why = str(error)
         fix = ROOM if "full" in why or "disk I/O" in why else ""
         raise StudyError(f"cannot {verb} the database", why=why, fix=fix, file=path) from None
@@ -321,6 +321,17 @@ def require_there(path: Path) -> None:
     if not path.is_file():
         fix = "leave its folder where it is until the study is over; the same command makes its rows again"
         raise StudyError("cannot write the database", why="it is gone", fix=fix, file=path)
+
+
+def require_kept(path: Path, kept: bool) -> None:
+    """Refuse to go on with a database that does not keep what is written: a search would go on for ever.
+
+    Raises:
+        StudyError: It does not.
+    """
+    if not kept:
+        why, fix = "it does not keep the trials that are written", "choose another folder with --out"
+        raise StudyError("the database is damaged", why=why, fix=fix, file=path)
 
 
 def encoded(metrics: Mapping[str, float]) -> str:

@@ -23,6 +23,7 @@ from ...model.robot import Robot
 from ...recording.recorder import versions
 from ...reference import Trajectory
 from ...settings import plain
+from ...settings.arguments import checked
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import Level, best_of, levels
@@ -83,6 +84,7 @@ class Sweep:
         return str(self.table()._repr_html_() + self.plot()._repr_html_())
 
 
+@checked
 def sweep(
     robot: Robot,
     trajectory: Trajectory,

@@ -40,7 +40,7 @@ from .plan import Plan, changed_base, plan_of
 from .pools import Pool
 from .results import worth
 from .settings import StudyFile, Tune, placing
-from .store import AGAIN, require_there, storage_error
+from .store import AGAIN, require_kept, require_there, storage_error
 from .verdict import Interval, quantile
 from .worker import loop_of, optional
 
@@ -322,7 +322,9 @@ def search(
             trial.set_user_attr("own", not done and own is not None)
             require_there(folder / NAME)
             trials.tell(trial, score.value)
-            progress(done + 1, min(one.value for one in finished(optuna, trials)))
+            values = [one.value for one in finished(optuna, trials)]
+            require_kept(folder / NAME, len(values) > done)
+            progress(done + 1, min(values))
 
 
 def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:

@@ -25,7 +25,8 @@ import msgspec
 
 from ...errors import ConfigError, UnknownName
 from ...files import read_toml
-from ...settings import Settings, wrong_type
+from ...settings import Settings
+from ...settings.arguments import wrong_type
 from ..robots import package_dirs_of
 from ..urdf.finding import Finding
 from . import KINDS

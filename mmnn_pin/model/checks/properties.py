@@ -15,6 +15,7 @@ from importlib import import_module
 import numpy as np
 
 from ...errors import RobotError
+from ...settings.arguments import checked
 from ...signals import Array
 from ..base.differential import DifferentialDrive
 from ..robot import Robot
@@ -139,6 +140,7 @@ class Report:
         return str(import_module("mmnn_pin.lab.show.robots").properties_text(self))
 
 
+@checked
 def check(
     robot: Robot,
     samples: int = 100,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import sqlite3
 import sys
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -130,7 +132,8 @@ BAD = [
     ('"feedback.arm" = {', '"feedback.am" = {', "tune.gains.feedback.am: error: unknown setting 'feedback.am'"),
     ("[10.0, 4000.0]", "[10.0, -1.0]", "tune.gains.feedback.arm.log_uniform: error"),
     ("log_uniform = [10.0, 4000.0]", "normal = [10.0, 1.0]", "tune.gains.feedback.arm: error: a gain has no normal"),
-    ("trials = 6", "trials = 0", "tune.trials: error: 0: use a number >= 1"),
+    ("trials = 6", "trials = 0", "tune.trials: error: 0: use a number from 1 to 10000000"),
+    ("check = 4", "check = 1099511627776", "tune.check: error: 1099511627776: use a number from 0 to 10000000"),
     ("kinematic.K", "sensor.velocity", "tune.gains.sensor.velocity: error: 'true' cannot be multiplied"),
 ]
 
@@ -155,3 +158,15 @@ def test_a_study_without_tune_and_a_machine_without_optuna_are_told(tmp_path: Pa
     monkeypatch.setitem(sys.modules, "optuna", None)
     assert main(["tune", str(written(tmp_path, TUNE))]) == 2
     assert "pip install 'mmnn_pin[tune]'" in capsys.readouterr().err
+
+
+def test_a_database_that_keeps_nothing_ends_the_search_in_one_line(tmp_path: Path, capsys) -> None:
+    """Its study has another number than its trials are filed under: a damaged row."""
+    file, more = written(tmp_path, TUNE), ("--set", "tune.trials=1", "--set", "tune.check=0")
+    tuned(file, *more, capsys=capsys)
+    with closing(sqlite3.connect(tmp_path / NAME)) as db, db:
+        db.execute("UPDATE studies SET study_id = 3")
+    assert main(["tune", str(file), "--out", str(tmp_path), *more]) == 2
+    said = capsys.readouterr().err
+    assert "the database is damaged" in said and "internal error" not in said
+    assert tuned(file, *more, "--out", str(tmp_path / "another"), capsys=capsys)["trials"] == 1

@@ -6,7 +6,6 @@ Here are their base, the checks that they share, and the settings that every blo
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Literal
 
@@ -14,21 +13,13 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from .errors import ConfigError, InputError
-from .signals import Array
+from ..errors import ConfigError, InputError
+from ..signals import Array
+from .arguments import require_fit, shortly, wrong_type
 
 LARGEST = 1e12  # of a number that is squared somewhere
 Numbers = float | tuple[float, ...]  # one for all, or one for each; see `one_or_each`
 MOST_PERIODS = 1e9  # in one another
-KINDS = {
-    "int": "a whole number",
-    "float": "a number",
-    "str": "a text",
-    "bool": "true or false",
-    "array": "a list",
-    "object": "a table",
-    "null": "nothing",
-}
 
 
 class Typed(msgspec.StructMeta):
@@ -41,10 +32,11 @@ class Typed(msgspec.StructMeta):
             ConfigError: A value that cannot be used, with the class and the field as its key.
             TypeError: An argument that does not exist, or one that is missing.
         """
+        given = dict(zip(cls.__struct_fields__, args, strict=False)) | kwargs
+        require_fit(cls, given)
         try:
             return super().__call__(*args, **kwargs)
         except (TypeError, ValueError, AttributeError, LookupError, OverflowError) as error:
-            given = dict(zip(cls.__struct_fields__, args, strict=False)) | kwargs
             required = [field.name for field in msgspec.structs.fields(cls) if field.required]  # type: ignore[arg-type]
             if len(args) > len(cls.__struct_fields__) or not set(required) <= set(given) <= set(cls.__struct_fields__):
                 raise
@@ -78,36 +70,6 @@ def plain(settings: Any) -> Any:
 def finite(value: float | None) -> float | None:
     """A number for JSON: nothing where there is none, or an infinite one."""
     return float(value) if value is not None and math.isfinite(value) else None
-
-
-def wrong_type(error: msgspec.ValidationError | str, value: Any = None) -> tuple[str, str]:
-    """What is wrong and what to give instead, out of a message such as "Expected `int`, got `str` - at `$.seed`".
-
-    Args:
-        error: From a conversion.
-        value: What stands there; None where that is not known.
-
-    Returns:
-        What and fix; the message itself and no fix where it is about something else than a type or a length.
-    """
-    message = str(error).partition(" - at ")[0]
-    if missing := re.search(r"missing required field `(\w+)`", message):
-        return f"the key '{missing[1]}' is missing", ""
-    found = re.fullmatch(r"Expected `([a-z |]+)`(?: of length (\d+))?(?:, got `?(\w+)`?)?", message)
-    if found is None or not (found[2] or found[3]):
-        return message, ""
-    shown = "this" if value is None else shortly(value)
-    if found[2]:
-        count = {None: "another length", "1": "one entry"}.get(found[3], f"{found[3]} entries")
-        return f"{shown} has {count}", f"give {found[2]}"
-    wanted = " or ".join(KINDS.get(name, name) for name in found[1].split(" | ") if name != "null")
-    return f"{shown} is {KINDS.get(found[3], found[3])}", f"give {wanted}"
-
-
-def shortly(value: Any) -> str:
-    """A value as a message names it."""
-    text = str(value).lower() if isinstance(value, bool) else repr(value)
-    return text if len(text) <= 60 else f"{text[:57]}..."
 
 
 def require_at_most(settings: Settings, section: str, most: Mapping[str, int]) -> None:
