@@ -198,7 +198,7 @@ class Loop:
         if self.engine == "compiled":
             require_compilable(self)
             return CompiledLoop(*arguments)
-        compilable = not isinstance(self.controller, TorqueController) and self.plant == "ideal" and not self.interfaces
+        compilable = not isinstance(self.controller, TorqueController) and self.plant == "ideal"
         if self.engine == "auto" and compilable:
             with suppress(RobotError):  # a joint that cannot be flattened
                 return CompiledLoop(*arguments)
@@ -360,8 +360,6 @@ def require_compilable(loop: Loop) -> None:
     elif loop.plant == "contact":
         what, why = "the contact plant cannot be compiled", "MuJoCo steps it, the ordinary loop only"
         fix = "use engine = 'auto', or the ideal plant"
-    elif loop.interfaces:
-        what, why, fix = "velocity interfaces cannot be compiled", "the ordinary loop has them", "use engine = 'auto'"
     else:
         return
     raise ConfigError(what, why=why, fix=fix, key="engine")
