@@ -192,7 +192,7 @@ class Bridge:
                     self.clock.resume(time)
                     why = "it goes on from where it stands"
                 except ConfigError as error:
-                    done, why = False, str(error)
+                    done, why = False, ": ".join(filter(None, (error.what, error.why, error.fix)))
             self.tell(f"{'stop' if caller.service == STOP else 'reset'}: {why}")
             assert self.switches is not None
             self.switches.reply(caller, encoded(msg.TriggerResponse(done, why)))

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 from pinocchio import BODY
 
 from ...errors import ConfigError, UnknownName
+from ...model.inspection import interfaces_of
 from ...model.robot import Robot
 from .settings import TRAJECTORY, TWIST_STAMPED, Network, Node
 
@@ -83,9 +84,9 @@ type = "TwistStamped"
 
 """
 ARM = """[[commands]]
-topic = "/effort_controller/commands"
+topic = "/{interface}_controller/commands"
 type = "Float64MultiArray"
-interface = "effort"
+interface = "{interface}"
 joints = [{joints}]
 """
 
@@ -249,13 +250,16 @@ def resolved(network: Network, name: str) -> str:
 
 
 def example(robot: Robot, name: str) -> str:
-    """A file of settings for a robot, to be adapted.
+    """A file of settings for a robot, to be adapted; joints take what the URDF offers, an effort where it can be.
 
     Args:
         robot: The robot.
         name: As the user named it.
     """
-    joints = ", ".join(f'"{joint}"' for joint in robot.joint_names)
-    has_base = bool(robot.dimensions.base)
-    commands = (WHEELS if has_base else "") + (ARM.format(joints=joints) if joints else "")
+    has_base, offered = bool(robot.dimensions.base), interfaces_of(robot)["interfaces"]
+    tables = [WHEELS] if has_base else []
+    for interface in GROUPS:
+        joints = ", ".join(f'"{joint}"' for joint in robot.joint_names if offered[joint] == interface)
+        tables += [ARM.format(interface=interface, joints=joints)] if joints else []
+    commands = "\n".join(table.strip() + "\n" for table in tables)
     return EXAMPLE.format(name=robot.name, robot=name, odometry=BASE if has_base else "", commands=commands)

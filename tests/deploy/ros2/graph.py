@@ -142,7 +142,7 @@ def drive(
     node = own_node(settings, folder / "run.h5", "--seconds", seconds, "--wait", wait, *options)
     others = [start(distribution, domain, planner)] if planner else []
     try:
-        out, err = node.communicate(timeout=150)
+        out, err = node.communicate(timeout=300)
         told, _ = robot.communicate(timeout=60) if robot_domain is None and node.returncode != 2 else ("", "")
     finally:
         for one in (node, robot, *others):

@@ -13,14 +13,13 @@ import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TransformStamped, Twist, TwistStamped
+from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
 from nav_msgs.msg import Odometry, Path
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 RATE, STEP, INERTIA, DAMPING, LAG = 50.0, 0.0025, (1.2, 0.4), 0.5, 0.05
@@ -41,7 +40,6 @@ class Robot:
         node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
         node.create_subscription(JointTrajectory, "/arm_controller/joint_trajectory", self.on_place, 10)
         self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
-        self.frames = node.create_publisher(TFMessage, "/tf", 10) if "map" in faults else None
         self.route = node.create_publisher(Path, "/plan", 1)
         self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
         self.simulator = node.create_publisher(Clock, "/clock", 10) if "sim_time" in faults else None
@@ -148,12 +146,6 @@ class Robot:
         )
         odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = self.v
         self.odom.publish(odometry)
-        if self.frames is not None:
-            frame = TransformStamped(child_frame_id="odom")
-            frame.header.stamp, frame.header.frame_id = stamp, "map"
-            frame.transform.translation.y = 0.25 if self.active("map") else 0.0  # of a map that is corrected then
-            frame.transform.rotation.w = 1.0
-            self.frames.publish(TFMessage(transforms=[frame]))
 
     def ask(self, k, begun):
         """Drive the base and move the arm from half a second after the first command on."""
@@ -162,7 +154,7 @@ class Robot:
             if not hasattr(self, "asked_base"):
                 self.asked_base, path = self.t, Path()
                 path.header.frame_id = "map"
-                for i in range(21):
+                for i in range(41):
                     pose = PoseStamped()
                     pose.pose.position.x, pose.pose.orientation.w = 0.05 * i, 1.0
                     path.poses.append(pose)
@@ -192,7 +184,7 @@ def main():
     rclpy.init()
     node = rclpy.create_node("robot")
     robot, k, begun = Robot(node, dict.fromkeys(faults, math.inf)), 0, math.inf
-    start, limit = time.monotonic(), time.monotonic() + 120.0
+    start, limit = time.monotonic(), time.monotonic() + 240.0
     while time.monotonic() < limit:
         for _ in range(4):
             rclpy.spin_once(node, timeout_sec=0.0)

@@ -17,7 +17,7 @@ def main():
     node, level, told = rclpy.create_node("switch"), [b"\0"], {}
     node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: level.__setitem__(0, m.status[0].level), 10)
     reset, stop = (node.create_client(Trigger, f"/mmnn/{name}") for name in ("reset", "stop"))
-    told["there"] = reset.wait_for_service(60.0) and stop.wait_for_service(60.0)
+    told["there"] = reset.wait_for_service(240.0) and stop.wait_for_service(240.0)
 
     def ask(client):
         future = client.call_async(Trigger.Request())

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from graph import SETTINGS
+from robots import robot_of
 
 from mmnn_pin import load
 from mmnn_pin.cli import main
@@ -86,6 +87,24 @@ def test_the_example_fits_its_robot(tmp_path: Path, robot: str) -> None:
     found = interfaces(made, load_settings(file))
     assert set(found) == set(made.actuator_names)
     assert {found[name] for name in made.joint_names} == {"effort"}
+
+
+def test_the_example_takes_what_the_urdf_offers(tmp_path: Path) -> None:
+    """One joint without an effort, in the tags of ros2_control."""
+    offers = {"arm_1_joint": ("effort", "position"), "arm_2_joint": ("position", "velocity")}
+    joints = "".join(
+        f'<joint name="{name}">' + "".join(f'<command_interface name="{one}"/>' for one in ones) + "</joint>"
+        for name, ones in offers.items()
+    )
+    told = f'<ros2_control name="arm" type="system">{joints}</ros2_control></robot>'
+    robot = robot_of(load("platform_arm").urdf.replace("</robot>", told))
+    file = tmp_path / "robot.toml"
+    file.write_text(example(robot, "platform_arm"))
+    found = interfaces(robot, load_settings(file))
+    assert found == dict.fromkeys(robot.actuator_names[:2], "velocity") | {
+        "arm_1_joint": "effort",
+        "arm_2_joint": "velocity",
+    }
 
 
 def test_every_motor_is_commanded_once(tmp_path: Path) -> None:
