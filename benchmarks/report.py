@@ -5,10 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from history import ratios
+
 
 def table(result: Mapping[str, Any]) -> str:
     """The result as text."""
-    return "\n".join([*header(result), *steps(result), *growth(result), *batch(result), *peers(result), *rest(result)])
+    return "\n".join(
+        [
+            *header(result),
+            *steps(result),
+            *growth(result),
+            *batch(result),
+            *floor(result),
+            *peers(result),
+            *rest(result),
+        ]
+    )
 
 
 def header(result: Mapping[str, Any]) -> Iterator[str]:
@@ -54,6 +66,21 @@ def batch(result: Mapping[str, Any]) -> Iterator[str]:
     if many := result["thousand_rollouts"]:
         spent = f"{many['cpu_seconds']:.2f} s of processor time"
         yield f"  {many['runs']} rollouts: {many['seconds']:.2f} s ({spent}), {many['peak_mb']:.0f} MB"
+
+
+def floor(result: Mapping[str, Any]) -> Iterator[str]:
+    """The floor, and ours beside it."""
+    if result["floor"]:
+        yield f"\n{'the floor':40}{'wall':>10}{'':10}{'cpu':>10}"
+        cpu = result["floor"]["cpu_us_per_step"]
+        for name, us in result["floor"]["us_per_step"].items():
+            yield f"  {name + ', us per step':38}{us:10.2f}{'':10}{cpu[name]:10.2f}"
+        for name, rate in result["floor"]["rollouts_per_s"].items():
+            yield f"  {name + ', rollouts per second':38}{rate:10.1f}{'':10}{cpu[name]:10.2f} us per step"
+        for name, us in result["cpu_us_per_rollout_step"].items():
+            yield f"  {'ours: ' + name:38}{result['rollouts_per_s'][name]:10.1f}{'':10}{us:10.2f} us per step"
+    for name, ratio in ratios(result).items():
+        yield f"  {name:38}{ratio:10.2f}"
 
 
 def peers(result: Mapping[str, Any]) -> Iterator[str]:

@@ -15,14 +15,13 @@ from time import process_time
 from typing import Any
 
 import numpy as np
-from worker import Prepare, serve
+from worker import Prepare, Timed, serve
 from workload import arm_loop, chain, find_tiago, peer_work, thesis_loop
 
 from mmnn_pin import Loop, load
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.recording.recorder import Recorder
 
-Timed = Callable[[], dict[str, Any]]
 SECONDS, FOLDER = float(sys.argv[1]), Path(sys.argv[2])
 GIVEN = Path(sys.argv[3]) if len(sys.argv) > 3 else None
 
@@ -53,7 +52,8 @@ def steps(loop: Loop, sink: str = "memory") -> Prepare:
             if sink == "alone":
                 outcome = loop.stream(engine, Nothing())
             else:
-                with Recorder(loop.layout, loop.facts(), file, force=True) as recorder:
+                samples = loop.timing.samples
+                with Recorder(loop.layout, loop.facts(), file, force=True, expected=samples) as recorder:
                     outcome = loop.stream(engine, recorder)
                     recorder.finish(outcome, loop.final(engine))
             assert outcome.status == "completed", outcome.message

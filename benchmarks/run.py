@@ -18,6 +18,7 @@ from pathlib import Path
 from statistics import linear_regression, median
 from typing import Any
 
+import history
 import startup
 from peers import PEERS
 from report import table
@@ -41,6 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parse(arguments)
     with tempfile.TemporaryDirectory() as folder:
         result = measure(options, Path(folder))
+    if options.history:
+        history.append(options.history, result)
     print(json.dumps(result) if options.json else table(result))
 
 
@@ -53,6 +56,10 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--rounds", type=int, default=15, help="how often everything is measured in turn (15)")
     parser.add_argument("--tiago", type=Path, help="URDF of TIAGo; by default that of example-robot-data, if installed")
     parser.add_argument("--peer-python", default=None, help="interpreter of an environment with the peers")
+    parser.add_argument(
+        "--floor", type=Path, help="folder of the built C++ reference, which is measured in turn with us"
+    )
+    parser.add_argument("--history", type=Path, help="file to add the ratios to, which history.py plots")
     options = parser.parse_args(arguments)
     options.seconds = 0.02 if options.quick else 5.0
     options.rounds = 1 if options.quick else max(1, options.rounds)
@@ -72,6 +79,8 @@ def measure(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
         asks = step_routes(options, ours, plain) | growth_routes(options, ours) | batch_routes(options, ours)
         if "peers" in options.only:
             asks |= peer_routes(options, ours, stack, folder / "work.npz")
+        if options.floor:
+            asks |= floor_routes(options, stack)
         samples = in_turn(asks, options.rounds)
         parts = part_times(ours, options.rounds) if "parts" in options.only else {}
     load.append(os.getloadavg()[0])
@@ -123,6 +132,32 @@ def peer_routes(options: argparse.Namespace, ours: Worker, stack: ExitStack, wor
     return {f"peer {name}": asking(worker, name) for name, worker in workers.items()}
 
 
+def floor_routes(options: argparse.Namespace, stack: ExitStack) -> dict[str, Ask]:
+    """The floor: single runs beside our steps, batches beside our rollouts; see `floor.py`."""
+    folder, cores = options.floor.resolve(), os.cpu_count() or 1
+    python = str(folder / "env" / "bin" / "python")
+    worker = stack.enter_context(Worker("floor.py", str(folder), str(options.seconds), python=python))
+    runs, asks = (2 if options.quick else 50), dict[str, Ask]()
+    if "steps" in options.only:
+        asks |= {f"floor {kind}": asking(worker, kind) for kind in ("cpp", "numba")}
+    if "rollouts" in options.only:
+        asks["floor cpp 1_thread"] = asking(worker, f"batch cpp {runs} 1")
+        asks |= {
+            f"floor {kind} all_threads": asking(worker, f"batch {kind} {runs} {cores}") for kind in ("cpp", "numba")
+        }
+    return asks
+
+
+def floor(samples: Mapping[str, list[Sample]]) -> dict[str, Any]:
+    """Medians of the floor; empty where it was not measured."""
+    found = {name.removeprefix("floor "): some for name, some in samples.items() if name.startswith("floor ")}
+    steps = {name: per_step(some) for name, some in found.items() if " " not in name}
+    rates = {name: median(s["rollouts"] / s["wall"] for s in some) for name, some in found.items() if " " in name}
+    cpu = {name: per_step(some, "cpu") for name, some in found.items()}
+    named = {"us_per_step": steps, "rollouts_per_s": rates, "cpu_us_per_step": cpu} if found else {}
+    return {key: {name.replace(" ", "_"): value for name, value in some.items()} for key, some in named.items()}
+
+
 def asking(worker: Worker, request: str) -> Ask:
     """A request for later."""
     return lambda: worker.ask(request)
@@ -171,6 +206,8 @@ def summary(samples: Mapping[str, list[Sample]]) -> dict[str, Any]:
             name.replace(" ", "_"): max(sample["rollouts"] / sample["wall"] for sample in found)
             for name, found in batches.items()
         },
+        "cpu_us_per_rollout_step": {name.replace(" ", "_"): per_step(found, "cpu") for name, found in batches.items()},
+        "floor": floor(samples),
         "peers": {name: peer(name, samples[f"peer {name}"], wall) for name in PEERS if f"peer {name}" in samples},
     }
 

@@ -18,7 +18,8 @@ from tempfile import TemporaryFile
 from typing import Any, Self
 
 HERE = Path(__file__).parent
-Prepare = Callable[[], Callable[[], dict[str, Any]]]
+Timed = Callable[[], dict[str, Any]]
+Prepare = Callable[[], Timed]
 
 
 class Worker:

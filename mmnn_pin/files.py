@@ -156,15 +156,16 @@ def whole_file(path: Path, what: str, force: bool = True) -> Iterator[Path]:
                 part.unlink()
 
 
-def settle(part: Path, path: Path, what: str, force: bool) -> None:
-    """Give a complete file its name, once it is on the disk.
+def settle(part: Path, path: Path, what: str, force: bool, sync: bool = True) -> None:
+    """Give a complete file its name, once it is on the disk; without `sync` before, for one that will grow.
 
     Raises:
         RecordingError: Another process has written it meanwhile, and `force` is off.
         OSError: It cannot be.
     """
-    with part.open("rb") as file:
-        os.fsync(file.fileno())  # a disk over a network says only now that it is full
+    if sync:
+        with part.open("rb") as file:
+            os.fsync(file.fileno())  # a disk over a network says only now that it is full
     if not force:
         try:
             os.link(part, path)  # as a rename, but never over a file

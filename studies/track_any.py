@@ -54,7 +54,7 @@ class Row:
 
 def experiment_of(name: str, settings: tuple[str, ...] = ()) -> tuple[Experiment, Robot]:
     """The experiment for a robot, with laps as long as its reference is slow."""
-    robot = load_experiment("track", [f"robot={name}"]).load_robot()
+    robot = load_experiment("track", [f"robot={name}", *settings]).load_robot()
     laps = [f"robot={name}", f"time.duration={LAPS * PERIOD}", *settings]
     slowness = load_experiment("track", laps).trajectory_of(robot).slowness
     end = float(np.ceil(LAPS * PERIOD * slowness))
@@ -62,12 +62,12 @@ def experiment_of(name: str, settings: tuple[str, ...] = ()) -> tuple[Experiment
     return load_experiment("track", [*laps, f"time.duration={end!r}", last]), robot
 
 
-def row_of(name: str, settings: tuple[str, ...] = ()) -> Row:
-    """Run all controllers on one robot."""
+def row_of(name: str, settings: tuple[str, ...] = (), controllers: tuple[str, ...] = NAMES) -> Row:
+    """Run controllers on one robot."""
     experiment, robot = experiment_of(name, settings)
-    loops = [experiment.loop(robot, experiment.controller(c, robot=robot)) for c in NAMES]
+    loops = [experiment.loop(robot, experiment.controller(c, robot=robot)) for c in controllers]
     runs = simulate_many(loops, windows=experiment.windows, keep=("motor_torque", "applied"))
-    found = dict(zip(NAMES, runs, strict=True))
+    found = dict(zip(controllers, runs, strict=True))
     ending = ".rms_{:g}_{:g}".format(*experiment.windows[-1])
     joints, lost = robot.joint_names, np.inf
 
@@ -102,13 +102,13 @@ def no_worse(row: Row) -> Array:
     return found
 
 
-def summary(rows: list[Row]) -> list[str]:
+def summary(rows: list[Row], controllers: tuple[str, ...] = NAMES) -> list[str]:
     """A line per robot: the largest error of its joints under every controller, torques, slowness, margin."""
-    titles = ["robot", "slower", "margin [ms]", *NAMES, "torque given, asked", "adaptive no worse"]
+    titles = ["robot", "slower", "margin [ms]", *controllers, "torque given, asked", "adaptive no worse"]
     lines = [table_line(titles), table_line(["---"] * len(titles))]
     for row in rows:
-        worst = [cell(row.errors[name].max(initial=0.0)) for name in NAMES]
-        bases = [cell(row.base[name]) for name in NAMES]
+        worst = [cell(row.errors[name].max(initial=0.0)) for name in controllers]
+        bases = [cell(row.base[name]) for name in controllers]
         cells = [f"{arm}; {base}" if base != "lost" else arm for arm, base in zip(worst, bases, strict=True)]
         torque = f"{max(row.given.values()):.2f}, {max(row.asked.values()):.2f}"
         count = f"{no_worse(row).sum()} of {len(row.joints)}"

@@ -103,3 +103,47 @@ def test_reading_makes_a_file_that_is_understood_and_times_it(monkeypatch, tmp_p
     monkeypatch.setattr(sys, "argv", ["reading.py", "--repetitions", "1"])
     reading.main()
     assert "understanding" in capsys.readouterr().out
+
+
+def test_ratios_of_a_result_are_kept_and_plotted(modules, monkeypatch, tmp_path):
+    import history
+
+    us = {"loop": 12.0, "compiled": 3.0}
+    result = {
+        "us_per_step": us,
+        "us_per_step_file": {"compiled": 3.6},
+        "us_per_step_whole_run": {"compiled": 4.5},
+        "rollouts_per_s": {"same_1_thread": 60.0, "same_all_threads": 110.0, "masses_all_threads": 88.0},
+        "floor": {"us_per_step": {"cpp": 4.0}, "rollouts_per_s": {"cpp_all_threads": 100.0}},
+        "machine": {"processor": "some", "load_before_after": [0.1, 0.2]},
+    }
+    assert history.ratios(result) == pytest.approx(
+        {
+            "file/memory": 1.2,
+            "compiled/floor": 0.75,
+            "loop/compiled": 4.0,
+            "whole/compiled": 1.5,
+            "rollouts/floor": 1.1,
+            "masses/same": 0.8,
+            "threads/thread": 110 / 60,
+        }
+    )
+    without = result | {"floor": {}, "rollouts_per_s": {}}
+    assert set(history.ratios(without)) == {"file/memory", "loop/compiled", "whole/compiled"}
+    for one in (without, result):
+        history.append(tmp_path / "kept.jsonl", one)
+    monkeypatch.setattr(sys, "argv", ["history.py", str(tmp_path / "kept.jsonl"), "--out", str(tmp_path / "plot.svg")])
+    history.main()
+    assert "times the C++ floor" in (tmp_path / "plot.svg").read_text()
+    assert len((tmp_path / "kept.jsonl").read_text().splitlines()) == 2
+
+
+def test_instructions_of_a_call_are_counted(monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    import instructions
+
+    if not instructions.can_count():
+        pytest.skip("instructions are counted on Linux with x86-64 only")
+    few, twice, many = (instructions.counted(lambda n=n: sum(range(n))) for n in (50, 50, 550))
+    assert few > 0 and abs(twice - few) < 0.2 * few
+    assert 5 * 500 < many - few < 1000 * 500  # an addition of two integers takes Python dozens

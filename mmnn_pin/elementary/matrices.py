@@ -8,6 +8,7 @@ numbers, which rounds every product and every sum. What is only judged or printe
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -127,6 +128,12 @@ def triangle(A: ArrayLike) -> Array:
 def pseudo_inverse(A: ArrayLike) -> Array:
     """Moore and Penrose's inverse, (n, m) of (m, n); columns below 1e-15 of the longest count as none."""
     A = np.asarray(A, float)
+    return _pseudo_inverse(A.shape, A.tobytes()).copy()
+
+
+@lru_cache(maxsize=256)  # the runs of a batch share the matrices of their motors
+def _pseudo_inverse(shape: tuple[int, int], numbers: bytes) -> Array:
+    A = np.frombuffer(numbers).reshape(shape)
     if A.shape[0] < A.shape[1]:
         return np.ascontiguousarray(pseudo_inverse(A.T).T)
     B, sigma, V = svd(A)

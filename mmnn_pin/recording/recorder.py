@@ -1,6 +1,7 @@
 """Takes the rows of one run as they come and ends as a `Recording`, in memory or in a file.
 
-Rows gather in a buffer and go to the file when it is full or 0.25 s old, so a kill loses less than half a second.
+Rows gather in a buffer and go to the file when it is full or old enough that a kill loses less than half a second: a
+run that ends before is written at once.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import hashlib
 import math
 import platform
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import cache
@@ -22,14 +23,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
-from ..signals import SIGNALS, Array, Layout
-from .recording import Outcome, Recording
+from ..signals import HAND, SIGNALS, Array, Layout
+from .recording import Outcome, Recording, from_file
 from .run_file import Arrays, Columns, RunFile, decode, encode
 from .schema import facts_problem
 
-BUFFER_ROWS = 1024  # of a file
-BLOCK_BYTES = 1 << 22  # of a recording in memory: from this size on numpy asks for large pages, which are faster to get
-WRITE_PERIOD = 0.25  # [s] of wall clock
+BUFFER_BYTES = 1 << 22  # from this size on numpy asks for large pages, which are faster to get
+FIRST_WRITE, WRITE_PERIOD = 0.45, 0.25  # since the start, and between two others [s] of wall clock
 
 
 class Recorder:
@@ -44,6 +44,7 @@ class Recorder:
         path: File to write; None keeps everything in memory.
         force: Replace an existing file.
         signals: Names of the signals to keep beside `time`; None for all.
+        expected: How many rows will come, 0 where that is not known; others may.
 
     Raises:
         RecordingError: The file exists (without `force`), another run writes it, or it cannot be created.
@@ -58,21 +59,22 @@ class Recorder:
         path: str | Path | None = None,
         force: bool = False,
         signals: Collection[str] | None = None,
+        expected: int = 0,
     ) -> None:
         facts = _facts(meta)
         texts: dict[str, str] = {name: facts.pop(name) for name in ("config", "urdf") if name in facts}
         columns = _columns(layout, facts)
         if signals is not None:
             columns = {name: about for name, about in columns.items() if name in ("time", *known(signals))}
+        self._about: dict[str, Any] = {"columns": columns, "meta": facts, "texts": texts}
         self._store: RunFile | _Memory = (
-            _Memory(layout, columns, facts, texts)
+            _Memory(layout, columns)
             if path is None
-            else RunFile(Path(path), force, layout, columns, facts, texts)
+            else RunFile(Path(path), force, layout, columns, facts, texts, expected)
         )
-        self._width, self._size, self._period = layout.width, BUFFER_ROWS, WRITE_PERIOD
-        if path is None:
-            self._size, self._period = max(BUFFER_ROWS, -(-BLOCK_BYTES // (8 * layout.width))), math.inf
-        self._filled, self._written, self.rows = 0, time.perf_counter(), 0
+        self._width, self._size = layout.width, buffer_rows(layout)
+        self._due = math.inf if path is None else time.perf_counter() + FIRST_WRITE
+        self._filled, self.rows = 0, 0
         self._rows, self._step_times = self._buffers()
         self._weight_shapes: dict[str, tuple[int, ...]] = {}
         self._snapshots: list[Arrays] = []
@@ -130,12 +132,13 @@ class Recorder:
         Raises:
             RecordingError: The file cannot be written; the rows already in it can be read.
         """
-        self._write()
+        self._hand_over()
         final: Arrays = {name: np.array(array) for name, array in (final_state or {}).items()}
         if isinstance(self._store, _Memory):
-            return self._store.finish(outcome, final)
+            return Recording(**self._about, rows=self.rows, read=self._store.finish(final), outcome=outcome)
         self._store.finish(asdict(outcome), final)
-        return Recording.open(self._store.path)
+        path = self._store.path
+        return Recording(**self._about, rows=self.rows, read=from_file(path, self.rows), outcome=outcome, path=path)
 
     def __enter__(self) -> Recorder:
         return self
@@ -150,10 +153,16 @@ class Recorder:
                 self._store.close()
 
     def _write_when_due(self) -> None:
-        if self._filled == self._size or time.perf_counter() - self._written > self._period:
+        if self._filled == self._size or time.perf_counter() > self._due:
             self._write()
 
     def _write(self) -> None:
+        self._hand_over()
+        if isinstance(self._store, RunFile):
+            self._store.flush()
+            self._due = time.perf_counter() + WRITE_PERIOD
+
+    def _hand_over(self) -> None:
         if not self._store.is_open:
             raise ValueError("this run is finished")
         if self._snapshots:
@@ -163,7 +172,7 @@ class Recorder:
             self._store.write(self._rows[: self._filled], self._step_times[: self._filled])
             if isinstance(self._store, _Memory):  # it keeps these
                 self._rows, self._step_times = self._buffers()
-        self._filled, self._written = 0, time.perf_counter()
+        self._filled = 0
 
     def _buffers(self) -> tuple[Array, Array]:
         return np.empty((self._size, self._width)), np.empty(self._size)
@@ -172,10 +181,8 @@ class Recorder:
 class _Memory:
     """Keeps a run as a list of blocks; signals are taken out of them when they are asked for."""
 
-    def __init__(
-        self, layout: Layout, columns: dict[str, Columns], meta: dict[str, Any], texts: dict[str, str]
-    ) -> None:
-        self.columns, self.meta, self.texts = columns, meta, texts
+    def __init__(self, layout: Layout, columns: Mapping[str, Columns]) -> None:
+        self.columns = columns
         self.kept = np.concatenate([np.arange(layout.width)[layout.where(name)] for name in columns])
         self.ends = np.cumsum([len(about.labels) for about in columns.values()])
         self.blocks, self.step_times = [np.empty((0, self.kept.size))], [np.empty(0)]
@@ -183,7 +190,7 @@ class _Memory:
         self.is_open = True
 
     def write(self, rows: Array, step_times: Array) -> None:
-        whole = self.kept.size == rows.shape[1] and 2 * rows.nbytes > BLOCK_BYTES  # else a small part of its buffer
+        whole = self.kept.size == rows.shape[1] and 2 * rows.nbytes > BUFFER_BYTES  # else a small part of its buffer
         self.blocks.append(rows if whole else rows[:, self.kept])
         self.step_times.append(step_times)
 
@@ -191,18 +198,11 @@ class _Memory:
         for name, array in snapshots.items():
             self.snapshots.setdefault(name, []).append(array)
 
-    def finish(self, outcome: Outcome, final: Arrays) -> Recording:
+    def finish(self, final: Arrays) -> Callable[[str], Arrays]:
         self.close()
         parts: dict[str, Arrays] = {"timing/step_time": {"step_time": np.concatenate(self.step_times)}, "final": final}
         parts["weights"] = {name: np.concatenate(arrays) for name, arrays in self.snapshots.items()}
-        return Recording(
-            columns=self.columns,
-            rows=sum(map(len, self.blocks)),
-            read=lambda where: parts[where] if where in parts else self._signal(where.removeprefix("signals/")),
-            meta=self.meta,
-            texts=self.texts,
-            outcome=outcome,
-        )
+        return lambda where: parts[where] if where in parts else self._signal(where.removeprefix("signals/"))
 
     def close(self) -> None:
         self.is_open = False
@@ -211,6 +211,11 @@ class _Memory:
         end, size = self.ends[list(self.columns).index(name)], len(self.columns[name].labels)
         columns = np.concatenate([rows[:, end - size : end] for rows in self.blocks])
         return {name: columns[:, 0] if size == 1 else columns}
+
+
+def buffer_rows(layout: Layout) -> int:
+    """How many rows a recorder gathers at most before it hands them over."""
+    return max(1024, -(-BUFFER_BYTES // (8 * layout.width)))
 
 
 @cache
@@ -248,6 +253,7 @@ def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:
         "full": _names(facts, "position_names", layout.full),
         "motor": _names(facts, "actuator_names", layout.motors),
         "wheel": _names(facts, "actuator_names", layout.motors)[: layout.wheels],
+        "hand": tuple(f"{frame}.{each}" for frame in facts.get("hands", ()) for each in HAND),
     }
     columns = {}
     for name, kind, *_ in SIGNALS:

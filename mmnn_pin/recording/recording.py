@@ -113,7 +113,7 @@ class Recording:
         return cls(
             columns=found.columns,
             rows=found.rows,
-            read=lambda where: read_arrays(path, where, {"weights": -1, "final": None}.get(where, found.rows)),
+            read=from_file(path, found.rows),
             meta=found.meta,
             texts=found.texts,
             outcome=Outcome(end.pop("outcome"), **end) if end else None,
@@ -285,7 +285,7 @@ class Recording:
         self.require_whole()
         arrays = {name: as_columns(self[name]) for name in self}
         places = Places.of({name: array.shape[1] for name, array in arrays.items()})
-        file = RunFile(Path(path), force, places, self._columns, self.meta, self._texts)
+        file = RunFile(Path(path), force, places, self._columns, self.meta, self._texts, len(self))
         file.write(np.ascontiguousarray(np.hstack([*arrays.values()])), self.step_times)
         if self.weights:
             file.weights(self.weights)
@@ -334,6 +334,11 @@ class Recording:
             return Outcome("interrupted", 0.0, message=f"run incomplete: {self._rows:,} rows, its time is damaged")
         end = float(self.time[-1])
         return Outcome("interrupted", end, message=f"run incomplete: {self._rows:,} rows, ends at t = {end:g} s")
+
+
+def from_file(path: Path, rows: int) -> Callable[[str], Arrays]:
+    """What reads the arrays of a file with so many rows, when they are asked for."""
+    return lambda where: read_arrays(path, where, {"weights": -1, "final": None}.get(where, rows))
 
 
 def as_columns(signal: Array) -> Array:

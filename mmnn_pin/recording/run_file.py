@@ -7,8 +7,10 @@
     /final/<name>       the states at the end: position, nu, controller_state, hardware_state
     /timing/step_time   (N,) wall-clock seconds per step: the one dataset that two equal runs do not share
 
-The file is in HDF5's default format and flushed with every write: that is what a kill leaves readable. Before the
-file grows its space is reserved, so a full disk is found before HDF5 is half way through a write.
+The file is in HDF5's default format; what was flushed a kill leaves readable. It lies on the disk from the start,
+without rows; HDF5 opens it for the first of them, which for most runs are all. Before it grows its space is reserved,
+so a full disk is found before HDF5 is half way through a write. What all runs of a robot share, the tables with their
+units and labels, is made once.
 """
 
 from __future__ import annotations
@@ -18,9 +20,11 @@ import fcntl
 import json
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +38,11 @@ from ..signals import Array, Layout
 
 FORMAT = "mmnn_pin recording"
 FORMAT_VERSION = 1
-CHUNK_ROWS = 1024
+CHUNK_ROWS, MOST_CHUNK_ROWS = 1024, 8192  # of tables whose length is not known; at most
 SLACK_BYTES = 1 << 16  # what HDF5 keeps beside the numbers themselves
+
+ALL = h5py.h5s.ALL
+NUMBERS = count()
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -82,6 +89,7 @@ class RunFile:
         columns: Unit and labels of the signals to write.
         meta: Facts for the root's attributes.
         texts: Texts for the root's datasets.
+        expected: How many rows will come, 0 where that is not known; others may.
 
     Raises:
         RecordingError: The file exists (without `force`), another run writes it, or it cannot be created.
@@ -95,28 +103,56 @@ class RunFile:
         columns: Mapping[str, Columns],
         meta: Mapping[str, Any],
         texts: Mapping[str, str],
+        expected: int = 0,
     ) -> None:
         self.path, self.rows, self.is_open = path, 0, True
         self._before = path.with_name(f".{path.name}.before") if force else None
-        self._file = _create(path, self._before, lambda file: _write_header(file, columns, meta, texts))
-        self._tables = [(self._file[f"signals/{name}"], layout.where(name)) for name in columns]
-        self._weights: dict[str, h5py.Dataset] = {}
-        self._row_bytes = 8 * (layout.width + 1)
+        self._chunk_rows, self._row_bytes = _chunk_rows(expected), 8 * (layout.width + 1)
+        self._places = {name: layout.where(name) for name in columns}
+        self._flushed, self._weights = 0, dict[str, h5py.h5d.DatasetID]()
+        with _in_memory(_empty(tuple(columns.items()), self._chunk_rows)) as file:
+            _write_facts(file, meta, texts)
+            self._lock = _create(path, self._before, _image(file))
+
+    @cached_property
+    def _file(self) -> h5py.File:
+        """The file, open."""
+        return h5py.File(self.path, "r+", locking=False)  # it is locked already
+
+    @cached_property
+    def _tables(self) -> list[tuple[h5py.h5d.DatasetID, slice]]:
+        """Tables of the signals, with their places in a row."""
+        signals = self._file["signals"].id
+        return [(h5py.h5d.open(signals, name.encode()), where) for name, where in self._places.items()]
+
+    @cached_property
+    def _step_times(self) -> h5py.h5d.DatasetID:
+        """Table of the step times."""
+        return h5py.h5d.open(self._file["timing"].id, b"step_time")
 
     def write(self, rows: Array, step_times: Array) -> None:
-        """Add rows (k, width) and the wall-clock times (k,) they took [s], and flush.
+        """Add rows (k, width) and the wall-clock times (k,) they took [s].
 
         Raises:
-            RecordingError: The disk is full or gone; the file is closed and holds the rows before these.
+            RecordingError: The disk is full or gone; the file is closed and holds the rows of the last flush.
         """
-        chunks = -(-(self.rows + len(rows)) // CHUNK_ROWS) - -(-self.rows // CHUNK_ROWS)
+        chunks = -(-(self.rows + len(rows)) // self._chunk_rows) - -(-self.rows // self._chunk_rows)
         with self._closing_on_failure():
-            self._reserve(chunks * CHUNK_ROWS * self._row_bytes)
+            self._reserve(chunks * self._chunk_rows * self._row_bytes)
             for table, where in self._tables:
-                _extend(table, rows, where, self.rows)
-            _extend(self._file["timing/step_time"], step_times[:, None], slice(0, 1), self.rows)
-            self._file.flush()
+                _extend(table, rows[:, where], self.rows)
+            _extend(self._step_times, step_times[:, None], self.rows)
         self.rows += len(rows)
+
+    def flush(self) -> None:
+        """Put on the disk what was written.
+
+        Raises:
+            RecordingError: As for `write`.
+        """
+        with self._closing_on_failure():
+            self._file.flush()
+        self._flushed = self.rows
 
     def weights(self, snapshots: Mapping[str, NDArray[Any]]) -> None:
         """Add snapshots of the weights, (k, ...) each.
@@ -126,13 +162,12 @@ class RunFile:
         """
         with self._closing_on_failure():
             self._reserve(sum(max(array.nbytes, 8192) for array in snapshots.values()))
+            group = self._file.require_group("weights").id
             for name, array in snapshots.items():
                 if name not in self._weights:
                     rows = max(1, 8192 // max(array[0].nbytes, 1))
-                    self._weights[name] = _table(self._file, f"weights/{name}", array.shape[1:], rows, array.dtype)
-                table = self._weights[name]
-                table.resize(len(table) + len(array), axis=0)
-                table[-len(array) :] = array
+                    self._weights[name] = _table(group, name, array.shape[1:], rows, array.dtype)
+                _extend(self._weights[name], array, self._weights[name].shape[0])
 
     def finish(self, outcome: Mapping[str, Any], final: Mapping[str, NDArray[Any]]) -> None:
         """Write how the run ended, mark the file complete and close it.
@@ -142,13 +177,15 @@ class RunFile:
         """
         with self._closing_on_failure():
             self._reserve(sum(array.nbytes for array in final.values()))
+            group = self._file.require_group("final").id if final else None
             for name, array in final.items():
-                self._file[f"final/{name}"] = array
-            self._file.attrs["outcome"] = outcome["status"]
+                _dataset(group, name, array)
+            root = h5py.h5g.open(self._file.id, b"/")
+            _attribute(root, "outcome", outcome["status"])
             for field in ("time", "signal", "message"):
-                self._file.attrs[f"outcome_{field}"] = outcome[field]
+                _attribute(root, f"outcome_{field}", encode(outcome[field]))
             self._file.flush()
-            self._file.attrs["complete"] = True
+            h5py.h5a.open(root, b"complete").write(np.array(True))
             self.close()
         if self._before is not None:
             self._before.unlink(missing_ok=True)
@@ -156,15 +193,18 @@ class RunFile:
     def close(self) -> None:
         """Close the file as it is; unless `finish` came before, it reads as incomplete."""
         self.is_open = False
-        self._file.close()
+        try:
+            if "_file" in vars(self):
+                self._file.close()
+        finally:
+            os.close(self._lock)
 
     def _reserve(self, size: int) -> None:
         """Take room on the disk for what HDF5 is about to add; the file must still be where it was made."""
-        handle = self._file.id.get_vfd_handle()
-        if not os.path.samestat(os.stat(self.path), os.fstat(handle)):
+        if not os.path.samestat(os.stat(self.path), os.fstat(self._lock)):
             raise FileNotFoundError(errno.ENOENT, "another file has its name")
         if size and sys.platform == "linux":
-            os.posix_fallocate(handle, self._file.id.get_filesize(), size + SLACK_BYTES)
+            os.posix_fallocate(self._lock, os.fstat(self._lock).st_size, size + SLACK_BYTES)
 
     @contextmanager
     def _closing_on_failure(self) -> Iterator[None]:
@@ -203,8 +243,8 @@ def decode(value: Any) -> Any:
     return json.loads(value[5:]) if isinstance(value, str) and value.startswith("json:") else value
 
 
-def _create(path: Path, before: Path | None, fill: Callable[[h5py.File], None]) -> h5py.File:
-    """Make the file, whole or not at all.
+def _create(path: Path, before: Path | None, image: bytes) -> int:
+    """Make the file, whole or not at all; its open and locked descriptor.
 
     A complete recording that is replaced stays under the name `before` until its successor is complete; None replaces
     nothing.
@@ -215,28 +255,69 @@ def _create(path: Path, before: Path | None, fill: Callable[[h5py.File], None]) 
             part = path.with_name(f".{path.name}.{os.getpid()}.part")
             undo.enter_context(folders_for(path))
             undo.callback(part.unlink, missing_ok=True)
-            part.write_bytes(_header(fill))  # not by HDF5, which does not survive a full disk
-            file = h5py.File(part, "r+", locking=True)
-            undo.callback(file.close)
+            lock = _write_locked(part, image)
+            undo.callback(os.close, lock)
             if before is not None and _is_complete(path):
                 with suppress(OSError):  # a file system without links
                     before.unlink(missing_ok=True)
                     os.link(path, before)
                     undo.callback(before.unlink, missing_ok=True)
-            settle(part, path, "recording", before is not None)
+            settle(part, path, "recording", before is not None, sync=False)
             part.unlink(missing_ok=True)
             undo.pop_all()
     except (OSError, RuntimeError) as error:
         raise RecordingError("cannot create the recording", why=reason(error), fix=way_out(error), file=path) from error
-    return file
+    return lock
 
 
-def _header(fill: Callable[[h5py.File], None]) -> bytes:
-    """The file before its first row."""
-    with h5py.File("header", "w", driver="core", backing_store=False) as file:
-        fill(file)
-        file.flush()
-        return bytes(file.id.get_file_image())
+def _write_locked(path: Path, data: bytes) -> int:
+    """Write a file, not by HDF5, which does not survive a full disk; its descriptor, locked while it is open."""
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_TRUNC, 0o666)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with open(descriptor, "wb", closefd=False) as file:
+            file.write(data)
+    except BaseException:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def _chunk_rows(expected: int) -> int:
+    """Rows of a chunk: a table of the expected length is one chunk, or some equal ones."""
+    return -(-expected // -(-expected // MOST_CHUNK_ROWS)) if expected > 0 else CHUNK_ROWS
+
+
+@lru_cache(maxsize=16)
+def _empty(columns: tuple[tuple[str, Columns], ...], chunk_rows: int) -> bytes:
+    """Image of a file with the empty tables of some signals, and nothing else."""
+    with _in_memory() as file:
+        file.attrs["format"], file.attrs["format_version"], file.attrs["complete"] = FORMAT, FORMAT_VERSION, False
+        signals, timing = (file.create_group(name).id for name in ("signals", "timing"))
+        for name, about in columns:
+            size = len(about.labels)
+            table = _table(signals, name, (size,) if size > 1 else (), chunk_rows)
+            _attribute(table, "unit", about.unit)
+            _attribute(table, "labels", encode(about.labels))
+        _attribute(_table(timing, "step_time", (), chunk_rows), "unit", "s")
+        return _image(file)
+
+
+def _in_memory(image: bytes = b"") -> h5py.File:
+    """A file in memory that begins as an image."""
+    access = h5py.h5p.create(h5py.h5p.FILE_ACCESS)
+    access.set_fapl_core(SLACK_BYTES, False)
+    name = f"recording {next(NUMBERS)}".encode()  # HDF5 takes two open files of one name for the same
+    if not image:
+        return h5py.File(h5py.h5f.create(name, h5py.h5f.ACC_TRUNC, fapl=access))
+    access.set_file_image(image)
+    return h5py.File(h5py.h5f.open(name, h5py.h5f.ACC_RDWR, fapl=access))
+
+
+def _image(file: h5py.File) -> bytes:
+    """The bytes of a file in memory."""
+    file.flush()
+    return bytes(file.id.get_file_image())
 
 
 def _is_complete(path: Path) -> bool:
@@ -264,32 +345,49 @@ def _require_free(path: Path, force: bool) -> None:
             raise RecordingError("the file is in use", why=why, fix="choose another name", file=path) from error
 
 
-def _write_header(
-    file: h5py.File, columns: Mapping[str, Columns], meta: Mapping[str, Any], texts: Mapping[str, str]
-) -> None:
-    file.attrs["format"], file.attrs["format_version"], file.attrs["complete"] = FORMAT, FORMAT_VERSION, False
+def _write_facts(file: h5py.File, meta: Mapping[str, Any], texts: Mapping[str, str]) -> None:
+    root = h5py.h5g.open(file.id, b"/")
     for name, value in meta.items():
-        file.attrs[name] = encode(value)
+        _attribute(root, name, encode(value))
     for name, text in texts.items():
-        file.create_dataset(name, data=text, dtype=h5py.string_dtype())
-    for name, about in columns.items():
-        size = len(about.labels)
-        table = _table(file, f"signals/{name}", (size,) if size > 1 else (), CHUNK_ROWS)
-        table.attrs["unit"], table.attrs["labels"] = about.unit, list(about.labels)
-    _table(file, "timing/step_time", (), CHUNK_ROWS).attrs["unit"] = "s"
+        _dataset(root, name, np.asarray(text, dtype=h5py.string_dtype()))
 
 
-def _table(group: h5py.Group, name: str, shape: tuple[int, ...], rows: int, dtype: Any = "f8") -> h5py.Dataset:
+def _dataset(group: h5py.h5g.GroupID, name: str, array: NDArray[Any]) -> None:
+    """A dataset that does not grow."""
+    kind = h5py.h5t.py_create(array.dtype, logical=True)
+    h5py.h5d.create(group, name.encode(), kind, _space(array.shape)).write(ALL, ALL, array)
+
+
+def _attribute(place: h5py.h5g.GroupID | h5py.h5d.DatasetID, name: str, value: Any) -> None:
+    """An attribute as h5py writes it, in half the time."""
+    array = np.asarray(value, dtype=h5py.string_dtype() if isinstance(value, str) else None)
+    kind = h5py.h5t.py_create(array.dtype, logical=True)
+    h5py.h5a.create(place, name.encode(), kind, _space(array.shape)).write(array)
+
+
+def _space(shape: tuple[int, ...]) -> h5py.h5s.SpaceID:
+    return h5py.h5s.create_simple(shape) if shape else h5py.h5s.create(h5py.h5s.SCALAR)
+
+
+def _table(
+    group: h5py.h5g.GroupID, name: str, shape: tuple[int, ...], rows: int, dtype: Any = np.float64
+) -> h5py.h5d.DatasetID:
     """Dataset without rows yet, each of a shape, that grows by chunks of so many rows."""
-    return group.create_dataset(name, (0, *shape), dtype, maxshape=(None, *shape), chunks=(rows, *shape))
+    chunks = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    chunks.set_chunk((rows, *shape))
+    space = h5py.h5s.create_simple((0, *shape), (h5py.h5s.UNLIMITED, *shape))
+    return h5py.h5d.create(group, name.encode(), h5py.h5t.py_create(np.dtype(dtype), logical=True), space, dcpl=chunks)
 
 
-def _extend(table: h5py.Dataset, rows: Array, where: slice, start: int) -> None:
-    """Append some columns of rows to a table; HDF5 itself gathers them, h5py's slices are several times slower."""
+def _extend(table: h5py.h5d.DatasetID, rows: NDArray[Any], start: int) -> None:
+    """Append rows to a table; one whole chunk goes past HDF5's cache of chunks."""
     shape = (start + len(rows), *table.shape[1:])
-    table.id.set_extent(shape)
+    rows = np.ascontiguousarray(rows.reshape(len(rows), *shape[1:]))
+    table.set_extent(shape)
+    if not start and rows.shape == table.get_create_plist().get_chunk():
+        table.write_direct_chunk((0,) * rows.ndim, rows)
+        return
     target = h5py.h5s.create_simple(shape)
-    target.select_hyperslab((start, 0)[: len(shape)], (len(rows), *shape[1:]))
-    source = h5py.h5s.create_simple(rows.shape)
-    source.select_hyperslab((0, where.start), (len(rows), where.stop - where.start))
-    table.id.write(source, target, rows)
+    target.select_hyperslab((start, *(0,) * (rows.ndim - 1)), rows.shape)
+    table.write(h5py.h5s.create_simple(rows.shape), target, rows)

@@ -1,17 +1,19 @@
 """Load every robot of `corpus.toml`, hold it against the truth, follow the commands that refusals print.
 
-    python -m studies.robots FOLDER [--only TEXT] [--markdown]
+    python -m studies.robots FOLDER [--only TEXT] [--markdown] [--track]
 
 FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, and beside them the packages that
 their xacro files ask for. Robots of example-robot-data load by name. The table is in docs/reference/public-robots.md.
+With `--track` every robot that was accepted drives the experiment `track`, as in `studies.track_any`.
 """
 
 from __future__ import annotations
 
+import json
 import re
 import time
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,9 @@ import click
 from mmnn_pin.errors import InputError
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.robot import Robot
+from studies import track_any
 
+CONTROLLERS = ("pd_gravity", "adaptive", "computed_torque")  # that drive
 TOLERANCE = 0.03  # of the maker's radius and track
 WAY = re.compile(
     r"--(base|wheels|radius|track|without|lock) ([A-Za-z0-9_,.-]*[A-Za-z0-9_])"
@@ -38,12 +42,14 @@ class Outcome:
         text: What was understood, or why not.
         command: Options that were followed.
         seconds: How long the first try took [s].
+        said: What was said about the robot in the end, by names of `Overrides`.
     """
 
     verdict: str
     text: str
     command: str
     seconds: float
+    said: dict[str, Any] = field(default_factory=dict)
 
 
 def judge(entry: dict[str, Any], folder: Path) -> Outcome:
@@ -69,7 +75,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
             told = "; ".join(wrong) or words(robot)
             if not options:
                 right = "right after the command" if followed else "right"
-                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took)
+                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took, said)
         if not options:
             verdict = "refused, misleading" if entry["kind"].startswith("refused: ") else "refused"
             return Outcome(verdict, told, " ".join(followed), took)
@@ -141,11 +147,23 @@ def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
     return f"| {entry['name']} | {place} | {truth} ({entry['source']}) | {found} |"
 
 
+def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> str:
+    """A row of the table of `studies.track_any`, or why there is none."""
+    said = {key: list(value) if isinstance(value, tuple) else value for key, value in outcome.said.items() if value}
+    settings = tuple(f"overrides.{key}={json.dumps(value)}" for key, value in said.items())
+    try:
+        row = track_any.row_of(str(place(entry, folder)), settings, CONTROLLERS)
+    except InputError as refused:
+        return f"| {entry['name']} | not run: {refused.what}: {refused.why} |"
+    return track_any.summary([replace(row, name=entry["name"])], CONTROLLERS)[2]
+
+
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, path_type=Path))
 @click.option("--only", default="", help="Robots whose names have this text.")
 @click.option("--markdown", is_flag=True, help="The table of docs/reference/public-robots.md.")
-def main(folder: Path, only: str, markdown: bool) -> None:
+@click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
+def main(folder: Path, only: str, markdown: bool, track: bool) -> None:
     """Hold all robots of the corpus against the truth."""
     entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]
     counts: dict[str, int] = {}
@@ -154,7 +172,10 @@ def main(folder: Path, only: str, markdown: bool) -> None:
             continue
         outcome = judge(entry, folder)
         counts[outcome.verdict] = counts.get(outcome.verdict, 0) + 1
-        if markdown:
+        if track:
+            if outcome.verdict.startswith("right"):
+                click.echo(driven(entry, folder, outcome))
+        elif markdown:
             click.echo(markdown_row(entry, outcome))
         else:
             click.echo(

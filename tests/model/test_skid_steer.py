@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -137,6 +138,24 @@ def test_it_slips_on_the_contact_plant_as_the_closed_form_says():
     for _ in range(100):
         plant.step(np.array([0.0, 0.95 * robot.base.turning]))
     assert abs(plant.nu[1]) < 1e-4  # below what the sliding takes it stands
+
+
+def test_the_wheels_of_a_side_turn_alike_on_the_contact_plant_however_they_are_loaded():
+    pytest.importorskip("mujoco")
+    text = rover((0.25, -0.25), ahead=0.15, more="")
+    text = re.sub(r'(<joint name="l1".*?<axis xyz=")[^"]*', r"\g<1>0 -1 0", text)  # turns the other way round
+    robot = robot_of(text, base="skid_steer", track=0.9, mu=1.0)
+    signs = [wheel.sign for wheel in robot.base.wheels]
+    assert sorted(signs) == [-1, 1, 1, 1]
+    plant = ContactPlant(robot, 0.002)
+    plant.start(robot.neutral_position(), np.zeros(2))
+    for _ in range(300):
+        plant.step(np.array([20.0, 1.3 * robot.base.turning]))
+    rates = dict(zip(robot.full_velocity_names, plant.velocity, strict=True))
+    rims = {w.joint: w.sign * w.radius * rates[w.joint] for w in robot.base.wheels}
+    assert max(map(abs, rims.values())) > 0.1 and max(plant.traction) > 0.99  # it slides
+    for side in "lr":
+        assert rims[f"{side}0"] == pytest.approx(rims[f"{side}1"], rel=1e-3)
 
 
 def test_what_is_told_of_it():

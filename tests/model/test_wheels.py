@@ -9,10 +9,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from drives import ARM, CYLINDER, LIMIT, SPHERE, Drive, joint, link, origin, robot_of
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from test_base import CORNERS, MOVE, four, friction
 
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.dynamics import Dynamics
 
 FOOT = joint("foot", "fixed", "footprint", "base") + '<link name="footprint"/>'
 BALL = link("ball", 0.1, 1e-4, SPHERE.format(r=0.05)) + joint("b", "fixed", "base", "ball", p=(-0.2, 0, 0.05))
@@ -420,3 +423,24 @@ def test_numbers_that_only_the_map_multiplies_are_held_to_be_finite():
                                 + '<mimic joint="elbow" multiplier="1e200"/>')  # fmt: skip
     with pytest.raises(RobotError, match="base and arm are not finite"):
         robot_of(four(more=MOVE + slave))
+
+
+# --- Friction that no floor gives -------------------------------------------------------------------------------------
+
+
+@given(st.floats(0.0, 2.0), st.floats(0.0, 10.0), st.floats(0.05, 0.2))
+@settings(max_examples=40, deadline=None)
+def test_friction_above_the_weight_is_told(damping, dry, radius):
+    dynamics = f'<dynamics damping="{damping}" friction="{dry}"/></joint>'
+    body, arm, more = Drive(radii=(radius, radius)).urdf().partition(ARM)
+    robot = robot_of(body.replace("</joint>", dynamics) + arm + more)
+    rolling = np.zeros(robot.dimensions.dof)
+    rolling[0] = 1.0
+    force = Dynamics(robot).friction(rolling)[0]
+    weight = 9.81 * pin.computeTotalMass(robot.model)
+    assume(abs(force / weight - 1) > 1e-6)
+    told = [f for f in robot.findings if f.code == "base-friction"]
+    assert bool(told) == (force > weight)
+    for finding in told:
+        assert f"{force:.3g} N" in finding.message and f"{force / weight:.2g} times" in finding.message
+        assert f'damping="{damping:g}"' in finding.fix

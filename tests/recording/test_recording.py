@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin.errors import RecordingError, UnknownName
-from mmnn_pin.recording.recorder import BUFFER_ROWS, Recorder
+from mmnn_pin.recording.recorder import Recorder, buffer_rows
 from mmnn_pin.recording.recording import Outcome, Recording
 from mmnn_pin.signals import SIGNALS, Layout
 
@@ -32,6 +32,7 @@ META = {
     "text": "json: not really",
     "step": np.float64(1e-3),
 }
+BUFFER_ROWS = buffer_rows(LAYOUT)
 DONE = Outcome("completed", 5.0, "", "all well")
 
 
@@ -62,7 +63,13 @@ def test_what_goes_in_comes_out(where, tmp_path):
     outcome = Outcome("diverged", 1.3, "nu[1]", "nu[1] is not finite")
     rec = recorder.finish(outcome, {"nu": np.arange(4.0), "level": 3.0})
 
-    others = ("wheel", "floor", "rig", "lead")  # signals of the contact plant, of a rig, of a torque that leads
+    others = (
+        "wheel",
+        "floor",
+        "rig",
+        "lead",
+        "hand",
+    )  # of the contact plant, of a rig, of a torque that leads, of paths
     names = tuple(name for name, kind, *_ in SIGNALS if kind.split()[0] not in others)
     for name in names:
         expected = rows[:, LAYOUT.where(name)]
@@ -82,8 +89,14 @@ def test_what_goes_in_comes_out(where, tmp_path):
     }
     assert rec.meta["versions"].keys() == {"python", "mmnn_pin", "pin", "numpy", "numba", "h5py"}
     assert len(rec.meta["urdf_sha256"]) == 64
-    assert "two_layer on platform_arm: diverged at t = 1.3 s, 1,324 rows" in rec.summary()
+    assert f"two_layer on platform_arm: diverged at t = 1.3 s, {len(rows):,} rows" in rec.summary()
     assert rec.path == (tmp_path / "new" / "run.h5" if where == "file" else None)
+    if rec.path is not None:  # a recorder tells of its file what it wrote; another process reads it
+        read = Recording.open(rec.path)
+        assert (read.meta, read.outcome, read.names) == (rec.meta, rec.outcome, rec.names)
+        assert (read.config_text, read.urdf, len(read)) == (rec.config_text, rec.urdf, len(rec))
+        assert all(read[name].tobytes() == rec[name].tobytes() for name in rec)
+        assert all((read.unit(name), read.labels(name)) == (rec.unit(name), rec.labels(name)) for name in rec)
 
 
 @given(pieces=st.lists(st.integers(0, 2500), max_size=4))
@@ -231,6 +244,49 @@ def test_an_exception_leaves_an_incomplete_recording_with_all_rows(tmp_path):
     assert list(tmp_path.iterdir()) == [tmp_path / "run.h5"]
 
 
+@pytest.mark.parametrize("count", [0, 1, 700, 1024, 9000])  # the last is more than a chunk, and than a buffer
+@pytest.mark.parametrize("expected", [0, 1, 700, 8192, 20_000])
+def test_runs_of_any_length_come_back_whatever_was_expected(count, expected, tmp_path):
+    rows = rows_of(count)
+    with Recorder(LAYOUT, META, tmp_path / "run.h5", expected=expected) as recorder:
+        recorder.append_block(rows)
+        recorder.finish(DONE)
+    rec = Recording.open(tmp_path / "run.h5")
+    assert rec.complete and len(rec) == count
+    assert all(rec[name].tobytes() == np.ascontiguousarray(rows[:, LAYOUT.where(name)]).tobytes() for name in rec)
+
+
+def test_a_short_run_is_written_at_once(tmp_path, monkeypatch):
+    opened = []
+    monkeypatch.setattr(
+        h5py, "File", lambda *given, _file=h5py.File, **named: opened.append(given) or _file(*given, **named)
+    )
+    with Recorder(LAYOUT, META, tmp_path / "run.h5", expected=5000) as recorder:
+        before = len(opened)
+        recorder.append_block(rows_of(2500))
+        recorder.append_block(rows_of(2400))
+        assert len(opened) == before
+        assert len(Recording.open(tmp_path / "run.h5")) == 0  # there, and readable
+        opened.clear()
+        recorder.finish(DONE)
+        assert len(opened) == 1
+    assert len(Recording.open(tmp_path / "run.h5")) == 4900 and len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_short_run_that_does_not_fit_on_the_disk_is_told(tmp_path, monkeypatch):
+    record(rows_of(5), tmp_path / "run.h5")
+
+    def full(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "no room")
+
+    with Recorder(LAYOUT, META, tmp_path / "run.h5", force=True) as recorder:
+        recorder.append_block(rows_of(50))
+        monkeypatch.setattr("os.posix_fallocate", full)
+        with pytest.raises(RecordingError, match=r"No space left.*the recording that was to be replaced is back"):
+            recorder.finish(DONE)
+    assert len(Recording.open(tmp_path / "run.h5")) == 5 and len(list(tmp_path.iterdir())) == 1
+
+
 def test_a_run_killed_before_its_first_row_is_readable(tmp_path):
     Recorder(LAYOUT, META, tmp_path / "run.h5").__exit__(None, None, None)
     rec = Recording.open(tmp_path / "run.h5")
@@ -244,7 +300,7 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.signals import Layout
 layout = Layout(2, 2, 7, 4)
-resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
+resource.setrlimit(resource.RLIMIT_FSIZE, (6_000_000, 6_000_000))
 try:
     with Recorder(layout, {}, sys.argv[1]) as recorder:
         for k in range(0, 100_000, 100):
@@ -350,7 +406,8 @@ def test_wherever_the_disk_fills_the_rows_before_are_kept(moment, tmp_path, monk
     with Recorder(LAYOUT, META, tmp_path / "run.h5") as recorder:
         recorder.append_block(rows_of(BUFFER_ROWS))
         monkeypatch.setattr("os.posix_fallocate", full)
-        with pytest.raises(RecordingError, match=r"No space left on device.*the first 1,024 rows can be read"):
+        told = rf"No space left on device.*the first {BUFFER_ROWS:,} rows can be read"
+        with pytest.raises(RecordingError, match=told):
             if moment == "rows":
                 recorder.append_block(rows_of(BUFFER_ROWS))
             elif moment == "weights":

@@ -22,6 +22,7 @@ from .base import Base
 from .differential import DifferentialDrive
 from .evidence import RADII, TRACKS, Evidence, beside, evidence, in_yaml, stated
 from .overrides import Overrides
+from .skid_steer import GRAVITY
 from .wheels import HUB, LUMPY, PARTIAL, STATED, UNSEEN, Candidate, Candidates, coaxial
 
 GO_ON = "name the drive wheels with --wheels LEFT,RIGHT, or say what it is with --base"
@@ -61,6 +62,7 @@ CODES = {
     "base-pair": "warning",
     "base-skid": "note",
     "base-floor": "warning",
+    "base-friction": "warning",
     "base-welded": "warning",
     # the arm and the rest
     "arm-locked": "note",
@@ -146,7 +148,22 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
         where, root = "below" if base.floor < 0 else "above", rest.document.root_link
         text = f"the wheels touch the ground {abs(base.floor):.3g} m {where} the root link '{root}'"
         notes.append(note(rest, "base-floor", first, text, "the floor is taken where the wheels are"))
-    return notes
+    return [*notes, *friction_note(rest, base)]
+
+
+def friction_note(rest: AtRest, base: Base) -> list[Finding]:
+    """A warning where the friction of the wheels' joints, at 1 m/s, takes more than any floor gives the wheels."""
+    joints = rest.document.joints
+    force = sum((joints[w.joint].damping / w.radius + joints[w.joint].friction) / w.radius for w in base.wheels)
+    weight = GRAVITY * math.fsum(rest.mass(name) for name in rest.document.links)
+    if force <= weight:
+        return []
+    first = base.wheels[0].joint
+    times = f"{force / weight:.2g} times the weight"
+    text = f"rolling at 1 m/s takes {force:.3g} N against the friction of the wheels' joints, {times}"
+    why = "no floor gives wheels that grip: a simulator's number? PD hardly moves such a base"
+    dynamics = f'damping="{joints[first].damping:g}" friction="{joints[first].friction:g}"'
+    return [note(rest, "base-friction", first, text, why, f"measured friction instead of {dynamics}")]
 
 
 def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
@@ -240,7 +257,7 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     for reason in dict.fromkeys(arm.reasons.values()):
         names = [name for name, why in arm.reasons.items() if why == reason]
         if "taken as a" in reason:
-            text, fix = f"locked: {', '.join(names)}", "--free JOINT moves one, all all"
+            text, fix = f"locked: {', '.join(names)}", "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
     return notes
 

@@ -1,7 +1,8 @@
 """A robot in MuJoCo: its tree, its free base and its friction, made from its Pinocchio model.
 
-A body per joint with the same placement, axis and inertia; locked joints are welds, mimic joints equalities, the root
-is free. Every contact is an explicit pair, because otherwise MuJoCo takes the larger friction of two shapes.
+A body per joint with the same placement, axis and inertia; locked joints are welds, mimic joints equalities, as are the
+wheels of a skid-steer side, which a chain or a gear turns alike; the root is free. Every contact is an explicit pair,
+because otherwise MuJoCo takes the larger friction of two shapes.
 
 Of the free base MuJoCo keeps the root link's position and quaternion (w, x, y, z) and its linear velocity in the
 world's axes, its angular velocity in its own: `v_mj = diag(R, I) v_pin`. Friction follows the same laws as in
@@ -19,6 +20,7 @@ import pinocchio as pin
 
 from ...elementary import arrays, atan2, cos, cos_sin, hypot, sin
 from ...errors import ConfigError, RobotError
+from ...model.base.skid_steer import SkidSteer
 from ...model.reduction import COULOMB_SPEED
 from ...model.robot import Robot
 from ...signals import Array
@@ -64,7 +66,7 @@ def compile_tree(robot: Robot, feet: Feet, contact: Contact, dt: float, integrat
     set_options(mj, spec, robot, dt, integrator)
     bodies = add_bodies(mj, spec, robot)
     add_motors(mj, spec, robot)
-    add_slaves(mj, spec, robot)
+    add_ties(mj, spec, robot)
     add_contacts(mj, spec, bodies, feet, robot.base.floor, contact, dt)
     try:
         return spec.compile()
@@ -128,12 +130,18 @@ def add_motors(mj: Any, spec: Any, robot: Robot) -> None:
         spec.add_actuator(name=name, target=name, trntype=mj.mjtTrn.mjTRN_JOINT)
 
 
-def add_slaves(mj: Any, spec: Any, robot: Robot) -> None:
-    """A stiff equality for every mimic joint that moves."""
-    for name, slave in robot.arm.slaves.items():
+def add_ties(mj: Any, spec: Any, robot: Robot) -> None:
+    """A stiff equality for every mimic joint that moves, and one that turns a skid-steer side's wheels alike."""
+    ties = [(name, slave.master, slave.offset, slave.multiplier) for name, slave in robot.arm.slaves.items()]
+    if isinstance(robot.base, SkidSteer):
+        for side in (1.0, -1.0):
+            first, *others = (wheel for wheel in robot.base.wheels if wheel.y * side > 0)
+            rim = first.sign * first.radius
+            ties += [(wheel.joint, first.joint, 0.0, rim / (wheel.sign * wheel.radius)) for wheel in others]
+    for name, master, offset, multiplier in ties:
         tie = spec.add_equality(type=mj.mjtEq.mjEQ_JOINT, objtype=mj.mjtObj.mjOBJ_JOINT)
-        tie.name1, tie.name2 = name, slave.master
-        tie.data[:5] = slave.offset, slave.multiplier, 0.0, 0.0, 0.0
+        tie.name1, tie.name2 = name, master
+        tie.data[:5] = offset, multiplier, 0.0, 0.0, 0.0
         tie.solref, tie.solimp = (2 * spec.option.timestep, 1.0), RIGID_IMPEDANCE
 
 
