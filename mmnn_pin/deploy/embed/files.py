@@ -136,11 +136,14 @@ def numbers(values: Array, kind: str, single: bool, per_line: int = 6) -> str:
 
 
 def definitions(functions: list[Function], is_static: bool) -> list[str]:
-    """Functions with their comments; compilers are kept from copying what is called from several places into each."""
+    """Functions with their comments; compilers are kept from copying what is called from several places into each.
+
+    Those that give a result are algebra, and faster where they are copied.
+    """
     text, made = "\n".join(function.text for function in functions), []
     for function in functions:
-        once = "MMNN_ONCE " if len(re.findall(rf"\b{function.name}\(", text)) > 1 else ""
-        head = f"{'static ' if is_static else ''}{once}{function.head}"
+        is_one = function.result is None and len(re.findall(rf"\b{function.name}\(", text)) > 1
+        head = f"{'static ' if is_static else ''}{'MMNN_ONCE ' if is_one else ''}{function.head}"
         made.append(f"{function.comment}\n{head}\n{{\n{function.text}\n}}\n")
     return made
 
