@@ -24,7 +24,8 @@ IntArray = NDArray[np.int64]
 # The signals of a row in the order in which a sample computes them: (name, size, unit of base part, unit of arm part).
 # Sizes: "pose" 3 or 0, "base" nb, "arm" n, "all" p, "full" coordinates of all joints, "motor" actuators, or a number;
 # on the contact plant "wheel" drive wheels and "floor" 1 with wheels, else 0; those that begin with "rig" where motors,
-# disturbances or a supervisor are simulated, else 0; "lead all" p where Psi_hat leads, else 0.
+# disturbances or a supervisor are simulated, else 0; "lead all" p where Psi_hat leads, else 0; "hand" 7 for
+# every frame that the reference takes along a path: position and quaternion, `HAND`.
 SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("time", "1", "s", ""),
     ("position", "full", "m, rad", "rad or m"),
@@ -69,9 +70,12 @@ SIGNALS: tuple[tuple[str, str, str, str], ...] = (
     ("constraint_residual", "floor", "m/s", ""),
     ("slip", "wheel", "m/s", ""),
     ("traction", "wheel", "", ""),
+    ("hand_ref", "hand", "m, 1", ""),
+    ("hand", "hand", "m, 1", ""),
 )
 # Compiled code freezes these numbers: this file is part of the key of the compiled code's cache.
 INDEX = {name: i for i, (name, *_) in enumerate(SIGNALS)}
+HAND = ("x", "y", "z", "qx", "qy", "qz", "qw")  # columns of a frame, in the world
 EARLY = 5e-10  # half a nanosecond early counts, as times are rounded [s]
 
 
@@ -110,17 +114,19 @@ class Layout(Dimensions):
         wheels: Number of wheels whose contact is recorded; 0 on the ideal plant.
         hardware: 1 where motors, disturbances or a supervisor are simulated, else 0.
         lead: 1 where the torque has Psi_hat as of the time in which it acts (`loop.lead`), else 0.
+        hands: Number of frames that the reference takes along paths.
     """
 
     wheels: int = 0
     hardware: int = 0
     lead: int = 0
+    hands: int = 0
 
     @classmethod
-    def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0) -> Layout:
+    def of(cls, dimensions: Dimensions, wheels: int = 0, hardware: int = 0, lead: int = 0, hands: int = 0) -> Layout:
         """Layout of the rows of a robot with these dimensions."""
         d = dimensions
-        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware, lead)
+        return cls(d.base, d.arm, d.full, d.motors, wheels, hardware, lead, hands)
 
     @cached_property
     def offsets(self) -> NDArray[np.int64]:
@@ -128,7 +134,7 @@ class Layout(Dimensions):
         size = {"pose": self.pose, "base": self.base, "arm": self.arm, "all": self.dof, "full": self.full}
         size |= {"motor": self.motors, "wheel": self.wheels, "floor": min(1, self.wheels), "1": 1, "2": 2}
         size |= {"rig": self.hardware, "rig motor": self.hardware * self.motors, "rig all": self.hardware * self.dof}
-        size |= {"lead all": self.lead * self.dof}
+        size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
         return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
 
     @property

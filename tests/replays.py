@@ -14,7 +14,8 @@ import numpy as np
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
-from mmnn_pin.signals import Layout
+from mmnn_pin.reference.hand.chain import chain_of, poses, track
+from mmnn_pin.signals import HAND, Layout
 
 TYPES = {"f4": "<f4", "u2": "<u2", "u4": "<u4"}
 
@@ -42,15 +43,17 @@ def recorded(
     period: float = 0.002,
     lag: float = 0.1,
     wheels: int = 0,
+    hands: tuple[str, ...] = (),
     outcome: Outcome | None = None,
     change: Callable[[np.ndarray, Callable[[str], slice]], None] = lambda table, where: None,
     **meta: object,
 ) -> Recording:
     """A run in which the robot does what the reference asked `lag` seconds ago; `change` edits the table of rows.
 
-    `wheels` is the number of wheels whose slip is recorded, as on the contact plant.
+    `wheels` is the number of wheels whose slip is recorded, as on the contact plant; `hands` are frames on a path.
     """
-    time, layout = np.arange(round(duration / period)) * period, replace(Layout.of(robot.dimensions), wheels=wheels)
+    time = np.arange(round(duration / period)) * period
+    layout = replace(Layout.of(robot.dimensions), wheels=wheels, hands=len(hands))
     table, where = np.zeros((len(time), layout.width)), layout.where
     wish, done = motion(robot, time), motion(robot, time - lag)
     table[:, where("time")] = time[:, None]
@@ -60,8 +63,13 @@ def recorded(
         wish[:, : robot.dimensions.pose],
     )
     table[:, where("q")], table[:, where("q_ref")] = done[:, robot.arm_index], wish[:, robot.arm_index]
+    for i, frame in enumerate(hands):
+        for signal, motion_of in (("hand", done), ("hand_ref", wish)):
+            begin = where(signal).start + len(HAND) * i
+            table[:, begin : begin + len(HAND)] = poses(track(chain_of(robot, frame), motion_of))
     change(table, where)
-    recorder = Recorder(layout, robot.facts() | {"controller": controller} | meta)
+    facts = {"controller": controller, "hands": dict.fromkeys(hands, True)}
+    recorder = Recorder(layout, robot.facts() | facts | meta)
     recorder.append_block(table)
     return recorder.finish(outcome or Outcome("completed", duration))
 

@@ -292,6 +292,7 @@ def signals_page() -> Iterator[str]:
         "rig motor": "motors",
         "rig all": "nb + n",
         "lead all": "nb + n",
+        "hand": "7 a frame",
     }
     yield "# Signals\n"
     yield (

@@ -43,5 +43,7 @@ MEANINGS = {
     "energy_residual": "energy gained minus work: zero but for the integrator's error",
     "constraint_residual": "how fast the base slips against ideal rolling",
     "slip": "speed of the contact point of each wheel",
+    "hand_ref": "where every frame should be that the reference takes along a path: x, y, z, quaternion x, y, z, w",
+    "hand": "where it truly is",
     "traction": "share of the friction cone that each wheel uses",
 }

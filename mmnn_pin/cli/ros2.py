@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from ..model.robot import Robot
     from ..recording.recording import Recording
 
+Made = TypeVar("Made")
 COARSEST = 0.001  # step of a simulated plant, which is not used here [s]
 
 
@@ -26,6 +28,7 @@ COARSEST = 0.001  # step of a simulated plant, which is not used here [s]
     epilog=examples(
         "mmnn ros2 --example --robot my_robot.urdf > my_robot.toml     a file to start from",
         "mmnn ros2 my_robot.toml --check                               what it would listen to and send",
+        "mmnn ros2 my_robot.toml --controllers                         YAML of the controllers for ros2_control",
         "mmnn ros2 my_robot.toml",
         "mmnn ros2 my_robot.toml --set controller=two_layer --set network.domain=7 --seconds 60",
     ),
@@ -39,6 +42,7 @@ COARSEST = 0.001  # step of a simulated plant, which is not used here [s]
     help="For --example: a name or a URDF file.  [default: platform_arm]",
 )
 @click.option("--check", is_flag=True, help="Say what it would subscribe to and publish, and end. Nothing is started.")
+@click.option("--controllers", "show_controllers", is_flag=True, help="Print the YAML of ros2_control for it, and end.")
 @click.option("--set", "changes", metavar="KEY=VALUE", multiple=True, help="Change a key of the file; repeatable.")
 @click.option("--seconds", type=float, default=math.inf, help="Stop after this time.  [default: never]")
 @click.option("--wait", type=float, default=10.0, help="How long to wait for the robot [s].  [default: 10]")
@@ -50,6 +54,7 @@ def ros2(
     show_example: bool,
     robot: str | None,
     check: bool,
+    show_controllers: bool,
     changes: tuple[str, ...],
     seconds: float,
     wait: float,
@@ -69,7 +74,7 @@ def ros2(
     robot there, 130 stopped by Ctrl-C. It needs: pip install 'mmnn_pin[ros2]'.
     """
     from ..deploy.ros2.reading import load_settings
-    from ..deploy.ros2.wiring import example, rows
+    from ..deploy.ros2.wiring import controllers, example, rows
 
     if show_example:
         from ..model.loading import load
@@ -81,6 +86,10 @@ def ros2(
         raise ConfigError("no SETTINGS.toml", fix="mmnn ros2 --example > robot.toml writes one to start from")
     settings = load_settings(file, changes)
     experiment, made = asked(settings, file)
+    if show_controllers:
+        yaml = with_lines(lambda: controllers(made, settings), settings, file)
+        answer(as_json, lambda: {"yaml": yaml}, lambda: yaml)
+        return DONE
     if check:
         table = rows(made, settings)
         width = [max(len(row[i]) for row in table) for i in range(3)]
@@ -104,7 +113,6 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
     Raises:
         InputError: They do not fit each other; with the line.
     """
-    from ..deploy.ros2.reading import line_of
     from ..deploy.ros2.wiring import interfaces
     from ..lab.experiments.config import load_experiment
 
@@ -112,10 +120,26 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
     step = period / math.ceil(period / COARSEST - 1e-9)
     times = [f"time.control_period={period!r}", f"time.plant_step={step!r}"]
     times += [f"time.duration={round(duration / period) * period!r}"]
-    try:
+
+    def build() -> tuple[Experiment, Robot]:
         experiment = load_experiment(settings.experiment, [f'robot="{settings.robot}"', *times, *settings.changes])
         robot = experiment.load_robot()
         interfaces(robot, settings)
+        return experiment, robot
+
+    return with_lines(build, settings, file)
+
+
+def with_lines(make: Callable[[], Made], settings: Node, file: Path) -> Made:
+    """What a function makes of the settings; what is wrong with them gets their file and line.
+
+    Raises:
+        InputError: It fails.
+    """
+    from ..deploy.ros2.reading import line_of
+
+    try:
+        return make()
     except InputError as error:
         text = file.read_text(encoding="utf-8")
         if error.file is None or Path(error.file).suffix == ".toml":
@@ -123,7 +147,6 @@ def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:
             error.key = f"set.{error.key}" if own else error.key
             error.file, error.line = file, line_of(text, error.key or "")
         raise
-    return experiment, robot
 
 
 def control(
@@ -153,7 +176,13 @@ def control(
     compile_if_cold(True)
     loop = experiment.loop(robot, experiment.controller(settings.controller, robot=robot))
     more: dict[str, Any] = {"limits": settings.limits, "setpoint_timeout": settings.setpoint_timeout}
-    more |= {"interfaces": interfaces(robot, settings), "latency": settings.latency, "path": out, "force": force}
+    more |= {
+        "interfaces": interfaces(robot, settings),
+        "latency": settings.latency,
+        "predict": settings.predict,
+        "path": out,
+        "force": force,
+    }
     more |= {"safety": loop.safety or Safety(torque="urdf"), "meta": {"config": experiment.to_json()}}
     with Stepper.of(loop, **more) as stepper, Bridge(stepper, settings, told) as node:
         motion = None

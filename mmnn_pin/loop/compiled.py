@@ -29,8 +29,9 @@ from ..torque import law
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.law import Ahead, MotorLimits, Packed, estimate, settle
 from .hardware import Hardware, act, is_stopped, note, rotate, send, sense
-from .lead import catch_up, look_ahead
+from .lead import catch_up, look_ahead, reference_then
 from .sample import Plan, after_torque, before_torque
+from .servo import Split, answered, ask
 
 NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_ref", "psi", "psi_hat", "torque"))
 POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
@@ -55,6 +56,7 @@ class Run(NamedTuple):
     numbers: Numbers
     at: IntArray
     setpoints: Array
+    then: Array
     gains: Array
     K: Array
     law: Packed
@@ -108,6 +110,7 @@ class CompiledLoop:
         )
         self.counter, self.state, self.hardware = np.zeros(1, np.int64), state, hardware
         self.learner, self.limits = torque.learner, plan.context.limits
+        self.split = None if hardware is None else hardware.split
         self.ahead = None if plan.lead is None else plan.lead.ahead
         self.later = None if plan.lead is None else plan.lead.learner
         self.true = new_machine(plan.robot, plan.loaded, position, nu)
@@ -128,6 +131,7 @@ class CompiledLoop:
             ),
             at=layout.offsets,
             setpoints=plan.setpoints,
+            then=plan.setpoints[0].copy(),
             gains=plan.gains,
             K=plan.K,
             law=torque.numbers,
@@ -141,7 +145,7 @@ class CompiledLoop:
 
     def advance(self, first: int, last: int) -> int:
         """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`."""
-        blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later)
+        blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later, self.split)
         return advance(first, last, self.run, *blocks)
 
 
@@ -164,6 +168,7 @@ def advance(
     limits: MotorLimits | None,
     ahead: Ahead | None,
     later: Any,
+    split: Split | None,
 ) -> int:
     """Control samples first ... last - 1 into the rows; -1, the column of the row that went bad, or `TRIPPED`.
 
@@ -178,6 +183,7 @@ def advance(
         limits: What Psi_hat is kept within; None for nothing.
         ahead: Where Psi_hat leads; None where it does not.
         later: The learner with its weights held, which is asked there.
+        split: The rows that take a velocity, which are the hardware's; None where all take effort.
     """
     n = run.numbers
     for k in range(first, last):
@@ -189,7 +195,7 @@ def advance(
                 body = true.loaded
         if k * n.steps % n.per_measurement == 0:
             measure(k * n.steps // n.per_measurement, time, run, true, hardware)
-        control(k, time, run, nominal, hardware, learner, limits, ahead, later)
+        control(k, time, run, nominal, hardware, learner, limits, ahead, later, split)
         bad = observe(run, body, true, energy)
         if bad >= 0:
             return bad
@@ -232,15 +238,19 @@ def control(
     limits: MotorLimits | None,
     ahead: Ahead | None,
     later: Any,
+    split: Split | None,
 ) -> None:
     """Setpoint -> kinematic -> torque -> safety of sample k, as `sample.Control.step`."""
     n, row, at, asked = run.numbers, run.row, run.at, True
     before = run.setpoints[max(k - 1, 0)]
     if n.age > 0.0:
-        catch_up(row, at, run.setpoints[k], before, n.h, n.age)
+        reference_then(run.setpoints, k, n.age / n.h, run.then)
+        catch_up(row, at, run.setpoints[k], run.then, n.age)
     before_torque(row, at, time, run.setpoints[k], run.gains, run.K)
     if hardware is not None:
         asked = not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)
+    if split is not None and asked:
+        ask(row, at, split)
     if asked:
         if ahead is not None:
             look_ahead(row, at, before, ahead)
@@ -248,12 +258,15 @@ def control(
                 model_psi(ahead.row, at, nominal)
             if later is not None:
                 estimate(ahead.row, at, later, run.state)
-            law.step(ahead.row, at, ahead.law, run.state, None, None)
         if n.uses_model:
             model_psi(row, at, nominal)
         if learner is not None:
             estimate(row, at, learner, run.state)
+        if ahead is not None:  # networks have learned by now: their weights are those of this sample's psi_hat
+            law.step(ahead.row, at, ahead.law, run.state, None, None)
         law.step(row, at, run.law, run.state, limits, ahead)
+    if split is not None:
+        answered(row, at, not asked, split)
     if hardware is not None:
         send(k, time, row, at, run.state, hardware.way)
     if learner is not None and asked:

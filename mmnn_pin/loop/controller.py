@@ -198,22 +198,22 @@ class Torque:
                 raise blamed(error, self.python) from error
             return
         if self.lead is not None:
-            self._psi_ahead(self.lead)
+            self._estimate_ahead(self.lead)
         if self.model is not None:
             self._model_psi(self.model, self.row)
         if self.learner is not None:
             estimate(self.row, self.at, self.learner, self.state.values)
+        if self.lead is not None:  # networks have learned by now: their weights are those of this sample's psi_hat
+            law.step(self.lead.ahead.row, self.at, self.lead.ahead.law, self.state.values, None, None)
         law.step(self.row, self.at, self.law.numbers, self.state.values, self.limits, self.ahead)
         self.keep()
 
-    def _psi_ahead(self, lead: Lead) -> None:
-        """Psi_hat of the weights as they are where the torque acts, into the row there."""
-        row, values = lead.ahead.row, self.state.values
+    def _estimate_ahead(self, lead: Lead) -> None:
+        """What model and learner say where the torque acts, into the row there: a learner says first, then learns."""
         if self.model is not None:
-            self._model_psi(self.model, row)
+            self._model_psi(self.model, lead.ahead.row)
         if lead.learner is not None:
-            estimate(row, self.at, lead.learner, values)
-        law.step(row, self.at, lead.ahead.law, values, None, None)
+            estimate(lead.ahead.row, self.at, lead.learner, self.state.values)
 
     def keep(self) -> None:
         """Let a learner remember the torque in the row: the one of the law, or what a supervisor made of it."""

@@ -33,6 +33,7 @@ from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
 TORQUE, PSI_HAT, POSE, QDOT = INDEX["torque"], INDEX["psi_hat"], INDEX["pose"], INDEX["qdot"]
+PSI_APPLIED, NUDOT_REF = INDEX["psi_applied"], INDEX["nudot_ref"]
 ARRIVES, IS_LOST, IS_BROKEN = 0.0, 1.0, 2.0  # what becomes of a command
 
 
@@ -218,6 +219,23 @@ class Totals(NamedTuple):
     force: Array
 
 
+class Expected(NamedTuple):
+    """What is expected of nu after a sample, for an observer on a model: the controller's own estimate is the model.
+
+    Where Psi_hat is right, `M (nudot - nudot_ref) = tau - Psi_hat + C s`, so nothing but inertias has to be known, and
+    of these no more than the gains were chosen by; what is wrong with them the observer learns.
+
+    Attributes:
+        inertia: (p,) effective inertias of the robot that the controller believes in [kg, kg m^2].
+        follows: 1 where Psi_hat answers for nudot_ref, 0 for a controller without one: then the torque is all.
+        acceleration: (p,) written: see `sensing.effects.Reading`; (0,) without such an observer.
+    """
+
+    inertia: Array
+    follows: float
+    acceleration: Array
+
+
 class Way(NamedTuple):
     """What a torque meets between the controller and the motors, all that `send` needs: Python hands it over each time.
 
@@ -228,6 +246,7 @@ class Way(NamedTuple):
         totals: Command of the motors, and what they and the world gave.
         sent: (p,) the last torque that reached the motors, part of the hardware's state.
         shorted: (1,) how many motors, from the first on, have their windings shorted.
+        expected: For an observer on a model.
     """
 
     line: Command
@@ -237,6 +256,7 @@ class Way(NamedTuple):
     totals: Totals
     sent: Array
     shorted: IntArray
+    expected: Expected
 
 
 class Hardware(NamedTuple):
@@ -350,6 +370,7 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way
         safety.supervise(row, at, time, line.arrived[0] > 0.0, weights, supervisor)
         way.shorted[0] = shorted(row[at[SAFETY]], supervisor)
     copy_to(tau, way.sent)
+    expect(row, at, way.expected)
     command, states = way.totals.command, way.totals.states
     for j in range(command.size):
         command[j] = 0.0
@@ -357,6 +378,15 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way
             command[j] += way.E_inv[j, i] * tau[i]
         states[j, motor.SUM] = 0.0
     way.totals.force[:] = 0.0
+
+
+@compiled
+def expect(row: Array, at: IntArray, expected: Expected) -> None:
+    """How nu is expected to accelerate under the torque that is sent; 0 where that is no number."""
+    said = at[PSI_APPLIED] if at[PSI_APPLIED + 1] > at[PSI_APPLIED] else at[PSI_HAT]
+    for i in range(expected.acceleration.size):
+        value = expected.follows * row[at[NUDOT_REF] + i] + (row[at[TORQUE] + i] - row[said + i]) / expected.inertia[i]
+        expected.acceleration[i] = value if math.isfinite(value) else 0.0
 
 
 @spliced

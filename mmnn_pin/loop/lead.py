@@ -19,6 +19,7 @@ psi_hat, and the loop linearised about the reference has the same feedback, to f
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -29,6 +30,8 @@ from ..elementary import cos_sin
 from ..errors import ConfigError
 from ..model.base.holonomic import moves_sideways
 from ..model.robot import Robot
+from ..reference.guide import BASE, Guide
+from ..reference.guide import VELOCITY as VELOCITY_LED
 from ..settings import Numbers, Timing
 from ..signals import INDEX, Array, IntArray
 from ..torque.controller import CompiledController, Context, TorqueController
@@ -110,40 +113,108 @@ def held(controller: CompiledController) -> CompiledController:
 
 
 @compiled
-def catch_up(row: Array, at: IntArray, setpoint: Array, before: Array, h: float, age: float) -> None:
+def catch_up(row: Array, at: IntArray, setpoint: Array, then: Array, age: float) -> None:
     """Bring a measurement up to now by what the reference has moved since it was taken, in place.
 
     So every error is that of the measurement against the reference of its own time: the feedback is as late as ever,
-    but for no error it asks for nothing, while `q_ref(t) - q(t - age)` drives a robot that follows exactly.
+    but for no error it asks for nothing, while `q_ref(t) - q(t - age)` drives a robot that follows exactly. The pose
+    goes along the mean of the reference's velocities then and now.
 
     Args:
         row: (width,) row of signals with the measurement.
         at: Offsets of the signals.
         setpoint: Of this sample, side by side.
-        before: Of the one before.
-        h: Control period [s].
+        then: The reference when the measurement was taken, likewise.
         age: Of the measurement [s].
     """
-    nb, n, first = at[ALPHA + 1] - at[ALPHA], at[Q + 1] - at[Q], at[POSE_REF]
-    for i in range(nb + n):
-        place = (at[ACCELERATION_REF] + i if i < nb else at[QDDOT_REF] + i - nb) - first
-        jerk = (setpoint[place] - before[place]) / h
-        faster = age * (setpoint[place] - 0.5 * age * jerk)
-        if i < nb:
-            row[at[VELOCITY] + i] += faster
-        else:
-            speed = setpoint[at[QDOT_REF] + i - nb - first]
-            row[at[QDOT] + i - nb] += faster
-            row[at[Q] + i - nb] += age * (speed - 0.5 * age * (setpoint[place] - age * jerk / 3.0))
+    first, nb = at[POSE_REF], at[ALPHA + 1] - at[ALPHA]
+    for measured, reference in ((VELOCITY, VELOCITY_REF), (Q, Q_REF), (QDOT, QDOT_REF)):
+        for i in range(at[measured + 1] - at[measured]):
+            place = at[reference] - first + i
+            row[at[measured] + i] += setpoint[place] - then[place]
     if nb:
-        v, a = at[VELOCITY_REF] - first, at[ACCELERATION_REF] - first
-        half, sideways = 0.5 * age, moves_sideways(nb)
-        vx, w = setpoint[v] - half * setpoint[a], setpoint[v + nb - 1] - half * setpoint[a + nb - 1]
-        vy = setpoint[v + 1] - half * setpoint[a + 1] if sideways else 0.0
-        c, s = cos_sin(setpoint[2] - half * w)
-        row[at[POSE]] += age * (c * vx - s * vy)
-        row[at[POSE] + 1] += age * (s * vx + c * vy)
-        row[at[POSE] + 2] += age * w
+        v, last, half = at[VELOCITY_REF] - first, at[VELOCITY_REF] - first + nb - 1, 0.5 * age
+        turn = half * (setpoint[last] + then[last])
+        along = half * (setpoint[v] + then[v])
+        aside = half * (setpoint[v + 1] + then[v + 1]) if moves_sideways(nb) else 0.0
+        c, s = cos_sin(setpoint[2] - 0.5 * turn)
+        row[at[POSE]] += c * along - s * aside
+        row[at[POSE] + 1] += s * along + c * aside
+        row[at[POSE] + 2] += turn
+
+
+@compiled
+def reference_then(setpoints: Array, k: int, back: float, then: Array) -> None:
+    """The reference of sample k less some periods, of a table (N, w), into `then`; the first one before the start."""
+    place = max(k - back, 0.0)
+    i = int(place)
+    for j in range(then.size):
+        step = setpoints[min(i + 1, setpoints.shape[0] - 1), j] - setpoints[i, j]
+        then[j] = setpoints[i, j] + (place - i) * step
+
+
+class Past(NamedTuple):
+    """References of the last samples of a stepper, by which measurements are brought up to now.
+
+    Attributes:
+        longest: Largest age of a measurement that is made up for [s].
+        times: (m,) of the references, -inf where there is none yet [s].
+        rows: (m, w) references, in a ring.
+        newest: (1,) place of the newest.
+        then: (w,) the reference when it was taken.
+    """
+
+    longest: float
+    times: Array
+    rows: Array
+    newest: IntArray
+    then: Array
+
+    @classmethod
+    def of(cls, longest: float, period: float, setpoint: Array) -> Past:
+        """Of a stepper with this period, whose setpoints are as long as this one."""
+        m = int(longest / period) + 3
+        return cls(longest, np.full(m, -np.inf), np.zeros((m, setpoint.size)), np.zeros(1, np.int64), setpoint.copy())
+
+
+@compiled
+def bring_up(row: Array, at: IntArray, time: float, taken: float, guide: Guide, past: Past) -> None:
+    """Bring a stepper's last good measurement, which is in the row, up to now.
+
+    A base that goes where a velocity leads has no pose error: the setpoint's pose goes along.
+
+    Args:
+        row: (width,) row of signals.
+        at: Offsets of the signals.
+        time: Of the sample [s].
+        taken: When the measurement was taken [s].
+        guide: With the setpoint of the sample.
+        past: The references before.
+    """
+    past.newest[0] = (past.newest[0] + 1) % past.times.size
+    past.times[past.newest[0]] = time
+    copy_to(guide.now, past.rows[past.newest[0]])
+    age = min(max(time - taken, 0.0), past.longest)
+    recall(past, time - age)
+    catch_up(row, at, guide.now, past.then, age)
+    if guide.kind[BASE] == VELOCITY_LED:
+        copy_to(row[at[POSE] : at[POSE + 1]], guide.now[: at[POSE + 1] - at[POSE]])
+
+
+@compiled
+def recall(past: Past, time: float) -> None:
+    """The reference of a time, into `then`; the oldest there is where that is longer ago."""
+    m, later = past.times.size, past.newest[0]
+    i = later
+    for _ in range(m - 1):
+        before = (i + m - 1) % m
+        if past.times[i] <= time or past.times[before] == -math.inf:
+            break
+        later, i = i, before
+    span = past.times[later] - past.times[i]
+    share = min(max((time - past.times[i]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+    for j in range(past.then.size):
+        past.then[j] = past.rows[i, j] + share * (past.rows[later, j] - past.rows[i, j])
 
 
 @compiled

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 
@@ -42,22 +42,12 @@ from .ordinary import OrdinaryLoop
 from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, servo_gains
-from .setup import Streams, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
+from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
 from .suited import Given, suited
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
-
-
-class Sink(Protocol):
-    """What takes the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
-
-    def append_block(self, rows: Array, step_times: Array) -> None:
-        """Take rows (k, width) and the wall-clock time of each (k,) [s]."""
-
-    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
-        """Take a snapshot of the weights at a time [s]."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +129,8 @@ class Loop:
         wheels = len(self.robot.base.wheels) if self.plant == "contact" else 0
         more = self.latency.total > 0.0 or bool(self.interfaces)
         hardware = int(not self.actuator.perfect or self.safety is not None or bool(self.disturbances) or more)
-        return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self))
+        hands = 0 if self.trajectory.watched is None else len(self.trajectory.watched.frames)
+        return Layout.of(self.robot.dimensions, wheels, hardware, lead_signals(self), hands)
 
     @checked
     @one_thread
@@ -207,7 +198,7 @@ class Loop:
         if self.engine == "compiled":
             require_compilable(self)
             return CompiledLoop(*arguments)
-        compilable = not isinstance(self.controller, TorqueController) and self.plant == "ideal" and not self.interfaces
+        compilable = not isinstance(self.controller, TorqueController) and self.plant == "ideal"
         if self.engine == "auto" and compilable:
             with suppress(RobotError):  # a joint that cannot be flattened
                 return CompiledLoop(*arguments)
@@ -317,7 +308,9 @@ class Loop:
     def facts(self) -> dict[str, Any]:
         """What a recording should know of this run."""
         floor = {"contact": plain(self.contact)} if self.plant == "contact" else {}
-        return facts_of(self, self.seed) | {"plant": self.plant} | floor
+        watched = self.trajectory.watched
+        hands = {} if watched is None else {"hands": dict(watched.frames)}
+        return facts_of(self, self.seed) | {"plant": self.plant} | floor | hands
 
     @property
     def believed(self) -> Robot:
@@ -350,6 +343,8 @@ class Loop:
             progress: Called after every block with the simulated time [s].
             cancelled: Asked after every block; true ends the run as interrupted.
         """
+        if self.trajectory.watched is not None:
+            sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
         outcome = run_to_end(self, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
 
@@ -365,8 +360,6 @@ def require_compilable(loop: Loop) -> None:
     elif loop.plant == "contact":
         what, why = "the contact plant cannot be compiled", "MuJoCo steps it, the ordinary loop only"
         fix = "use engine = 'auto', or the ideal plant"
-    elif loop.interfaces:
-        what, why, fix = "velocity interfaces cannot be compiled", "the ordinary loop has them", "use engine = 'auto'"
     else:
         return
     raise ConfigError(what, why=why, fix=fix, key="engine")

@@ -19,9 +19,12 @@ from ..settings import given_array
 from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
-from .hardware import Command, CommandLine, Hardware, MotorSide, Totals, Transport, Way, World
+from .before_run import Start
+from .hardware import Command, CommandLine, Expected, Hardware, MotorSide, Totals, Transport, Way, World
+from .lead import leads
 from .servo import interfaces_of, require_no_torque_regressor, servo_slots, split_of, state_size, velocity_servo
-from .setup import Setup
+from .setup import Setup, believed_by
+from .suited import effective_inertia, postures
 
 STOP_BANDWIDTH = 20.0  # of a stop under a controller whose gains are not known [1/s]
 
@@ -89,6 +92,7 @@ def new_hardware(
             totals=Totals(motors.imperfect, states, np.zeros(layout.motors), np.zeros(layout.dof)),
             sent=sent,
             shorted=motors.wire.shorted,
+            expected=expected_of(loop, sensors.wire.acceleration),
         ),
         motors=motors,
         world=world_of(loop, gust_rng),
@@ -97,6 +101,16 @@ def new_hardware(
         state=values,
         split=split,
     )
+
+
+def expected_of(loop: Setup, acceleration: Array) -> Expected:
+    """What an observer on a model is told, into an acceleration (p,) of its state; nothing, into one of size 0."""
+    if not acceleration.size:
+        return Expected(np.zeros(0), 0.0, acceleration)
+    believed = believed_by(loop)
+    places = (Start().state(believed, row)[0] for row in postures(believed))
+    inertia = effective_inertia(believed, places, loop.timing.control_period)
+    return Expected(inertia, float(leads(loop.controller)), acceleration)
 
 
 def late(loop: Setup) -> Sensor:

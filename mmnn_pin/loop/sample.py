@@ -24,7 +24,7 @@ from ..signals import INDEX, Array, IntArray, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from .controller import Torque
 from .hardware import Hardware, is_stopped, send
-from .lead import Lead, catch_up
+from .lead import Lead, catch_up, reference_then
 from .servo import answered, ask
 
 TIME, POSITION, NU, POSE_REF, POSE = (INDEX[n] for n in ("time", "position", "nu", "pose_ref", "pose"))
@@ -175,7 +175,8 @@ class Control:
 
     def __init__(self, plan: Plan, row: Array, state: Any, hardware: Hardware | None) -> None:
         self.row, self.at, self.hardware = row, plan.layout.offsets, hardware
-        self.gains, self.K, self.age, self.period = plan.gains, plan.K, plan.age, plan.timing.control_period
+        self.gains, self.K, self.age, self.back = plan.gains, plan.K, plan.age, plan.age / plan.timing.control_period
+        self.setpoints, self.then = plan.setpoints, plan.setpoints[0].copy()
         self.torque = Torque(plan.controller, plan.context, row, plan.believed, state, plan.lead)
         self.weights = state.values if isinstance(state, ControllerState) else np.zeros(0)
 
@@ -189,7 +190,8 @@ class Control:
             before: The setpoint of the sample before, from which Psi_hat may lead; None for the same one.
         """
         if self.age > 0.0:
-            catch_up(self.row, self.at, setpoint, setpoint if before is None else before, self.period, self.age)
+            reference_then(self.setpoints, k, self.back, self.then)
+            catch_up(self.row, self.at, setpoint, self.then, self.age)
         before_torque(self.row, self.at, time, setpoint, self.gains, self.K)
         hardware = self.hardware
         asked = hardware is None or not is_stopped(hardware.way.supervisor.on, hardware.way.supervisor.state)

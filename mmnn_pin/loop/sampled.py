@@ -9,6 +9,9 @@ the feedback inside it, `M [alphadot; K edot]`, which is judged beside.
 `exp(-j w L) lambda = 1` for an eigenvalue lambda of `H(w) = F (exp(j w h) - Phi)^-1 Gamma`: at a frequency where
 `|lambda| = 1` that needs `L = arg(lambda) / w`. The smallest one is the margin, of all velocities coupled and delayed
 alike (a delay that is no whole number of periods counts as a phase, as between samples).
+
+**Where it is judged.** Along the reference. An arm under PD sags below it, and is judged where it comes to rest, too:
+at the nearest minimum of `1/2 (q_ref - q)' k K (q_ref - q) + U(q)`, with the stiffness of U. The worst counts.
 """
 
 from __future__ import annotations
@@ -23,14 +26,16 @@ from ..compiled import one_thread
 from ..errors import ConfigError
 from ..model.base import BY_SIZE
 from ..model.dynamics import Dynamics
-from ..signals import Array, Setpoint
+from ..signals import Array, IntArray, Setpoint
 from ..torque.classical import Gravity, Integrator
 from ..torque.controller import CompiledController
 from ..torque.learning_law import LearningLaw
+from ..torque.model_based import PD, ScheduledPD
 from .before_run import Start, lags, viscous_friction
 from .sample import Plan
 
 TOLERANCE = 1e-9
+TINY = 1e-5  # deviation by which a slope is taken, and by which what stands upright begins to fall [rad or m]
 WITHOUT_RATES = (Gravity, Integrator)  # their Psi_hat does not answer to nudot_ref, and the errors in it
 LARGEST = 700.0  # exponents up to here have an exponential
 FREQUENCIES, SLOWEST = 160, 0.05  # of the sweep, from this one on [rad/s]
@@ -143,10 +148,12 @@ def held_loop(
     h: float,
     friction: Array | None = None,
     lag: Array | None = None,
+    stiffness: Array | None = None,
 ) -> HeldLoop | None:
     """The linearised loop over one period, arguments as in `sampled_loop`; None where it moves too fast to compute.
 
-    With `lag` (p,), time constants of first-order motors, their torques are further states where it is not 0 [s].
+    With `lag` (p,), time constants of first-order motors, their torques are further states where it is not 0 [s];
+    `stiffness` (n, n) is the derivative of gravity by the joints [N m/rad].
     """
     p, nb = len(M), len(v_ref)
     poses, n = (3 if nb else 0), len(M) - len(v_ref)
@@ -175,6 +182,8 @@ def held_loop(
         return None
     if friction is not None:  # it damps: however large, its exponential is small
         A[nu, nu] = -M_inv @ (np.diag(friction) if np.ndim(friction) == 1 else friction)
+    if stiffness is not None:
+        A[nu, poses : poses + n] += M_inv[:, nb:] @ stiffness
     held = expm(np.block([[A, B], [np.zeros((p, size + p))]]) * h)
     return HeldLoop(held[:size, :size], held[:size, size:], errors, M @ rates)
 
@@ -201,14 +210,65 @@ def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h
     )
 
 
-def linearised(plan: Plan, places: int) -> list[HeldLoop | None]:
-    """The loop at some places along the setpoints of a plan, judged at the slower of control and sensor."""
-    robot, dynamics = plan.robot, Dynamics(plan.robot)
+def linearised(plan: Plan, places: int, share: float = 1.0) -> list[HeldLoop | None]:
+    """The loop at some places along the setpoints of a plan, and where an arm under PD sags to from there.
+
+    Args:
+        plan: Of a loop or a stepper.
+        places: How many.
+        share: Of the gains of the feedback, by which a robot sags.
+    """
+    robot, dynamics, servo = plan.robot, Dynamics(plan.robot), plan.servo
     friction, lag, h, found = viscous_friction(robot), lags(robot, plan.lag), slowest(plan), []
     for i in np.unique(np.linspace(0, len(plan.setpoints) - 1, places).astype(int)):
         position, _ = Start().state(robot, plan.setpoints[i])
         v_ref = Setpoint.side_by_side(plan.setpoints[i], robot.dimensions).velocity
-        found.append(held_loop(dynamics.mass_matrix(position), v_ref, plan.gains, plan.K, h, friction, lag))
+        loop = v_ref, plan.gains, plan.K, h, friction, lag
+        found.append(held_loop(dynamics.mass_matrix(position), *loop))
+        if isinstance(plan.controller, PD | ScheduledPD):
+            springs = (share * gains_of(plan))[robot.dimensions.base :] * plan.K
+            by_torque = np.ones(springs.size) if servo is None else servo[robot.dimensions.base :] == 0.0
+            if (stiffness := sag(dynamics, position, springs, np.flatnonzero(by_torque))) is not None:
+                found.append(held_loop(dynamics.mass_matrix(position), *loop, stiffness))
+    return found
+
+
+def sag(dynamics: Dynamics, position: Array, springs: Array, free: IntArray) -> Array | None:
+    """Let an arm down until springs hold it against gravity, in place; the stiffness of gravity there, (n, n).
+
+    Args:
+        dynamics: Of the robot.
+        position: (nv,) from where; where it comes to rest.
+        springs: (n,) torque per deviation of a joint [N m/rad or N/m].
+        free: (k,) joints that do sag; of the others servos carry all weight.
+
+    Returns:
+        None for a robot that feels no gravity, or without springs.
+    """
+    from scipy.optimize import minimize  # slow to import, seldom needed
+
+    robot = dynamics.robot
+    arm, nb = robot.arm_index[free], robot.dimensions.base
+    wanted, k = position[arm].copy(), springs[free]
+    still = np.zeros(robot.dimensions.dof)
+
+    def weight(q: Array) -> Array:
+        position[arm] = q
+        return np.asarray(dynamics.gravity(robot.follow(position))[nb:][free])
+
+    def energy(y: Array) -> tuple[float, Array]:
+        torque = weight(wanted + y / np.sqrt(k))  # scaled so that all springs are alike
+        return 0.5 * float(y @ y) + dynamics.energy(position, still), y + torque / np.sqrt(k)
+
+    if not (dynamics.feels_gravity and k.min(initial=np.inf) > 0.0 and arm.size):
+        return None
+    down = minimize(energy, TINY * np.sqrt(k), jac=True, method="BFGS")
+    q = wanted + down.x / np.sqrt(k)
+    steps = TINY * np.eye(arm.size)
+    slopes = [(weight(q + step) - weight(q - step)) / (2.0 * TINY) for step in steps]
+    weight(q)
+    found = np.zeros((springs.size, springs.size))
+    found[np.ix_(free, free)] = np.transpose(slopes)
     return found
 
 
@@ -254,7 +314,7 @@ def delay_margin(plan: Plan, share: float = 1.0, places: int = 5) -> float:
     if not judges(plan):
         return float("nan")
     gains, h = share * gains_of(plan), slowest(plan)
-    return min(margin_at(held, gains, h, adds_inside(plan)) for held in linearised(plan, places))
+    return min(margin_at(held, gains, h, adds_inside(plan)) for held in linearised(plan, places, share))
 
 
 def margin_at(held: HeldLoop | None, gains: Array, h: float, inside: bool) -> float:

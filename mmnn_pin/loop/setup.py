@@ -6,7 +6,7 @@ a robot that is not simulated: its plant, sensors and motors are real, so all th
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Protocol
@@ -196,3 +196,33 @@ class Outside:
     def context(self) -> Context:
         """What the controller is told."""
         return new_context(self, self.seed, self.within_limits, 1)
+
+
+# -- what takes the rows of a run --------------------------------------------------------------------------------------
+
+
+class Sink(Protocol):
+    """What takes the rows of a run: a `Recorder`, or a `Reducer` that keeps only sums."""
+
+    def append_block(self, rows: Array, step_times: Array) -> None:
+        """Take rows (k, width) and the wall-clock time of each (k,) [s]."""
+
+    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
+        """Take a snapshot of the weights at a time [s]."""
+
+
+@dataclass(frozen=True)
+class Watching:
+    """A sink that writes where frames are into the rows before it hands them on."""
+
+    sink: Sink
+    write: Callable[[Array], None]
+
+    def append_block(self, rows: Array, step_times: Array) -> None:
+        """See `Sink`."""
+        self.write(rows)
+        self.sink.append_block(rows, step_times)
+
+    def weights(self, time: float, arrays: Mapping[str, Array]) -> None:
+        """See `Sink`."""
+        self.sink.weights(time, arrays)

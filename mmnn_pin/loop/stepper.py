@@ -31,6 +31,7 @@ from ..reference.trajectory import Trajectory
 from ..reference.wishes import Motion, Wish
 from ..safety import HAS_TRIPPED, Safety, accept, has_ended, press, release, remarks, trip_of
 from ..safety.supervisor import GOOD, HEARD
+from ..sensing import Sensor, observe
 from ..settings import Numbers, Timing, require_gain
 from ..settings.arguments import checked
 from ..signals import SIGNALS, Array, Measurement, Setpoint
@@ -38,6 +39,7 @@ from ..torque.controller import CompiledController, ControllerState, TorqueContr
 from ..torque.learning_law import LearningLaw
 from .before_run import require_nominal, require_seed, samples_between
 from .controller import state_from, with_findings
+from .lead import Past, bring_up
 from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control, Plan
@@ -54,6 +56,7 @@ UNKNOWN = (
 KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
 MEASURED = ("pose", "velocity", "q", "qdot")
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
+ALIKE = *("kinematic", "safety", "nominal", "seed", "within_limits"), *("check_gains", "weights_interval", "interfaces")
 MOST_TOLD = 20  # trips that a recording tells of
 
 
@@ -98,10 +101,13 @@ class Stepper:
         setpoint_timeout: Age of a setpoint that has to be renewed at which the base brakes and the arm holds [s].
         nominal: The robot that a controller believes in which uses a model and brings none; None for `robot`.
         seed: Of what a controller draws.
-        within_limits: As in `Loop`.
+        within_limits, lead: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
+        predict: Whether a measurement is brought up to now by what the reference has moved since it was `measured`,
+            over the latency at most, see `loop.lead.catch_up`.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
-        lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
+        observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
+            base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
         servo: What is known of the robot's servos behind velocity and position interfaces, see `loop.servo`.
         check_gains: Refuse gains that make the sampled PD loop unstable at one of some postures.
@@ -113,12 +119,10 @@ class Stepper:
 
     Attributes:
         row: (width,) all signals of the last sample; those of `UNKNOWN` mean nothing.
-        measured: The last good measurement, views into the row.
-        setpoint: The setpoint of the last sample, views.
+        measured, setpoint: The last good measurement and the setpoint of the last sample, views into the row.
         command: What the last step returned.
         state: What the controller has learned.
-        time: Of the last sample [s].
-        step_time: Wall-clock time that the last step took [s].
+        time, step_time: Of the last sample, and the wall-clock time that its step took [s].
 
     Raises:
         ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
@@ -148,8 +152,10 @@ class Stepper:
         seed: int = 0,
         within_limits: bool | None = None,
         latency: float = 0.0,
+        predict: bool = False,
         lag: Numbers = 0.0,
         lead: bool = False,
+        observer: float = 0.0,
         interfaces: Mapping[str, str] | None = None,
         servo: Servo = Servo(),  # noqa: B008
         check_gains: bool = True,
@@ -163,29 +169,30 @@ class Stepper:
             why, fix = "the motors are real: something must stand before them", "give safety=Safety()"
             raise ConfigError("a stepper without a supervisor", why=why, fix=fix, key="safety")
         require_gain(setpoint_timeout, "setpoint_timeout")
-        timing = Timing(duration=period, control_period=period, plant_step=period)
         require_gain(latency, "latency")
+        timing = Timing(duration=period, control_period=period, plant_step=period)
         require_seed(seed)
         lag = lag if isinstance(lag, int | float) else tuple(lag)
+        sensor = Sensor(velocity="model", bandwidth=observer) if observer else Sensor()
         controller = suited(controller, robot, lambda: Given(kinematic, period, latency + MARGIN, lag))
         setup = Outside(
-            robot, controller, kinematic, safety, timing, nominal, seed, within_limits,
+            robot, controller, kinematic, safety, timing, nominal, seed, within_limits, sensor=sensor,
             interfaces=dict(interfaces or {}), servo=servo, lead=lead, way=latency, lag=lag,
         )  # fmt: skip
         self.to_motors = np.ascontiguousarray(robot.E.T)
         self.period, self.check_gains, self.latency, layout = period, check_gains, latency, setup.layout
-        self.follower = Follower(robot, limits, setpoint_timeout)
-        self.row, self.at = layout.new_row(), layout.offsets
-        self.received = self.row[layout.where("pose").start : layout.where("qdot").stop]
-        self.measured, self.setpoint = Measurement.of(self.row, layout), Setpoint.of(self.row, layout)
-        self.torque, self.motor_torque = self.row[layout.where("torque")], self.row[layout.where("motor_torque")]
+        self.follower, self.at = Follower(robot, limits, setpoint_timeout), layout.offsets
+        row = self.row = layout.new_row()
+        self.received = row[layout.where("pose").start : layout.where("qdot").stop]
+        self.measured, self.setpoint = Measurement.of(row, layout), Setpoint.of(row, layout)
+        self.torque, self.motor_torque = row[layout.where("torque")], row[layout.where("motor_torque")]
         sizes = (layout.dof, layout.dof, layout.dof, layout.motors, layout.motors)
         self.command = Command._make(np.full(size, np.nan) for size in sizes)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
-        self.time, self.k, self.step_time = -math.inf, -1, 0.0
-        self.every, self.weighed = samples_between(weights_interval, period), -1
-        self.told, self.before = list[str](), self.follower.now.copy()
+        self.time, self.k, self.step_time, self.told, self.weighed = -math.inf, -1, 0.0, list[str](), -1
+        self.every = samples_between(weights_interval, period)
+        self.past, self.before = Past.of(latency * predict, period, self.follower.now), self.follower.now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
         facts = facts_of(setup, seed) | {"loop": "outside"}
@@ -194,21 +201,10 @@ class Stepper:
 
     @classmethod
     def of(cls, loop: Loop, **more: Any) -> Self:
-        """The stepper of a loop's robot, controller, gains and supervisor; what the loop simulates is left out.
-
-        Args:
-            loop: The closed loop.
-            more: Arguments of `Stepper` that it does not say.
-        """
-        said: dict[str, Any] = {
-            "kinematic": loop.kinematic,
-            "safety": loop.safety,
-            "period": loop.timing.control_period,
-        }
-        said |= {"nominal": loop.nominal, "seed": loop.seed, "within_limits": loop.within_limits}
-        said |= {"check_gains": loop.check_gains, "weights_interval": loop.weights_interval}
-        said |= {"latency": loop.latency.total, "interfaces": loop.interfaces, "servo": loop.servo}
-        said |= {"lag": loop.actuator.lag, "lead": loop.lead}
+        """The stepper of a loop, with more arguments of `Stepper`; what the loop simulates is left out."""
+        said: dict[str, Any] = {name: getattr(loop, name) for name in (*ALIKE, "lead", "servo")}
+        said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag}
+        said |= {"latency": loop.latency.total, "predict": loop.latency.predict}
         return cls(loop.robot, loop.controller, **(said | more))
 
     def step(
@@ -247,12 +243,15 @@ class Stepper:
             self._take(measurement, time, time if measured is None else measured)
         if not self.follower.stands and self.hardware.way.supervisor.state[GOOD] > 0.0:
             self.follower.stand(self.received)
+        supervisor = self.hardware.way.supervisor
+        self.received[:] = supervisor.message
         self.follower.step(time, time - self.time if self.k >= 0 else 0.0, self.received, wishes, courses)
+        if self.past.longest > 0.0:
+            bring_up(self.row, self.at, time, supervisor.state[HEARD], self.follower.guide, self.past)
         self.control.step(time, self.follower.now, before=self.before if self.k >= 0 else None)
         self.before[:] = self.follower.now
         self._command()
-        self.time, self.k = time, self.k + 1
-        self.step_time = perf_counter() - began
+        self.time, self.k, self.step_time = time, self.k + 1, perf_counter() - began
         return self.command
 
     def record(self) -> None:
@@ -303,6 +302,7 @@ class Stepper:
             raise ConfigError("a reset that is blind", why=why, fix=fix, key="reset")
         self._tell(text)
         self.follower.stand(self.received)
+        self.past.times[:] = -math.inf
 
     def change(
         self, controller: CompiledController | TorqueController | None = None, kinematic: Kinematic | None = None
@@ -327,8 +327,6 @@ class Stepper:
     def delay_margin(self) -> float:
         """Delay from the measurement to the motors at which the loop turns unstable, at the worst posture [s]."""
         return delay_margin(self.judged)
-
-    # -- what it tells -----------------------------------------------------------------------------------------------
 
     @property
     def robot(self) -> Robot:
@@ -384,8 +382,6 @@ class Stepper:
     ) -> None:
         self.recorder.__exit__(kind, error, traceback)
 
-    # -- inside --------------------------------------------------------------------------------------------------------
-
     def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""
         robot, layout, believed = setup.robot, setup.layout, believed_by(setup)
@@ -425,6 +421,8 @@ class Stepper:
             getattr(self.measured, name)[:] = getattr(measurement, name)
         if math.isnan(measured) or not (np.abs(self.received) < LARGEST).all():
             self.received[0] = np.nan
+        elif not self.setup.sensor.exact:
+            observe(self.hardware.sensors, self.measured.velocity, self.measured.q, self.received)
         when = min(float(measured), time)  # what is old is no basis for a stop by feedback, even if it came just now
         accept(self.row, self.at, when, when, True, supervisor.message, supervisor.state)
 
@@ -447,4 +445,6 @@ class Stepper:
         if isinstance(self.setup.controller, CompiledController | LearningLaw):
             self.control.step(0.0, self.follower.now)
         has_ended(0.0, supervisor.numbers, supervisor.state)
+        bring_up(self.row, self.at, 0.0, 0.0, self.follower.guide, self.past)
+        self.past.times[:] = -math.inf
         self.hardware.state[:], self.control.weights[:], self.row[:] = *kept, 0.0

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import ConfigError, UnknownName
-from ..signals import SIGNALS, Array, Layout
+from ..signals import HAND, SIGNALS, Array, Layout
 from .recording import Outcome, Recording, from_file
 from .run_file import Arrays, Columns, RunFile, decode, encode
 from .schema import facts_problem
@@ -253,6 +253,7 @@ def _columns(layout: Layout, facts: Mapping[str, Any]) -> dict[str, Columns]:
         "full": _names(facts, "position_names", layout.full),
         "motor": _names(facts, "actuator_names", layout.motors),
         "wheel": _names(facts, "actuator_names", layout.motors)[: layout.wheels],
+        "hand": tuple(f"{frame}.{each}" for frame in facts.get("hands", ()) for each in HAND),
     }
     columns = {}
     for name, kind, *_ in SIGNALS:

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from ..settings.arguments import shortly, wrong_type
-from ..signals import SIGNALS, Array
+from ..signals import HAND, SIGNALS, Array
 from .run_file import Columns
 
 KIND = {name: (kind.split()[-1], base, arm) for name, kind, base, arm in SIGNALS}
@@ -42,6 +42,7 @@ class Facts(msgspec.Struct, frozen=True):
     armature: float | tuple[float, ...] = 0.0
     viscous: float | tuple[float, ...] = 0.0
     joint_friction: dict[str, float | tuple[float, ...]] = {}
+    hands: dict[str, bool] = {}
     mass_factors: dict[str, float] = {}
     versions: dict[str, str] = {}
     interfaces: dict[str, str] = {}
@@ -101,6 +102,7 @@ def signal_problem(name: str, width: int, about: Columns, meta: Mapping[str, Any
         "full": tuple(meta.get("position_names", ())),
         "motor": motors,
         "wheel": motors[:width],
+        "hand": tuple(f"{frame}.{each}" for frame in meta.get("hands", ()) for each in HAND),
     }.get(kind, (name,) if own == 1 else tuple(f"{name}[{i}]" for i in range(own)))
     if wanted and about.labels != wanted:
         return f"its columns are {shortly(', '.join(about.labels))}, not {shortly(', '.join(wanted))}"

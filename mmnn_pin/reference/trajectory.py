@@ -6,7 +6,7 @@ A `SetpointSource` says at every sample where the robot should be. A `Trajectory
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -19,7 +19,7 @@ from ..model.base import BY_SIZE
 from ..model.base.holonomic import moves_sideways
 from ..model.robot import Robot
 from ..settings.arguments import checked, require_types
-from ..signals import Array, Dimensions, Measurement, Setpoint
+from ..signals import Array, Dimensions, Layout, Measurement, Setpoint
 from .holonomic import Holonomic
 from .joint import Hold, JointProfile, JointTable, Points
 from .path import BasePath, Line, Waypoints, require_positive, times
@@ -31,6 +31,17 @@ class SetpointSource(Protocol):
 
     def write(self, time: float, measurement: Measurement, setpoint: Setpoint) -> None:
         """Write the setpoint of a time [s] in place, knowing what is measured."""
+
+
+class Watched(Protocol):
+    """Frames that a trajectory takes along paths: where they should be and where they are, signals of a recording."""
+
+    @property
+    def frames(self) -> Mapping[str, bool]:
+        """Their names, and whether they should also be turned as the path says."""
+
+    def writer(self, robot: Robot, layout: Layout) -> Callable[[Array], None]:
+        """What writes `hand_ref` and `hand` into rows (k, width) of a robot's run."""
 
 
 STANDING = 5.0  # time of an arm's motion where no base says one [s]
@@ -47,6 +58,7 @@ class Trajectory:
         base: Path of the base; None for a fixed arm.
         arm: One profile per arm joint, in the order of the robot's arm joints.
         slowness: How much more time everything takes than base and arm say.
+        watched: Frames whose paths base and arm were made for, see `reference.hand`; None for none.
 
     >>> robot = load("platform_arm")
     >>> corner, reach = [(0, 0), (2, 0), (2, 2)], [(0, 0), (0.5, 1), (0, 0)]
@@ -60,6 +72,7 @@ class Trajectory:
     base: BasePath | None
     arm: tuple[JointProfile, ...] = ()
     slowness: float = 1.0
+    watched: Watched | None = None
 
     def __post_init__(self) -> None:
         require_types(self)

@@ -3,7 +3,7 @@
 `Sensor` in `settings` makes the list of effects, `effects` has one class for each.
 """
 
-from .effects import FrozenEncoders, Sensors, exact
+from .effects import FrozenEncoders, Sensors, exact, observe
 from .settings import Sensor
 
-__all__ = ["FrozenEncoders", "Sensor", "Sensors", "exact"]
+__all__ = ["FrozenEncoders", "Sensor", "Sensors", "exact", "observe"]

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from ..compiled import compiled, copy_to, spliced
 from ..elementary import cos_sin
+from ..elementary.matrices import product
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -63,6 +64,9 @@ class Reading(NamedTuple):
         joints: (nw + n, COLUMNS) state of the encoders: of the wheels, then of the arm.
         message: What is sent: pose, base velocity, q, qdot.
         received: (the same,) what the controller has.
+        acceleration: (p,) state: what the loop expects of nu until the next sample [m/s^2, rad/s^2]; (0,) where nothing
+            is made of it.
+        bias: (nw + n,) state: by how much the encoders accelerate beyond that [rad/s^2]; (0,) likewise.
     """
 
     position: Array
@@ -71,6 +75,8 @@ class Reading(NamedTuple):
     joints: Array
     message: Array
     received: Array
+    acceleration: Array
+    bias: Array
 
 
 class Sensors(NamedTuple):
@@ -136,29 +142,52 @@ class Encoders(NamedTuple):
 class Rates(NamedTuple):
     """Rates from readings: differences and their first-order filter, or an observer that tracks angle and rate.
 
+    The observer on a model is told an acceleration a, and learns what is missing of it, b. It is the Kalman filter of
+    an angle whose acceleration is known but for a random walk, its three poles p made equal (the alpha-beta-gamma
+    filter of fading memory: Morrison 1969, Introduction to Sequential Smoothing and Prediction),
+
+        x + h v + h^2/2 (a + b) + (1 - p^3) i,    v + h (a + b) + 3/2 (1 - p)^2 (1 + p) i / h,    b + (1 - p)^3 i / h^2
+
+    with i the reading less what was expected. Without a model a and b are zero.
+
     Attributes:
         observer: Whether it is the observer.
         period: Between two measurements [s].
         alpha: Share of a new difference, 1 for plain ones; or the observer's correction of the angle.
         beta: The observer's correction of the rate [1/s].
+        gamma: Of the acceleration that is missing [1/s^2].
+        rolls: (nw, nb) rates of the wheels from the base's velocity.
     """
 
     observer: bool
     period: float
     alpha: float
     beta: float
+    gamma: float
+    rolls: Array
 
     @spliced
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Rates of wheels and joints."""
+        nw, nb = self.rolls.shape
         for i in range(wire.joints.shape[0]):
-            joint = wire.joints[i]
+            joint, change = wire.joints[i], 0.0
             if wire.clock[COUNT] == 0.0:
                 joint[ESTIMATE], joint[RATE] = joint[READING], 0.0
             elif self.observer:
-                predicted = joint[ESTIMATE] + self.period * joint[RATE]
-                joint[ESTIMATE] = predicted + self.alpha * (joint[READING] - predicted)
-                joint[RATE] += self.beta * (joint[READING] - predicted)
+                if wire.bias.size:
+                    expected = wire.bias[i]
+                    for j in range(nb if i < nw else 0):
+                        expected += self.rolls[i, j] * wire.acceleration[j]
+                    if i >= nw:
+                        expected += wire.acceleration[nb + i - nw]
+                    change = self.period * expected
+                predicted = joint[ESTIMATE] + self.period * (joint[RATE] + 0.5 * change)
+                off = joint[READING] - predicted
+                joint[ESTIMATE] = predicted + self.alpha * off
+                joint[RATE] += change + self.beta * off
+                if wire.bias.size:
+                    wire.bias[i] += self.gamma * off
             else:
                 joint[RATE] += self.alpha * (joint[MOVED] / self.period - joint[RATE])
 
@@ -169,10 +198,12 @@ class Velocities(NamedTuple):
     Attributes:
         exact: Whether velocities are the true ones.
         W: (nb, nw) base velocity from the rates of the wheels; (nb, 0) if no wheel is measured.
+        place: Column of the encoders' state that is sent as q: `READING`, or the observer's `ESTIMATE`.
     """
 
     exact: bool
     W: Array
+    place: int
 
     @spliced
     def act(self, wire: Reading, k: int, time: float) -> None:
@@ -188,8 +219,29 @@ class Velocities(NamedTuple):
                     rate += self.W[i, j] * wire.joints[j, RATE]
             wire.message[pose + i] = rate
         for i in range(n):
-            wire.message[pose + nb + i] = wire.joints[nw + i, READING]
+            wire.message[pose + nb + i] = wire.joints[nw + i, self.place]
             wire.message[pose + nb + n + i] = wire.nu[nb + i] if self.exact else wire.joints[nw + i, RATE]
+
+
+def observe(sensors: Sensors, velocity: Array, q: Array, received: Array) -> None:
+    """Put what an observer says in place of a measurement that no sensor here has made: of a robot, not simulated.
+
+    Args:
+        sensors: With the observer; wheels turn as the base's velocity says.
+        velocity: (nb,) of the base, as measured.
+        q: (n,) angles, as measured.
+        received: Pose, base velocity, q and qdot, of which all but the pose is overwritten.
+    """
+    wire, nw = sensors.wire, sensors.wire.joints.shape[0] - q.size
+    for effect in sensors.effects:
+        if isinstance(effect, Rates):
+            wire.joints[:nw, READING] += sensors.period * product(effect.rolls, velocity)
+            wire.joints[nw:, READING] = q
+        if isinstance(effect, Rates | Velocities):
+            effect.act(wire, 0, 0.0)
+    wire.clock[COUNT] += 1.0
+    pose = received.size - velocity.size - 2 * q.size
+    received[pose:] = wire.message[pose:]
 
 
 class Odometry(NamedTuple):

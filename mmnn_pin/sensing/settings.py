@@ -15,7 +15,20 @@ from ..errors import ConfigError
 from ..model.robot import Robot
 from ..settings import Settings, one_or_each, require_gain
 from ..signals import Array
-from .effects import CLOCK, COLUMNS, Encoders, Line, Noise, Odometry, Rates, Reading, Sensors, Velocities
+from .effects import (
+    CLOCK,
+    COLUMNS,
+    ESTIMATE,
+    READING,
+    Encoders,
+    Line,
+    Noise,
+    Odometry,
+    Rates,
+    Reading,
+    Sensors,
+    Velocities,
+)
 
 
 class Sensor(Settings, frozen=True):
@@ -27,9 +40,10 @@ class Sensor(Settings, frozen=True):
         wheel_resolution: Step of the wheels' encoders [rad].
         offset: Zero error of the arm's encoders, one number or one per joint [rad or m].
         velocity: "true"; "difference" of readings, as in the thesis's experiment; "filtered" derivative
-            `s wc / (s + wc)` (backward Euler); or a tracking "observer" with both poles at wc. All but "true" take the
-            base's velocity from its wheels.
-        bandwidth: wc of the filter and of the observer [rad/s].
+            `s wc / (s + wc)` (backward Euler); a tracking "observer" with both poles at wc; or an observer on a
+            "model", with three poles at wc, which is told what acceleration torque and Psi_hat amount to
+            (`loop.hardware.Expected`), and sends angles, too. All but "true" take the base's velocity from its wheels.
+        bandwidth: wc of the filter and of the observers [rad/s].
         pose: "true", or "odometry": integrated from the wheels' encoders, so that it drifts when they slip.
         noise: Standard deviation of the arm's encoders [rad or m].
         wheel_noise: Of the wheels' encoders [rad].
@@ -47,7 +61,7 @@ class Sensor(Settings, frozen=True):
     resolution: float | tuple[float, ...] = 0.0
     wheel_resolution: float = 0.0
     offset: float | tuple[float, ...] = 0.0
-    velocity: Literal["true", "difference", "filtered", "observer"] = "true"
+    velocity: Literal["true", "difference", "filtered", "observer", "model"] = "true"
     bandwidth: float = 100.0
     pose: Literal["true", "odometry"] = "true"
     noise: float = 0.0
@@ -110,10 +124,11 @@ class Sensor(Settings, frozen=True):
         uniforms = uniform.random((count, 2))
         angles, rates, poses = (np.ascontiguousarray(part) for part in normals)
         size = layout.pose + layout.base + 2 * n
-        ends = np.cumsum([CLOCK, COLUMNS * (nw + n), layout.pose, size])
-        clock, joints, pose, received, slots = np.split(state, ends)
+        expected, biased = self._modelled(robot)
+        ends = np.cumsum([CLOCK, COLUMNS * (nw + n), layout.pose, size, expected, biased])
+        clock, joints, pose, received, acceleration, bias, slots = np.split(state, ends)
         joints = joints.reshape(-1, COLUMNS)
-        wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, np.zeros(size), received)
+        wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, np.zeros(size), received, acceleration, bias)
         spread = np.array(one_or_each(self.velocity_noise, p, "velocity", "sensor.velocity_noise"))
         effects = (
             Encoders(
@@ -123,8 +138,13 @@ class Sensor(Settings, frozen=True):
                 self._per_encoder(nw, n, "noise", self.wheel_noise),
                 angles,
             ),
-            Rates(self.velocity == "observer", period, *self._derivative(period)),
-            Velocities(self.velocity == "true", W),
+            Rates(
+                self.velocity in ("observer", "model"),
+                period,
+                *self._derivative(period),
+                np.ascontiguousarray(robot.T[wheels, : layout.base]),
+            ),
+            Velocities(self.velocity == "true", W, ESTIMATE if self.velocity == "model" else READING),
             Odometry(self.pose == "odometry", W, pose),
             Noise(spread, np.array(self.pose_noise[: layout.pose], float), rates, poses),
             Line(self.delay, self.jitter, float(self.loss), uniforms, faults, slots.reshape(-1, size)),
@@ -137,7 +157,14 @@ class Sensor(Settings, frozen=True):
         size = layout.pose + layout.base + 2 * layout.arm
         latest = 0 if faults is None else int(max(faults[:, 0].max(initial=0.0), 0.0))
         depth = self.delay + self.jitter + 1 + latest
-        return np.zeros(CLOCK + COLUMNS * (len(self._wheels(robot)) + layout.arm) + layout.pose + (depth + 1) * size)
+        encoders = COLUMNS * (len(self._wheels(robot)) + layout.arm)
+        return np.zeros(CLOCK + encoders + layout.pose + sum(self._modelled(robot)) + (depth + 1) * size)
+
+    def _modelled(self, robot: Robot) -> tuple[int, int]:
+        """Sizes of the acceleration that the observer on a model is told, and of what it learns of it."""
+        if self.velocity != "model":
+            return 0, 0
+        return robot.dimensions.dof, len(self._wheels(robot)) + robot.dimensions.arm
 
     def _wheels(self, robot: Robot) -> list[int]:
         """Places of the wheels with encoders in the position.
@@ -154,14 +181,18 @@ class Sensor(Settings, frozen=True):
             raise ConfigError(f"'{robot.name}' has no wheels with encoders", why="forces drive it", fix=fix, key=key)
         return wheels
 
-    def _derivative(self, period: float) -> tuple[float, float]:
-        """Coefficients of the rates: of a first-order filter, or alpha and beta / period of the observer."""
+    def _derivative(self, period: float) -> tuple[float, float, float]:
+        """Coefficients of the rates, see `Rates`: of a filter, or alpha, beta / period, gamma / period^2."""
         if self.velocity == "filtered":
-            return self.bandwidth * period / (1.0 + self.bandwidth * period), 0.0
+            return self.bandwidth * period / (1.0 + self.bandwidth * period), 0.0, 0.0
+        pole = exp(-self.bandwidth * period)
+        left = 1.0 - pole
         if self.velocity == "observer":
-            pole = exp(-self.bandwidth * period)
-            return 1.0 - pole * pole, (1.0 - pole) * (1.0 - pole) / period
-        return 1.0, 0.0
+            return 1.0 - pole * pole, left * left / period, 0.0
+        if self.velocity == "model":
+            beta = 1.5 * left * left * (1.0 + pole) / period
+            return 1.0 - pole * pole * pole, beta, left * left * left / (period * period)
+        return 1.0, 0.0, 0.0
 
     def _per_encoder(self, wheels: int, joints: int, name: str, of_wheels: float) -> Array:
         """One number per encoder: the wheels', then the arm's."""

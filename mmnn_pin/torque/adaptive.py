@@ -66,7 +66,10 @@ class AdaptiveSettings(Settings, frozen=True):
         leakage: sigma, how fast the estimate is pulled back to its start [1/s].
         share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut.
         modification: "sigma" leaks always, "e" in proportion to |s|.
-        bounds: rho, the largest ratio of an estimate to its start, either way.
+        bounds: The largest ratio of an estimate to its start, either way.
+        heaviest: The same upwards. Too light an estimate is too little of a feedforward; one too heavy is a feedback,
+            by the feedback inside nudot_ref, and noise of velocities drives it there. The prior suits the gains, and
+            so does the robot: it is a few times as heavy at most (`tests/torque/test_adaptive.py`).
         friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
         initial: "prior" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's (in an
             experiment the one of `[nominal]`).
@@ -87,6 +90,7 @@ class AdaptiveSettings(Settings, frozen=True):
     share: float = 0.2
     modification: Literal["sigma", "e"] = "sigma"
     bounds: float = 100.0
+    heaviest: float = 10.0
     friction_bound: float = 10.0
     initial: Literal["prior", "nominal"] = "prior"
     mass: tuple[float, float] = (30.0, 2.0)
@@ -95,8 +99,9 @@ class AdaptiveSettings(Settings, frozen=True):
 
     def __post_init__(self) -> None:
         require_numbers(self, "adaptive", ("mass", "size", "slowest"))
-        if not self.bounds > 1:
-            raise ConfigError(f"{self.bounds}", fix="use a finite ratio > 1", key="adaptive.bounds")
+        for name in ("bounds", "heaviest"):
+            if not getattr(self, name) > 1:
+                raise ConfigError(f"{getattr(self, name)}", fix="use a finite ratio > 1", key=f"adaptive.{name}")
 
 
 class Adaptation(NamedTuple):
@@ -245,7 +250,8 @@ class Adaptive(ParameterLearner):
         bodies = Bodies(
             h=float(context.control_period),
             gamma=faster * float(own.rate),
-            rho=float(own.bounds),
+            least=1.0 / own.bounds,
+            most=float(min(own.bounds, own.heaviest)),
             roots=roots,
             inverses=np.array([inverse(C) for C in roots]).reshape(roots.shape),
             rates=rates,

@@ -4,8 +4,8 @@ Mass and density of a body are possible just where P > 0 (Wensing, Kim, Slotine 
 along `P L P` (Lee, Kwon, Park 2018, IEEE/RSJ IROS), with L the symmetric matrix of `tr(dP L) = gradient' dtheta`: no
 constant matrix is needed, and no projection onto the cone. A step multiplies, it never subtracts: `P = B B'`,
 `P+ = B E^2 B'` with `E = 1 + X / 2 + X^2 / 8`, positive for every symmetric X, which agrees with the geodesic
-`B exp(X) B'` to second order in X. Bounds are `P_0 / rho <= P <= rho P_0`: the eigenvalues of `P_0^-1/2 P P_0^-1/2` are
-clipped. Compiled, and it knows no robot; parameters that are of no body follow the plain gradient, clipped to
+`B exp(X) B'` to second order in X. Bounds are `least P_0 <= P <= most P_0`: the eigenvalues of `P_0^-1/2 P P_0^-1/2`
+are clipped. Compiled, and it knows no robot; parameters that are of no body follow the plain gradient, clipped to
 `0 <= theta_j <= top_j`.
 """
 
@@ -32,7 +32,8 @@ class Bodies(NamedTuple):
     Attributes:
         h: Control period [s].
         gamma: Rate of the pseudo-inertias [1/J].
-        rho: Bound on the ratio of P to P_0.
+        least: Bound below on the ratio of P to P_0.
+        most: And above.
         roots: (bodies, 4, 4) lower triangular `P_0 = C C'`.
         inverses: (bodies, 4, 4) `C^-1`.
         rates: (k - 10 bodies,) gamma_j.
@@ -46,7 +47,8 @@ class Bodies(NamedTuple):
 
     h: float
     gamma: float
-    rho: float
+    least: float
+    most: float
     roots: Array
     inverses: Array
     rates: Array
@@ -126,8 +128,8 @@ def update_body(theta: Array, eta: float, sigma: float, a: Bodies, b: int) -> No
     exponential(X, L)
     product(B, L, X)
     product(X, X.T, Q)
-    if not within(Q, a.rho, L, half):
-        clip(Q, a.rho, L, half)
+    if not within(Q, a.least, a.most, L, half):
+        clip(Q, a.least, a.most, L, half)
     sandwich(a.roots[b], Q, L, X)
     to_vector(X, theta)
 
@@ -208,22 +210,22 @@ def exponential(X: Array, E: Array) -> None:
 
 
 @compiled
-def within(Q: Array, rho: float, shifted: Array, B: Array) -> bool:
-    """Whether all eigenvalues of Q lie between 1 / rho and rho."""
+def within(Q: Array, least: float, most: float, shifted: Array, B: Array) -> bool:
+    """Whether all eigenvalues of Q lie between two bounds."""
     for i in range(4):
         for j in range(4):
-            shifted[i, j] = Q[i, j] - (1.0 / rho if i == j else 0.0)
+            shifted[i, j] = Q[i, j] - (least if i == j else 0.0)
     if not cholesky(shifted, B):
         return False
     for i in range(4):
         for j in range(4):
-            shifted[i, j] = (rho if i == j else 0.0) - Q[i, j]
+            shifted[i, j] = (most if i == j else 0.0) - Q[i, j]
     return bool(cholesky(shifted, B))
 
 
 @compiled
-def clip(Q: Array, rho: float, U: Array, half: Array) -> None:
-    """Put the eigenvalues of Q between 1 / rho and rho, by Jacobi's rotations."""
+def clip(Q: Array, least: float, most: float, U: Array, half: Array) -> None:
+    """Put the eigenvalues of Q between two bounds, by Jacobi's rotations."""
     for i in range(4):
         for j in range(4):
             U[i, j] = 1.0 if i == j else 0.0
@@ -232,7 +234,7 @@ def clip(Q: Array, rho: float, U: Array, half: Array) -> None:
             for j in range(i + 1, 4):
                 rotate(Q, U, i, j)
     for i in range(4):
-        value = min(max(Q[i, i], 1.0 / rho), rho)
+        value = min(max(Q[i, i], least), most)
         for j in range(4):
             half[j, i] = U[j, i] * value
     product(half, U.T, Q)

@@ -19,7 +19,7 @@ from mmnn_pin.loop.precompile import precompile
 
 from ..document import Clock
 from .document import DOCUMENT, summed
-from .search import SOON, TRIES, TUNINGS, Bench, Say, keep, search, spaces, tuned
+from .search import SOON, TRIES, TUNINGS, Bench, Say, budget, keep, search, spaces, tuned
 
 QUICK = (
     *("time.duration=1.6", "windows=[[0, 0.5], [0.8, 1.6]]", "time.control_period=0.0025", "time.plant_step=0.00125"),
@@ -38,11 +38,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--publish", action="store_true", help="renew docs/explanation/contest.md, its figures and the summary"
     )
     parser.add_argument("--tune", action="store_true", help="search the learners' settings, and stop")
-    parser.add_argument("--only", choices=TUNINGS, help="one of the two searches")
+    parser.add_argument("--only", choices=TRIES, help="one of the searches; without it eight and payload")
     parser.add_argument("--learner", action="append", metavar="NAME", help="of this learner; may be repeated")
     parser.add_argument("--tries", type=int, metavar="N", help=f"sets of settings per learner ({each(TRIES)})")
     options = parser.parse_args(arguments)
-    known = {name for tuning in TUNINGS for name in spaces(tuning)}
+    known = {name for tuning in TRIES for name in spaces(tuning)}
     if unknown := sorted(set(options.learner or ()) - known):
         parser.error(f"nothing is searched for {', '.join(unknown)}; there is: {', '.join(sorted(known))}")
     if not options.tune and (options.only or options.learner):
@@ -51,7 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     clock = Clock()
     if options.tune:
         for tuning in (options.only,) if options.only else TUNINGS:
-            tune(tuning, options.learner or tuple(spaces(tuning)), options.tries or TRIES[tuning], clock.say)
+            tune(
+                tuning, options.learner or tuple(spaces(tuning)), options.tries or TRIES[tuning], options.out, clock.say
+            )
         return
     overrides, cases = (QUICK, ["eight", "rich"]) if options.quick else ((), [])
     summary = study(options.out, overrides, cases, options.force, clock)
@@ -63,11 +65,14 @@ def each(numbers: dict[str, int]) -> str:
     return ", ".join(f"{name} {number}" for name, number in numbers.items())
 
 
-def tune(tuning: str, learners: Sequence[str], tries: int, say: Say) -> None:
-    """Search for some learners; each is kept as it is done."""
+def tune(tuning: str, learners: Sequence[str], tries: int, out: Path, say: Say) -> None:
+    """Search for some learners; each is kept as it is done, and what was tried in a folder: run it again to go on."""
     bench = Bench.made(tuning)
+    say(f"{tuning}: {budget(bench, len(learners), tries)}")
+    (out / "tuning").mkdir(parents=True, exist_ok=True)
     for learner in learners:
-        keep(tuning, learner, search(bench, learner, spaces(tuning)[learner], tries, say))
+        journal = out / "tuning" / f"{tuning}-{learner}.json"
+        keep(tuning, learner, search(bench, learner, spaces(tuning)[learner], tries, say, journal))
 
 
 def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, clock: Clock) -> dict[str, Any]:
@@ -76,7 +81,7 @@ def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool
     write_figures(standing, out / "figures")
     return {
         **summed(standing),
-        "tuned": {tuning: {name: short(one) for name, one in found.items()} for tuning, found in tuned().items()},
+        "tuned": {tuning: {name: short(one) for name, one in tuned()[tuning].items()} for tuning in TUNINGS},
         "soon": SOON,
         "run": clock.facts(),
     }

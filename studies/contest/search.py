@@ -4,8 +4,10 @@ What counts is the geometric mean, over the tuning tasks, of three errors over t
 training, on the held-out trajectories while learning, and there with the final weights held fixed; where the robot
 picks something up, of a fourth: in the first `SOON` seconds with it. The held-out trajectories are driven with it, too.
 
-There are two searches. `eight` searches the settings of every learner that its space names, on a robot that does not
-change; `payload` after it those that forget and follow, on one that picks something up.
+There are three searches. `eight` searches the settings of every learner that its space names, on a robot that does not
+change; `payload` after it those that forget and follow, on one that picks something up. `outside` searches one set for
+all tasks outside of the learners' model class, each of them driven otherwise and with other seeds; a contest does not
+take what it found by itself. A search that was stopped goes on: what was tried is in a file, and is not run again.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import msgspec
 import numpy as np
 
 from mmnn_pin.errors import InputError
+from mmnn_pin.files import whole_file
 from mmnn_pin.lab.contest.task import Task, tasks_of
 from mmnn_pin.lab.contest.trial import TrialResult, nan, run_trial
 from mmnn_pin.lab.experiments.cases import with_case
@@ -43,6 +46,20 @@ TORQUE = 1.0 - 1e-6  # of the motors' limits; a run that comes to them at any ti
 
 
 Say = Callable[[str], None]
+
+
+def budget(bench: Bench, learners: int, tries: int) -> str:
+    """How much a search runs: sets of settings, runs, and the time that they simulate."""
+    runs, seconds = 0, 0.0
+    for task in bench.tasks:
+        held_out = [held.duration for held in task.held_out.values()]
+        runs += len(task.seeds) * (1 + 2 * len(held_out))
+        seconds += len(task.seeds) * (task.experiment.time.duration + 2 * sum(held_out))
+    tried = learners * tries
+    return (
+        f"{learners} learners, {tries} sets of settings each, {len(bench.tasks)} tasks: "
+        f"{tried * runs} runs of {tried * seconds / 3600:.3g} simulated hours together"
+    )
 
 
 @dataclass(frozen=True)
@@ -134,7 +151,9 @@ def relative(errors: Mapping[str, float | None], pd: Mapping[str, float | None])
     return math.sqrt(sum(squares) / len(squares))
 
 
-def search(bench: Bench, learner: str, factors: dict[str, Factor], tries: int, say: Say) -> dict[str, Any]:
+def search(
+    bench: Bench, learner: str, factors: dict[str, Factor], tries: int, say: Say, journal: Path | None = None
+) -> dict[str, Any]:
     """Look for a learner's settings.
 
     Args:
@@ -143,6 +162,7 @@ def search(bench: Bench, learner: str, factors: dict[str, Factor], tries: int, s
         factors: What is searched.
         tries: How many sets, the experiment's own first.
         say: Told the best so far.
+        journal: File of the scores so far, which are taken from there; None keeps none.
 
     Returns:
         The best settings with their score, the score of the experiment's own, and all scores.
@@ -156,11 +176,17 @@ def search(bench: Bench, learner: str, factors: dict[str, Factor], tries: int, s
         trials.enqueue_trial(own)
     best: dict[str, Any] = {"score": math.inf, "settings": {}}
     scores = []
+    done = json.loads(journal.read_text(encoding="utf-8")) if journal is not None and journal.exists() else []
     for k in range(tries):
         trial = trials.ask()
         drawn = {name: suggested(trial, name, factor) for name, factor in factors.items()}
         settings = {path: rounded(value) for path, value in settings_of(drawn, factors, table).items()}
-        scores.append(bench.score(learner, settings))
+        known = next((score for score in done[k : k + 1] if score[0] == settings), None)
+        scores.append(known[1] if known else bench.score(learner, settings))
+        if journal is not None and known is None:
+            done = [*done[:k], [settings, scores[-1]]]
+            with whole_file(journal, "search") as part:
+                part.write_text(json.dumps(done) + "\n", encoding="utf-8")
         trials.tell(trial, math.log(scores[-1]))
         if scores[-1] < best["score"]:
             best = {"score": scores[-1], "settings": settings}
@@ -181,10 +207,10 @@ HERE = Path(__file__).parent
 SPACES, TUNED = HERE / "spaces.toml", HERE / "tuned.json"
 
 
-TRIES = {"eight": 40, "payload": 30}  # sets of settings per learner
+TUNINGS = ("eight", "payload")  # each also the case of the contest that takes what was found
 
 
-TUNINGS = tuple(TRIES)  # each also the case of the contest that takes what was found
+TRIES = {"eight": 40, "payload": 30, "outside": 20}  # sets of settings per learner
 
 
 def tuning_file(tuning: str) -> Path:
@@ -201,7 +227,7 @@ def spaces(tuning: str) -> dict[str, dict[str, Factor]]:
 def tuned() -> dict[str, dict[str, Any]]:
     """What was found and is kept: tuning and learner to their search."""
     kept = json.loads(TUNED.read_text(encoding="utf-8")) if TUNED.exists() else {}
-    return {tuning: kept.get(tuning, {}) for tuning in TUNINGS}
+    return {tuning: kept.get(tuning, {}) for tuning in TRIES}
 
 
 def keep(tuning: str, learner: str, found: dict[str, Any]) -> None:

@@ -8,6 +8,8 @@ import textwrap
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from places import ROOT
 from scipy.signal import lfilter
 
@@ -39,6 +41,7 @@ from mmnn_pin.sensing.effects import (
     CLOCK,
     COLUMNS,
     COUNT,
+    ESTIMATE,
     MOVED,
     RATE,
     READING,
@@ -51,6 +54,7 @@ from mmnn_pin.sensing.effects import (
     Reading,
     Velocities,
 )
+from mmnn_pin.sensing.settings import Sensor
 
 RNG = np.random.default_rng(0)
 THREE = np.array([3.0, -4.0, 0.5])
@@ -60,7 +64,7 @@ def drive(torque=THREE, speed=(0.0, 0.0, 0.0), shorted=0):
     return Drive(np.array(torque), np.array(speed), np.array(speed), np.array([shorted]))
 
 
-def reading(encoders=2, pose=0, size=4):
+def reading(encoders=2, pose=0, size=4, modelled=False):
     """Of a fixed arm with as many encoders, in the second measurement."""
     clock = np.zeros(CLOCK)
     clock[COUNT] = 1.0
@@ -71,6 +75,8 @@ def reading(encoders=2, pose=0, size=4):
         np.zeros((encoders, COLUMNS)),
         np.zeros(size),
         np.zeros(size),
+        np.zeros(encoders if modelled else 0),
+        np.zeros(encoders if modelled else 0),
     )
 
 
@@ -216,7 +222,7 @@ def test_a_frozen_encoder_keeps_what_it_read_when_its_window_opened():
 @pytest.mark.parametrize("observer", [False, True])
 def test_rates_are_a_filter_or_an_observer_of_the_readings(observer):
     h, alpha, beta, angles = 0.01, 0.4, 3.0, RNG.normal(size=60).cumsum()
-    effect, wire, rates = Rates(observer, h, alpha, beta), reading(1), []
+    effect, wire, rates = Rates(observer, h, alpha, beta, 0.0, np.zeros((0, 0))), reading(1), []
     for angle in angles:
         wire.joints[0, MOVED], wire.joints[0, READING] = angle - wire.joints[0, READING], angle
         effect.act(wire, 0, 0.0)
@@ -230,12 +236,45 @@ def test_rates_are_a_filter_or_an_observer_of_the_readings(observer):
         assert rate == pytest.approx(x[1], rel=1e-9, abs=1e-12)
 
 
+def observing(bandwidth, h, wheels=0):
+    """The observer on a model as a sensor of that bandwidth makes it, its three poles at exp(-bandwidth h)."""
+    coefficients = Sensor(velocity="model", bandwidth=bandwidth)._derivative(h)
+    return Rates(True, h, *coefficients, np.ones((wheels, 1)))
+
+
+@settings(max_examples=50, deadline=None)
+@given(bandwidth=st.floats(1.0, 300.0), h=st.floats(1e-4, 0.01))
+def test_the_observer_on_a_model_has_three_equal_poles(bandwidth, h):
+    effect, pole = observing(bandwidth, h), math.exp(-bandwidth * h)
+    A, L = np.array([[1, h, h * h / 2], [0, 1, h], [0, 0, 1]]), np.array([effect.alpha, effect.beta, effect.gamma])
+    wanted = np.poly(np.full(3, pole))
+    np.testing.assert_allclose(np.poly(A - np.outer(L, A[0])), wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize("told", [0.0, 1.0, -2.0])
+def test_the_observer_on_a_model_learns_what_it_was_not_told(told):
+    """A wheel and a joint under an acceleration of their own, of which it is told a share; a base moves its wheels."""
+    h, wire = 0.002, reading(3, 0, 4, modelled=True)
+    effect = observing(60.0, h, wheels=2)
+    truth = np.array([0.7, 0.7, -3.0])
+    for k in range(1, 500):
+        wire.joints[:, READING] = 0.5 * truth * (k * h) ** 2
+        wire.acceleration[:2] = told * 0.7, told * -3.0
+        effect.act(wire, 0, 0.0)
+    np.testing.assert_allclose(wire.joints[:, RATE], truth * 499 * h, rtol=1e-6)
+    np.testing.assert_allclose(wire.joints[:, ESTIMATE], wire.joints[:, READING], rtol=1e-6)
+    np.testing.assert_allclose(wire.bias, (1.0 - told) * truth, atol=1e-5)
+
+
 def test_velocities_are_true_or_the_rates():
     wire, W = reading(), np.zeros((0, 0))
     wire.nu[:], wire.joints[:, RATE], wire.joints[:, READING] = (1.0, 2.0), (3.0, 4.0), (5.0, 6.0)
     for exact, rates in ((True, [1.0, 2.0]), (False, [3.0, 4.0])):
-        Velocities(exact, W).act(wire, 0, 0.0)
+        Velocities(exact, W, READING).act(wire, 0, 0.0)
         np.testing.assert_array_equal(wire.message, [5.0, 6.0, *rates])
+    wire.joints[:, ESTIMATE] = 7.0, 8.0
+    Velocities(False, W, ESTIMATE).act(wire, 0, 0.0)
+    np.testing.assert_array_equal(wire.message, [7.0, 8.0, 3.0, 4.0])
 
 
 def test_odometry_follows_the_arc_and_a_true_pose_is_the_robots():

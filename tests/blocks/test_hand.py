@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from functools import cache
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
+from closed_form import inertial, joint
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from robots import HALF_TRACK, RADIUS, place
+from robots import robot_of as built
 from scipy.spatial.transform import Rotation
 
-from mmnn_pin import load
+from mmnn_pin import Loop, Timing, load
 from mmnn_pin.errors import ConfigError, RobotError, TrajectoryError, UnknownName
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.reference import check_followable
@@ -31,10 +35,12 @@ from mmnn_pin.reference.hand import (
     plan,
 )
 from mmnn_pin.reference.hand.capsules import Pairs, nearest
-from mmnn_pin.reference.hand.chain import chain_of, gradient, hands_of, move
+from mmnn_pin.reference.hand.chain import chain_of, gradient, hands_of, move, poses
 from mmnn_pin.reference.hand.path import HandPath
 from mmnn_pin.reference.hand.tasks import TARGET
 from mmnn_pin.signals import Setpoint
+from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.model_based import PD
 
 pytest.importorskip("daqp", reason="pip install 'mmnn_pin[tasks]'")
 ROBOTS = ("platform_arm", "tiago", "tiago_pro", "panda", "two_axis_arm")  # differential, holonomic, fixed, two arms
@@ -371,6 +377,125 @@ def test_a_camera_looks_at_a_point() -> None:
     body.look_around()
     axis, way = body.places[0, [2, 5, 8]], np.array([0.8, 0.3, 0.2]) - body.places[0, 9:]
     assert np.linalg.norm(np.cross(axis, way / np.linalg.norm(way))) < 1e-3 and axis @ way > 0
+
+
+# -- priorities, and two arms ------------------------------------------------------------------------------------------
+
+
+def ordered(lower: tuple[Task, ...], limits: Limits, seed: int = 5) -> tuple[WholeBody, np.ndarray]:
+    """A body whose hand has the first place, and targets for it and for the other tasks that none can fulfil."""
+    body = WholeBody(robot_of("panda"), (Task("panda_link8", orientation=0.0), *lower), period=H, limits=limits)
+    body.put(np.zeros(0), np.array([0.1, -0.3, 0.2, -1.8, 0.1, 1.6, 0.3]), np.full(7, 0.05))
+    rng, targets = np.random.default_rng(seed), np.array([body.target_here(i) for i in range(len(body.tasks))])
+    targets[:, :3] += rng.uniform(-0.3, 0.3, (len(targets), 3))
+    return body, targets
+
+
+LATER = (
+    Task("panda_link5", orientation=0.0, priority=1),
+    Task("panda_link7", looks="x", at=(0.0, 1.0, 2.0), priority=2),
+)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), tight=st.booleans())
+def test_a_later_task_never_disturbs_an_earlier_one(seed: int, tight: bool) -> None:
+    """What the first asks for moves as without the others; what the second asks for, as without the third."""
+    limits = Limits(speed=0.1, joint_speed=0.3, joint_acceleration=1.0) if tight else Limits()
+    found = []
+    for count in range(3):
+        body, targets = ordered(LATER[:count], limits, seed)
+        nudot = body.solve(targets[: 1 + count]).copy()
+        found.append([(body.J[i] @ nudot)[:3] for i in range(1 + count)])
+    for with_more in found[1:]:
+        np.testing.assert_allclose(with_more[0], found[0][0], atol=1e-7)
+    np.testing.assert_allclose(found[2][1], found[1][1], atol=1e-7)
+    together, targets = ordered(tuple(msgspec.structs.replace(t, priority=0) for t in LATER), limits, seed)
+    assert np.abs((together.J[0] @ together.solve(targets))[:3] - found[0][0]).max() > 1e-3  # weights alone do disturb
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_priorities_are_the_lexicographic_solution(seed: int) -> None:
+    """Far from limits the solution of the null-space method: each level as well as those before allow."""
+    body, targets = ordered(LATER[:1], Limits(), seed)
+    targets[:, :3] = np.array([body.target_here(i)[:3] for i in range(2)]) + 1e-3 * targets[:, :3]
+    nudot = body.solve(targets)
+    first, second = (WholeBody(body.robot, [task], period=H) for task in body.tasks)
+    x, free = np.zeros(7), np.eye(7)
+    for i, alone in enumerate((first, second)):
+        alone.put(np.zeros(0), body.q, body.nu)
+        alone.solve(targets[i][None])
+        x = x - free @ np.linalg.solve(free.T @ alone.H @ free, free.T @ (alone.f + alone.H @ x))
+        rows = np.vstack([each.J[0][:3] for each in (first, second)[: i + 1]])
+        free = np.linalg.svd(rows)[2][len(rows) :].T
+    np.testing.assert_allclose(nudot, x, atol=1e-7)
+
+
+def two_armed() -> Robot:
+    """A differential drive with an arm of six joints on either side."""
+    text = f'<link name="base">{inertial(40.0, (1.0, 1.5, 2.0), place((0.05, 0.0, 0.2)))}</link>'
+    for side, y in (("left", HALF_TRACK), ("right", -HALF_TRACK)):
+        shape = f'<collision><origin rpy="{np.pi / 2} 0 0"/><geometry><cylinder radius="{RADIUS}" length="0.03"/>'
+        text += f'<link name="{side}">{inertial(2.0, (0.005, 0.01, 0.005))}{shape}</geometry></collision></link>'
+        text += joint(f"{side}_wheel", "base", side, place((0.0, y, RADIUS)), "0 1 0")
+        parent, limit = "base", '<limit lower="-2.8" upper="2.8" effort="99" velocity="3"/>'
+        for i, axis in enumerate(("0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 1 0", "1 0 0")):
+            name, at = f"{side}_{i}", (0.1, y, 0.6) if i == 0 else (0.0 if i == 1 else 0.25, 0.0, 0.0)
+            text += f'<link name="{name}">{inertial(1.0, (0.01, 0.01, 0.01), place((0.1, 0.0, 0.0)))}</link>'
+            text += joint(f"{name}_joint", parent, name, place(at), axis, limit, "revolute")
+            parent = name
+        text += f'<link name="{side}_hand"/><joint name="{side}_tool" type="fixed">{place((0.1, 0, 0))}'
+        text += f'<parent link="{parent}"/><child link="{side}_hand"/></joint>'
+    return built(f'<robot name="two_armed">{text}</robot>')
+
+
+@pytest.mark.parametrize("name", ["two_armed", "tiago_dual"])
+def test_two_arms_follow_a_path_each_while_the_base_drives(name: str) -> None:
+    robot = two_armed() if name == "two_armed" else robot_of(name)
+    frames = hands_of(robot)[:2]
+    assert (len(frames) == 2 and {*frames} <= {"left_hand", "right_hand"}) or name == "tiago_dual"
+    body = WholeBody(robot, [Task(frame, orientation=0.02) for frame in frames], period=H)
+    ways = ((0.3, 0.0, 0.05), (0.3, 0.0, -0.05))
+    paths = [Pieces((HandLine(way, speed=0.1), Wait(0.5))) for way in ways]
+    motion = plan(body, paths, 5.0, tolerance=2e-3)
+    last = motion.reached[-1] - motion.reached[0]
+    np.testing.assert_allclose(last[:, 9:], ways, atol=2e-3)
+    assert motion.gaps.shape == (len(motion.targets), 2) and motion.gap.max() < 2e-3 and motion.misses == 0
+    assert motion.trajectory.watched is not None and list(motion.trajectory.watched.frames) == frames
+    with pytest.raises(TrajectoryError, match=f"'{frames[1]}' cannot follow"):
+        plan(body, [paths[0], HandLine((0.0, -5.0, 0.0), speed=2.0)], 5.0, tolerance=2e-3)
+
+
+def test_what_is_recorded_of_a_hand_is_pinocchios_and_scipys() -> None:
+    """`hand` from the true position, `hand_ref` from the path, at each row's time; any rotation."""
+    robot, body = robot_of("platform_arm"), begun("platform_arm", 1)
+    body.bounds.wheel_speed[:] = 100.0
+    path = HandLine((0.3, 0.0, 0.0))
+    motion = plan(body, [path], 3.0, tolerance=1e-3)
+    timing, gains = Timing(duration=2.0, control_period=0.02, plant_step=0.02), Feedback(base=100.0, arm=5.0)
+    loop = Loop(robot, motion.trajectory, PD(gains), timing=timing)
+    rows = np.zeros((3, loop.layout.width))
+    rows[:, loop.layout.where("time")] = [[0.0], [1.0], [9.0]]
+    position, data = np.array([state(robot, seed)[0] for seed in range(3)]), robot.model.createData()
+    rows[:, loop.layout.where("position")] = position
+    motion.trajectory.watched.writer(robot, loop.layout)(rows)
+    begin = motion.reached[0, 0, 9:]
+    c, s = np.cos(motion.samples.pose[0, 2]), np.sin(motion.samples.pose[0, 2])
+    for row, q, t in zip(rows, position, (0.0, 1.0, 9.0), strict=True):
+        pin.forwardKinematics(robot.model, data, robot.configuration(q))
+        at = pin.updateFramePlacement(robot.model, data, robot.model.getFrameId("arm_tip"))
+        found, asked = (row[loop.layout.where(name)] for name in ("hand", "hand_ref"))
+        np.testing.assert_allclose(found[:3], at.translation, atol=1e-12)
+        np.testing.assert_allclose(Rotation.from_quat(found[3:]).as_matrix(), at.rotation, atol=1e-12)
+        away = path.sample([t]).position[0]
+        np.testing.assert_allclose(asked[:3], begin + np.array([c * away[0], s * away[0], 0.0]), atol=1e-9)
+    assert loop.facts()["hands"] == {"arm_tip": False}
+    turned = Rotation.random(200, random_state=2)
+    half = Rotation.from_rotvec(np.pi * np.vstack((np.eye(3), [[0.6, 0.8, 0.0]])))
+    for one in (turned, half):
+        q = poses(np.hstack((one.as_matrix().reshape(-1, 9), np.zeros((len(one), 3)))))[:, 3:]
+        np.testing.assert_allclose(Rotation.from_quat(q).as_matrix(), one.as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
 
 
 # -- while a robot runs ------------------------------------------------------------------------------------------------

@@ -30,13 +30,14 @@ from mmnn_pin.loop.stepper import Stepper
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Eight, Sine, Trajectory
+from mmnn_pin.reference.wishes import BaseVelocity
 from mmnn_pin.safety import Safety
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Feedback
-from mmnn_pin.torque.law import Ahead, constant_gain
-from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.law import Ahead, constant_gain, step
+from mmnn_pin.torque.model_based import PD, ComputedTorque
 
 ROBOTS = {
     "two_axis_arm": Trajectory(None, (Sine(0.6, 1.4), Sine(0.5, 1.1, 0.4, 1.0))),
@@ -142,9 +143,9 @@ def test_ahead_the_reference_is_where_it_will_be_and_every_error_is_what_it_was(
 @settings(max_examples=25, deadline=None)
 @given(st.sampled_from(sorted(ROBOTS)), st.floats(0.2, 5.0), st.floats(0.001, 0.01), st.integers(0, 2**32 - 1))
 def test_a_measurement_that_is_brought_up_has_the_errors_of_its_own_time(name, time, age, seed):
-    loop, h, rng = loop_of(name, lead=False), 0.001, np.random.default_rng(seed)
+    loop, rng = loop_of(name, lead=False), np.random.default_rng(seed)
     layout, row = loop.layout, loop.layout.new_row()
-    then, before, now = loop.trajectory.table(np.array([time - age, time - h, time]), layout)
+    then, now = loop.trajectory.table(np.array([time - age, time]), layout)
     first = layout.where("pose_ref").start
 
     def parts(table):
@@ -154,8 +155,8 @@ def test_a_measurement_that_is_brought_up_has_the_errors_of_its_own_time(name, t
     measured = row[layout.where("pose").start : layout.where("qdot").stop]
     off = 0.01 * rng.standard_normal(measured.size)
     measured[:] = parts(then) + off
-    catch_up(row, layout.offsets, now, before, h, age)
-    np.testing.assert_allclose(measured - parts(now), off, atol=400 * age**2 * (age + h))
+    catch_up(row, layout.offsets, now, then, age)
+    np.testing.assert_allclose(measured - parts(now), off, atol=1e-12 + 40 * age**3)
 
 
 def test_known_age_of_measurements_no_longer_drives_a_robot_off_its_reference():
@@ -166,6 +167,42 @@ def test_known_age_of_measurements_no_longer_drives_a_robot_off_its_reference():
     slow = Timing(duration=0.1, control_period=0.002, plant_step=0.002, sensor_period=0.004)
     with pytest.raises(ConfigError, match=r"latency.predict: error: a measurement that is not new.*predict = false"):
         replace(loop_of("two_axis_arm", latency=Latency(sensing=0.004, predict=True)), timing=slow).plan()
+
+
+def test_a_stepper_brings_its_measurements_up_by_their_age_as_a_loop_does():
+    """From the simulated robot's true state 6 ms ago, with its time, to the torques of the loop."""
+    h, old = 0.002, 0.006
+    loop = loop_of("platform_arm", lead=False, latency=Latency(sensing=old, predict=True), safety=Safety())
+    run, setpoints = loop.run(), Setpoint.side_by_side(loop.table(), loop.layout)
+    arm, nb = loop.robot.arm_index, loop.robot.dimensions.base
+
+    def then(k):
+        position, nu = run["position"][max(k - 3, 0)], run["nu"][max(k - 3, 0)]
+        return Measurement(position[:3], nu[:nb], position[arm], nu[nb:])
+
+    with Stepper.of(loop) as stepper:
+        for k in range(len(run)):
+            one = Setpoint(*(getattr(setpoints, name)[k] for name in Setpoint.__slots__))
+            command = stepper.step(k * h, then(k), one, measured=k * h - old)
+            np.testing.assert_allclose(command.effort, run["torque"][k], rtol=1e-7, atol=1e-7)
+    raw = Stepper.of(loop, predict=False)
+    raw.step(0.0, then(len(run)), one, measured=-old)
+    assert np.abs(raw.command.effort - command.effort).max() > 1e-3
+
+
+def test_a_base_that_is_led_has_no_pose_error_and_an_age_counts_up_to_the_latency():
+    robot, h = load("platform_arm"), 0.01
+    with Stepper(robot, PD(), safety=Safety(timeout=1.0), period=h, latency=0.02, predict=True) as stepper:
+        pose, q = np.array([1.0, 2.0, 0.5]), np.array([0.1, 0.2])
+        for k in range(60):
+            still = Measurement(pose, np.zeros(2), q, np.zeros(2)) if k < 40 else None
+            stepper.step(k * h, still, BaseVelocity((0.3, 0.1)), measured=k * h - 0.01)
+            assert np.abs(stepper.row[stepper.setup.layout.where("pose_error")]).max() < 1e-12
+            ahead = stepper.measured.pose[0] - pose[0]
+            age = 0.01 if k < 40 else 0.02
+            if k in (39, 45, 59):  # the reference is at its speed by then
+                assert ahead == pytest.approx(age * 0.3 * np.cos(0.5), rel=0.02)
+                assert stepper.measured.velocity == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
 @pytest.mark.parametrize("name", LEARNERS)
@@ -181,13 +218,32 @@ def test_to_look_ahead_changes_nothing_that_a_controller_remembers(name):
     weights = {key: np.array(values) for key, values in loop.controller.weights(state).items()}
     kept = {key: state[key].copy() for key in state.shapes}
     look_ahead(row, plan.layout.offsets, plan.setpoints[-2], plan.lead.ahead)
-    torque._psi_ahead(plan.lead)
+    torque._estimate_ahead(plan.lead)
+    step(plan.lead.ahead.row, torque.at, plan.lead.ahead.law, state.values, None, None)
     for key, values in loop.controller.weights(state).items():
         np.testing.assert_array_equal(values, weights[key])
     scratch = {"x", "net1", "net2", "sigma1", "sigma2", "s1", "s2", "used"}  # the step that follows writes them anew
     for key in set(kept) - scratch:
         np.testing.assert_array_equal(state[key], kept[key], err_msg=key)
     assert np.isfinite(plan.lead.ahead.row).all()
+
+
+@pytest.mark.parametrize("name", ["two_layer_composite", "adaptive"])  # one learns before it speaks, one after
+def test_looking_no_way_ahead_sends_what_is_said_of_the_sample(name):
+    """So both are said with the same weights, also while they move most: by tens of newtons a sample at the start."""
+    said = ("lead=true", "start.pose_offset=[-0.01,0.0,0.0]", "two_layer_composite.pole=178.0")
+    loop = replace(made(name, *said, duration=0.05), engine="ordinary")
+    engine = loop.engine_at()
+    ahead = engine.control.torque.lead.ahead._replace(time=0.0, age=0.0, share=np.ones(loop.layout.dof))
+    engine.control.torque.lead = engine.control.torque.lead._replace(ahead=ahead)
+    engine.control.torque.ahead = ahead
+    rows = []
+    for k in range(25):
+        assert engine.advance(k, k + 1) == -1
+        rows.append(engine.row.copy())
+    said, sent = (np.array(rows)[:, loop.layout.where(signal)] for signal in ("psi_hat", "psi_applied"))
+    np.testing.assert_allclose(sent, said, rtol=1e-9, atol=1e-9)
+    assert np.abs(np.diff(said, axis=0)).max() > 1.0
 
 
 def answer_to_the_state(loop, time=0.4, step=1e-6):

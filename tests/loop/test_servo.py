@@ -15,7 +15,9 @@ from mmnn_pin import PD, Eight, Feedback, Loop, Sine, Stepper, Timing, Trajector
 from mmnn_pin.actuator import Drive
 from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.before_run import Start
+from mmnn_pin.loop.hardware import Latency
 from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.servo import Servo, interfaces_of, servo_slots, split_of, velocity_servo
 from mmnn_pin.loop.suited import Given, suited
@@ -41,7 +43,7 @@ def made(controller=None, interfaces=WHEELS, duration=0.3, **more):
 
 def asked(position, nu, time, loop):
     """Torque, command and errors of a loop's control sample at a state of one's own."""
-    engine = loop.engine_at(plant_state=(position, nu))
+    engine = replace(loop, engine="ordinary").engine_at(plant_state=(position, nu))
     assert isinstance(engine, OrdinaryLoop)
     exact(engine.row, engine.at, position, nu, engine.arm)
     table = np.zeros(loop.table().shape[1])
@@ -119,7 +121,7 @@ def test_errors_of_a_servo_row_obey_their_linear_equation_and_the_integral_takes
 def test_a_base_on_velocity_follows_with_its_arm_on_effort_and_a_stepper_does_the_same():
     loop = made(duration=0.3 if config.DISABLE_JIT else 3.0, safety=Safety(), start=Start(moving=True))
     run = loop.run()
-    assert run.outcome.status == "completed" and run.meta["loop"] == "ordinary"
+    assert run.outcome.status == "completed" and run.meta["loop"] == "compiled"
     late = run.time > 0.8 * run.outcome.time
     assert np.abs(run["true_pose_error"][late]).max() < 0.03 and np.abs(run["true_e"][late]).max() < 0.05
     assert not run["torque"][:, :2].any() and np.abs(run["applied"][:, :2]).max() > 0.1
@@ -138,6 +140,25 @@ def test_a_base_on_velocity_follows_with_its_arm_on_effort_and_a_stepper_does_th
         for k in range(len(run), len(run) + 400):
             command = stepper.step(k * H, measured)
         assert not command.velocity[:2].any()
+
+
+def test_both_engines_and_a_batch_give_the_same_bits():
+    """Wheels by velocity, a joint by position, a jittery way, and a supervisor that trips in between."""
+    interfaces, way = WHEELS | {ROBOT.joint_names[1]: "position"}, Latency(sensing=H, command=H, jitter=H)
+    limits = Safety(joint_error=0.05)  # the start is off by more
+    loops = [
+        made(duration=0.1, interfaces=interfaces, latency=way),
+        made(duration=0.1, interfaces=interfaces, safety=limits, start=Start(joint_offset=0.04)),
+    ]
+    for loop in loops:
+        compiled, ordinary = (replace(loop, engine=engine).run() for engine in ("compiled", "ordinary"))
+        assert compiled.meta["loop"] == "compiled" and compiled.outcome == ordinary.outcome
+        for signal in compiled:
+            np.testing.assert_array_equal(compiled[signal], ordinary[signal], err_msg=signal)
+        np.testing.assert_array_equal(compiled.final["hardware_state"], ordinary.final["hardware_state"])
+    batch = simulate_many(loops, keep=("torque", "applied"), workers=1)
+    np.testing.assert_array_equal(batch[-1].recording["applied"], compiled["applied"])
+    assert compiled.outcome.status == "tripped" and np.abs(compiled["applied"][:, :2]).max() > 0.1
 
 
 def test_a_joint_that_takes_positions_gets_the_integral_of_its_velocity():
@@ -202,13 +223,11 @@ def test_interfaces_that_cannot_be_are_one_line(interfaces, text):
         made(interfaces=interfaces).run()
 
 
-def test_torque_regressors_are_refused_on_servo_rows_and_the_compiled_engine_too():
+def test_torque_regressors_are_refused_on_servo_rows():
     from test_stepper import learner
 
     with pytest.raises(ConfigError, match="kalman_regressor on a velocity interface"):
         made(learner("kalman_regressor")).run()
-    with pytest.raises(ConfigError, match="velocity interfaces cannot be compiled"):
-        made(engine="compiled").run()
     made(PD(Feedback(20.0, 30.0, "inertia")), duration=0.02).run()
 
 

@@ -605,3 +605,25 @@ def test_an_exception_leaves_what_was_recorded(tmp_path):
         raise RuntimeError
     run = Recording.open(tmp_path / "run.h5")
     assert len(run) == 10 and run.outcome.status == "interrupted"
+
+
+def test_an_observer_gives_velocities_of_coarse_angles_and_of_a_jumping_odometry():
+    """Angles in steps of 1.5 mrad a millisecond: their differences jump by 1.5 rad/s, the observer's hardly move."""
+    robot, h, speed = load("platform_arm"), 0.001, 0.3
+    weak = PD(Feedback(0.1, 0.01))  # nothing here answers to torques
+    stepper = Stepper(robot, weak, safety=Safety(), period=h, observer=60.0, check_gains=False)
+    seen = []
+    for k in range(400):
+        t = k * h
+        q = 0.0015 * np.round(np.array([speed * t, -speed * t]) / 0.0015)
+        v = 2.0 * speed * (k % 2)  # every other message says twice the velocity
+        pose = np.array([speed * t, 0.0, 0.0])
+        stepper.step(t, Measurement(pose, np.array([v, 0.0]), q, np.zeros(2)), None)
+        seen.append(np.concatenate((stepper.measured.velocity, stepper.measured.qdot, stepper.measured.q)))
+    late = np.array(seen)[300:]
+    np.testing.assert_allclose(late[:, 0].mean(), speed, atol=0.02)
+    assert np.abs(late[:, 2:4] - [speed, -speed]).max() < 0.1
+    truth = np.outer(h * np.arange(300, 400), [speed, -speed])
+    assert np.abs(late[:, 4:] - truth).max() < 0.0015
+    with pytest.raises(ConfigError, match=r"sensor\.bandwidth"):
+        Stepper(robot, weak, safety=Safety(), period=h, observer=-1.0)

@@ -63,7 +63,13 @@ def test_what_goes_in_comes_out(where, tmp_path):
     outcome = Outcome("diverged", 1.3, "nu[1]", "nu[1] is not finite")
     rec = recorder.finish(outcome, {"nu": np.arange(4.0), "level": 3.0})
 
-    others = ("wheel", "floor", "rig", "lead")  # signals of the contact plant, of a rig, of a torque that leads
+    others = (
+        "wheel",
+        "floor",
+        "rig",
+        "lead",
+        "hand",
+    )  # of the contact plant, of a rig, of a torque that leads, of paths
     names = tuple(name for name, kind, *_ in SIGNALS if kind.split()[0] not in others)
     for name in names:
         expected = rows[:, LAYOUT.where(name)]

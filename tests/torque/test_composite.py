@@ -119,7 +119,7 @@ def test_a_step_is_implicit_euler(seed, size):
 @given(seeds, st.floats(-3, 6))
 def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
     """D(P || P_hat) + ... never grows for exact equations."""
-    bench = Follower(adapting={"bounds": 1e9, "friction_bound": 1e9}, weight=10.0**size)
+    bench = Follower(adapting={"bounds": 1e9, "heaviest": 1e9, "friction_bound": 1e9}, weight=10.0**size)
     rng = np.random.default_rng(seed)
     truth = TRUE.copy()
     truth[REGRESSOR.inertial :] = 0.5

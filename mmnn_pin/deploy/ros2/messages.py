@@ -259,6 +259,17 @@ class CancelResponse(IdlStruct, typename=dds("action_msgs/srv/CancelGoal_Respons
 
 
 @dataclass
+class TriggerRequest(IdlStruct, typename=dds("std_srvs/srv/Trigger_Request")):
+    structure_needs_at_least_one_member: uint8 = 0
+
+
+@dataclass
+class TriggerResponse(IdlStruct, typename=dds("std_srvs/srv/Trigger_Response")):
+    success: bool
+    message: str
+
+
+@dataclass
 class JointTolerance(IdlStruct, typename=dds("control_msgs/msg/JointTolerance")):
     name: str
     position: float64

@@ -16,21 +16,24 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import ConfigError, InputError
 from ...loop.stepper import Stepper
 from ...recording.recording import Recording, Status
 from ...reference.wishes import Motion, Wish
 from . import messages as msg
+from .action import encoded, typename
 from .asking import Asking
-from .link import Inlet, Link, Outlet
+from .link import Inlet, Link, Outlet, address_of
 from .outputs import Commands, diagnostics
 from .planned import Arm
 from .sensing import Clock, Sensing, Tree
-from .settings import Node, Topic
+from .services import Services
+from .settings import Node, Switches, Topic
 
 STOPS = (signal.SIGINT, signal.SIGTERM)
 WATCH = 0.2  # time between two looks at what is wrong [s]
 SWITCH = 2e-4  # how long another thread may hold the interpreter [s]
+STOP, RESET = range(2)  # the services
 LATCHED = Topic("/tf_static", "reliable", 100, 1e5, 100)
 SIMULATED = Topic("/clock", "best_effort", 4, 10.0, 1)
 
@@ -101,6 +104,7 @@ class Bridge:
         self.inlets = [*self.needed, *self.frames, *self.asking.inlets]
         self.before = {inlet.name: 0 for inlet in self.inlets}
         self.stopped: list[int] = []
+        self.switches = None if settings.switches is None else services_of(link, settings.switches)
 
     # -- before --------------------------------------------------------------------------------------------------------
 
@@ -176,6 +180,23 @@ class Bridge:
         command = self.stepper.step(time, measurement, asked + more or None, measured=measured)
         self.commands.send(command, self.clock.stamp)
 
+    def _switched(self, time: float) -> None:
+        """Stop or reset, where a service asks for it."""
+        for caller, _ in [] if self.switches is None else self.switches.take():
+            done, why = True, "stopped by its service" if caller.service == STOP else ""
+            if caller.service == STOP:
+                self.stepper.stop(why)
+            else:
+                try:
+                    self.stepper.reset()
+                    self.clock.resume(time)
+                    why = "it goes on from where it stands"
+                except ConfigError as error:
+                    done, why = False, str(error)
+            self.tell(f"{'stop' if caller.service == STOP else 'reset'}: {why}")
+            assert self.switches is not None
+            self.switches.reply(caller, encoded(msg.TriggerResponse(done, why)))
+
     # -- the run -------------------------------------------------------------------------------------------------------
 
     def run(self, patience: float, seconds: float = math.inf, motion: Motion | None = None) -> Recording:
@@ -217,10 +238,11 @@ class Bridge:
         self.sensing.shift(before)
         self.pace, watched, reported = Pace(self.stepper.period), 0.0, -math.inf
         told, asked = self.settings.diagnostics, () if motion is None else (motion,)
-        while not self.stepper.is_over:
+        while not self.stepper.is_over or (self.switches is not None and not self.stopped):
             time = self._next(self.pace)
             self.sample(time, asked)
             asked = ()
+            self._switched(time)
             self.stepper.record()
             if self.health is not None and told is not None and time - reported >= 1.0 / told.rate:
                 reported = time
@@ -309,4 +331,13 @@ class Bridge:
 
     def __exit__(self, *_: Any) -> None:
         self.asking.close()
+        if self.switches is not None:
+            self.switches.close()
         self.link.close()
+
+
+def services_of(link: Link, settings: Switches) -> Services:
+    """Services that stop and reset, in this order."""
+    kinds = typename(msg.TriggerRequest), typename(msg.TriggerResponse)
+    names = [(link.resolved(name), *kinds) for name in (settings.stop, settings.reset)]
+    return Services(link.network, [address_of(peer) for peer in link.network.peers], names)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from ...elementary.arrays import atan2
 from ...errors import MmnnError, TrajectoryError
-from ...model.robot import Robot
+from ...model.robot import Robot, speed_limits
 from ...reference.guide import ARM, BASE, Limits
 from ...reference.samples import Table
 from ...reference.trajectory import Trajectory
@@ -214,7 +214,7 @@ def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, p
     first = message.poses[0].pose.orientation
     looks = np.arctan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
     back = np.cos(looks - phi[0]) < -0.5 and len(message.poses) > 1
-    v, t = driven(s, bend, route, limits)
+    v, t = driven(s, bend, route, limits, robot)
     slower = np.ceil(t[-1] / period) * period / t[-1]  # a whole number of samples
     v, t = v / slower, t * slower
     along = -v if back else v
@@ -253,12 +253,15 @@ def smoothed(points: Array) -> tuple[Array, Array, Array, Array, Array]:
     return x, y, np.unwrap(atan2(dy, dx)), (dx * ddy - dy * ddx) / rate**3, s
 
 
-def driven(s: Array, bend: Array, route: Route, limits: Limits) -> tuple[Array, Array]:
-    """Speed along a path from rest to rest, and the times of its points."""
-    sharp = np.maximum(np.abs(bend), 1e-9)
+def driven(s: Array, bend: Array, route: Route, limits: Limits, robot: Robot) -> tuple[Array, Array]:
+    """Speed along a path from rest to rest, and the times of its points; arguments as of `base_motion`."""
+    sharp, speeds = np.maximum(np.abs(bend), 1e-9), speed_limits(robot)
     most = np.minimum(
         min(route.speed, limits.speed), np.minimum(limits.yaw_rate / sharp, np.sqrt(route.lateral / sharp))
     )
+    nb, wheels = robot.dimensions.base, robot.dimensions.motors - robot.dimensions.arm
+    for row, fastest in zip(robot.E.T[:wheels, :nb], speeds[:wheels], strict=True):  # a wheel turns by its row times nu
+        most = np.minimum(most, fastest / np.maximum(np.abs(row[0] + bend * row[-1]), 1e-9))
     most[[0, -1]] = 0.0
     a = min(route.acceleration, limits.acceleration)
     for order in (range(1, len(s)), range(len(s) - 2, -1, -1)):

@@ -34,15 +34,22 @@ class Clock:
     Attributes:
         begin: Zero of the node's time, by its clock [s].
         simulated: Time of the simulator; NaN before it told [s].
+        told: What it told last [s].
         jumped: What a simulated clock did that no clock does; empty else.
     """
 
     def __init__(self, settings: Clocks) -> None:
-        self.settings, self.simulated, self.jumped, self.begin = settings, math.nan, "", 0.0
+        self.settings, self.simulated, self.jumped, self.begin, self.told = settings, math.nan, "", 0.0, math.nan
 
     def start(self) -> None:
         """Count from now on."""
         self.begin += self.now
+
+    def resume(self, time: float) -> None:
+        """Go on after a jump, the node's time from a time on [s]."""
+        if self.jumped:
+            self.jumped, self.simulated = "", self.told
+            self.begin += self.now - time
 
     @property
     def now(self) -> float:
@@ -63,7 +70,7 @@ class Clock:
 
     def tick(self, message: msg.Clock) -> None:
         """Take the time of a simulator."""
-        told = seconds(message.clock)
+        told = self.told = seconds(message.clock)
         if not math.isnan(self.simulated):
             step = told - self.simulated
             if step < 0.0 or step > self.settings.jump:

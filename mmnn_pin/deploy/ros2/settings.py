@@ -266,6 +266,27 @@ class Output(Settings, frozen=True):
         return self.type in (TWIST, TWIST_STAMPED)
 
 
+class Switches(Settings, frozen=True):
+    """Services `std_srvs/Trigger`. With them the node stays after a trip, and waits for what it is told.
+
+    Args:
+        stop: An emergency stop.
+        reset: Goes on after a trip: the robot holds where it is, and what was learned stays.
+
+    Raises:
+        ConfigError: A name that ROS 2 does not know, or one for both.
+    """
+
+    stop: str = "mmnn/stop"
+    reset: str = "mmnn/reset"
+
+    def __post_init__(self) -> None:
+        for name in (self.stop, self.reset):
+            Topic(name)
+        if self.stop == self.reset:
+            raise ConfigError(f"'{self.stop}' for both", fix="give each its own name", key="switches.reset")
+
+
 class Diagnostics(Settings, frozen=True):
     """`diagnostic_msgs/DiagnosticArray`, for PlotJuggler and Foxglove.
 
@@ -293,6 +314,7 @@ class Node(Settings, frozen=True):
         set: Its keys that are changed, tables in tables.
         rate: Control samples per second.
         latency: Known delay from the measurement to the motors, which the gains have to bear [s].
+        predict: Whether measurements are brought up to now by what the reference has moved since their stamps.
         setpoint_timeout: Age of a velocity at which the base brakes [s].
         follow: "topics", or "experiment": its own motion, from where the robot stands.
         network: Where it speaks.
@@ -305,6 +327,7 @@ class Node(Settings, frozen=True):
         trajectory: Motions of the arm.
         action: Motions of the arm with an answer.
         path: Of the base.
+        switches: Services that stop and reset; None for none, and the node ends after a trip.
         diagnostics: What is published of the node itself.
 
     Raises:
@@ -318,6 +341,7 @@ class Node(Settings, frozen=True):
     set: dict[str, Any] = msgspec.field(default_factory=dict)
     rate: float = 200.0
     latency: float = 0.0
+    predict: bool = False
     setpoint_timeout: float = 0.5
     follow: Literal["topics", "experiment"] = "topics"
     network: Network = Network()
@@ -330,6 +354,7 @@ class Node(Settings, frozen=True):
     trajectory: JointMotions | None = None
     action: Action | None = None
     path: Route | None = None
+    switches: Switches | None = None
     diagnostics: Diagnostics | None = Diagnostics()
 
     def __post_init__(self) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from pinocchio import BODY
+
 from ...errors import ConfigError, UnknownName
 from ...model.robot import Robot
-from .settings import Network, Node
+from .settings import TRAJECTORY, TWIST_STAMPED, Network, Node
 
 EXAMPLE = """# {name} as a node of a ROS 2 graph: mmnn ros2 THIS_FILE. See `mmnn ros2 --help` and docs/how-to/ros2.md.
 # Topics without a leading / get network.namespace.
@@ -41,6 +43,10 @@ topic = "/mmnn/joint_trajectory"
 [action]                      # control_msgs/FollowJointTrajectory, as MoveIt sends it
 name = "/mmnn/follow_joint_trajectory"
 
+[switches]                    # std_srvs/Trigger; without this table the node ends after a trip
+stop = "/mmnn/stop"
+reset = "/mmnn/reset"
+
 [limits]                      # of references made on the way
 speed = 0.5                   # [m/s]
 yaw_rate = 1.0                # [rad/s]
@@ -54,9 +60,10 @@ rate = 10.0
 {commands}"""
 BASE = """
 [odometry]
-topic = "/odom"
+topic = "/diff_drive_controller/odom"
 age = 0.2
-# at = [0.0, 0.0, 0.0]        # control frame in the message's child frame, where that is no link of the URDF
+at = [0.0, 0.0, 0.0]          # diff_drive_controller tells of the middle of the drive axle, whatever its frame's name;
+                              # leave it out where the URDF says how the message's child frame lies
 
 [velocity]                    # geometry_msgs/Twist of a joystick or a navigation stack
 topic = "/cmd_vel"
@@ -81,6 +88,13 @@ type = "Float64MultiArray"
 interface = "effort"
 joints = [{joints}]
 """
+
+
+GROUPS = {
+    "effort": "effort_controllers/JointGroupEffortController",
+    "velocity": "velocity_controllers/JointGroupVelocityController",
+    "position": "position_controllers/JointGroupPositionController",
+}
 
 
 class Row(NamedTuple):
@@ -154,6 +168,8 @@ def rows(robot: Robot, settings: Node) -> list[Row]:
     if s.action is not None:
         kind = "control_msgs/action/FollowJointTrajectory"
         found.append(Row("serves", resolved(s.network, s.action.name), kind, "reliable", "motions of the arm"))
+    for name in () if s.switches is None else (s.switches.stop, s.switches.reset):
+        found.append(Row("serves", resolved(s.network, name), "std_srvs/srv/Trigger", "reliable", "stop and reset"))
     for output in s.commands:
         package = {"Float64MultiArray": "std_msgs", "JointTrajectory": "trajectory_msgs"}.get(
             output.type, "geometry_msgs"
@@ -165,6 +181,66 @@ def rows(robot: Robot, settings: Node) -> list[Row]:
         kind = "diagnostic_msgs/msg/DiagnosticArray"
         found.append(sent(s.diagnostics.topic, kind, "reliable, depth 4", "supervisor, errors, Psi_hat"))
     return found
+
+
+def controllers(robot: Robot, settings: Node) -> str:
+    """The YAML of `ros2_control` for the controllers that take the commands of a file of settings.
+
+    Topics are `CONTROLLER/commands`, `CONTROLLER/cmd_vel` or `CONTROLLER/joint_trajectory`, as the controllers of
+    `ros2_controllers` name them.
+
+    Raises:
+        ConfigError: A topic of another name, a base that `diff_drive_controller` does not drive.
+    """
+    interfaces(robot, settings)
+    kinds, parts = {"joint_state_broadcaster": "joint_state_broadcaster/JointStateBroadcaster"}, list[str]()
+    for i, output in enumerate(settings.commands):
+        kind, ending = ("diff_drive_controller/DiffDriveController", "cmd_vel") if output.is_twist else (
+            ("joint_trajectory_controller/JointTrajectoryController", "joint_trajectory")
+            if output.type == TRAJECTORY
+            else (GROUPS[output.interface], "commands")
+        )  # fmt: skip
+        node, _, last = resolved(settings.network, output.topic).rpartition("/")
+        if last != ending or not node:
+            fix = f'use topic = "/NAME/{ending}", NAME being the controller\'s'
+            raise ConfigError(f"no controller takes '{output.topic}'", fix=fix, key=f"commands.{i}.topic")
+        name = node.rpartition("/")[2]
+        kinds[name] = kind
+        told = drive_parameters(robot, settings, i) if output.is_twist else {"joints": list(output.joints)}
+        told |= {"command_interfaces": [output.interface], "state_interfaces": ["position", "velocity"]} if (
+            output.type == TRAJECTORY
+        ) else {}  # fmt: skip
+        key = name if node == f"/{name}" else node
+        parts += [f"{key}:", "  ros__parameters:", *(f"    {k}: {flow(v)}" for k, v in told.items())]
+    head = ["controller_manager:", "  ros__parameters:", f"    update_rate: {round(settings.rate)}"]
+    head += [f"    {name}: {{type: {kind}}}" for name, kind in kinds.items()]
+    return "\n".join([*head, *parts]) + "\n"
+
+
+def drive_parameters(robot: Robot, settings: Node, i: int) -> dict[str, Any]:
+    """Parameters of `diff_drive_controller` for a robot's base, which command number i drives.
+
+    Raises:
+        ConfigError: It does not turn by two sides of wheels.
+    """
+    output, wheels, theirs = settings.commands[i], robot.base.wheels, settings.joint_states.names
+    if robot.dimensions.base != 2 or output.type != TWIST_STAMPED:
+        why = "it takes a TwistStamped, for a base whose wheels roll ahead"
+        fix = "write its YAML by hand, as its own page says"
+        raise ConfigError("this is not diff_drive_controller's", why=why, fix=fix, key=f"commands.{i}.type")
+    sides = [[theirs.get(w.joint, w.joint) for w in wheels if sign * w.y > 0.0] for sign in (1, -1)]
+    root = next(frame.name for frame in robot.model.frames if frame.type == BODY and frame.parentJoint == 1)
+    return {
+        "left_wheel_names": sides[0], "right_wheel_names": sides[1],
+        "wheel_separation": round(float(robot.base.track), 6), "wheel_radius": round(float(wheels[0].radius), 6),
+        "cmd_vel_timeout": settings.setpoint_timeout, "publish_rate": float(settings.rate),
+        "velocity_rolling_window_size": 1, "odom_frame_id": "odom", "base_frame_id": root,
+    }  # fmt: skip
+
+
+def flow(value: Any) -> str:
+    """A value in YAML."""
+    return f"[{', '.join(value)}]" if isinstance(value, list) else str(value)
 
 
 def resolved(network: Network, name: str) -> str:

@@ -17,10 +17,10 @@ import numpy as np
 from ...model.robot import Robot, speed_limits
 from ...recording.recording import Recording, as_columns, recorded_position
 from ...reference.hand import HandMotion
-from ...reference.hand.chain import chain_of, track
+from ...reference.hand.chain import chain_of, poses, track
 from ...settings import Timing, finite
-from ...signals import Array
-from .references import SIX, HandTables
+from ...signals import HAND, Array
+from .references import HandTables
 
 SETTLED = 1.0  # from when on the hand is judged [s]
 
@@ -50,15 +50,15 @@ def hand_motion(tables: HandTables, robot: Robot, timing: Timing) -> HandMotion:
 
 @dataclasses.dataclass(frozen=True)
 class HandErrors:
-    """Where the first frame was, beside where it should have been, at every sample of a run.
+    """Where a frame was, beside where it should have been, at every sample of a run; poses as the signal `hand`.
 
     Attributes:
         frame: Its name.
         time: (N,) [s].
-        wanted: (N, 12) rotation row by row, origin.
-        reference: (N, 12) as the setpoints have it.
-        measured: (N, 12) as the sensors have it.
-        true: (N, 12).
+        wanted: (N, 7) position and quaternion.
+        reference: (N, 7) as the setpoints have it.
+        measured: (N, 7) as the sensors have it.
+        true: (N, 7).
         turned: Whether its orientation was asked for.
     """
 
@@ -74,7 +74,7 @@ class HandErrors:
         """(N, 3) total error and its shares [m]."""
         there = {"total": self.true - self.wanted, "kinematic": self.reference - self.wanted}
         there |= {"tracking": self.measured - self.reference, "model": self.true - self.measured}
-        return {name: places[:, 9:] for name, places in there.items()}
+        return {name: places[:, :3] for name, places in there.items()}
 
     def distance(self) -> Array:
         """(N,) distance of the true hand from where it should be [m]."""
@@ -82,8 +82,9 @@ class HandErrors:
 
     def angle(self) -> Array:
         """(N,) angle by which the true hand is turned from how it should be [rad]."""
-        a, b = (places[:, :9].reshape(-1, 3, 3) for places in (self.true, self.wanted))
-        return 2 * np.arcsin(np.minimum(np.linalg.norm(a - b, axis=(1, 2)) / np.sqrt(8), 1.0))
+        a, b = self.true[:, 3:], self.wanted[:, 3:]
+        near = np.minimum(np.linalg.norm(a - b, axis=1), np.linalg.norm(a + b, axis=1))  # q and -q are the same
+        return 4 * np.arcsin(np.minimum(near / 2, 1.0))
 
     def numbers(self) -> dict[str, float | None]:
         """RMS and peak after the first second, in thousandths."""
@@ -100,31 +101,31 @@ class HandErrors:
         return found | {f"{name}_rms_mm": rms(share) for name, share in shares.items()}
 
 
-def hand_errors(recording: Recording, robot: Robot, tables: HandTables, timing: Timing) -> HandErrors:
-    """What a run did at the hand.
+def hand_errors(recording: Recording, robot: Robot) -> list[HandErrors]:
+    """What a run did at every frame that its reference took along a path; none where it took none.
 
     Args:
         recording: The run.
         robot: The robot that ran.
-        tables: Its `[reference.hand]`.
-        timing: Its periods.
     """
-    motion = hand_motion(tables, robot, timing)
-    frame, time, d = motion.frames[0], recording.time, robot.dimensions
-    chain, true = chain_of(robot, frame), recorded_position(recording, robot)
-    measured, reference = true.copy(), true.copy()
+    frames: dict[str, bool] = recording.meta.get("hands", {})
+    if not frames or "hand" not in recording or "hand_ref" not in recording:
+        return []
+    measured = recorded_position(recording, robot).copy()
+    reference = measured.copy()
     for table, pose, q in ((measured, "pose", "q"), (reference, "pose_ref", "q_ref")):
-        if d.base and pose in recording:
+        if robot.dimensions.base and pose in recording:
             table[:, :3] = recording[pose]
         if q in recording:
             table[:, robot.arm_index] = as_columns(recording[q])
         robot.follow(table.T)
-    k = np.minimum(np.round(time / timing.control_period).astype(int), len(motion.targets) - 1)
-    target = motion.targets[k, 0]
-    wanted = np.hstack((target[:, 9:18], target[:, :3]))
-    turned = tables.orientation != "auto" or d.arm >= SIX
-    turned = turned and bool(np.any(tables.orientation != 0.0))
-    return HandErrors(frame, time, wanted, track(chain, reference), track(chain, measured), track(chain, true), turned)
+    found = []
+    for i, (frame, turned) in enumerate(frames.items()):
+        chain, own = chain_of(robot, frame), slice(len(HAND) * i, len(HAND) * (i + 1))
+        wanted, true = recording["hand_ref"][:, own], recording["hand"][:, own]
+        asked, seen = (poses(track(chain, table)) for table in (reference, measured))
+        found.append(HandErrors(frame, recording.time, wanted, asked, seen, true, turned))
+    return found
 
 
 def peak_speeds(recording: Recording, robot: Robot) -> dict[str, float]:

@@ -36,7 +36,7 @@ class Result(Mapping[str, Recording]):
         recordings: Controller to recording, in the order asked for.
         metrics: Controller to numbers (see `metrics`).
         notes: What the user should know.
-        hand: Controller to what it did at the hand, where the reference is a hand's.
+        hand: Controller to what it did at every frame that the reference took along a path.
     """
 
     experiment: Experiment
@@ -44,7 +44,7 @@ class Result(Mapping[str, Recording]):
     recordings: dict[str, Recording]
     metrics: dict[str, dict[str, float]]
     notes: tuple[str, ...]
-    hand: dict[str, HandErrors] = field(default_factory=dict)
+    hand: dict[str, list[HandErrors]] = field(default_factory=dict)
 
     def __getitem__(self, controller: str) -> Recording:
         if controller not in self.recordings:
@@ -124,7 +124,7 @@ class Result(Mapping[str, Recording]):
             },
             "figure_ranges": self.figure_ranges(),
             **self.largest_errors(),
-            **({"hand": {name: errors.numbers() for name, errors in self.hand.items()}} if self.hand else {}),
+            **({"hand": {name: told(errors) for name, errors in self.hand.items()}} if any(self.hand.values()) else {}),
             "unfair": unfair(self.experiment, self.metrics),
             "notes": list(self.notes),
         }
@@ -282,3 +282,11 @@ def unfair(experiment: Experiment, metrics: Mapping[str, Mapping[str, float]]) -
         if (key := f"effective_gain.{part}") in metrics[names[0]]
     )
     return f"not a fair comparison: {' and '.join(reasons)}; mean effective gain {gains} ({' against '.join(names)})"
+
+
+def told(hands: list[HandErrors]) -> dict[str, Any]:
+    """Numbers of the first frame, and under `frames` those of every one where there are several."""
+    if not hands:
+        return {}
+    more = {"frames": {errors.frame: errors.numbers() for errors in hands}} if len(hands) > 1 else {}
+    return {**hands[0].numbers(), **more}

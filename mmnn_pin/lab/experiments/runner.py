@@ -77,7 +77,7 @@ def run_experiment(
     numbers = {controller: metrics(recording, experiment.windows) for controller, recording in kept.items()}
     hand, tables = {}, experiment.reference.hand
     if tables is not None:
-        hand = {c: hand_errors(recording, robot, tables, experiment.time) for c, recording in kept.items()}
+        hand = {c: hand_errors(recording, robot) for c, recording in kept.items()}
         notes += hand_notes(experiment, robot)
     return Result(experiment, name, kept, numbers, (*notes, *margin_notes(experiment, kept)), hand)
 
@@ -176,8 +176,9 @@ def hand_notes(experiment: Experiment, robot: Robot) -> list[str]:
     motion = hand_motion(experiment.reference.hand, robot, experiment.time)
     begins, ends, missed = motion.begins, motion.ends, motion.misses
     gap = 1e3 * float(motion.gap[round(begins / experiment.time.control_period) :].max())
-    follows = f"{motion.frames[0]} follows its path from t = {begins:.3g} s to {ends:.3g} s"
-    found = [f"{follows}; the reference's own distance from it is at most {gap:.2g} mm"]
+    frames = motion.trajectory.watched.frames if motion.trajectory.watched else ()
+    names, verb = " and ".join(frames), "follow their paths" if len(frames) > 1 else "follows its path"
+    found = [f"{names} {verb} from t = {begins:.3g} s to {ends:.3g} s; the reference is off by at most {gap:.2g} mm"]
     return [*found, *([f"the program of the hand had no solution at {missed} samples: it braked"] if missed else [])]
 
 

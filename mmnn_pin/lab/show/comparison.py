@@ -86,7 +86,7 @@ def title(result: Result) -> str:
 
 def tables_of(result: Result) -> Iterator[Table]:
     """The comparison; gain or learning; the thesis's errors and figures. Those that the result has something for."""
-    if result.hand:
+    if any(result.hand.values()):
         yield hand_table(result)
     yield comparison(result)
     if improvements := result.improvements():
@@ -215,11 +215,14 @@ def notes(result: Result) -> list[str]:
 
 def hand_table(result: Result) -> Table:
     """A column per controller; rows of the true hand's errors, their shares, and peak speeds."""
-    rows, every = [], {name: errors.numbers() for name, errors in result.hand.items()}
-    for key, words in HAND_ROWS.items():
-        values = {name: math.nan if v[key] is None else float(v[key]) for name, v in every.items()}  # type: ignore[arg-type]
-        if not all(map(math.isnan, values.values())):
-            rows.append(row_of(*words, *(marked(values) if key in MARKED else map(number, values.values()))))
+    rows, several = [], max(map(len, result.hand.values())) > 1
+    for hands in zip(*result.hand.values(), strict=True):
+        every = {name: errors.numbers() for name, errors in zip(result.hand, hands, strict=True)}
+        for key, (about, words) in HAND_ROWS.items():
+            values = {name: math.nan if v[key] is None else float(v[key]) for name, v in every.items()}
+            if not all(map(math.isnan, values.values())):
+                which = about.replace("hand", hands[0].frame) if several else about
+                rows.append(row_of(which, words, *(marked(values) if key in MARKED else map(number, values.values()))))
     robot = recorded_robot(next(iter(result.recordings.values())))
     speeds = {name: peak_speeds(recording, robot) for name, recording in result.recordings.items()}
     for i, joint in enumerate(next(iter(speeds.values()))):

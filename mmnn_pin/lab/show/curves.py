@@ -16,7 +16,6 @@ from ...recording.metrics import TRUE
 from ...recording.recording import Recording, recorded_robot
 from ...recording.tracking import prismatic_joints
 from ...signals import Array
-from ..experiments.config import recorded_experiment
 from ..experiments.controllers import ORACLES
 from ..experiments.hand import HandErrors, hand_errors
 
@@ -121,9 +120,11 @@ def path(recordings: Recordings) -> Iterator[Panel]:
 @chart("hand", "The hand", "The true hand against its path, and what of that the reference itself leaves.")
 def hand(recordings: Recordings) -> Iterator[Panel]:
     """Distance of the true hand from its path, its turning, and the share that is the reference's own."""
-    found = {name: errors for name, recording in recordings.items() if (errors := recorded_hand(recording))}
-    if found:
-        yield Panel("distance of the hand", "mm", {n: (e.time, 1e3 * e.distance()) for n, e in found.items()})
+    judged = {name: recorded_hand(recording) for name, recording in recordings.items()}
+    for i in range(max(map(len, judged.values()), default=0)):
+        found = {name: errors[i] for name, errors in judged.items() if i < len(errors)}
+        frame = next(iter(found.values())).frame
+        yield Panel(f"distance of {frame}", "mm", {n: (e.time, 1e3 * e.distance()) for n, e in found.items()})
         if turned := {n: (e.time, 1e3 * e.angle()) for n, e in found.items() if e.turned}:
             yield Panel("turned by", "mrad", turned)
         kinematic = {n: (e.time, 1e3 * np.linalg.norm(e.vectors()["kinematic"], axis=1)) for n, e in found.items()}
@@ -198,12 +199,9 @@ def residuals(recordings: Recordings) -> Iterator[Panel]:
             yield Panel(words, unit, found)
 
 
-def recorded_hand(recording: Recording) -> HandErrors | None:
-    """What a run did at the hand; None where its reference is not a hand's."""
-    experiment = recorded_experiment(recording) if len(recording) else None
-    if experiment is None or experiment.reference.hand is None:
-        return None
-    return hand_errors(recording, recorded_robot(recording), experiment.reference.hand, experiment.time)
+def recorded_hand(recording: Recording) -> list[HandErrors]:
+    """What a run did at the frames that its reference took along paths."""
+    return hand_errors(recording, recorded_robot(recording)) if "hand" in recording and len(recording) else []
 
 
 # -- what they are made of ---------------------------------------------------------------------------------------------

@@ -173,7 +173,7 @@ def path_figure(recordings: Recordings) -> Figure:
     return picture
 
 
-@figure("hand", needs=signals("q_ref"))
+@figure("hand", needs=signals("hand"))
 def hand_figure(recordings: Recordings) -> Figure:
     """The true hand against its path over time: distance, turning, and the reference's own distance.
 

@@ -10,6 +10,8 @@ origin.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +21,7 @@ from ...compiled import compiled, spliced
 from ...elementary import cos_sin
 from ...errors import ConfigError, RobotError, UnknownName
 from ...model.robot import Robot
-from ...signals import Array, IntArray
+from ...signals import Array, IntArray, Layout
 
 REVOLUTE, PRISMATIC = 0, 1
 SIZE = 12  # of a placement: rotation row by row, translation
@@ -326,3 +328,52 @@ def track(chain: Chain, positions: Array) -> Array:
     p, places = chain.T.shape[1], np.zeros((len(positions), SIZE))
     fill_places(chain, np.ascontiguousarray(positions), np.zeros(p), np.zeros((2, 6)), np.zeros((6, p)), places)
     return places
+
+
+# -- watched during a run ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """Frames that a motion takes along paths, see `trajectory.Watched`.
+
+    Attributes:
+        frames: Their names, and whether they should also be turned as the path says.
+        period: [s].
+        wanted: (N, frames, 7) where they should be: position and quaternion `(x, y, z, w)` in the world.
+    """
+
+    frames: Mapping[str, bool]
+    period: float
+    wanted: Array
+
+    def writer(self, robot: Robot, layout: Layout) -> Callable[[Array], None]:
+        """See `trajectory.Watched`."""
+        chains, last = [chain_of(robot, frame) for frame in self.frames], len(self.wanted) - 1
+        time, position, to, wanted = (layout.where(name) for name in ("time", "position", "hand", "hand_ref"))
+
+        def write(rows: Array) -> None:
+            k = np.minimum(np.round(rows[:, time.start] / self.period).astype(np.int64), last)
+            rows[:, wanted] = self.wanted[k].reshape(len(rows), -1)
+            rows[:, to] = np.hstack([poses(track(chain, rows[:, position])) for chain in chains])
+
+        return write
+
+
+def poses(places: Array) -> Array:
+    """Position and unit quaternion `(x, y, z, w)`, w >= 0, (N, 7), of placements (N, 12) as of `track`."""
+    R, rows = places[:, :9].reshape(-1, 3, 3), np.arange(len(places))
+    x, y, z = R[:, 0, 0], R[:, 1, 1], R[:, 2, 2]
+    square = np.stack((1 + x - y - z, 1 - x + y - z, 1 - x - y + z, 1 + x + y + z), axis=1)
+    sums = {(i, j): R[:, i, j] + R[:, j, i] for i, j in ((0, 1), (0, 2), (1, 2))}
+    skew = [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]
+    products = np.zeros((len(places), 4, 4))  # 4 q_i q_j
+    for i in range(4):
+        products[:, i, i] = square[:, i]
+    for (i, j), each in sums.items():
+        products[:, i, j] = products[:, j, i] = each
+    for i, each in enumerate(skew):
+        products[:, i, 3] = products[:, 3, i] = each
+    largest = square.argmax(axis=1)
+    q = products[rows, largest] / (2.0 * np.sqrt(square[rows, largest]))[:, None]
+    return np.hstack((places[:, 9:], np.where(q[:, 3:] < 0.0, -q, q)))

@@ -26,9 +26,9 @@ from ...signals import Array, IntArray
 from ..joint import JointProfile, JointSamples, MinimumJerk
 from ..path import BasePath, BaseSamples, times
 from ..trajectory import Trajectory
-from .chain import SIZE
+from .chain import SIZE, Hands, poses
 from .path import HandPath, placed
-from .tasks import TARGET, P
+from .tasks import TARGET, P, R, Task
 from .whole_body import WholeBody, manipulability
 
 CLOSE = 0.01  # a stance that is nearer than this needs no drive [m]
@@ -117,6 +117,7 @@ class HandMotion:
     Attributes:
         samples: Of base and arm.
         frames: The frames with tasks.
+        tasks: What they keep to.
         targets: (N, tasks, 24) where they should be, see `tasks.TARGET`.
         reached: (N, tasks, 12) where the reference has them: rotation row by row, origin.
         begins: When the path begins, after driving and reaching [s].
@@ -126,6 +127,7 @@ class HandMotion:
 
     samples: Samples
     frames: tuple[str, ...]
+    tasks: tuple[Task, ...]
     targets: Array
     reached: Array
     begins: float
@@ -137,17 +139,29 @@ class HandMotion:
         """The setpoints."""
         nb = self.samples.nu.shape[1] - self.samples.q.shape[1]
         base = SampledBase(self.samples, nb) if nb else None
-        return Trajectory(base, tuple(SampledJoint(self.samples, i) for i in range(self.samples.q.shape[1])))
+        arm = tuple(SampledJoint(self.samples, i) for i in range(self.samples.q.shape[1]))
+        last = {frame: i for i, frame in reversed([*enumerate(self.frames)]) if not self.tasks[i].looks}
+        seen = sorted(last.values())
+        places = np.concatenate((self.targets[:, seen, R : R + 9], self.targets[:, seen, P : P + 3]), axis=2)
+        frames = {self.frames[i]: bool(self.tasks[i].weights[3:].any()) for i in seen}
+        wanted = poses(places.reshape(-1, SIZE)).reshape(len(places), len(seen), -1)
+        return Trajectory(base, arm, watched=Hands(frames, self.samples.period, wanted))
+
+    @cached_property
+    def gaps(self) -> Array:
+        """(N, tasks) distance of the frames from where they should be [m]; 0 for those that may be elsewhere.
+
+        These are frames that look, axes without a weight, and tasks that come after others.
+        """
+        first = min(task.priority for task in self.tasks)
+        must = np.array([(t.weights[:3] > 0.0) * (t.priority == first) for t in self.tasks])
+        away = (self.targets[:, :, P : P + 3] - self.reached[:, :, 9:]) * must
+        return np.sqrt(np.sum(away * away, axis=2))
 
     @property
     def gap(self) -> Array:
-        """(N,) distance of the first frame from where it should be [m]."""
-        return lengths(self.targets[:, 0, P : P + 3] - self.reached[:, 0, 9:])
-
-
-def lengths(vectors: Array) -> Array:
-    """Lengths of vectors (N, 3)."""
-    return np.sqrt(np.sum(vectors * vectors, axis=1))
+        """(N,) largest distance of a frame from where it should be, see `gaps` [m]."""
+        return self.gaps.max(axis=1)
 
 
 def plan(
@@ -251,13 +265,14 @@ def require_followed(motion: HandMotion, body: WholeBody, tolerance: float) -> N
     if gap.max() <= tolerance:
         return
     out, worst = int(np.argmax(gap > tolerance)), int(np.argmax(gap))
-    place = ", ".join(f"{x:.3g}" for x in motion.targets[worst, 0, P : P + 3])
+    which = int(np.argmax(motion.gaps[worst]))
+    place = ", ".join(f"{x:.3g}" for x in motion.targets[worst, which, P : P + 3])
     joints = np.abs(motion.samples.q[worst] - body.bounds.ends).min(axis=0) < 1e-3
     ends = [name for name, near in zip(body.robot.joint_names, joints, strict=True) if near]
     why = f"there {', '.join(ends)} is at its end" if ends else "the arm is stretched out, or limits hold it back"
     far, when = f"{1e3 * gap[worst]:.3g} mm from ({place})", f"t = {worst * h:.3g} s"
     raise TrajectoryError(
-        f"'{motion.frames[0]}' cannot follow its path: {far} at {when}, "
+        f"'{motion.frames[which]}' cannot follow its path: {far} at {when}, "
         f"off by more than {1e3 * tolerance:g} mm from t = {out * h:.3g} s on",
         why=why,
         fix="move the path, lower its speed, or free its orientation (orientation = 0)",
@@ -391,7 +406,8 @@ def wanted(
             continue
         if begin is not None and ends == 0.0:
             reach = max(REACH, length(begin - origin) / body.settings.approach[0] * 2)
-            moved = min_jerk(np.minimum(t / reach, 1.0), reach, origin, begin)
+            share, by = MinimumJerk(0.0, 1.0, reach).sample(np.minimum(t, reach)), begin - origin
+            moved = np.hstack((origin + np.outer(share.q, by), *(np.outer(d, by) for d in (share.qdot, share.qddot))))
             origin, R = begin, R if turned is None else turned
         followed = placed(path.sample(np.maximum(t - reach, 0.0)), origin, axes, R)
         rows[:, i] = followed.flat
@@ -400,14 +416,6 @@ def wanted(
             rows[before, i, : 3 * 3] = moved[before]
         ends = max(ends, reach + path.duration)
     return Wanted(rows, reach, ends)
-
-
-def min_jerk(u: Array, lasts: float, start: Array, goal: Array) -> Array:
-    """(N, 9) position, velocity, acceleration from rest to rest at shares u of the time."""
-    by = goal - start
-    s, ds = u**2 * u * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2 / lasts
-    dds = 60 * u * (1 - u) * (1 - 2 * u) / lasts**2
-    return np.hstack((start + s[:, None] * by, ds[:, None] * by, dds[:, None] * by))
 
 
 def follow(body: WholeBody, targets: Array) -> Samples:
@@ -435,4 +443,5 @@ def joined(body: WholeBody, parts: Sequence[Samples], targets: Wanted, driven: i
         reached[k] = body.places
     assert d.arm == samples.q.shape[1]
     before = driven * body.period
-    return HandMotion(samples, body.frames, every, reached, before + targets.begins, before + targets.ends, body.misses)
+    when = (before + targets.begins, before + targets.ends)
+    return HandMotion(samples, body.frames, body.tasks, every, reached, *when, body.misses)

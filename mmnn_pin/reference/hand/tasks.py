@@ -13,6 +13,9 @@ program minimises the squared slack of both kinds, weighted, within limits that 
 Braking straight to rest fulfils all of them, so that a solution exists from any state that fulfils them. A frame's
 slack costs far more than a wish's, not infinitely more: near a singularity, or where a goal is out of reach, the arm
 stays calm and the frame falls short. The weights of base and arm say what a share of their speed limits costs.
+
+Tasks of one priority are weighed against each other. Those of another come in order: the program is solved again for
+the next ones with `J S nudot` of all tasks before held where it is, so a later task never disturbs an earlier one.
 """
 
 from __future__ import annotations
@@ -46,9 +49,10 @@ class Task(Settings, frozen=True):
         orientation: Weight of the slack of turning, one number or one about x, y, z of the frame; 0 leaves that free.
         looks: An axis of the frame, "x", "y" or "z", that should point at `at`; then nothing else is asked of it.
         at: Where it looks: a frame of the robot, or a point (3,) in the world [m].
+        priority: Tasks with a smaller number come first; one with a larger number takes what they leave free.
 
     Raises:
-        ConfigError: A weight that is negative or not finite, or an axis that is none.
+        ConfigError: A weight that is negative or not finite, a priority below 0.
     """
 
     frame: str = ""
@@ -56,8 +60,11 @@ class Task(Settings, frozen=True):
     orientation: float | tuple[float, float, float] = 0.1
     looks: Literal["", "x", "y", "z"] = ""
     at: str | tuple[float, float, float] = ""
+    priority: int = 0
 
     def __post_init__(self) -> None:
+        if self.priority < 0:
+            raise ConfigError(f"{self.priority}", fix="use 0, 1, 2, ...", key="reference.hand.priority")
         for name in ("position", "orientation"):
             one_or_each(getattr(self, name), 3, "axis", f"reference.hand.{name}", least=0)
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...elementary import atan2, cos_sin, log
-from ...elementary.matrices import cholesky, inverse, product
+from ...elementary.matrices import cholesky, inverse, length, product
 from ...errors import ConfigError
 from ...model.reduction import as_measured
 from ...model.robot import Robot
@@ -40,7 +40,8 @@ from .tasks import (
 )
 
 TOLERANCE = 1e-9  # of limits, in the program's units
-SOFT = 8  # daqp's mark of a constraint that may give way
+EQUAL, SOFT = 5, 8  # daqp's marks of an equation and of a constraint that may give way
+DEPENDENT = 1e-8  # relative size of a row's new part under which it depends on those before
 NEAR = 0.2  # a goal that is nearer than this to the axle does not say where to turn [m]
 
 
@@ -104,6 +105,8 @@ class WholeBody:
         self.frames = tuple(task.frame or next(free) for task in tasks)
         self.chains = [chain_of(robot, name) for name in self.frames]
         self.weights = [task.weights for task in tasks]
+        order = sorted({task.priority for task in tasks})
+        self.levels = [[i for i, task in enumerate(tasks) if task.priority == each] for each in order]
         self.seen = [self._seen(task) for task in tasks]
         self.numbers = np.array([settings.rate, *settings.approach])
         self.bounds = bounds_of(robot, settings, limits)
@@ -169,15 +172,8 @@ class WholeBody:
             targets: (tasks, 24), see `tasks.TARGET`.
         """
         self.look_around()
-        b, self.H[:], self.f[:] = self.bounds, 0.0, 0.0
-        for i, weights in enumerate(self.weights):
-            target = targets[i] if self.seen[i] is None else self._looking(i)
-            add_frame(
-                self.places[i], self.twists[i], self.biases[i], self.J[i], target, weights, self.numbers, self.rows,
-                self.errors[i], self.H, self.f,
-            )  # fmt: skip
+        b = self.bounds
         self._wish(targets)
-        add_wishes(self.nu, self.wish, self.cost, self.settings.settle, self.H, self.f)
         fill_bounds(
             self.q, self.nu, self.period, b.speed, b.acceleration, b.ends, b.wheels, b.wheel_speed,
             self.lows, self.highs,
@@ -186,7 +182,48 @@ class WholeBody:
             wheels = len(b.wheel_speed)
             at = len(self.nu) + wheels
             self.pairs.fill(self.position, self.nu, self.period, self.G[wheels:], self.lower[at:], self.upper[at:])
-        return self._program()
+        missed, held = self.misses, np.zeros((0, self.nu.size))
+        for level in self.levels:
+            rows = self._ask(level, targets)
+            if level is self.levels[0]:
+                self._program()
+            elif len(held) < self.nu.size:
+                self._program_below(held)
+            if level is self.levels[-1] or self.misses > missed:
+                break
+            held = spanned(held, rows)
+        return self.nudot
+
+    def _ask(self, level: Sequence[int], targets: Array) -> Array:
+        """Put together what tasks of a priority and the wishes cost; the tasks' rows, (m, p)."""
+        self.H[:], self.f[:], asked = 0.0, 0.0, []
+        for i in level:
+            target, weights = targets[i] if self.seen[i] is None else self._looking(i), self.weights[i]
+            add_frame(
+                self.places[i], self.twists[i], self.biases[i], self.J[i], target, weights, self.numbers, self.rows,
+                self.errors[i], self.H, self.f,
+            )  # fmt: skip
+            asked.append(self.rows[:6][weights > 0.0])
+        add_wishes(self.nu, self.wish, self.cost, self.settings.settle, self.H, self.f)
+        return np.concatenate(asked)
+
+    def _program_below(self, held: Array) -> None:
+        """Solve for tasks of a lower priority: what those before reach, as orthonormal rows (k, p), stays as it is.
+
+        Bodies may come no nearer than the solution so far lets them, which therefore is one of this program, too.
+        """
+        x, k, program = self.nudot, len(held), solver()
+        now, kept = np.hstack((x, product(self.G, x))), product(held, x)
+        lower, upper = np.minimum(self.lower, now), np.maximum(self.upper, now)
+        sense = np.zeros(len(lower) + k, np.int32)
+        sense[len(lower) :] = EQUAL
+        program.settings = self.solver.settings
+        rows, most, least = np.vstack((self.G, held)), np.hstack((upper, kept)), np.hstack((lower, kept))
+        flag = program.setup(self.H, self.f, rows, most, least, sense)
+        if (flag if isinstance(flag, int) else flag[0]) >= 0:
+            found, _, flag, _ = program.solve()
+            if flag > 0:
+                self.nudot[:] = found
 
     def _program(self) -> Array:
         """Solve what has been put together; brake where there is no solution."""
@@ -248,6 +285,21 @@ class WholeBody:
         target = np.zeros(TARGET)
         target[P : P + 3], target[R : R + 9] = self.places[i, 9:], self.places[i, :9]
         return target
+
+
+def spanned(held: Array, rows: Array) -> Array:
+    """Orthonormal rows (k, p) and more of them, so that they span the rows (m, p), too; by Gram and Schmidt."""
+    for row in rows:
+        rest = row / max(length(row), 1e-300)
+        for _ in range(2):
+            rest = rest - product(held.T, product(held, rest))
+            size = length(rest)
+            if size < DEPENDENT:
+                break
+            rest = rest / size
+        else:
+            held = np.vstack((held, rest))
+    return held
 
 
 def gram_solved(J: Array) -> Array:

@@ -130,10 +130,11 @@ def drive(
     wait: float = 30.0,
     changes: tuple[str, ...] = (),
     planner: str = "",
+    text: str = SETTINGS,
 ) -> Drive:
     """Drive the robot of `robot_node.py` through its faults."""
     settings = folder / "robot.toml"
-    settings.write_text(SETTINGS.format(domain=domain, reliability=reliability))
+    settings.write_text(text.format(domain=domain, reliability=reliability))
     robot = start(
         distribution, domain if robot_domain is None else robot_domain, "robot_node.py", seconds + 1.5, *faults
     )

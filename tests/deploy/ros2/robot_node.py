@@ -13,13 +13,14 @@ import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist, TwistStamped
-from nav_msgs.msg import Odometry
+from geometry_msgs.msg import PoseStamped, TransformStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry, Path
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
+from tf2_msgs.msg import TFMessage
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 RATE, STEP, INERTIA, DAMPING, LAG = 50.0, 0.0025, (1.2, 0.4), 0.5, 0.05
@@ -34,11 +35,14 @@ class Robot:
         self.node, self.faults, self.t = node, faults, 0.0
         self.pose, self.v, self.q, self.qdot = [0.0, 0.0, 0.0], [0.0, 0.0], [0.2, -0.3], [0.0, 0.0]
         self.asked, self.effort, self.heard, self.counts = [0.0, 0.0], [0.0, 0.0], -math.inf, {"twist": 0, "effort": 0}
-        self.log, self.told = [], 0
+        self.log, self.told, self.place, self.waited = [], 0, None, []
         node.create_subscription(TwistStamped, "/diff_drive_controller/cmd_vel", self.on_twist, 10)
         node.create_subscription(Float64MultiArray, "/effort_controller/commands", self.on_effort, 10)
         node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics, 10)
-        self.drive = node.create_publisher(Twist, "/cmd_vel", 10)
+        node.create_subscription(JointTrajectory, "/arm_controller/joint_trajectory", self.on_place, 10)
+        self.drive = node.create_publisher(TwistStamped if "stamped" in faults else Twist, "/cmd_vel", 10)
+        self.frames = node.create_publisher(TFMessage, "/tf", 10) if "map" in faults else None
+        self.route = node.create_publisher(Path, "/plan", 1)
         self.plan = node.create_publisher(JointTrajectory, "/mmnn/joint_trajectory", 10)
         self.simulator = node.create_publisher(Clock, "/clock", 10) if "sim_time" in faults else None
         self.open()
@@ -60,6 +64,12 @@ class Robot:
     def on_effort(self, message):
         self.effort, self.counts["effort"] = list(message.data), self.counts["effort"] + 1
 
+    def on_place(self, message):
+        point, self.counts["effort"] = message.points[0], self.counts["effort"] + 1
+        order = [message.joint_names.index(name) for name in ("arm_1_joint", "arm_2_joint")]
+        self.place = [point.positions[i] for i in order]
+        self.waited.append(point.time_from_start.sec + 1e-9 * point.time_from_start.nanosec)
+
     def on_diagnostics(self, message):
         self.told += 1
 
@@ -75,7 +85,10 @@ class Robot:
         asked = self.asked if self.t - self.heard < TIMEOUT else [0.0, 0.0]
         for i in range(2):
             self.v[i] += h / LAG * (asked[i] - self.v[i])
-            self.qdot[i] += h / INERTIA[i] * (self.effort[i] - DAMPING * self.qdot[i])
+            if self.place is None:
+                self.qdot[i] += h / INERTIA[i] * (self.effort[i] - DAMPING * self.qdot[i])
+            else:
+                self.qdot[i] = (self.place[i] - self.q[i]) / LAG  # a servo of positions
             self.q[i] += h * self.qdot[i]
         self.pose[0] += h * self.v[0] * math.cos(self.pose[2])
         self.pose[1] += h * self.v[0] * math.sin(self.pose[2])
@@ -93,6 +106,8 @@ class Robot:
             return
         if self.joints is None:
             self.open()
+        if self.active("silent_for"):
+            return
         stamp = self.node.get_clock().now().to_msg()
         if self.simulator is not None:
             told = self.t + 100.0 - (10.0 if self.active("sim_back") else 0.0)
@@ -133,13 +148,31 @@ class Robot:
         )
         odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = self.v
         self.odom.publish(odometry)
+        if self.frames is not None:
+            frame = TransformStamped(child_frame_id="odom")
+            frame.header.stamp, frame.header.frame_id = stamp, "map"
+            frame.transform.translation.y = 0.25 if self.active("map") else 0.0  # of a map that is corrected then
+            frame.transform.rotation.w = 1.0
+            self.frames.publish(TFMessage(transforms=[frame]))
 
     def ask(self, k, begun):
         """Drive the base and move the arm from half a second after the first command on."""
         since = self.t - begun
-        if since > 0.5 and k % 5 == 0 and not self.active("silent_joystick"):
-            command = Twist()
-            command.linear.x, command.angular.z = 0.2, 0.3
+        if since > 0.5 and "map" in self.faults:
+            if not hasattr(self, "asked_base"):
+                self.asked_base, path = self.t, Path()
+                path.header.frame_id = "map"
+                for i in range(21):
+                    pose = PoseStamped()
+                    pose.pose.position.x, pose.pose.orientation.w = 0.05 * i, 1.0
+                    path.poses.append(pose)
+                self.route.publish(path)
+        elif since > 0.5 and k % 5 == 0 and not self.active("silent_joystick"):
+            command = TwistStamped() if "stamped" in self.faults else Twist()
+            twist = command.twist if "stamped" in self.faults else command
+            if "stamped" in self.faults:
+                command.header.stamp = self.node.get_clock().now().to_msg()
+            twist.linear.x, twist.angular.z = 0.2, 0.3
             self.drive.publish(command)
         if since > 0.5 and not hasattr(self, "asked_arm") and "no_plan" not in self.faults:
             self.asked_arm = self.t
@@ -177,7 +210,15 @@ def main():
     rows = [[row[0] - begun, *row[1:]] for row in robot.log if row[0] >= begun]
     asked = getattr(robot, "asked_arm", math.nan) - begun
     print(
-        json.dumps({"counts": robot.counts, "diagnostics": robot.told, "asked_arm": asked, "rows": rows[::8]}),
+        json.dumps(
+            {
+                "counts": robot.counts,
+                "diagnostics": robot.told,
+                "asked_arm": asked,
+                "rows": rows[::8],
+                "waited": robot.waited[:1],
+            }
+        ),
         flush=True,
     )
     os._exit(0)  # rclpy's destructors are not what is tested

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from graph import Drive, drive, require_control_msgs, start
+from graph import SETTINGS, Drive, drive, require_control_msgs, start
 from places import ROOT
 
 pytest.importorskip("cyclonedds", reason="pip install 'mmnn_pin[ros2]'")
@@ -148,6 +148,68 @@ def test_goals_of_the_action_are_followed(tmp_path: Path, domain: int, distribut
     assert told["names"] == ["arm_1_joint", "arm_2_joint"]
     assert told["cancel"] == 1 and told["cancelled"] == [5, 0, "cancelled"]
     assert np.abs(run.rows[-1, 8:10]).max() < 0.1  # it stands after the cancel
+
+
+@pytest.mark.parametrize("distribution", EVERY)
+def test_a_robot_goes_on_after_its_reset_and_stops_when_told(tmp_path: Path, domain: int, distribution: str) -> None:
+    """A silent second trips it; a reset without a measurement is refused, one with it is not."""
+    asked = 'switches.reset="/mmnn/reset"', 'switches.stop="/mmnn/stop"'
+    run = drive(tmp_path, distribution, domain, "silent_for@2.0", seconds=12.0, changes=asked, planner="switch_node.py")
+    told = run.robot["planner"]
+    assert run.code == 0 and told["there"] and told["tripped"], (told, run.lines)
+    assert told["early"] == [False, "reset: error: nothing to reset: the supervisor has not tripped"]
+    assert not told["blind"][0] and "a reset that is blind" in told["blind"][1]
+    assert told["reset"][0] and told["runs"] and told["stop"][0] and told["stopped"]
+    assert told["again"][0] and told["runs again"]
+    assert "tripped" in run.lines or "nothing fresh" in run.lines
+    v = run.rows[:, 4]  # the joystick drives it at first, stands after trip and stop, and drives it again after each
+    assert (np.abs(v[run.rows[:, 0] < 2.5].max() - 0.2) < 0.05) and np.abs(v[-1] - 0.2) < 0.05, run.lines
+
+
+BY_POSITION = SETTINGS.replace(
+    """topic = "/effort_controller/commands"
+joints""",
+    """topic = "/arm_controller/joint_trajectory"
+type = "JointTrajectory"
+interface = "position"
+joints""",
+).replace('topic = "/cmd_vel"', 'topic = "/cmd_vel"\nstamped = true')
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
+def test_positions_by_trajectories_and_stamped_velocities(tmp_path: Path, domain: int, distribution: str) -> None:
+    """`joint_trajectory_controller` takes a point per sample, the joystick sends `TwistStamped`."""
+    run = drive(tmp_path, distribution, domain, "stamped", seconds=5.5, text=BY_POSITION)
+    was_tracked(run)
+    assert run.robot["waited"] == [pytest.approx(0.02)]  # two periods of 100 Hz
+
+
+ON_A_MAP = (
+    SETTINGS
+    + """
+[path]
+topic = "/plan"
+speed = 0.25
+[tf]
+map = "map"
+odom = "odom"
+"""
+)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("distribution", ["kilted", "jazzy"])
+def test_a_path_follows_its_map_whose_corrections_jerk_nobody(tmp_path: Path, domain: int, distribution: str) -> None:
+    """1 m ahead in a map that moves by 0.25 m across on the way: the robot ends where the map has it then."""
+    run = drive(tmp_path, distribution, domain, "map@2.5", seconds=12.0, text=ON_A_MAP)
+    assert run.code == 0 and np.isnan(run.trip), run.lines
+    x, y = run.rows[-1, 1:3]
+    assert abs(x - 1.0) < 0.06 and abs(y + 0.25) < 0.1, (x, y)
+    step = run.rows[1, 0] - run.rows[0, 0]
+    v, w = run.rows[:, 4], run.rows[:, 5]
+    assert np.abs(np.diff(v)).max() / step < 2.0 and np.abs(v).max() < 0.5
+    assert np.abs(np.diff(w)).max() / step < 15.0 and np.abs(w).max() < 2.0
 
 
 @pytest.mark.parametrize("distribution", EVERY)

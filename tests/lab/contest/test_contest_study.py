@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -93,6 +94,40 @@ def test_nothing_is_tuned_on_what_is_reported(tuning):
         other = payload(with_case(tried, case).disturbances)[1]
         assert (other is None) == (tuning == "eight")
         assert other is None or (other.mass != load.mass and other.at != load.at and other.start != load.start)
+
+
+def test_the_search_outside_of_the_model_class_drives_otherwise_and_for_the_same_learners():
+    reported, tried = load_experiment("contest"), load_experiment(tuning_file("outside"))
+    assert not seeds(reported) & seeds(tried) and set(spaces("outside")) == set(spaces("eight"))
+    for case in tried.cases:
+        own, other = with_case(tried, case), with_case(reported, case)
+        assert own.reference.arm != other.reference.arm
+        load, theirs = payload(own.disturbances)[1], payload(other.disturbances)[1]
+        assert (load is None) == (theirs is None) and (load is None or load.mass != theirs.mass)
+        for name in ("friction", "sensor", "actuator", "latency", "plant", "robot"):
+            assert getattr(own, name) == getattr(other, name)
+
+
+def test_a_search_that_was_stopped_goes_on_and_ends_as_one_that_was_not(tmp_path):
+    """Each set of settings is run once; a journal of other settings is not believed."""
+    run = []
+
+    class Counting:
+        tasks = (SimpleNamespace(experiment=load_experiment("eight")),)
+
+        def score(self, learner, settings):
+            run.append(settings)
+            return 1.0 + math.log10(settings["adaptive.rate"])
+
+    space, journal, quiet = spaces("outside")["adaptive"], tmp_path / "a.json", lambda text: None
+    whole = search.search(Counting(), "adaptive", space, 6, quiet)
+    assert len(run) == 6
+    search.search(Counting(), "adaptive", space, 4, quiet, journal)
+    assert search.search(Counting(), "adaptive", space, 6, quiet, journal) == whole and len(run) == 12
+    changed = json.loads(journal.read_text())
+    changed[2][0]["adaptive.rate"] = 1.0
+    journal.write_text(json.dumps(changed))
+    assert search.search(Counting(), "adaptive", space, 6, quiet, journal) == whole and len(run) > 12
 
 
 def test_the_two_searches_have_nothing_in_common():

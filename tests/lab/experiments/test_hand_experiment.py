@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from mmnn_pin import load
 from mmnn_pin.errors import ConfigError, InputError, TrajectoryError
 from mmnn_pin.lab.experiments.config import load_experiment
-from mmnn_pin.lab.experiments.hand import HandErrors, hand_motion, peak_speeds
+from mmnn_pin.lab.experiments.hand import HandErrors, hand_errors, hand_motion, peak_speeds
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.show.comparison import tables_of
+from mmnn_pin.lab.show.curves import CHARTS
+from mmnn_pin.lab.show.table import terminal_text
 from mmnn_pin.model.robots import bundled, extra
+from mmnn_pin.recording.recording import Recording, recorded_robot
+from mmnn_pin.signals import HAND
 
 pytest.importorskip("daqp", reason="pip install 'mmnn_pin[tasks]'")
 SHORT = ("time.control_period=0.01", "time.plant_step=0.01")
@@ -64,20 +73,40 @@ def test_the_motion_is_made_once_for_a_robot_and_fits_its_table() -> None:
 
 def test_errors_of_the_hand_add_up() -> None:
     rng, n = np.random.default_rng(0), 50
-    places = np.hstack((np.tile(np.eye(3).ravel(), (n, 1)), np.zeros((n, 3))))
+    places = np.hstack((np.zeros((n, 6)), np.ones((n, 1))))
     wanted, reference, measured, true = (places.copy() for _ in range(4))
     for table, size in ((reference, 1e-6), (measured, 1e-3), (true, 1e-3)):
-        table[:, 9:] += size * rng.standard_normal((n, 3))
-    c, s = np.cos(0.01), np.sin(0.01)
-    true[:, :9] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]).ravel()
+        table[:, :3] += size * rng.standard_normal((n, 3))
+    true[:, 3:] = -Rotation.from_rotvec([0.0, 0.0, 0.01]).as_quat()  # q and -q turn alike
     errors = HandErrors("hand", np.arange(n) * 0.1, wanted, reference, measured, true, True)
     v, told = errors.vectors(), errors.numbers()
     np.testing.assert_allclose(v["total"], v["kinematic"] + v["tracking"] + v["model"], atol=1e-15)
     np.testing.assert_allclose(errors.angle(), 0.01, rtol=1e-9)
-    late = np.linalg.norm(true[10:, 9:], axis=1)  # after the first second
+    late = np.linalg.norm(true[10:, :3], axis=1)  # after the first second
     assert told["position_peak_mm"] == pytest.approx(1e3 * late.max())
     assert told["position_rms_mm"] == pytest.approx(1e3 * np.sqrt((late**2).mean()))
     assert told["orientation_rms_mrad"] == pytest.approx(10.0)
+
+
+def test_a_recording_tells_of_its_hand_alone(tmp_path: Path) -> None:
+    """Wanted and true pose stand in the file; errors, figure and table come from there, not from the motion."""
+    way = 'reference.hand.path=[{type="line", by=[0.1, 0.0, 0.0], speed=0.1, ramp=0.2}]'
+    short = [*SHORT, way, "time.duration=1.5", "controllers=['pd']", "windows=[[0.0, 1.5]]"]
+    result = run_experiment(load_experiment("hand", short), "hand", out=tmp_path)
+    (found,) = result.hand["pd"]
+    read = Recording.open(tmp_path / "pd.h5")
+    assert read.labels("hand") == read.labels("hand_ref") == tuple(f"arm_tip.{each}" for each in HAND)
+    assert read.meta["hands"] == {"arm_tip": False} and found.frame == "arm_tip" and not found.turned
+    (again,) = hand_errors(read, recorded_robot(read))
+    np.testing.assert_array_equal(again.distance(), found.distance())
+    gap = read["hand"][:, :3] - read["hand_ref"][:, :3]
+    np.testing.assert_allclose(found.distance(), np.linalg.norm(gap, axis=1), atol=1e-15)
+    assert 1e-6 < found.distance().max() < 0.1 and np.abs(found.vectors()["kinematic"]).max() < 1e-3
+    moved = read["hand_ref"][-1, :3] - read["hand_ref"][0, :3]
+    np.testing.assert_allclose(np.linalg.norm(moved), 0.1, atol=1e-3)
+    panels = list(CHARTS["hand"].panels({"pd": read}))
+    assert panels[0].title == "distance of arm_tip" and len(panels) == 2
+    assert "hand position [mm]" in terminal_text([next(iter(tables_of(result)))])
 
 
 def test_peak_speeds_are_those_of_wheels_and_joints() -> None:

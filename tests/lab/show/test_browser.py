@@ -98,6 +98,34 @@ def test_bodies_are_where_pinocchio_has_them(chromium: Any, tmp_path: Path, robo
                 np.testing.assert_allclose(np.reshape(elements, (4, 4)).T, placed, atol=2e-5)
 
 
+def test_a_hand_and_its_path_are_where_pinocchio_has_them(chromium: Any, tmp_path: Path) -> None:
+    robot = load("platform_arm")
+    recording = recorded(robot, duration=1.0, hands=("arm_tip",))
+    data, frame = robot.model.createData(), robot.model.getFrameId("arm_tip")
+    file = page({"run": recording}).save(tmp_path / "hand.html")
+    with opened(chromium, file) as seen:
+        for row in (0, 250, 499):
+            seek(seen, recording.time[row])
+            position = recording["position"][row].copy()
+            for axes in ("axes", "wish"):
+                pin.forwardKinematics(robot.model, data, robot.configuration(position))
+                placed = pin.updateFramePlacement(robot.model, data, frame).homogeneous.copy()
+                placed[2, 3] -= robot.base.floor
+                shown = f"replay.runs[0].hands[0].{axes}; part.updateMatrix(); return part.matrix.elements"
+                found = np.reshape(seen.page.evaluate(f"(() => {{ const part = {shown} }})()"), (4, 4)).T
+                size = np.linalg.norm(found[:3, 0])
+                assert size > 0.02
+                np.testing.assert_allclose(found[:3, :3] / size, placed[:3, :3], atol=2e-5)
+                np.testing.assert_allclose(found[:3, 3], placed[:3, 3], atol=2e-5)
+                position[:3], position[robot.arm_index] = recording["pose_ref"][row], recording["q_ref"][row]
+        drawn = np.reshape(seen.page.evaluate("replay.runs[0].drawn(replay.runs[0].hands[0].wanted)"), (-1, 3))
+        np.testing.assert_allclose(drawn[[0, -1], :2], recording["hand_ref"][[0, -1], :2], atol=1e-5)
+        with_axes = seen.shot(tmp_path / "replay_hand.png")
+        seen.page.get_by_label("hand frame").uncheck()
+        assert (np.abs(seen.shot() - with_axes).max(axis=2) > 60).sum() > 50
+        assert seen.problems == [] and seen.requests == []
+
+
 def test_the_scrub_bar_moves_it(thesis: Opened) -> None:
     seek(thesis, 0.0)
     before = thesis.shot()[100:500]

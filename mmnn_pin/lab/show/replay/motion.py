@@ -21,7 +21,7 @@ from ....plant.contact.plant import SLIPPING
 from ....recording.recording import Recording, as_columns, recorded_position
 from ....recording.tracking import prismatic_joints
 from ....safety import RAMPING, STEPPED_IN, STOPPING
-from ....signals import Array, IntArray
+from ....signals import HAND, Array, IntArray
 from ..files import Blob
 
 Kind = Literal["stop", "slip", "limit"]
@@ -154,7 +154,7 @@ def wanted(recording: Recording, robot: Robot, rows: IntArray) -> Array | None:
 
 
 def packed(recording: Recording, robot: Robot, rows: IntArray, blob: Blob) -> dict[str, Any]:
-    """Frames of a run as the page reads them: times (k,), positions (k, nv), wanted positions (k, nv) or None."""
+    """Frames of a run as the page reads them: times (k,), positions (k, nv), wanted ones or None, hands."""
     position, reference = recorded_position(recording, robot)[rows], wanted(recording, robot, rows)
     return {
         "frames": len(rows),
@@ -162,7 +162,19 @@ def packed(recording: Recording, robot: Robot, rows: IntArray, blob: Blob) -> di
         "time": blob.add(recording.time[rows], "f4"),
         "position": blob.add(position, "f4"),
         "reference": None if reference is None else blob.add(reference, "f4"),
+        "hands": list(hands(recording, rows, blob)),
     }
+
+
+def hands(recording: Recording, rows: IntArray, blob: Blob) -> Iterator[dict[str, Any]]:
+    """Frames that a run took along paths: names, poses (k, 7) that they had and should have had."""
+    if "hand" not in recording or "hand_ref" not in recording:
+        return
+    tables = [recording[name][rows] for name in ("hand", "hand_ref")]
+    for i, name in enumerate(recording.meta.get("hands", ())):
+        true, wished = (table[:, len(HAND) * i : len(HAND) * (i + 1)] for table in tables)
+        if drawable(true).all() and drawable(wished).all():
+            yield {"name": name, "pose": blob.add(true, "f4"), "wanted": blob.add(wished, "f4")}
 
 
 # -- events ------------------------------------------------------------------------------------------------------------

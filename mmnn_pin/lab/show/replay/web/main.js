@@ -77,7 +77,7 @@ function addLegend(runs, switches) {
 
 const FEW = 3; // runs that are put side by side from the start; of more the first alone is shown
 
-const LAYERS = { reference: ["reference"], paths: ["paths", "wanted"], "tip trace": ["traces"] };
+const LAYERS = { reference: ["reference"], paths: ["paths", "wanted"], "tip trace": ["traces"], "hand frame": ["frames"] };
 
 /** What is switched on; `update` shows it, by `redraw` in the end. */
 class Switches {

@@ -17,7 +17,7 @@ class RunView {
     this.events = run.events.map((event) =>
       ({ ...event, start: Math.min(event.start, this.duration), end: event.end ?? Infinity }));
     this.twins = []; // earlier runs with the same reference
-    this.layers = { reference: [], wanted: [], paths: [], traces: [] };
+    this.layers = { reference: [], wanted: [], paths: [], traces: [], frames: [] };
     this.growing = [];
     this.step = Math.ceil(run.frames / LONGEST_TRACE);
     if (run.reference) {
@@ -25,6 +25,8 @@ class RunView {
       this.wished = new Float32Array(run.width);
       this.add("reference", this.ghost.group);
     }
+    this.hands = (run.hands ?? []).map((hand) => ({ ...hand, axes: axesOf(THREE, 1), wish: axesOf(THREE, 0.35) }));
+    for (const { axes, wish } of this.hands) for (const each of [wish, axes]) this.add("frames", each);
   }
 
   /** The path and the traces of the tips, driven and wanted. */
@@ -36,10 +38,16 @@ class RunView {
     const grow = (layer, points, half, material) => this.growing.push(this.addBand(layer, points, half.map(wide), material));
     const above = wide(0.006 + 0.001 * this.order);
     if (robot.mobile) grow("paths", this.ground(run.position, above), [0.011, 0.0008], driven);
-    for (const tip of robot.tips) grow("traces", this.trace(run.position, tip), [0.005, 0.005], traced);
+    const tips = this.hands.length ? [] : robot.tips; // a hand's own frame is traced in the place of the arm's tip
+    for (const tip of tips) grow("traces", this.trace(run.position, tip), [0.005, 0.005], traced);
+    for (const { pose, wanted, axes, wish } of this.hands) {
+      grow("traces", this.drawn(pose), [0.005, 0.005], traced);
+      this.addBand("wanted", this.drawn(wanted), [0.003, 0.003].map(wide), grey);
+      for (const each of [axes, wish]) each.scale.setScalar(wide(0.12));
+    }
     if (!run.reference) return;
     if (robot.mobile) this.addBand("wanted", this.ground(run.reference, wide(0.004)), [0.02, 0.0004].map(wide), grey);
-    for (const tip of robot.tips) this.addBand("wanted", this.trace(run.reference, tip), [0.003, 0.003].map(wide), grey);
+    for (const tip of tips) this.addBand("wanted", this.trace(run.reference, tip), [0.003, 0.003].map(wide), grey);
   }
 
   add(layer, object) {
@@ -58,6 +66,21 @@ class RunView {
     const { width } = this.run, points = [];
     for (let i = 0; i < table.length; i += width * this.step) points.push(table[i], table[i + 1], height);
     return points;
+  }
+
+  /** The path of a hand's poses (k, 7), above the floor, (k, 3). */
+  drawn(poses) {
+    const points = [], floor = this.robot.frame[3];
+    for (let i = 0; i < poses.length; i += 7 * this.step) points.push(poses[i], poses[i + 1], poses[i + 2] - floor);
+    return points;
+  }
+
+  /** Put axes where a hand's poses (k, 7) have them between two frames. */
+  place(axes, poses, low, high, share) {
+    const turned = (frame) => new this.THREE.Quaternion().fromArray(poses, 7 * frame + 3);
+    const [x, y, z] = [0, 1, 2].map((i) => poses[7 * low + i] + share * (poses[7 * high + i] - poses[7 * low + i]));
+    axes.position.set(x, y, z - this.robot.frame[3]);
+    axes.quaternion.copy(turned(low).slerp(turned(high), share));
   }
 
   /** Where the tips are, done and wanted, (k, 3) each. */
@@ -92,6 +115,10 @@ class RunView {
       blend(run.reference, low, high, share, run.width, this.wished);
       this.ghost.set(this.wished);
     }
+    for (const { pose, wanted, axes, wish } of this.hands) {
+      this.place(axes, pose, low, high, share);
+      this.place(wish, wanted, low, high, share);
+    }
     const seen = share < 1 ? low : high;
     for (const band of this.growing) {
       const ends = band.userData.ends;
@@ -113,6 +140,20 @@ class RunView {
     }
     return here;
   }
+}
+
+/** The axes of a frame, a unit long: x red, y green, z blue; they are seen through what is before them. */
+function axesOf(THREE, opacity) {
+  const axes = new THREE.Group();
+  [0xe0403a, 0x2fa84f, 0x3b6fe0].forEach((color, i) => {
+    const size = [0, 1, 2].map((k) => (k === i ? 1 : opacity < 1 ? 0.03 : 0.05));
+    const look = { color: flat(THREE, color), transparent: true, opacity, depthTest: false };
+    const bar = new THREE.Mesh(new THREE.BoxGeometry(...size), new THREE.MeshBasicMaterial(look));
+    bar.position.setComponent(i, 0.5);
+    bar.renderOrder = 5;
+    axes.add(bar);
+  });
+  return axes;
 }
 
 function blend(table, low, high, share, width, out) {

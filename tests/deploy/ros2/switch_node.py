@@ -1,0 +1,52 @@
+"""Someone at a real ROS 2 (rclpy) who resets a robot after a trip, and stops it; tells as JSON what was answered."""
+
+import json
+import os
+import sys
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import Trigger
+
+ERROR = b"\x02"
+
+
+def main():
+    rclpy.init()
+    node, level, told = rclpy.create_node("switch"), [b"\0"], {}
+    node.create_subscription(DiagnosticArray, "/diagnostics", lambda m: level.__setitem__(0, m.status[0].level), 10)
+    reset, stop = (node.create_client(Trigger, f"/mmnn/{name}") for name in ("reset", "stop"))
+    told["there"] = reset.wait_for_service(60.0) and stop.wait_for_service(60.0)
+
+    def ask(client):
+        future = client.call_async(Trigger.Request())
+        rclpy.spin_until_future_complete(node, future, timeout_sec=10.0)
+        found = future.result()
+        return None if found is None else [found.success, found.message]
+
+    def wait(tripped):
+        limit = time.monotonic() + 20.0
+        while (level[0] == ERROR) != tripped and time.monotonic() < limit:
+            rclpy.spin_once(node, timeout_sec=0.1)
+        return (level[0] == ERROR) == tripped
+
+    while level[0] != ERROR and "early" not in told:  # the robot is driven by now: nothing to reset
+        rclpy.spin_once(node, timeout_sec=0.1)
+        told["early"] = ask(reset)
+    told["tripped"] = wait(True)
+    told["blind"] = ask(reset)
+    limit = time.monotonic() + 20.0
+    while not (answer := ask(reset) or [False])[0] and time.monotonic() < limit:
+        time.sleep(0.1)
+    told["reset"], told["runs"] = answer, wait(False)
+    time.sleep(1.0)
+    told["stop"], told["stopped"] = ask(stop), wait(True)
+    time.sleep(1.0)
+    told["again"], told["runs again"] = ask(reset), wait(False)
+    print(json.dumps(told), flush=True)
+    os._exit(0)  # rclpy's destructors are not what is tested
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,144 @@
+"""The YAML for ros2_control, against what its controllers declare.
+
+Facts are those of the repositories ros-controls/ros2_controllers, branches jazzy (ed360c97) and kilted (0f8eb14e), and
+ros-controls/ros2_control (9ffbf97f, cbe7d2c3): names and types of parameters in `*/src/*_parameter*.yaml`, classes in
+`*_plugin*.xml`, topics in the controllers' sources. Both branches agree on them.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+yaml = pytest.importorskip("yaml", reason="pip install pyyaml")
+
+from places import ROOT  # noqa: E402
+
+from mmnn_pin.cli import main  # noqa: E402
+
+MANAGER = {"update_rate": int}
+STRINGS, NUMBERS = list[str], list[float]
+DIFF_DRIVE = {
+    "left_wheel_names": STRINGS, "right_wheel_names": STRINGS, "wheel_separation": float, "wheel_radius": float,
+    "wheel_separation_multiplier": float, "left_wheel_radius_multiplier": float, "right_wheel_radius_multiplier": float,
+    "tf_frame_prefix_enable": bool, "tf_frame_prefix": str, "odom_frame_id": str, "base_frame_id": str,
+    "pose_covariance_diagonal": NUMBERS, "twist_covariance_diagonal": NUMBERS, "open_loop": bool,
+    "position_feedback": bool, "enable_odom_tf": bool, "cmd_vel_timeout": float, "publish_limited_velocity": bool,
+    "velocity_rolling_window_size": int, "publish_rate": float,
+}  # fmt: skip
+GROUP = {"joints": STRINGS, "interface_name": str}
+TRAJECTORY = {"joints": STRINGS, "command_joints": STRINGS, "command_interfaces": STRINGS, "state_interfaces": STRINGS}
+STATES = {"use_local_topics": bool, "joints": STRINGS, "extra_joints": STRINGS, "interfaces": STRINGS, "frame_id": str}
+CLASSES: dict[str, tuple[dict[str, Any], str]] = {  # their parameters, and the topic that they take
+    "joint_state_broadcaster/JointStateBroadcaster": (STATES, ""),
+    "diff_drive_controller/DiffDriveController": (DIFF_DRIVE, "cmd_vel"),
+    "effort_controllers/JointGroupEffortController": (GROUP, "commands"),
+    "velocity_controllers/JointGroupVelocityController": (GROUP, "commands"),
+    "position_controllers/JointGroupPositionController": (GROUP, "commands"),
+    "joint_trajectory_controller/JointTrajectoryController": (TRAJECTORY, "joint_trajectory"),
+}
+FILE = """robot = "{robot}"
+rate = 250
+[network]
+namespace = "{namespace}"
+[joint_states]
+names = {{ arm_1_joint = "shoulder" }}
+[[commands]]
+topic = "base/cmd_vel"
+type = "TwistStamped"
+[[commands]]
+topic = "/first/commands"
+interface = "velocity"
+joints = ["shoulder"]
+[[commands]]
+topic = "/second/joint_trajectory"
+type = "JointTrajectory"
+interface = "position"
+joints = ["arm_2_joint"]
+"""
+
+
+def is_a(value: Any, kind: Any) -> bool:
+    """Whether YAML gives ROS 2 a parameter of a type: 1 is no double there, and an empty list has no type."""
+    if kind in (STRINGS, NUMBERS):
+        inner = str if kind == STRINGS else float
+        return isinstance(value, list) and len(value) > 0 and all(type(one) is inner for one in value)
+    return type(value) is kind
+
+
+def judged(text: str) -> dict[str, Any]:
+    """What a YAML tells ros2_control, every key and value held to what is declared; parameters by class."""
+    whole, found = yaml.safe_load(text), {}
+    manager = dict(whole.pop("controller_manager")["ros__parameters"])
+    kinds = {name: manager.pop(name)["type"] for name in list(manager) if isinstance(manager[name], dict)}
+    assert all(is_a(value, MANAGER[name]) for name, value in manager.items())
+    for key, table in whole.items():
+        kind = kinds.pop(key.rpartition("/")[2])
+        given = table["ros__parameters"]
+        for name, value in given.items():
+            assert name in CLASSES[kind][0], f"{kind} has no parameter {name}"
+            assert is_a(value, CLASSES[kind][0][name]), f"{kind}: {name}: {value!r}"
+        found[kind] = given | {"key": key}
+    assert set(kinds.values()) <= {"joint_state_broadcaster/JointStateBroadcaster"}  # it needs none
+    return found | {"update_rate": manager["update_rate"]}
+
+
+def printed(capsys: Any, *options: str) -> tuple[int, str]:
+    code = main(["ros2", *options])
+    told = capsys.readouterr()
+    return code, told.out + told.err
+
+
+def test_the_example_gets_controllers_that_speak_on_its_topics(tmp_path: Path, capsys: Any) -> None:
+    """`diff_drive_controller` tells the odometry on `~/odom`: the example listens there."""
+    file = tmp_path / "robot.toml"
+    file.write_text(printed(capsys, "--example")[1])
+    code, text = printed(capsys, str(file), "--controllers")
+    assert code == 0
+    found = judged(text)
+    drive = found["diff_drive_controller/DiffDriveController"]
+    assert drive["wheel_separation"] == 0.342 and drive["wheel_radius"] == 0.075
+    assert drive["left_wheel_names"] == ["wheel_left_joint"] and drive["base_frame_id"] == "base_footprint"
+    assert drive["publish_rate"] == found["update_rate"] == 200 and drive["velocity_rolling_window_size"] == 1
+    topics = set(re.findall(r"(/\S+) ", printed(capsys, str(file), "--check")[1]))
+    assert {"/diff_drive_controller/odom", "/diff_drive_controller/cmd_vel", "/joint_states"} <= topics
+    for kind, (_, topic) in CLASSES.items():
+        if kind in found and topic:
+            assert f"/{found[kind]['key']}/{topic}" in topics
+
+
+def test_namespaces_names_and_every_interface(tmp_path: Path, capsys: Any) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(FILE.format(robot="platform_arm", namespace="/robot_1"))
+    code, text = printed(capsys, str(file), "--controllers")
+    assert code == 0, text
+    found = judged(text)
+    assert found["diff_drive_controller/DiffDriveController"]["key"] == "/robot_1/base"
+    assert found["velocity_controllers/JointGroupVelocityController"]["joints"] == ["shoulder"]
+    trajectory = found["joint_trajectory_controller/JointTrajectoryController"]
+    assert trajectory["command_interfaces"] == ["position"] and trajectory["key"] == "second"
+
+
+@pytest.mark.parametrize(
+    ("good", "bad", "why"),
+    [
+        ('"/first/commands"', '"/first/efforts"', "11:commands.1.topic: error: no controller takes '/first/efforts'"),
+        ('"TwistStamped"', '"Twist"', "9:commands.0.type: error: this is not diff_drive_controller's"),
+    ],
+)
+def test_what_no_controller_takes_is_one_line(tmp_path: Path, capsys: Any, good: str, bad: str, why: str) -> None:
+    file = tmp_path / "robot.toml"
+    file.write_text(FILE.format(robot="platform_arm", namespace="").replace(good, bad))
+    code, text = printed(capsys, str(file), "--controllers")
+    assert code == 2 and why in text and len(text.strip().splitlines()) == 1, text
+
+
+def test_the_page_shows_what_is_declared() -> None:
+    page = (ROOT / "docs/how-to/ros2.md").read_text()
+    blocks = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    assert blocks
+    for block in blocks:
+        assert len(judged(block)) > 2
