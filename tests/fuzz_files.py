@@ -3,7 +3,8 @@
 python tests/fuzz_files.py [--files 10000] [--seed 0] [--batch 100] [--kinds recording study ...]
 
 A batch is worked through in a process of its own, so that a crash of the interpreter is seen and its file known. Every
-command has 10 s of processor time (300 s in all, if it waits) and 1 GB more than at the start there; what it writes,
+command has 10 s of processor time (300 s in all, if it waits) and 1 GB more than at the start there, all without
+compiling; one that takes longer is tried again compiled; what it writes,
 makes or removes outside its output folder, what it runs out of a file, and what it reads from a folder that nobody
 named is noticed.
 """
@@ -661,8 +662,8 @@ def mutant(sources: Path, folder: Path, kind: str, seed: int, cheap: bool) -> li
     return [*rng.choice(commands).split(), *(["--json"] if rng.random() < 0.5 else [])]
 
 
-def work_through(sources: Path, kinds: list[str], first: int, last: int, cheap: bool) -> None:
-    """Try the mutants of some seeds, one line each on standard output."""
+def work_through(sources: Path, kinds: list[str], first: int, last: int, cheap: bool, twice: bool = False) -> None:
+    """Try the mutants of some seeds, one line each on standard output; `twice` lets the command compile before."""
     import mmnn_pin.cli.output
     import mmnn_pin.lab.show.report
 
@@ -674,6 +675,12 @@ def work_through(sources: Path, kinds: list[str], first: int, last: int, cheap: 
         for seed in range(first, last):
             folder, kind = Path(scratch) / "here", kinds[seed % len(kinds)]
             command = mutant(sources, folder, kind, seed, cheap)
+            if twice:
+                with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+                    mmnn_pin.cli.main(command)
+                os.chdir("/")
+                shutil.rmtree(folder)
+                mutant(sources, folder, kind, seed, cheap)
             print(seed, kind.replace(" ", "_"), end=" ", file=out, flush=True)
             said = verdict(command, folder)
             said = said if said in GOOD else f"`{' '.join(command)}`: {said}"
@@ -682,10 +689,35 @@ def work_through(sources: Path, kinds: list[str], first: int, last: int, cheap: 
             shutil.rmtree(folder)
 
 
+def slow_without_compiling(line: str) -> bool:
+    """Whether a verdict tells of too much time."""
+    return f": more than {SECONDS} s" in line
+
+
+def worked(
+    sources: Path, kinds: list[str], first: int, last: int, cheap: bool, twice: bool = False
+) -> tuple[list[list[str]], str]:
+    """The lines of a process that works some seeds through, as number, kind and verdict; and how it ended."""
+    command = [sys.executable, __file__, "--sources", str(sources), "--work", str(first), str(last)]
+    environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "MPLBACKEND": "agg"}
+    environment |= {"NUMBA_DISABLE_JIT": str(int(not twice))}
+    done = subprocess.run(
+        [*command, *["--cheap"] * cheap, *["--twice"] * twice, "--kinds", *kinds],
+        capture_output=True,
+        text=True,
+        timeout=60 * (last - first) + 600,
+        env=environment,
+    )
+    lines = [line.split(" ", 2) for line in done.stdout.splitlines()]
+    if not lines:
+        raise RuntimeError(done.stderr)
+    return lines, f"crash, exit code {done.returncode}: {done.stderr[-300:]}"
+
+
 def fuzz(
     sources: Path, files: int, seed: int = 0, batch: int = 100, kinds: list[str] | None = None, cheap: bool = False
 ) -> tuple[dict[str, collections.Counter[str]], list[str]]:
-    """Try many mutants in subprocesses, without compiling.
+    """Try many mutants in subprocesses.
 
     Returns:
         Per kind how often each verdict came, and every line that tells of something wrong.
@@ -693,25 +725,16 @@ def fuzz(
     kinds = kinds or list(KINDS)
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     wrong: list[str] = []
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "MPLBACKEND": "agg"}
-    for first in range(seed, seed + files, batch):
-        last = min(first + batch, seed + files)
+    for start in range(seed, seed + files, batch):
+        first, last = start, min(start + batch, seed + files)
         while first < last:
-            command = [sys.executable, __file__, "--sources", str(sources), "--work", str(first), str(last)]
-            done = subprocess.run(
-                [*command, *["--cheap"] * cheap, "--kinds", *kinds],
-                capture_output=True,
-                text=True,
-                timeout=60 * batch,
-                env=environment,
-            )
-            lines = [line.split(" ", 2) for line in done.stdout.splitlines()]
-            for number, kind, said in lines:
-                crashed = f"crash, exit code {done.returncode}: {done.stderr[-300:]}"
+            lines, end = worked(sources, kinds, first, last, cheap)
+            for number, kind, verdict in lines:
+                said = verdict
+                if slow_without_compiling(said):
+                    said = worked(sources, kinds, int(number), int(number) + 1, cheap, twice=True)[0][-1][-1]
                 counts[kind][said if said in GOOD else "wrong"] += 1
-                wrong += [] if said in GOOD else [f"seed {number}, {kind}: {said or crashed}"]
-            if not lines:
-                raise RuntimeError(done.stderr)
+                wrong += [] if said in GOOD else [f"seed {number}, {kind}: {said or end}"]
             first = int(lines[-1][0]) + 1  # after a crash: go on behind it
     return dict(counts), wrong
 
@@ -725,10 +748,11 @@ def main() -> int:
     parser.add_argument("--kinds", nargs="+", default=list(KINDS))
     parser.add_argument("--sources", type=Path)
     parser.add_argument("--cheap", action="store_true", help="Without the commands that take seconds each.")
+    parser.add_argument("--twice", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--work", type=int, nargs=2, help=argparse.SUPPRESS)
     given = parser.parse_args()
     if given.work:
-        work_through(given.sources, given.kinds, *given.work, given.cheap)
+        work_through(given.sources, given.kinds, *given.work, given.cheap, given.twice)
         return 0
     with tempfile.TemporaryDirectory() as scratch:
         sources = given.sources or sound_files(Path(scratch) / "sources")

@@ -29,6 +29,7 @@ HEADERS = (
         "mmnn identify bag_folder --robot ur10 --out ur10_identified",
         "mmnn identify q.csv v.csv tau.csv --robot tiago --columns 'position.{joint}={joint}_pos'",
         "mmnn identify log.mcap --robot my_arm.urdf --torque-constant joint_1=13.6 --torque-constant joint_2=13.6",
+        "mmnn identify log.mcap --robot my_arm.urdf --torque-constant joint_1=?     from what the others feel",
         "mmnn identify with_load.csv --robot identified/my_arm.urdf --payload     what the hand carries",
         "mmnn identify fit.csv --held-out other.csv --robot my_arm.urdf --stribeck 0.05",
     ),
@@ -52,7 +53,7 @@ HEADERS = (
 @click.option("--degrees", is_flag=True, help="Angles are in degrees.")
 @click.option(
     "--torque-constant", "constants", metavar="JOINT=K", multiple=True,
-    help="Torque at the joint per unit of its recorded effort, for motor currents; repeatable.",
+    help="Torque at the joint per unit of its recorded effort, for motor currents; '?' finds it. Repeatable.",
 )  # fmt: skip
 @click.option(
     "--held-out",
@@ -108,7 +109,7 @@ def identify(
     given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
     found = identification.identify(
         loaded, given, held_out=judged, cutoff=cutoff, stribeck=stribeck,
-        torque_constants=numbers(constants, "--torque-constant"),
+        torque_constants=constants_of(constants),
     )  # fmt: skip
     report = corrected.report_of(found)
     files = corrected.write(found, out, force) if found.better or even_if_worse else {}
@@ -123,6 +124,12 @@ def identify(
         why = "the fit is no better than what it is compared with" if found.plausible else units
         warn(f"nothing written: {why}; --even-if-worse writes it")
     return DONE if files else FAILED
+
+
+def constants_of(given: tuple[str, ...]) -> dict[str, float | None]:
+    """Torque constants by motor, None for those to be found."""
+    unknown = {text.removesuffix("=?"): None for text in given if text.endswith("=?")}
+    return numbers([text for text in given if not text.endswith("=?")], "--torque-constant") | unknown
 
 
 def carried(

@@ -104,12 +104,17 @@ def new_hardware(
 
 
 def expected_of(loop: Setup, acceleration: Array) -> Expected:
-    """What an observer on a model is told, into an acceleration (p,) of its state; nothing, into one of size 0."""
+    """What an observer on a model is told, into an acceleration (p,) of its state; nothing, into one of size 0.
+
+    No velocity counts as lighter than its gain times the control period: what a sample answers to it would be expected
+    to turn it round, and the expectation would swing by itself.
+    """
     if not acceleration.size:
         return Expected(np.zeros(0), 0.0, acceleration)
     believed = believed_by(loop)
     places = (Start().state(believed, row)[0] for row in postures(believed))
-    inertia = effective_inertia(believed, places, loop.timing.control_period)
+    h = loop.timing.control_period
+    inertia = np.maximum(effective_inertia(believed, places, h), h * stopping_gains(loop))
     return Expected(inertia, float(leads(loop.controller)), acceleration)
 
 

@@ -40,7 +40,7 @@ from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import Context, ControllerState, Law
 from .law import KERNELS, Kernels, constant_gain, nothing_to_keep
-from .prior import ParameterLearner, gains_of, prior_of, scales, tempo
+from .prior import ParameterLearner, balls, gains_of, lightness, prior_of, scales, tempo
 from .pseudo_inertia import BODY, Bodies, directions, lifted, move, pseudo_inertias, vector_of
 
 POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
@@ -67,9 +67,9 @@ class AdaptiveSettings(Settings, frozen=True):
         share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut.
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
-        heaviest: The same upwards. Too light an estimate is too little of a feedforward; one too heavy is a feedback,
-            by the feedback inside nudot_ref, and noise of velocities drives it there. The prior suits the gains, and
-            so does the robot: it is a few times as heavy at most (`tests/torque/test_adaptive.py`).
+        heaviest: The largest ratio of an estimate to a body of `mass` and `size`, where it starts from these. Too light
+            an estimate is too little of a feedforward; one too heavy is a feedback, by the feedback inside nudot_ref,
+            and noise of velocities drives it there. A prior that was made lighter may grow as much more.
         friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
         initial: "prior" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's (in an
             experiment the one of `[nominal]`).
@@ -251,7 +251,7 @@ class Adaptive(ParameterLearner):
             h=float(context.control_period),
             gamma=faster * float(own.rate),
             least=1.0 / own.bounds,
-            most=float(min(own.bounds, own.heaviest)),
+            most=self._most.copy(),
             roots=roots,
             inverses=np.array([inverse(C) for C in roots]).reshape(roots.shape),
             rates=rates,
@@ -319,6 +319,15 @@ class Adaptive(ParameterLearner):
         pairs = zip(pseudo_inertias(self.nominal[:first]), pseudo_inertias(prior[:first]), strict=True)
         theta[:first] = np.concatenate([vector_of(lifted(P, G)) for P, G in pairs])
         return theta
+
+    @cached_property
+    def _most(self) -> Array:
+        """Largest ratios of the bodies' estimates to their start, (bodies,)."""
+        own, K = self.settings, gains_of(self.regressor, self.feedback)
+        if own.initial == "nominal":
+            return np.full(len(self.regressor.bodies), float(own.bounds))
+        share = lightness(self.regressor, balls(self.regressor, own.mass, own.size), K, own.slowest)
+        return np.minimum(own.bounds, own.heaviest / share)
 
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""

@@ -26,6 +26,7 @@ from .controller import CompiledController, Context, ControllerState, Feedback, 
 from .filtered import new_filter, parts
 from .law import constant_gain
 from .linear import Linear, Parts, left
+from .prior import identified
 from .random_features import BILINEAR, GENERIC, Random, fill, paired, size, terms
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
@@ -76,10 +77,15 @@ class KalmanRegressorSettings(KalmanSettings, frozen=True):
     """`kalman_regressor`: Phi is the regressor of a robot whose masses are not known; arguments as in `KalmanSettings`.
 
     What it can say is true, so a wide prior costs nothing, and friction of small joints needs one.
+
+    Args:
+        start: A file `NAME.identified.json` of `mmnn identify`: it begins with the parameters found there, and knows
+            them as well as their covariance says; empty for nothing known.
     """
 
     noise: float = 0.1
     prior: float = 10.0
+    start: str = ""
 
     section: ClassVar[str] = "kalman.regressor"
     excited: ClassVar[float] = 0.1  # the velocities share what is learned: a little excitation tells them much
@@ -168,7 +174,8 @@ class Kalman(CompiledController):
         settings: `KalmanRegressorSettings`, `KalmanBilinearSettings`, `KalmanFeaturesSettings` or
         `KalmanResidualSettings`. machine: What it is told of the robot. feedback: K. regressor: How the robot moves;
         for `KalmanRegressorSettings` and `KalmanResidualSettings`. theta0: (k0,) parameters of a nominal robot in the
-        order of that regressor; for `KalmanResidualSettings`. learning: Off keeps the weights as they are.
+        order of that regressor; for `KalmanResidualSettings`. learning: Off keeps the weights as they are. before:
+        Parameters (k,) that it begins with and their covariance (k, k), of which it takes no more than its prior.
 
     Raises:
         ConfigError: What the settings need is missing, or theta0 is not of the regressor.
@@ -180,6 +187,7 @@ class Kalman(CompiledController):
     regressor: Regressor | None = None
     theta0: Array | None = None
     learning: bool = True
+    before: tuple[Array, Array] | None = None
 
     within_limits: ClassVar[bool] = True
     lyapunov_part = "covariance"
@@ -200,7 +208,9 @@ class Kalman(CompiledController):
         own, told = given.settings, given.told
         motion = told.motion if own.needs_regressor else None
         theta0 = told.parameters if own.needs_nominal else None
-        return cls(own, told.machine, given.feedback, motion, theta0, given.learning)
+        file = own.start if isinstance(own, KalmanRegressorSettings) else ""
+        before = identified(file, told.motion.labels, f"{own.section}.start") if file else None
+        return cls(own, told.machine, given.feedback, motion, theta0, given.learning, before)
 
     @classmethod
     def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
@@ -211,7 +221,8 @@ class Kalman(CompiledController):
         motion = told.motion if settings.needs_regressor else None
         theta0 = np.array(facts["theta0"]) if "theta0" in facts else None
         feedback = msgspec.convert(facts["feedback"], Feedback)
-        return cls(settings, told.machine, feedback, motion, theta0, facts["learning"])
+        before = tuple(np.array(each, float) for each in facts["before"]) if "before" in facts else None
+        return cls(settings, told.machine, feedback, motion, theta0, facts["learning"], before)  # type: ignore[arg-type]
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -323,7 +334,18 @@ class Kalman(CompiledController):
             share[rest] *= max(1.0, wide * wide / share[rest].sum())
         state["prior"] = self.settings.prior * self.settings.prior * share / np.where(matters, square, 1.0)
         state["D"] = state["prior"]
+        if self.before is not None:
+            self._begin(state, *self.before)
         return state
+
+    def _begin(self, state: ControllerState, theta: Array, covariance: Array) -> None:
+        """Begin with parameters and covariance; what that says nothing of keeps the prior, which bounds the rest."""
+        said, prior = np.diag(covariance), state["prior"]
+        share = np.sqrt(np.minimum(1.0, prior / np.where(said > 0.0, said, 1.0)))
+        P = covariance * np.outer(share, share)
+        P[np.diag_indices_from(P)] = np.where(said > 0.0, np.diag(P), prior)
+        state["W"] = theta[None]
+        state["U"], state["D"] = factors(P)
 
     def typical(self, state: ControllerState, seed: int = 0) -> Array:
         """Features of random motion at 1 m/s, 1 rad/s, 1 m/s^2, 1 rad/s^2, (samples, rows, k)."""
@@ -349,7 +371,8 @@ class Kalman(CompiledController):
         """Gains and settings, and what it was told of a nominal robot."""
         own = {"feedback": plain(self.feedback), "settings": plain(self.settings), "learning": self.learning}
         labels = {} if self.drawn or self.regressor is None else {"labels": list(self.regressor.labels)}
-        return own | labels | ({} if self.theta0 is None else {"theta0": self.theta0.tolist()})
+        before = {} if self.before is None else {"before": [each.tolist() for each in self.before]}
+        return own | labels | before | ({} if self.theta0 is None else {"theta0": self.theta0.tolist()})
 
     def features(self, law: Law, state: ControllerState) -> Array | None:
         """Phi, (rows, k); while it learns, that of the last control period."""
@@ -396,9 +419,22 @@ class Kalman(CompiledController):
         """Of all parameters that say the same Psi on every motion those nearest to the start, measured by the prior."""
         if self.regressor is None or self.drawn is not None:
             return None
-        matters = self.regressor.identifiable()
+        matters, first = self.regressor.identifiable(), start["W"][0]
         spread = start["prior"][:, None] * matters
-        return np.asarray(spread @ np.linalg.solve(matters.T @ spread, matters.T @ theta))
+        return np.asarray(first + spread @ np.linalg.solve(matters.T @ spread, matters.T @ (theta - first)))
+
+
+def factors(P: Array) -> tuple[Array, Array]:
+    """U (k, k) and D (k,) of `P = U D U'`, U as `torque.linear` keeps it; P is positive semidefinite."""
+    rest, k = P.copy(), len(P)
+    U, D = np.zeros((k, k)), np.zeros(k)
+    for j in range(k - 1, -1, -1):
+        if rest[j, j] <= NEGLIGIBLE * P[j, j]:
+            continue
+        D[j] = rest[j, j]
+        U[j, :j] = rest[:j, j] / D[j]
+        rest[:j, :j] -= D[j] * np.outer(U[j, :j], U[j, :j])
+    return U, D
 
 
 def at_rest(random: Random, k: int) -> NDArray[np.bool_]:

@@ -8,8 +8,11 @@ prior is made lighter, body by body, until no velocity feels more inertia of it 
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -188,3 +191,33 @@ def scales(regressor: Regressor, K: Array) -> Array:
     joints = 1.0 / product(known.joints**2, 1.0 / K)
     alone = regressor.size - regressor.inertial - 3 * len(joints) - known.base  # dry friction of the base's turning
     return np.concatenate((joints, K[: known.base], joints, joints, K[1 : 1 + alone]))
+
+
+def identified(file: str, labels: Sequence[str], key: str) -> tuple[Array, Array]:
+    """What `mmnn identify` found: parameters of these names (k,), and their covariance (k, k).
+
+    Args:
+        file: `NAME.identified.json`.
+        labels: Names of a regressor's parameters.
+        key: Of the setting, for errors.
+
+    Raises:
+        ConfigError: No such file, one that `mmnn identify` has not written, or one of another robot.
+    """
+    fix = "give NAME.identified.json as mmnn identify writes it"
+    try:
+        report = json.loads(Path(file).read_bytes())
+        names, theta, covariance = list(report["labels"]), np.array(report["theta"]), np.array(report["covariance"])
+        right = theta.shape == (len(names),) and covariance.shape == (len(names), len(names))
+        if not (
+            right and np.isfinite(theta).all() and np.isfinite(covariance).all() and (np.diag(covariance) >= 0).all()
+        ):
+            raise ValueError
+    except OSError as error:
+        raise ConfigError(f"cannot read '{file}'", why=str(error.strerror), fix=fix, key=key) from None
+    except (ValueError, KeyError, TypeError):
+        raise ConfigError(f"'{file}' is no report of an identification", fix=fix, key=key) from None
+    if missing := [name for name in labels if name not in names]:
+        raise ConfigError(f"'{file}' has no {missing[0]}", why="it is of another robot", fix=fix, key=key)
+    at = [names.index(name) for name in labels]
+    return theta[at], covariance[np.ix_(at, at)]

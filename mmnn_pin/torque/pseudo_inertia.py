@@ -33,7 +33,7 @@ class Bodies(NamedTuple):
         h: Control period [s].
         gamma: Rate of the pseudo-inertias [1/J].
         least: Bound below on the ratio of P to P_0.
-        most: And above.
+        most: (bodies,) and above.
         roots: (bodies, 4, 4) lower triangular `P_0 = C C'`.
         inverses: (bodies, 4, 4) `C^-1`.
         rates: (k - 10 bodies,) gamma_j.
@@ -48,7 +48,7 @@ class Bodies(NamedTuple):
     h: float
     gamma: float
     least: float
-    most: float
+    most: Array
     roots: Array
     inverses: Array
     rates: Array
@@ -128,8 +128,8 @@ def update_body(theta: Array, eta: float, sigma: float, a: Bodies, b: int) -> No
     exponential(X, L)
     product(B, L, X)
     product(X, X.T, Q)
-    if not within(Q, a.least, a.most, L, half):
-        clip(Q, a.least, a.most, L, half)
+    if not within(Q, a.least, a.most[b], L, half):
+        clip(Q, a.least, a.most[b], L, half)
     sandwich(a.roots[b], Q, L, X)
     to_vector(X, theta)
 

@@ -39,8 +39,10 @@ def cell(values: list[Any] | None, infinite: str = "never") -> str:
     return number(mid) + (f" ±{spread:.0f} %" if spread >= 1 else "")
 
 
-def middle(values: list[Any]) -> str:
-    """The median alone."""
+def middle(values: list[Any] | None) -> str:
+    """The median alone; a number that is missing is one of a run that was lost."""
+    if values is None:
+        return "lost"
     return "never" if values[1] == "inf" else number(values[1])
 
 

@@ -266,6 +266,30 @@ def test_the_observer_on_a_model_learns_what_it_was_not_told(told):
     np.testing.assert_allclose(wire.bias, (1.0 - told) * truth, atol=1e-5)
 
 
+def largest_eigenvalue(gain, ratio, bandwidth, h=0.001, rate=7.0):
+    """Of a kilogram under a held force `-gain (v + rate x)` by the observer, which takes its mass for `ratio`."""
+    alpha, beta, gamma = Sensor(velocity="model", bandwidth=bandwidth)._derivative(h)
+
+    def step(z):
+        q, v, x, r, b, a = z
+        change = h * (a + b)
+        off = q - x - h * (r + 0.5 * change)
+        x, r, b = q - off + alpha * off, r + change + beta * off, b + gamma * off
+        force = -gain * (r + rate * x)
+        return np.array([q + h * v + 0.5 * h * h * force, v + h * force, x, r, b, force / ratio])
+
+    return np.abs(np.linalg.eigvals(np.column_stack([step(unit) for unit in np.eye(6)]))).max()
+
+
+@pytest.mark.parametrize("gain", [20.0, 60.0, 200.0, 600.0])
+def test_a_wrong_mass_leaves_the_loop_of_the_observer_stable_if_it_is_not_below_gain_times_period(gain):
+    """Half to three times the mass, with feedback up to ten times as fast as the observer; too light a one is lost."""
+    for ratio in (0.5, 1.0, 2.0, 3.0):
+        for bandwidth in (60.0, 100.0):
+            assert largest_eigenvalue(gain, max(ratio, 0.001 * gain), bandwidth) < 1.0
+    assert largest_eigenvalue(gain, 0.0003 * gain, 60.0) > 1.0
+
+
 def test_velocities_are_true_or_the_rates():
     wire, W = reading(), np.zeros((0, 0))
     wire.nu[:], wire.joints[:, RATE], wire.joints[:, READING] = (1.0, 2.0), (3.0, 4.0), (5.0, 6.0)

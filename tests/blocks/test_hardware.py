@@ -67,6 +67,7 @@ SENSORS = {
     "rough": ROUGH,
     "motor side": Sensor(side="motor"),
     "motor side, differences": Sensor(side="motor", velocity="difference"),
+    "model": Sensor(velocity="model", bandwidth=60.0, resolution=1e-3, wheel_resolution=1e-3, pose="odometry"),
 }
 SAFETIES = {
     "nothing passed": Safety(),
@@ -188,6 +189,7 @@ def test_both_engines_do_the_same_on_robots_that_feel_gravity(make):
         "disturbance: frozen encoder",
         "disturbance: payload",
         "actuator: backlash",
+        "sensor: model",
     ],
 )
 @pytest.mark.parametrize("sixths", [2, 4])

@@ -32,6 +32,7 @@ from mmnn_pin.recording.recording import Recording
 from mmnn_pin.reference import Eight, Sine, Trajectory
 from mmnn_pin.reference.wishes import BaseVelocity
 from mmnn_pin.safety import Safety
+from mmnn_pin.sensing import Sensor
 from mmnn_pin.settings import Timing
 from mmnn_pin.signals import Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
@@ -359,3 +360,12 @@ def test_a_file_tells_how_far_a_run_led_and_what_was_sent(tmp_path):
     assert run["psi_applied"].shape == run["psi_hat"].shape
     np.testing.assert_allclose(run.meta["lead"], 0.5 * loop.timing.control_period)
     assert msgspec.json.decode(msgspec.json.encode(run.meta["lead"])) == run.meta["lead"]
+
+
+@pytest.mark.long
+def test_with_coarse_encoders_computed_torque_errs_by_less_than_a_third_of_a_step():
+    """1.5 mrad at 1 kHz, once the observer has found the speed with which the arm began."""
+    loop = loop_of("two_axis_arm", 0.001, sensor=Sensor(velocity="model", bandwidth=60.0, resolution=0.0015))
+    run = replace(loop, timing=msgspec.structs.replace(loop.timing, duration=3.0)).run()
+    rms = np.sqrt((run["true_e"][run.time > 1.0] ** 2).mean(axis=0))
+    assert run.outcome.status == "completed" and (rms < 0.0015 / 3).all()

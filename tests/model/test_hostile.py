@@ -166,11 +166,26 @@ def test_a_collada_file_of_copies_of_copies_is_refused(data, words, tmp_path):
     (tmp_path / "m.dae").write_bytes(data)
     begun = time.process_time()
     assert damage_of(tmp_path / "m.dae") == words
+
     if words:
         assert vertices_of(tmp_path / "m.dae", 0).size == 0
         with pytest.raises(BrokenMesh, match=words):
             read_mesh(tmp_path / "m.dae")
     assert time.process_time() - begun < 5
+
+
+def test_a_glb_that_states_more_than_it_has_is_not_read(tmp_path):
+    import trimesh
+
+    trimesh.creation.box().export(tmp_path / "m.glb")
+    sound = (tmp_path / "m.glb").read_bytes()
+    assert damage_of(tmp_path / "m.glb") == ""
+    for at in (8, 12):
+        (tmp_path / "m.glb").write_bytes(sound[:at] + (2**31 - 1).to_bytes(4, "little") + sound[at + 4 :])
+        assert damage_of(tmp_path / "m.glb").startswith("it states 21474836")
+    for short in (b"glTF", sound[:19], b"x" * 40):
+        (tmp_path / "m.glb").write_bytes(short)
+        assert damage_of(tmp_path / "m.glb") == "not a whole GLB file"
 
 
 @pytest.mark.parametrize("suffix", ["3mf", "zip", "zae", "glb", "stl"])

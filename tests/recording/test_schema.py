@@ -297,6 +297,19 @@ def test_a_law_that_a_recording_names_is_not_run(place, tmp_path, monkeypatch, c
     assert not (tmp_path / "ran").exists()
 
 
+def test_a_learner_without_its_settings_is_refused_before_anything_is_fitted(tmp_path, monkeypatch):
+    """Its gains would be fitted to the robot along the recorded reference, seconds of work, to find them different."""
+    from mmnn_pin.lab.experiments.experiment import Experiment
+    from mmnn_pin.lab.proof.learner import controller_of
+
+    with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
+        file.attrs["controller"], file.attrs["controller_settings"] = "adaptive", "json:{}"
+    monkeypatch.setattr(Experiment, "fit", lambda *_: pytest.fail("fitted"))
+    recording = Recording.open(tmp_path / "run.h5")
+    with pytest.raises(RecordingError, match="the recording does not tell the settings of adaptive"):
+        controller_of(recording, recorded_robot(recording))
+
+
 def test_no_recording_by_a_name_that_leads_elsewhere(tmp_path):
     os.mkfifo(tmp_path / "pipe.h5")
     for name in ("pipe.h5", "nothing.h5"):

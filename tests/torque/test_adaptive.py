@@ -225,6 +225,19 @@ def test_the_estimate_stays_physical_and_bounded_whatever_comes(seed, size):
         assert (bench.theta[first:] >= 0).all() and (bench.theta[first:] <= bench.a.bodies.top).all()
 
 
+def test_no_body_is_believed_to_be_heavier_than_ten_of_the_priors_however_light_that_was_made():
+    """Under strong gains the prior stays as it is; servo-sized gains make it lighter, and it may grow as much more."""
+    strong = Adaptive(REGRESSOR, Feedback(1e4, 1e4))
+    np.testing.assert_allclose(strong._most, 10.0)
+    weak = Adaptive(REGRESSOR, Feedback(20.0, 0.5))
+    assert (weak._most > 10.0).any() and weak._most.max() <= 100.0
+    for i, body in enumerate(REGRESSOR.bodies):
+        mass = weak.start()[10 * i]
+        assert weak._most[i] == pytest.approx(min(100.0, 10.0 * (30.0 if body == "root" else 2.0) / mass))
+    told = Adaptive(REGRESSOR, Feedback(20.0, 0.5), AdaptiveSettings(initial="nominal"), strong.start())
+    np.testing.assert_array_equal(told._most, 100.0)
+
+
 def test_a_sample_answers_at_most_its_share_of_the_feedback():
     rng, h = np.random.default_rng(1), 2e-3
     Y, s = 100 * rng.standard_normal((4, REGRESSOR.size)), 1e-3 * rng.standard_normal(4)

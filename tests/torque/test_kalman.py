@@ -40,10 +40,12 @@ from mmnn_pin.torque.kalman import (
     KalmanFeaturesSettings,
     KalmanRegressorSettings,
     KalmanResidualSettings,
+    factors,
 )
 from mmnn_pin.torque.law import limit, motor_limits
-from mmnn_pin.torque.linear import Parts, estimate, project, track
+from mmnn_pin.torque.linear import Parts, estimate, measure, project, track
 from mmnn_pin.torque.model_based import ComputedTorque
+from mmnn_pin.torque.prior import identified
 from mmnn_pin.torque.random_features import coprime
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
@@ -659,3 +661,90 @@ def test_a_nominal_robot_that_moves_otherwise_is_refused():
     with pytest.raises(ConfigError, match="does not move as platform_arm") as error:
         experiment.controller("kalman_residual", robot=experiment.load_robot())
     assert error.value.key == "nominal.robot"
+
+
+# -- beginning with what was identified --------------------------------------------------------------------------------
+
+
+def covariance_of(seed: int, size: int = REGRESSOR.size) -> np.ndarray:
+    A = np.random.default_rng(seed).standard_normal((size, size)) * 1e-4
+    return A @ A.T
+
+
+def begun(theta: np.ndarray, covariance: np.ndarray):
+    return replace(learner("regressor"), before=(theta, covariance))
+
+
+@given(seed=seeds, rank=st.integers(1, 12))
+@settings(max_examples=20, deadline=None)
+def test_the_factors_of_a_covariance_are_its_own(seed, rank):
+    A = np.random.default_rng(seed).standard_normal((12, rank)) * np.logspace(-3, 3, 12)[:, None]
+    U, D = factors(A @ A.T)
+    upper = np.triu(U.T, 1) + np.eye(12)
+    np.testing.assert_allclose(upper @ np.diag(D) @ upper.T, A @ A.T, atol=1e-6 * np.abs(A @ A.T).max())
+    assert (D >= 0).all() and not np.triu(U).any()
+
+
+def test_it_begins_with_parameters_and_covariance_within_its_prior():
+    wide, silent = covariance_of(1), REGRESSOR.size - 1
+    wide[0] *= 1e9
+    wide[:, 0] *= 1e9  # more than the prior
+    wide[silent] = wide[:, silent] = 0.0  # nothing said
+    controller = begun(TRUE, wide)
+    state = controller.init(Context(LAYOUT, 0.001, 1))
+    upper = np.triu(state["U"].T, 1) + np.eye(REGRESSOR.size)
+    P, prior = upper @ np.diag(state["D"]) @ upper.T, state["prior"]
+    np.testing.assert_array_equal(state["W"][0], TRUE)
+    assert P[0, 0] == pytest.approx(prior[0]) and P[silent, silent] == pytest.approx(prior[silent])
+    kept = prior[1:silent] > np.diag(wide)[1:silent]
+    assert kept.sum() > 10
+    inside = np.flatnonzero(kept) + 1
+    np.testing.assert_allclose(P[np.ix_(inside, inside)], wide[np.ix_(inside, inside)], rtol=1e-6, atol=1e-18)
+    again = Kalman.from_facts("kalman_regressor", json.loads(json.dumps(controller.facts())), Truth())
+    np.testing.assert_array_equal(again.init(Context(LAYOUT, 0.001, 1)).values, state.values)
+    np.testing.assert_allclose(controller.true_weights(TRUE, state), TRUE, rtol=1e-6, atol=1e-9)
+
+
+class Truth:
+    """What a learner may be told here."""
+
+    motion, machine, parameters = REGRESSOR, machine_of(ROBOT), THETA0
+
+
+def test_a_fit_is_worth_its_covariance():
+    """Begun with the truth it says it at once; what a measurement moves is what the covariance leaves open."""
+    run = loop_of(begun(TRUE, covariance_of(2)), 0.02, sensor=Sensor(), engine="ordinary").run()
+    np.testing.assert_allclose(run["psi_hat"][0], run["psi"][0], rtol=1e-6, atol=1e-6)
+    phi, noise = REGRESSOR.matrix(ROBOT.neutral_position(), *np.full((3, 4), 0.3))[2] / GAINS[2], 1e-2
+    for P in (covariance_of(4), 100.0 * covariance_of(4)):
+        state, f, b = begun(TRUE, P).init(Context(LAYOUT, 0.001, 1)), np.zeros(phi.size), np.zeros(phi.size)
+        assert measure(state["U"], state["D"], phi, noise, f, b) == pytest.approx(noise + phi @ P @ phi)
+        matters = state["prior"] > 0.0  # what no motion tells has no variance
+        np.testing.assert_allclose(b[matters], (P @ phi)[matters], rtol=1e-6, atol=1e-9 * np.abs(P @ phi).max())
+
+
+def test_only_a_report_of_the_same_robot_is_a_start(tmp_path):
+    file, order = tmp_path / "r.identified.json", np.random.default_rng(0).permutation(REGRESSOR.size)
+    labels, C = [*REGRESSOR.labels, "arm_1_joint.offset"], covariance_of(3)
+    more = np.zeros((len(labels), len(labels)))
+    more[:-1, :-1] = C
+    order = [*order, len(labels) - 1]
+    report = {"labels": [labels[i] for i in order], "theta": np.array([*TRUE, 9.0])[order].tolist()}
+    file.write_text(json.dumps(report | {"covariance": more[np.ix_(order, order)].tolist()}))
+    theta, covariance = identified(str(file), REGRESSOR.labels, "kalman.regressor.start")
+    np.testing.assert_array_equal(theta, TRUE)
+    np.testing.assert_array_equal(covariance, C)
+    experiment = load_experiment("track", [f"kalman.regressor.start='{file}'"])
+    made = experiment.controller("kalman_regressor", robot=ROBOT)
+    np.testing.assert_array_equal(made.before[0], TRUE)
+    for text, what in (
+        ("{", "no report"),
+        ('{"labels": ["a"], "theta": [1], "covariance": [[1]]}', "of another robot"),
+    ):
+        file.write_text(text)
+        with pytest.raises(ConfigError, match=what) as error:
+            experiment.controller("kalman_regressor", robot=ROBOT)
+        assert error.value.key == "kalman.regressor.start" and "\n" not in str(error.value)
+    file.unlink()
+    with pytest.raises(ConfigError, match="No such file"):
+        experiment.controller("kalman_regressor", robot=ROBOT)

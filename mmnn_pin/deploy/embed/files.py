@@ -135,9 +135,17 @@ def numbers(values: Array, kind: str, single: bool, per_line: int = 6) -> str:
     return ",\n".join(f"    {line}" for line in lines)
 
 
-def definition(function: Function, is_static: bool) -> str:
-    """A function with its comment."""
-    return f"{function.comment}\n{'static ' if is_static else ''}{function.head}\n{{\n{function.text}\n}}\n"
+def definitions(functions: list[Function], is_static: bool) -> list[str]:
+    """Functions with their comments; compilers are kept from copying what is called from several places into each.
+
+    Those that give a result are algebra, and faster where they are copied.
+    """
+    text, made = "\n".join(function.text for function in functions), []
+    for function in functions:
+        is_one = function.result is None and len(re.findall(rf"\b{function.name}\(", text)) > 1
+        head = f"{'static ' if is_static else ''}{'MMNN_ONCE ' if is_one else ''}{function.head}"
+        made.append(f"{function.comment}\n{head}\n{{\n{function.text}\n}}\n")
+    return made
 
 
 def constants_in(program: Program, text: str) -> str:
@@ -168,7 +176,7 @@ def files_of(export: Export) -> dict[str, str]:
     return {
         "controller.h": render("controller.h", **about, **interface(export)),
         "controller.c": render(
-            "controller.c", **about, **interface(export), functions=[definition(f, True) for f in ours], init=init,
+            "controller.c", **about, **interface(export), functions=definitions(ours, True), init=init,
             constants=constants_in(program, text),
         ),
         "robot_law.h": render("robot_law", is_header=True, **about, tables="\n".join(
@@ -181,7 +189,7 @@ def files_of(export: Export) -> dict[str, str]:
             f"{f.comment}\n{f.head};\n" for f in maths
         )),
         "mmnn_math.c": render(
-            "mmnn_math.c", functions=[definition(f, False) for f in maths], constants=constants_in(double, math_text),
+            "mmnn_math.c", functions=definitions(maths, False), constants=constants_in(double, math_text),
             tables="\n\n".join("static " + table(double, t) for t in own_tables),
         ),
         "CMakeLists.txt": render("CMakeLists.txt"),

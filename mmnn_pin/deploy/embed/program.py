@@ -345,8 +345,11 @@ class Program:
         return integer(value, self.macro(hint, value) if hint else "")
 
     def text_of(self, root: Root) -> str:
-        """A block of memory in C."""
-        return f"self->{root.name}" if root.name in self.written else f"law_{root.name}"
+        """A block of memory in C; tables with the same numbers are one."""
+        if root.name in self.written:
+            return f"self->{root.name}"
+        same = (one for one in self.roots.values() if one.kind == root.kind and one.name not in self.written)
+        return f"law_{next((one.name for one in same if np.array_equal(one.data, root.data)), root.name)}"
 
     # -- types --------------------------------------------------------------------------------------------------------
 

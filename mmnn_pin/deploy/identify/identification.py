@@ -24,6 +24,7 @@ from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...settings.arguments import checked
 from ...signals import Array
+from .constants import constants_of
 from .equations import (
     Bools,
     Equations,
@@ -186,7 +187,7 @@ def identify(
     held_out: Motion | Sequence[Motion] = (),
     cutoff: float | None = None,
     stribeck: float | None = None,
-    torque_constants: Mapping[str, float] | None = None,
+    torque_constants: Mapping[str, float | None] | None = None,
     weight: float | None = None,
 ) -> Identification:
     """Inertias and friction of a robot from recorded motion.
@@ -197,7 +198,8 @@ def identify(
         held_out: Motions to judge on; without any the last third of every log is held out.
         cutoff: Of the low-pass on positions and efforts [Hz]; by default ten times the motion's own frequencies.
         stribeck: Velocity of Stribeck friction [rad/s or m/s]; by default there is none.
-        torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named.
+        torque_constants: Torque per unit of a recorded effort, by motor; 1 for those not named. None finds one
+            from what motors with known ones feel of the same bodies.
         weight: Of the URDF in the consistent fit; by default chosen on blocks left out.
 
     Raises:
@@ -205,6 +207,8 @@ def identify(
         UnknownName: A torque constant of no motor.
         ConfigError: A number that cannot be.
         SolverError: The programme has no solution.
+
+    A constant that is found stands in `notes` with its standard deviation, which those of the fit do not contain.
 
     >>> robot = load("two_axis_arm")
     >>> path = Trajectory.of(robot, arm={"arm_1_joint": Sine(0.8, 1.7), "arm_2_joint": Sine(0.9, 1.1)})
@@ -226,7 +230,12 @@ def identify(
     if judged:
         training = Equations.stacked([training, test])
         test = Equations.stacked([equations(log, unknowns, cutoff, still) for log in judged])
+    wanted = [name for name, value in (torque_constants or {}).items() if value is None]
+    notes: tuple[str, ...] = ()
+    if wanted:
+        training, test, notes = with_constants(training, test, unknowns, wanted)
     found = fitted(robot, every, unknowns, training, test, weight)
+    found = replace(found, notes=(*notes, *found.notes))
     driven = [log for log in every if has_reference(log, robot)]
     return replace(found, wheels=wheels_of(robot, driven)) if driven else found
 
@@ -264,7 +273,28 @@ def require_settings(cutoff: float | None, stribeck: float | None, weight: float
             raise ConfigError(f"{value}", fix="give a finite number > 0", key=f"--{name}")
 
 
-def scaled(log: Log, robot: Robot, constants: Mapping[str, float]) -> Log:
+def with_constants(
+    training: Equations, test: Equations, unknowns: Unknowns, wanted: Sequence[str]
+) -> tuple[Equations, Equations, tuple[str, ...]]:
+    """The equations with torques in the place of efforts whose constants are not known, and what these are.
+
+    Raises:
+        ConfigError: One of a motor that is not alone with a joint, or no motor's is known.
+        RecordingError: The motion does not tell one.
+    """
+    for name in wanted:
+        if name not in unknowns.names:
+            why, fix = "only those of motors are found that drive one joint", "give a number"
+            raise ConfigError(f"no torque constant of '{name}'", why=why, fix=fix, key="--torque-constant")
+    counts, every = np.asarray(training.use.sum(axis=0) >= FEWEST), np.ones(unknowns.robot.dimensions.dof, bool)
+    rows, base = [unknowns.names.index(name) for name in wanted], base_parameters(unknowns, counts, every)
+    found = constants_of(training.only(counts), base, rows, unknowns.names)
+    pairs = zip(wanted, found.value, found.sd, strict=True)
+    notes = tuple(f"torque constant of {name}: {value:.4g}, sd {sd:.2g}" for name, value, sd in pairs)
+    return found.applied(training), found.applied(test), notes
+
+
+def scaled(log: Log, robot: Robot, constants: Mapping[str, float | None]) -> Log:
     """The log with efforts in N m and N.
 
     Raises:
@@ -274,13 +304,13 @@ def scaled(log: Log, robot: Robot, constants: Mapping[str, float]) -> Log:
     for name, value in constants.items():
         if name not in robot.actuator_names:
             raise UnknownName("motor", name, robot.actuator_names, key="--torque-constant")
-        if not (np.isfinite(value) and value != 0):
+        if value is not None and not (np.isfinite(value) and value != 0):
             raise ConfigError(f"{name}={value}", fix="give a finite number that is not 0", key="--torque-constant")
     if not constants:
         return log
     signals = log.signals
     for name, value in constants.items():
-        if f"effort.{name}" in signals:
+        if value is not None and f"effort.{name}" in signals:
             signals[f"effort.{name}"] = signals[f"effort.{name}"] * value
     return log.with_signals(signals)
 

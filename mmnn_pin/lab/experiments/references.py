@@ -94,6 +94,7 @@ class HandTables(Settings, frozen=True):
         frame: A link or joint that the arm moves; empty for the arm's tip.
         position: As of `Task`.
         orientation: As of `Task`; "auto" holds it with six joints or more and leaves it free with fewer.
+        priority: As of `Task`.
         at: Where the path begins in the world, in the world's axes [m]; without it at the hand, in the robot's axes.
         start: Pose of the base at the start [m, m, rad].
         posture: Joints at the start and where tasks leave them free [rad or m]; "auto" for one far from singular.
@@ -113,6 +114,7 @@ class HandTables(Settings, frozen=True):
     frame: str = ""
     position: float | tuple[float, float, float] = 1.0
     orientation: Literal["auto"] | float | tuple[float, float, float] = "auto"
+    priority: int = 0
     at: tuple[float, float, float] | None = None
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     posture: Literal["auto"] | tuple[float, ...] = "auto"
@@ -132,15 +134,19 @@ class HandTables(Settings, frozen=True):
             value = getattr(self, name)
             if value != "auto" and not (np.isfinite(value).all() and (np.asarray(value) > 0).all()):
                 raise ConfigError(f"{value}", fix="use numbers > 0", key=f"reference.hand.{name}")
-        Task(self.frame, self.position, 0.0 if self.orientation == "auto" else self.orientation)
+        self.first(0.0)
+
+    def first(self, turned: float) -> Task:
+        """The task of the frame; `turned` is the weight of an orientation that says "auto"."""
+        orientation = turned if self.orientation == "auto" else self.orientation
+        return Task(self.frame, self.position, orientation, priority=self.priority)
 
     def body_of(self, robot: Robot, period: float) -> WholeBody:
         """The robot with its tasks; errors as of `WholeBody`."""
-        turned = (0.1 if robot.dimensions.arm >= SIX else 0.0) if self.orientation == "auto" else self.orientation
         others = [Task(**{f: getattr(o, f) for f in Task.__struct_fields__}) for o in self.others]
         return WholeBody(
             robot,
-            [Task(self.frame, self.position, turned), *others],
+            [self.first(0.1 if robot.dimensions.arm >= SIX else 0.0), *others],
             settings=self.body,
             limits=self.limits,
             period=period,

@@ -350,7 +350,7 @@ def damage_of(file: Path) -> str:
         return "it is in a format that is not read: use STL, COLLADA or OBJ"
     if size > most:
         return f"it has more than {most // 1_000_000} MB"
-    check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage}.get(file.suffix.lower())
+    check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage, ".glb": glb_damage}.get(file.suffix.lower())
     damage = check(head, tail, size) if check else ""
     return damage or (copies_damage(file) if file.suffix.lower() == ".dae" else "")
 
@@ -404,3 +404,11 @@ def copies_damage(file: Path) -> str:
 def obj_damage(head: bytes, tail: bytes, size: int) -> str:
     """An OBJ file lists vertices, `v x y z`."""
     return "" if head.startswith(b"v ") or b"\nv " in head + tail else "it has no vertices"
+
+
+def glb_damage(head: bytes, tail: bytes, size: int) -> str:
+    """A GLB file states its size and that of its first part, for which a reader makes room at once."""
+    stated, first = (int.from_bytes(head[at : at + 4], "little") for at in (8, 12))
+    if not head.startswith(b"glTF") or size < 20:
+        return "not a whole GLB file"
+    return f"it states {max(stated, first + 20)} bytes and has {size}" if max(stated, first + 20) > size else ""

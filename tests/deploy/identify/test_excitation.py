@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from mmnn_pin import load
+from mmnn_pin import Feedback, Measurement, Setpoint, Stepper, Trajectory, load, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.excitation import (
     NOISE,
@@ -25,6 +26,7 @@ from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot, speed_limits
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Table
+from mmnn_pin.torque.model_based import PD
 
 LIMITS = Limits(duration=20.0, space=0.6, seconds=1.0)
 
@@ -92,6 +94,30 @@ def test_spheres_are_as_far_apart_as_the_joints_that_they_stand_on() -> None:
 def test_the_table_is_a_reference_of_the_base(found: Excitation, tmp_path: Path) -> None:
     table = Table.read(found.save(tmp_path / "motion.csv"))
     np.testing.assert_allclose(table.pose, found.pose, atol=1e-8)
+
+
+def test_the_table_is_played_by_the_loop_and_by_the_stepper(found: Excitation, robot: Robot, tmp_path: Path) -> None:
+    """`--set reference.file=...` and `Trajectory.from_csv`: base and arm are asked for what the table says."""
+    file = found.save(tmp_path / "motion.csv")
+    short = [f"reference.file='{file}'", "reference.share=0.0", "time.duration=0.5", "controllers=['pd']"]
+    experiment = load_experiment("track", [*short, "windows=[[0.0, 0.5]]"])
+    gains = PD(Feedback(base=500.0, arm=30.0))
+    run = replace(experiment.loop(robot, gains), engine="ordinary").run()
+    nb, early = robot.dimensions.base, found.time < 0.45
+    for signal, wanted in (("q_ref", found.position), ("qdot_ref", found.nu[:, nb:]), ("pose_ref", found.pose)):
+        asked = np.array([np.interp(found.time[early], run.time, column) for column in run[signal].T]).T
+        np.testing.assert_allclose(asked, wanted[early], atol=1e-3 if signal == "qdot_ref" else 1e-5)
+    assert run.outcome.status == "completed" and np.abs(run["true_e"]).max() < 0.2
+    stepper = Stepper(robot, PD(Feedback(base=100.0, arm=3.0)), period=0.01)
+    wish = stepper.plan(Trajectory.from_csv(robot, file), float(found.time[-1]))
+    measured = Measurement(found.pose[0], np.zeros(nb), found.position[0], np.zeros(found.position.shape[1]))
+    for i in range(40):
+        command = stepper.step(0.01 * i, measured, wish if i == 0 else None)
+        now = Setpoint.side_by_side(stepper.follower.now, robot.dimensions)
+        for asked, wanted in ((now.q, found.position), (now.pose, found.pose)):
+            at = [np.interp(0.01 * i, found.time, column) for column in wanted.T]
+            np.testing.assert_allclose(asked, at, atol=1e-4)
+    assert np.isfinite(command.effort).all()
 
 
 def test_the_command_writes_and_tells(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -17,11 +17,14 @@ from motions import efforts, rubbing, simulated, sines
 from mmnn_pin import identify, load
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify import programme
+from mmnn_pin.deploy.identify.constants import constants_of
 from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, transport, write
+from mmnn_pin.deploy.identify.equations import Equations
 from mmnn_pin.deploy.identify.identification import Identification
+from mmnn_pin.deploy.identify.least_squares import Base
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
-from mmnn_pin.errors import InputError, MmnnError, RecordingError, UnknownName
+from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, UnknownName
 from mmnn_pin.model.inspection import inspection_of
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.tree.body import parameters
@@ -206,6 +209,46 @@ def test_currents_become_torques_by_their_constants(urdf: Robot, truth: Robot, f
         identify(urdf, log, torque_constants={"elbow": 2.0})
     with pytest.raises(InputError, match="not 0"):
         identify(urdf, log, torque_constants={"arm_1_joint": 0.0})
+
+
+@pytest.mark.parametrize("constant", [-13.6, 0.04])
+def test_a_torque_constant_is_found_from_what_another_joint_feels(
+    urdf: Robot, truth: Robot, found: Identification, constant: float
+) -> None:
+    log = simulated(truth, 40.0, 0.02, rotors=ROTORS)
+    currents = log.with_signals(log.signals | {"effort.arm_1_joint": log.effort["arm_1_joint"] / constant})
+    again = identify(urdf, currents, torque_constants={"arm_1_joint": None})
+    (note,) = [note for note in again.notes if note.startswith("torque constant of arm_1_joint")]
+    value, sd = (float(part.split()[-1]) for part in note.split(": ")[1].split(","))
+    assert abs(value - constant) < 4 * sd and sd < 0.05 * abs(constant)
+    assert again.error("identified") < 1.2 * found.error("identified")
+    with pytest.raises(ConfigError, match="ratios only"):
+        identify(urdf, currents, torque_constants=dict.fromkeys(urdf.actuator_names))
+    with pytest.raises(UnknownName, match="unknown motor 'elbow'"):
+        identify(urdf, log, torque_constants={"elbow": None})
+
+
+def test_the_deviation_of_a_torque_constant_is_its_scatter() -> None:
+    """Of rows that share parameters, white noise: over draws, no bias and the scatter that is told."""
+    rng, constant, M = np.random.default_rng(0), 5.0, 400
+    Y = rng.standard_normal((M, 2, 4)) * [1.0, 1.0, 1.0, 0.3]
+    Y[:, 0, 3] = 0.0  # of the second row alone
+    clean = Y @ np.array([1.0, -0.5, 0.3, 2.0])
+    base, t = Base(np.arange(4), np.eye(4)), np.arange(M) * 0.5  # apart: the filter does not correlate them
+    values, told = [], []
+    for _ in range(200):
+        y = clean + 0.5 * rng.standard_normal(clean.shape)
+        y[:, 1] /= constant
+        run = np.zeros(M, np.int64)
+        of = Equations(t, Y, y, np.ones((M, 2), bool), np.zeros((M, 2)), run, cutoff=10.0)
+        found = constants_of(of, base, [1], ["one", "other"])
+        values.append(found.value[0])
+        told.append(found.sd[0])
+    assert abs(np.mean(values) - constant) < 4 * np.std(values) / np.sqrt(200) + 0.002 * constant
+    assert np.mean(told) == pytest.approx(np.std(values), rel=0.2)
+    quiet = replace(of, Y=Y * [[[1.0], [1e-3]]], y=0.5 * rng.standard_normal(clean.shape))
+    with pytest.raises(RecordingError, match=r"no torque constant of other: .* standard deviation"):
+        constants_of(quiet, base, [1], ["one", "other"])
 
 
 def test_a_motion_too_still_and_a_solver_without_answer_are_one_line(

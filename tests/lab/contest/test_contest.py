@@ -516,7 +516,7 @@ def test_all_tasks_of_the_bundled_contest_can_be_made():
     printed, chapter4 = by_name["printed"], by_name["chapter4"]
     assert (printed.two_layer, printed.one_layer) == (chapter4.two_layer, chapter4.one_layer)
     assert [task.name for task in found] == names
-    outside = ("friction", "lag", "late1", "late3", "encoders", "drop", "velocity")  # of the learners' model class
+    outside = ("friction", "lag", "late1", "late3", "encoders", "observed", "drop", "velocity")  # of the model class
     for task in found:
         assert (
             len(task.seeds) == task.contest.seeds == (5 if task.name not in outside else 2 - (task.name == "velocity"))

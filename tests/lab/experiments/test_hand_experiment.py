@@ -34,6 +34,8 @@ LINE = 'reference.hand.path=[{type="line", by=[0.2, 0.0, 0.0], speed=0.2}]'
         ("reference.hand.limits.speed=-1.0", "limits.speed"),
         ("reference.hand.limits.joint_margin=4.0", "leaves a joint no room"),
         ("reference.hand.path=[]", "without a path"),
+        ("reference.hand.priority=-1", "reference.hand.priority"),
+        ('reference.hand.others=[{frame="arm_1", priority=-2}]', "reference.hand.priority: error: -2"),
         ('reference.hand.path=[{type="lin"}]', "did you mean 'line'"),
         ('reference.hand.path=[{type="circle", radius=-1.0}]', "not positive"),
         ("reference.hand.posture=[9.0, 0.0]", "its ends are"),
@@ -46,6 +48,14 @@ def test_bad_input_is_one_line(change: str, what: str) -> None:
     with pytest.raises(InputError) as error:
         load_experiment("hand", [*SHORT, change]).trajectory_of(robot)
     assert what in str(error.value) and "\n" not in str(error.value)
+
+
+def test_priorities_of_a_file_reach_the_program() -> None:
+    others = 'reference.hand.others=[{frame="arm_1", orientation=0.0, priority=1}]'
+    tables = load_experiment("hand", [*SHORT, others]).reference.hand
+    assert tables is not None and tables.body_of(load("platform_arm"), 0.01).levels == [[0], [1]]
+    first = load_experiment("hand", [*SHORT, others, "reference.hand.priority=2"]).reference.hand
+    assert first is not None and first.body_of(load("platform_arm"), 0.01).levels == [[1], [0]]
 
 
 def test_a_robot_without_an_arm_has_no_hand() -> None:
