@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...elementary.arrays import atan2
+from ...elementary.arrays import atan2, cos_sin
 from ...errors import MmnnError, TrajectoryError
-from ...model.robot import Robot
+from ...model.robot import Robot, speed_limits
 from ...reference.guide import ARM, BASE, Limits
 from ...reference.samples import Table
 from ...reference.trajectory import Trajectory
@@ -30,6 +30,7 @@ MOST_POINTS, LONGEST = 10_000, 3600.0  # of a trajectory, [s]
 AT_REST = 1e-3  # speed of the last point that counts as rest [rad/s or m/s]
 SPACING, WANDER = 0.05, 0.02  # of a path that is smoothed, and how far it may go beside its points [m]
 SLOWEST = 1e-3  # [m/s]
+EVEN = 0.002  # [s]
 
 
 Made = Motion | Stand
@@ -214,9 +215,9 @@ def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, p
     first = message.poses[0].pose.orientation
     looks = np.arctan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
     back = np.cos(looks - phi[0]) < -0.5 and len(message.poses) > 1
-    v, t = driven(s, bend, route, limits)
+    v, t = driven(s, bend, route, limits, robot)
     slower = np.ceil(t[-1] / period) * period / t[-1]  # a whole number of samples
-    v, t = v / slower, t * slower
+    t, v, (x, y, phi, bend) = evenly(t * slower, v / slower, s, (x, y, phi, bend), period)
     along = -v if back else v
     pose = np.stack([x, y, phi + (np.pi if back else 0.0)], axis=1)
     turn = bend * v
@@ -253,12 +254,15 @@ def smoothed(points: Array) -> tuple[Array, Array, Array, Array, Array]:
     return x, y, np.unwrap(atan2(dy, dx)), (dx * ddy - dy * ddx) / rate**3, s
 
 
-def driven(s: Array, bend: Array, route: Route, limits: Limits) -> tuple[Array, Array]:
-    """Speed along a path from rest to rest, and the times of its points."""
-    sharp = np.maximum(np.abs(bend), 1e-9)
+def driven(s: Array, bend: Array, route: Route, limits: Limits, robot: Robot) -> tuple[Array, Array]:
+    """Speed along a path from rest to rest, and the times of its points; arguments as of `base_motion`."""
+    sharp, speeds = np.maximum(np.abs(bend), 1e-9), speed_limits(robot)
     most = np.minimum(
         min(route.speed, limits.speed), np.minimum(limits.yaw_rate / sharp, np.sqrt(route.lateral / sharp))
     )
+    nb, wheels = robot.dimensions.base, robot.dimensions.motors - robot.dimensions.arm
+    for row, fastest in zip(robot.E.T[:wheels, :nb], speeds[:wheels], strict=True):  # a wheel turns by its row times nu
+        most = np.minimum(most, fastest / np.maximum(np.abs(row[0] + bend * row[-1]), 1e-9))
     most[[0, -1]] = 0.0
     a = min(route.acceleration, limits.acceleration)
     for order in (range(1, len(s)), range(len(s) - 2, -1, -1)):
@@ -266,3 +270,21 @@ def driven(s: Array, bend: Array, route: Route, limits: Limits) -> tuple[Array, 
             before = i - order.step
             most[i] = min(most[i], np.sqrt(most[before] ** 2 + 2.0 * a * abs(s[i] - s[before])))
     return most, np.append(0.0, np.cumsum(np.diff(s) / np.maximum(0.5 * (most[1:] + most[:-1]), SLOWEST)))
+
+
+def evenly(t: Array, v: Array, s: Array, path: tuple[Array, ...], period: float) -> tuple[Array, Array, Array]:
+    """Times with equal steps of at most `EVEN`, speed, and x, y, heading and curvature there.
+
+    Between two points the acceleration is constant. At times as far apart as the points are where the base is slow, the
+    pose's spline would not move at the speed that is said.
+    """
+    from scipy.interpolate import CubicHermiteSpline
+
+    x, y, phi, bend = path
+    count = round(t[-1] / period) * int(np.ceil(period / EVEN))
+    at = np.linspace(0.0, t[-1], count + 1)
+    i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
+    since, a = at - t[i], np.diff(v)[i] / np.diff(t)[i]
+    where = np.minimum(s[i] + (v[i] + 0.5 * a * since) * since, s[-1])
+    curve = CubicHermiteSpline(s, np.stack([x, y, phi]), np.stack([*cos_sin(phi), bend]), axis=1)
+    return at, v[i] + a * since, np.vstack([curve(where), curve(where, 1)[2:]])

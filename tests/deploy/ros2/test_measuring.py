@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,9 @@ from mmnn_pin.deploy.ros2.asking import Asking
 from mmnn_pin.deploy.ros2.planned import INVALID_JOINTS, OLD_STAMP, Arm, Refused, base_motion, rest_of
 from mmnn_pin.deploy.ros2.sensing import Clock, Sensing, Tree, composed, inverse
 from mmnn_pin.deploy.ros2.settings import Base, Clocks, Frames, Joints, Node, Output, Route
+from mmnn_pin.model.base.overrides import Overrides
+from mmnn_pin.model.loading import build
+from mmnn_pin.model.urdf.reading import parse
 from mmnn_pin.reference.follower import Follower
 from mmnn_pin.reference.guide import ARM, BASE, Limits
 from mmnn_pin.reference.wishes import Stand
@@ -231,26 +235,39 @@ def path(points: Any, looks: float) -> msg.Path:
     return msg.Path(NOW, [msg.PoseStamped(NOW, one) for one in pose])
 
 
-@settings(max_examples=15, deadline=None)
-@given(st.floats(-1.0, 1.0), st.floats(0.1, 0.8), st.floats(-3.0, 3.0), st.booleans())
-def test_paths_can_be_driven_and_keep_to_their_limits(bend: float, length: float, turn: float, back: bool) -> None:
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-1.0, 1.0), st.floats(0.1, 0.8), st.floats(-3.0, 3.0), st.booleans(), st.floats(0.03, 0.4))
+def test_paths_can_be_driven_and_keep_to_their_limits(
+    bend: float, length: float, turn: float, back: bool, speed: float
+) -> None:
     s = np.linspace(0.0, 4.0 * length, 60)
     x, y = s, 0.2 * np.sin(3.0 * bend * s)
     c, sn = math.cos(turn), math.sin(turn)
     points = np.stack([c * x - sn * y, sn * x + c * y], axis=1)
     looks = math.atan2(points[1, 1] - points[0, 1], points[1, 0] - points[0, 0]) + (math.pi if back else 0.0)
-    route, limits = Route(speed=0.4, acceleration=0.5, lateral=0.3), Limits(yaw_rate=0.8)
+    route, limits = Route(speed=speed, acceleration=0.5, lateral=0.3), Limits(yaw_rate=0.8)
     motion = base_motion(path(points, looks), route, limits, ROBOT, 0.01)
+    assert not isinstance(motion, Stand)
     table = motion.table
     pose, v, w, vdot = table[:, :3], table[:, 3], table[:, 4], table[:, 5]
     assert motion.parts == (BASE,) and (v <= 1e-9).all() == back
     assert pose[[0, -1], :2] == pytest.approx(points[[0, -1]], abs=0.02) and abs(v[[0, -1]]).max() < 0.02
-    assert abs(v).max() < 0.42 and abs(w).max() < 0.88 and abs(v * w).max() < 0.33 and abs(vdot).max() < 0.8
+    assert abs(v).max() < 1.05 * speed and abs(w).max() < 0.88 and abs(v * w).max() < 0.33 and abs(vdot).max() < 0.8
     middle = 0.5 * (v[1:] + v[:-1]), 0.5 * (pose[1:, 2] + pose[:-1, 2])
     driven = np.stack([middle[0] * np.cos(middle[1]), middle[0] * np.sin(middle[1])], axis=1)
     assert np.diff(pose[:, :2], axis=0) / 0.01 == pytest.approx(driven, abs=0.01)  # it rolls, and does not slip
     away = np.hypot(*(pose[:, None, :2] - points[None]).T).min(axis=0).max()
     assert away < 0.08
+
+
+def test_a_path_keeps_to_the_speeds_of_the_wheels() -> None:
+    text = re.sub(r'velocity="30[.0]*"', 'velocity="3"', ROBOT.urdf)
+    slow = build(parse(text.encode(), "slow.urdf"), Overrides())
+    around = [(math.sin(a), 1.0 - math.cos(a)) for a in np.linspace(0.0, 4.0, 60)]
+    motion = base_motion(path(around, 0.0), Route(speed=1.0, lateral=5.0), Limits(), slow, 0.01)
+    assert not isinstance(motion, Stand)
+    wheels = abs(motion.table[:, 3:5] @ slow.E[:2, :2]).max(axis=0)  # [rad/s]
+    assert wheels.max() == pytest.approx(3.0, rel=0.03) and wheels.min() < 2.5
 
 
 def test_a_path_is_moved_with_its_map() -> None:
