@@ -53,6 +53,23 @@ def test_json_of_a_robot_that_was_understood(call):
     assert found["arm"]["limits"]["elbow"] == {"lower": 0.2, "upper": 2.0, "effort": 9.0}
 
 
+def test_prefixes_that_nobody_declared_harm_nothing(call):
+    more = '<sensor:camera name="c" a:b="1"/><transmission name="t"><joint name="shoulder"/></transmission>'
+    code, out, err = call("inspect", written(Drive().urdf(ARM + more)), "--json")
+    found = json.loads(out)
+    assert (code, err) == (0, "") and found["ok"] and found["base"]["kind"] == "differential_drive"
+    assert "namespace" in {finding["code"] for finding in found["findings"]}
+    assert found["interfaces"]["shoulder"] == "effort"
+
+
+def test_a_negative_limit_is_none(call):
+    text = Drive().urdf().replace('effort="9.0"', 'effort="-9.0"').replace('effort="9"', 'effort="-9"')
+    code, out, _ = call("inspect", written(text), "--json")
+    found = json.loads(out)
+    assert code == 0 and found["ok"] and found["arm"]["limits"]["elbow"]["effort"] is None
+    assert "limit-negative" in {finding["code"] for finding in found["findings"]}
+
+
 def test_findings_have_all_their_fields(call):
     _, out, _ = call("inspect", written(four(more=MOVE)), "--json")
     findings = json.loads(out)["findings"]

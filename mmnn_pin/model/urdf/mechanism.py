@@ -186,11 +186,13 @@ def bad_limit(joint: etree._Element, kind: str) -> Iterator[Finding]:
         what = f"lower and upper limit are both {lower:g}"
         fix = "state lower and upper, or make the joint continuous or fixed"
         yield finding("limit-empty", limit, what, "taken as it is: the joint cannot move", fix)
+    powerless = kind != "fixed" and limit.get("effort") is not None and number(limit, "effort", 0.0) == 0
     for key in ("effort", "velocity"):
         if number(limit, key, 0.0) < 0:
+            limit.set(key, "0")  # Pinocchio's parser refuses a negative one
             why = "taken as no limit, which it is in SDF"
             yield finding("limit-negative", limit, f"{key} is negative", why, "give its magnitude, or delete it")
-    if kind != "fixed" and limit.get("effort") is not None and number(limit, "effort", 0.0) == 0:
+    if powerless:
         why = "assumed: no limit, a motor of 0 could not move it"
         yield finding("zero-effort", limit, "effort limit is 0", why, "state the largest torque or force")
 

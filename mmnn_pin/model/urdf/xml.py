@@ -142,7 +142,18 @@ def parse_xml(data: bytes) -> tuple[etree._Element | None, list[Finding]]:
         known, fix = OTHER_FORMATS.get(root.tag, unknown)
         what = f"this is {known}, not a URDF"
         return None, [finding("not-urdf", root, what, fix=fix, of="")]
+    if findings:
+        join_prefixes(root)
     return root, findings
+
+
+def join_prefixes(root: etree._Element) -> None:
+    """Make plain names of those with prefixes that nobody declared: whoever reads the text again may be strict."""
+    for element in root.iter(etree.Element):
+        if ":" in element.tag and not element.tag.startswith("{"):
+            element.tag = element.tag.replace(":", "_")
+        for key in [key for key in element.attrib if ":" in key and not key.startswith("{")]:
+            element.set(key.replace(":", "_"), element.attrib.pop(key))
 
 
 def text_of(root: etree._Element) -> str:
