@@ -70,6 +70,14 @@ def test_a_negative_limit_is_none(call):
     assert "limit-negative" in {finding["code"] for finding in found["findings"]}
 
 
+def test_the_axis_of_a_fixed_joint_is_not_read(call):
+    plate = '<link name="plate"/><joint name="j" type="fixed"><parent link="base"/><child link="plate"/>{}</joint>'
+    wrong = plate.format('<axis xzy="0 0 1"/>')
+    assert "xzy" not in call("inspect", written(Drive().urdf(ARM + wrong)))[2]
+    code, _, err = call("inspect", written(Drive().urdf(ARM + wrong.replace("fixed", "continuous"))))
+    assert code == 2 and "unknown attribute 'xzy'" in err
+
+
 def test_findings_have_all_their_fields(call):
     _, out, _ = call("inspect", written(four(more=MOVE)), "--json")
     findings = json.loads(out)["findings"]

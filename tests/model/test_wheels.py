@@ -425,6 +425,14 @@ def test_numbers_that_only_the_map_multiplies_are_held_to_be_finite():
         robot_of(four(more=MOVE + slave))
 
 
+@pytest.mark.parametrize("wheels", [None, ("left", "right")])
+def test_the_floor_is_where_wheels_of_the_stated_radius_touch_it(wheels):
+    hubs = robot_of(Drive(floor=0.05).urdf())
+    robot = robot_of(Drive(floor=0.05).urdf(), radius=0.13, wheels=wheels)
+    assert hubs.base.floor == pytest.approx(0.05) and robot.base.floor == pytest.approx(0.05 + 0.1 - 0.13)
+    assert {wheel.radius for wheel in robot.base.wheels} == {0.13}
+
+
 # --- Friction that no floor gives -------------------------------------------------------------------------------------
 
 

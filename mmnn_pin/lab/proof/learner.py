@@ -204,8 +204,9 @@ def controller_of(recording: Recording, robot: Robot) -> Any:
     entry = CONTROLLERS.get(name)
     if entry is None or entry.gain_of:
         return None
-    found = entry.load().from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
-    if found is None and (entry.thesis or not settings):
+    kind = entry.load()
+    found = kind.from_facts(name, settings, Granted(entry, robot, Nominal(), Overrides()))
+    if found is None and (entry.thesis or (hasattr(kind, "learning") and not settings)):
         raise RecordingError(
             f"the recording does not tell the settings of {name}",
             why="an older mmnn_pin wrote it",

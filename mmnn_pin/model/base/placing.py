@@ -133,6 +133,7 @@ def frame_of(
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
     others = [c for c in wheels if c.joint not in [d.joint for d in drives]]
     casters = [j.name for c in others for j in rest.document.moving_ancestors(c.joint.child)]
+    drives = [replace(c, radius=overrides.radius or c.radius) for c in drives]
     floor, radius = max(c.bottom for c in drives), max(c.radius for c in drives)
     casters += [joint.name for joint in bare_swivels(rest, floor, radius)]
     return kind(
