@@ -52,14 +52,28 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
     Raises:
         ConfigError: One of a wrong type, with the function and the argument as its key.
     """
-    signature = inspect.signature(function)
+    return checked_but()(function)
 
-    @wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        require_fit(function, signature.bind(*args, **kwargs).arguments)
-        return function(*args, **kwargs)
 
-    return call
+def checked_but(*own: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """As `checked`, but for arguments that the function itself refuses, in better words.
+
+    Args:
+        own: Their names.
+    """
+
+    def mark(function: Callable[P, R]) -> Callable[P, R]:
+        signature = inspect.signature(function)
+
+        @wraps(function)
+        def call(*args: P.args, **kwargs: P.kwargs) -> R:
+            given = signature.bind(*args, **kwargs).arguments
+            require_fit(function, {name: value for name, value in given.items() if name not in own})
+            return function(*args, **kwargs)
+
+        return call
+
+    return mark
 
 
 def require_types(made: Any) -> None:

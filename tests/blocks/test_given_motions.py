@@ -147,7 +147,7 @@ def test_a_bad_file_is_named_with_its_line(case: str, tmp_path: Path) -> None:
         (lambda r: Trajectory.from_arrays(r, T[::-1], q={"arm_1_joint": T}), "does not increase from 0"),
         (lambda r: Trajectory.from_arrays(r, T, q={"arm_1_joint": T * np.nan}), "not finite"),
         (lambda r: Trajectory.from_waypoints(r, base=[(0, 0)]), "two or more"),
-        (lambda r: Trajectory.from_waypoints(r, base=[(0, 0, 0), (1, 1, 1)]), "two or more \\(x, y\\)"),
+        (lambda r: Trajectory.from_waypoints(r, base=[(0, 0, 0), (1, 1, 1)]), "give a list, each item 2 values"),
         (lambda r: Trajectory.from_waypoints(r, arm=[(0, 0), (1, 1)], times=(1.0, 1.0)), "do not increase"),
         (lambda r: Trajectory.from_waypoints(r, arm=[(0, 0), (1, 1)], times=(1.0,)), "one time for each"),
         (lambda r: Trajectory.of(load("two_axis_arm"), base=Line(0.3)), "its base does not move"),

@@ -19,7 +19,7 @@ from ...errors import ConfigError
 from ...model.robot import Robot
 from ...reference import Trajectory
 from ...settings import Timing
-from ...settings.arguments import checked
+from ...settings.arguments import checked_but
 from ...signals import Array
 from ...torque.controller import Controller
 from .config import config_error, put
@@ -77,7 +77,7 @@ class Assembled(Experiment, frozen=True, kw_only=True):
         return ""
 
 
-@checked
+@checked_but("robot", "trajectory", "controllers")
 def compare(
     robot: Robot,
     trajectory: Trajectory,

@@ -183,9 +183,12 @@ def distances(a: Bodies, theta: Array, estimates: Array, part: slice = slice(Non
 
 
 def divergence(P: Array, Q: Array) -> Array:
-    """D(P || Q) for many Q (N, 4, 4), (N,)."""
-    ratio = np.linalg.slogdet(Q)[1] - np.linalg.slogdet(P)[1]
-    return np.asarray(ratio + np.trace(np.linalg.solve(Q, np.broadcast_to(P, Q.shape)), axis1=1, axis2=2) - 4.0)
+    """D(P || Q) for many Q (N, 4, 4), (N,); inf for a singular one."""
+    size = np.linalg.slogdet(Q)[1]
+    sound = np.isfinite(size)
+    ratio, Q = size - np.linalg.slogdet(P)[1], np.where(sound[:, None, None], Q, np.eye(4))
+    found = ratio + np.trace(np.linalg.solve(Q, np.broadcast_to(P, Q.shape)), axis1=1, axis2=2) - 4.0
+    return np.where(sound, found, np.inf)
 
 
 def matrix(numbers: Array, side: float = 1.0) -> Array:

@@ -23,7 +23,7 @@ from ...model.robot import Robot
 from ...recording.recorder import versions
 from ...reference import Trajectory
 from ...settings import plain
-from ...settings.arguments import checked
+from ...settings.arguments import checked_but
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import Level, best_of, levels
@@ -84,7 +84,7 @@ class Sweep:
         return str(self.table()._repr_html_() + self.plot()._repr_html_())
 
 
-@checked
+@checked_but("robot", "trajectory", "values")
 def sweep(
     robot: Robot,
     trajectory: Trajectory,

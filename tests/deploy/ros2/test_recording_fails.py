@@ -16,6 +16,7 @@ from mmnn_pin.errors import RecordingError
 
 def test_a_full_disk_lets_the_efforts_fade(monkeypatch):
     bridge, did = object.__new__(Bridge), []
+    bridge.switches = None
 
     def record() -> None:
         did.append("record")

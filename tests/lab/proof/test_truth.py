@@ -349,3 +349,10 @@ def test_distances_of_a_learner_that_does_not_learn_are_no_part_of_v() -> None:
         and distances(truth.numbers_of(subject.learner)[0].bodies, theta.theta, own.start()[None])[0] > 0
     )
     assert learners.recorded_learner(subject.recording, subject.robot) is not None
+
+
+def test_a_body_without_extent_is_infinitely_far_from_one_that_has_it():
+    P, flat = np.diag([1.0, 2.0, 3.0, 4.0]), np.diag([1.0, 0.0, 3.0, 4.0])
+    near, far, same = divergence(P, np.array([2 * P, flat, P]))
+    assert far == np.inf and same == pytest.approx(0.0, abs=1e-12)
+    assert near == pytest.approx(4 * np.log(2) - 2)  # log |2 P| / |P| + tr(1 / 2) - 4
