@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from mmnn_pin.errors import TrajectoryError
+from mmnn_pin.errors import ConfigError, TrajectoryError
 from mmnn_pin.reference import (
     BasePath,
     BaseSamples,
@@ -234,7 +234,7 @@ def test_minimum_jerk_rests_at_both_ends() -> None:
     ],
 )
 def test_refusals_say_what(make, says: str) -> None:  # type: ignore[no-untyped-def]
-    with pytest.raises(TrajectoryError) as refused:
+    with pytest.raises((TrajectoryError, ConfigError)) as refused:
         make()
     assert says in str(refused.value)
 

@@ -161,7 +161,7 @@ def by_name(controllers: Controllers) -> tuple[list[str], dict[str, Controller]]
     Raises:
         ConfigError: None, something that is no controller, or two of one name.
     """
-    if isinstance(controllers, str | Controller | type):
+    if isinstance(controllers, str | Controller | type) or not isinstance(controllers, Iterable):
         controllers = [controllers]
     pairs: list[tuple[str | None, Any]] = (
         list(controllers.items()) if isinstance(controllers, Mapping) else [(None, one) for one in controllers]

@@ -84,7 +84,7 @@ class Sweep:
         return str(self.table()._repr_html_() + self.plot()._repr_html_())
 
 
-@checked_but("robot", "trajectory", "values")
+@checked_but("robot", "trajectory")
 def sweep(
     robot: Robot,
     trajectory: Trajectory,

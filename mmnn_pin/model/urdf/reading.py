@@ -267,10 +267,9 @@ def misspelt(elements: Elements) -> Iterator[Finding]:
             yield finding("misspelt-tag", element, what, "it would be ignored", f"write <{meant}>")
     for element, tag, items in elements.texts:
         keys = KNOWN[tag][1]
-        if tag == "axis" and element.getparent().get("type") == "fixed":
-            continue  # nobody reads it
+        unread = tag == "axis" and element.getparent().get("type") == "fixed"
         for key, _ in items:
-            if key not in keys and (meant := nearest(key, keys)):
+            if key not in keys and not unread and (meant := nearest(key, keys)):
                 what = f"unknown attribute '{key}' of <{tag}>, one edit away from '{meant}'"
                 yield finding("misspelt-attribute", element, what, "it would be ignored", f"write '{meant}'")
 
