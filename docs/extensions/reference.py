@@ -234,7 +234,7 @@ MORE = {  # what is needed now and then, from its own module
     "disturbance": ("Payload", "Push"),
     "safety": ("Safety",),
     "sensing": ("Sensor",),
-    "loop.stepper": ("Command",),
+    "loop.servo": ("Command",),
     "loop.before_run": ("Bounds", "Start"),
     "loop.batch": ("Run", "simulate_many"),
     "recording.recording": ("Outcome",),

@@ -69,6 +69,24 @@ class Servo(Settings, frozen=True):
         require_numbers(self, "servo", {"bandwidth", "strength"})
 
 
+class Command(NamedTuple):
+    """What to send after a sample: views that the next step overwrites, NaN where the other interface holds.
+
+    Attributes:
+        effort: (p,) on nu: forces on the base, torques of the joints [N, N m; N m or N].
+        velocity: (p,) base velocity and rates of the joints [m/s, rad/s; rad/s or m/s].
+        position: (p,) of joints that take nothing else: their velocity, integrated [rad or m].
+        motor_effort: (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N].
+        motor_velocity: (motors,) likewise [rad/s or m/s].
+    """
+
+    effort: Array
+    velocity: Array
+    position: Array
+    motor_effort: Array
+    motor_velocity: Array
+
+
 class Split(NamedTuple):
     """The servo rows of one robot: numbers of their law and what it remembers.
 

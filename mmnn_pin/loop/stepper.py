@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -44,7 +44,7 @@ from .loop import Loop
 from .new_hardware import new_hardware
 from .sample import Control, Plan
 from .sampled import delay_margin, require_stable_gains
-from .servo import Servo, interfaces_of, servo_gains
+from .servo import Command, Servo, interfaces_of, servo_gains
 from .setup import Outside, believed_by, facts_of, new_lead
 from .suited import MARGIN, Given, postures, suited
 
@@ -56,26 +56,11 @@ UNKNOWN = (
 KNOWN = [name for name, *_ in SIGNALS if name not in UNKNOWN]
 MEASURED = ("pose", "velocity", "q", "qdot")
 CALM = Kinematic(kx=3.0, ky=16.0, kth=8.0, K=5.0, holonomic=(3.0, 3.0, 3.0))
-ALIKE = *("kinematic", "safety", "nominal", "seed", "within_limits"), *("check_gains", "weights_interval", "interfaces")
+ALIKE = (
+    "kinematic", "safety", "nominal", "seed", "within_limits", "check_gains", "weights_interval", "interfaces", "servo",
+    "lead",
+)  # fmt: skip
 MOST_TOLD = 20  # trips that a recording tells of
-
-
-class Command(NamedTuple):
-    """What to send after a sample: views that the next step overwrites, NaN where the other interface holds.
-
-    Attributes:
-        effort: (p,) on nu: forces on the base, torques of the joints [N, N m; N m or N].
-        velocity: (p,) base velocity and rates of the joints [m/s, rad/s; rad/s or m/s].
-        position: (p,) of joints that take nothing else: their velocity, integrated [rad or m].
-        motor_effort: (motors,) the same at the motors, drive wheels from left to right, then the arm [N m or N].
-        motor_velocity: (motors,) likewise [rad/s or m/s].
-    """
-
-    effort: Array
-    velocity: Array
-    position: Array
-    motor_effort: Array
-    motor_velocity: Array
 
 
 class Stepper:
@@ -101,11 +86,12 @@ class Stepper:
         setpoint_timeout: Age of a setpoint that has to be renewed at which the base brakes and the arm holds [s].
         nominal: The robot that a controller believes in which uses a model and brings none; None for `robot`.
         seed: Of what a controller draws.
-        within_limits, lead: As in `Loop`.
+        within_limits: As in `Loop`.
         latency: Known delay from the measurement to the motors [s], which the gains have to bear.
         predict: Whether a measurement is brought up to now by what the reference has moved since it was `measured`,
             over the latency at most, see `loop.lead.catch_up`.
         lag: Known time constants of the motors, one number or one per motor [s], likewise.
+        lead: Whether Psi_hat leads by half the period, the latency and the lag, see `loop.lead`.
         observer: Poles of an observer on a model (see `Sensor.velocity`) that makes q and all velocities of angles and
             base velocities measured at every sample [rad/s]; 0 takes them as they come.
         interfaces: What the motors take, by joint: "effort" where one is not named, "velocity" or "position".
@@ -119,10 +105,12 @@ class Stepper:
 
     Attributes:
         row: (width,) all signals of the last sample; those of `UNKNOWN` mean nothing.
-        measured, setpoint: The last good measurement and the setpoint of the last sample, views into the row.
+        measured: The last good measurement, views into the row.
+        setpoint: The setpoint of the last sample, views.
         command: What the last step returned.
         state: What the controller has learned.
-        time, step_time: Of the last sample, and the wall-clock time that its step took [s].
+        time: Of the last sample [s].
+        step_time: Wall-clock time that the last step took [s].
 
     Raises:
         ConfigError: No supervisor, gains that are unstable when sampled, numbers out of range, or a state of another
@@ -190,8 +178,8 @@ class Stepper:
         self.command = Command._make(np.full(size, np.nan) for size in sizes)
         self.kinds = np.array(interfaces_of(robot, setup.interfaces)[0])
         self.by_effort = self.kinds == "effort", ~(robot.E[self.kinds != "effort"] != 0.0).any(axis=0)
-        self.time, self.k, self.step_time, self.told, self.weighed = -math.inf, -1, 0.0, list[str](), -1
-        self.every = samples_between(weights_interval, period)
+        self.time, self.k, self.step_time, self.told = -math.inf, -1, 0.0, list[str]()
+        self.every, self.weighed = samples_between(weights_interval, period), -1
         self.past, self.before = Past.of(latency * predict, period, self.follower.now), self.follower.now.copy()
         self._equip(setup, state_from(controller, setup.context(), state))
         self._rehearse()
@@ -201,8 +189,13 @@ class Stepper:
 
     @classmethod
     def of(cls, loop: Loop, **more: Any) -> Self:
-        """The stepper of a loop, with more arguments of `Stepper`; what the loop simulates is left out."""
-        said: dict[str, Any] = {name: getattr(loop, name) for name in (*ALIKE, "lead", "servo")}
+        """The stepper of a loop's robot, controller, gains and supervisor; what the loop simulates is left out.
+
+        Args:
+            loop: The closed loop.
+            more: Arguments of `Stepper` that it does not say.
+        """
+        said: dict[str, Any] = {name: getattr(loop, name) for name in ALIKE}
         said |= {"period": loop.timing.control_period, "lag": loop.actuator.lag}
         said |= {"latency": loop.latency.total, "predict": loop.latency.predict}
         return cls(loop.robot, loop.controller, **(said | more))
@@ -328,6 +321,8 @@ class Stepper:
         """Delay from the measurement to the motors at which the loop turns unstable, at the worst posture [s]."""
         return delay_margin(self.judged)
 
+    # -- what it tells -----------------------------------------------------------------------------------------------
+
     @property
     def robot(self) -> Robot:
         """The robot."""
@@ -381,6 +376,8 @@ class Stepper:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.recorder.__exit__(kind, error, traceback)
+
+    # -- inside --------------------------------------------------------------------------------------------------------
 
     def _equip(self, setup: Outside, state: Any, hardware_state: Array | None = None) -> None:
         """Wire controller and supervisor to the row; nothing changes where that fails."""

@@ -119,7 +119,7 @@ def times(t: ArrayLike) -> Array:
     return t
 
 
-def require_finite(**values: float | tuple[float, ...] | Array) -> None:
+def require_finite(**values: ArrayLike) -> None:
     """Refuse a parameter that is not finite."""
     for name, value in values.items():
         if not is_numeric(value) or not np.isfinite(value).all():
@@ -136,11 +136,11 @@ def require_positive(**values: float) -> None:
 
 def require_start(path: Any) -> None:
     """Refuse fields of wrong types, a start that is not `(x, y, phi)`, a ramp that is no time from 0 on."""
+    require_types(path, "start", "points")
     start, ramp = getattr(path, "start", (0, 0, 0)), path.ramp
-    require_types(path)
     require_finite(start=start, ramp=ramp)
-    if len(start) != 3:
-        raise TrajectoryError(f"start = {start} is not a pose", fix="give (x, y, phi) in m, m, rad")
+    if np.shape(start) != (3,):
+        raise TrajectoryError(f"start = {shortly(start)} is not a pose", fix="give (x, y, phi) in m, m, rad")
     if ramp < 0:
         raise TrajectoryError(f"ramp = {ramp} s is negative", fix="give a time, or 0 to start at full speed")
 
@@ -354,11 +354,11 @@ class Waypoints(BasePath):
 
     def __post_init__(self) -> None:
         require_start(self)
-        points = np.asarray(self.points, float)
-        require_finite(points=points, speed=self.speed)
         require_positive(radius=self.radius)
-        if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2:
+        shape = np.shape(self.points) if is_numeric(self.points) else ()
+        if len(shape) != 2 or shape[1] != 2 or shape[0] < 2:
             raise TrajectoryError("points are not two or more (x, y)", fix="give points = [[x, y], [x, y], ...]")
+        require_finite(points=self.points, speed=self.speed)
         if self.speed == 0:
             raise TrajectoryError("speed = 0 m/s", why="it never reaches the next point", fix="give another speed")
         if self.length < abs(self.speed) * self.ramp:

@@ -38,6 +38,7 @@ NAMES = {int: "int", float: "float", str: "str", bool: "bool", list: "array", tu
 NAMES |= {NoneType: "null", Path: "path"}
 P = ParamSpec("P")
 R = TypeVar("R")
+FORMERLY = {"guess": "prior"}  # texts that an older version took
 LARGEST_FLOAT = sys.float_info.max
 NUMBERS: dict[Any, Any] = {bool: (bool, np.bool_), int: Integral, float: Real}
 HOW = {"Robot": 'load("platform_arm")', "CompiledController": "PD()"}  # what needs a word more
@@ -76,13 +77,17 @@ def checked_but(*own: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     return mark
 
 
-def require_types(made: Any) -> None:
+def require_types(made: Any, *own: str) -> None:
     """Hold the fields of a dataclass against their annotations; for its `__post_init__`.
+
+    Args:
+        made: The dataclass.
+        own: Fields that it refuses itself, in better words.
 
     Raises:
         ConfigError: A value of a wrong type, with class and field as its key.
     """
-    require_fit(type(made), vars(made))
+    require_fit(type(made), {name: value for name, value in vars(made).items() if name not in own})
 
 
 def require_fit(owner: Any, given: Mapping[str, Any]) -> None:
@@ -94,9 +99,18 @@ def require_fit(owner: Any, given: Mapping[str, Any]) -> None:
     kinds = hints(owner)
     for name, value in given.items():
         if name in kinds and not fits(value, kinds[name]):
-            part = owner.__qualname__.removesuffix(".__init__")
-            what = f"{shortly(value)} is {KINDS.get(NAMES.get(type(value), ''), f'of the type {type(value).__name__}')}"
-            raise ConfigError(what, fix=f"give {wanted(kinds[name])}", key=f"{part}.{name}")
+            what, fix = misfit(value, kinds[name])
+            raise ConfigError(what, fix=fix, key=f"{owner.__qualname__.removesuffix('.__init__')}.{name}")
+
+
+def misfit(value: Any, kind: Any) -> tuple[str, str]:
+    """What is wrong with a value that is not of an annotated type, and what to give."""
+    now = FORMERLY.get(value) if isinstance(value, str) else None
+    if now and fits(now, kind):
+        return f"'{value}' is now called '{now}'", f"write '{now}'"
+    there = KINDS.get(NAMES.get(type(value), ""), f"of the type {type(value).__name__}")
+    fix = wanted(kind)
+    return shortly(value) if fix.startswith(there) else f"{shortly(value)} is {there}", f"give {fix}"
 
 
 @lru_cache(None)
@@ -113,6 +127,8 @@ def hints(owner: Any) -> dict[str, Any]:
 
 def fits(value: Any, kind: Any) -> bool:
     """Whether a value is of an annotated type; any sequence stands for a list, any number for a float."""
+    if type(value) is kind:
+        return True
     origin, parts = get_origin(kind), get_args(kind)
     if kind in (Any, object) or isinstance(kind, TypeVar):
         return True

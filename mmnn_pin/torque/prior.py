@@ -19,6 +19,7 @@ import numpy as np
 
 from ..elementary.matrices import product
 from ..errors import ConfigError
+from ..files import read_text
 from ..model.regressor import BODY, Regressor
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
@@ -26,6 +27,7 @@ from .controller import CompiledController, Feedback, Given, Told, read_facts
 
 GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
 SAMPLES = 100  # of random positions
+LARGEST = 50_000_000  # bytes of a report of an identification
 POWERS = [0, 1, 1, 1, 2, 2, 2, 2, 2, 2]  # of the size in the ten numbers of a body
 
 
@@ -93,8 +95,6 @@ def require_start(initial: str, nominal: Array | None, k: int, section: str) -> 
     Raises:
         ConfigError: With the key.
     """
-    if initial == "guess":
-        raise ConfigError("'guess' is now called 'prior'", fix="write initial = 'prior'", key=f"{section}.initial")
     if initial == "nominal" and nominal is None:
         fix = "give them, or use initial = 'prior'"
         raise ConfigError("no nominal parameters", fix=fix, key=f"{section}.initial")
@@ -206,15 +206,15 @@ def identified(file: str, labels: Sequence[str], key: str) -> tuple[Array, Array
     """
     fix = "give NAME.identified.json as mmnn identify writes it"
     try:
-        report = json.loads(Path(file).read_bytes())
+        report = json.loads(read_text(Path(file), LARGEST))
         names, theta, covariance = list(report["labels"]), np.array(report["theta"]), np.array(report["covariance"])
         right = theta.shape == (len(names),) and covariance.shape == (len(names), len(names))
         if not (
             right and np.isfinite(theta).all() and np.isfinite(covariance).all() and (np.diag(covariance) >= 0).all()
         ):
             raise ValueError
-    except OSError as error:
-        raise ConfigError(f"cannot read '{file}'", why=str(error.strerror), fix=fix, key=key) from None
+    except ConfigError as error:
+        raise ConfigError(f"'{file}' {error.what}", why=error.why, fix=fix, key=key) from None
     except (ValueError, KeyError, TypeError):
         raise ConfigError(f"'{file}' is no report of an identification", fix=fix, key=key) from None
     if missing := [name for name in labels if name not in names]:

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.long
 CONTROLLERS = (
     "pd", "computed_torque", "one_layer", "two_layer", "adaptive", "adaptive_composite", "kalman_regressor",
 )  # fmt: skip
+SOFT = "cortex-m4f"  # it has no instructions for doubles
 ROBOTS = ("platform_arm", "two_axis_arm", "tiago")
 
 
@@ -38,14 +39,35 @@ def loop_of(robot, controller, **changes):
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_a_thousand_samples_have_the_same_bits_everywhere(tmp_path, robot, controller):
     made = embed(loop_of(robot, controller), tmp_path / "c", compiler=None)
-    for target in TARGETS:
+    assert made.selftest_steps == 1000
+    for target in [name for name in TARGETS if name != SOFT]:
         require(target)
         status, said = on_target(tmp_path / "c", target)
-        if target == "cortex-m4f":  # gcc's software doubles round some differences wrongly: docs/how-to/embedded.md
-            assert float(re.findall(r"largest deviation (\S+)", said)[0]) < 1e-6, said
-            continue
         assert status == 0 and "1000 samples, 0 differ" in said, (target, said)
-    assert made.selftest_steps == 1000
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_without_instructions_for_doubles_the_same_bits_are_expected_and_nearly_met(tmp_path, robot, controller):
+    require(SOFT)
+    embed(loop_of(robot, controller), tmp_path / "c", compiler=None)
+    status, said = on_target(tmp_path / "c", SOFT)
+    assert float(re.findall(r"largest deviation (\S+)", said)[0]) < 1e-6, said
+    if status or "1000 samples, 0 differ" not in said:
+        pytest.xfail(f"gcc's library subtracts wrongly, see the next test: {said}")
+
+
+@pytest.mark.xfail(reason="gcc 12's library for ARM: 512 - 0x1.2d63c4p-24 is one unit of the last place too small")
+def test_gccs_software_doubles_are_rounded_correctly(tmp_path):
+    require(SOFT)
+    embed(loop_of("platform_arm", "pd"), tmp_path / "c", compiler=None)
+    a, b = "0x1p9", "0x1.2d63c4p-24"
+    right = (float.fromhex(a) - float.fromhex(b)).hex()
+    (tmp_path / "c" / "selftest.c").write_text(
+        f"int main(void)\n{{\n    volatile double a = {a}, b = {b}, c = {right};\n"
+        "    volatile double d = a - b;\n    return d != c;\n}\n"
+    )
+    assert on_target(tmp_path / "c", SOFT)[0] == 0
 
 
 LIMITS = {  # kB of RAM, kB of stack, thousand instructions mean and worst: the issue's

@@ -31,7 +31,7 @@ def test_in_python_too():
     from mmnn_pin.model.regressor import Regressor
     from mmnn_pin.torque.adaptive import Adaptive
 
-    with pytest.raises(ConfigError, match="'guess' is a text: give 'prior'"):
+    with pytest.raises(ConfigError, match="'guess' is now called 'prior'"):
         Adaptive(Regressor.of(load("platform_arm")), settings=AdaptiveSettings(initial="guess"))
 
 

@@ -18,7 +18,8 @@ import numpy as np
 from ...elementary.matrices import product
 from ...errors import ConfigError, MmnnError
 from ...loop.loop import Loop
-from ...loop.stepper import Command, Stepper
+from ...loop.servo import Command
+from ...loop.stepper import Stepper
 from ...plant.ideal import IdealPlant
 from ...recording.recording import Recording
 from ...reference.wishes import BaseVelocity, Stand, Wish

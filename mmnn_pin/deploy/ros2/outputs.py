@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ...loop.stepper import Command, Stepper
+from ...loop.servo import Command
+from ...loop.stepper import Stepper
 from ...model.robot import Robot
 from ...signals import Array
 from . import messages as msg

@@ -30,7 +30,7 @@ MOST_POINTS, LONGEST = 10_000, 3600.0  # of a trajectory, [s]
 AT_REST = 1e-3  # speed of the last point that counts as rest [rad/s or m/s]
 SPACING, WANDER = 0.05, 0.02  # of a path that is smoothed, and how far it may go beside its points [m]
 SLOWEST = 1e-3  # [m/s]
-EVEN = 0.002  # [s]
+EVEN = 0.002  # between two samples of a timed path, at most [s]
 
 
 Made = Motion | Stand
@@ -275,8 +275,8 @@ def driven(s: Array, bend: Array, route: Route, limits: Limits, robot: Robot) ->
 def evenly(t: Array, v: Array, s: Array, path: tuple[Array, ...], period: float) -> tuple[Array, Array, Array]:
     """Times with equal steps of at most `EVEN`, speed, and x, y, heading and curvature there.
 
-    Between two points the acceleration is constant. At times as far apart as the points are where the base is slow, the
-    pose's spline would not move at the speed that is said.
+    Between two points the acceleration is constant. They are equally far apart along the path: where the base is slow,
+    they are far apart in time, and a spline through them would not move at the speed that is told.
     """
     from scipy.interpolate import CubicHermiteSpline
 

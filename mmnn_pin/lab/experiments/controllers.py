@@ -23,6 +23,7 @@ from ...model.regressor import Regressor
 from ...model.robot import Robot
 from ...model.tree.body import parameters
 from ...settings import Settings, require_numbers
+from ...settings.arguments import FORMERLY
 from ...signals import Array
 from ...torque import CONTROLLERS as ENTRIES
 from ...torque import Entry
@@ -43,7 +44,7 @@ RENAMED = {
     "adaptive_composite.memory": "forgetting_time",
     "replay": "two_layer_composite",
 }
-RENAMED_VALUES = {"adaptive.initial": {"guess": "prior"}, "concurrent.initial": {"guess": "prior"}}
+RENAMED_VALUES = {"adaptive.initial": FORMERLY, "concurrent.initial": FORMERLY}
 
 
 def effective(controllers: Iterable[str]) -> dict[str, str]:

@@ -23,7 +23,7 @@ from ...model.robot import Robot
 from ...recording.recorder import versions
 from ...reference import Trajectory
 from ...settings import plain
-from ...settings.arguments import checked_but
+from ...settings.arguments import checked_but, fits
 from ..experiments.compare import Assembled, Controllers, assembled
 from ..experiments.controllers import EFFECTIVE
 from .choice import Level, best_of, levels
@@ -84,7 +84,7 @@ class Sweep:
         return str(self.table()._repr_html_() + self.plot()._repr_html_())
 
 
-@checked_but("robot", "trajectory")
+@checked_but("robot", "trajectory", "values")
 def sweep(
     robot: Robot,
     trajectory: Trajectory,
@@ -151,7 +151,7 @@ def require_sweep(values: Sequence[Any], runs: int, masses: tuple[float, float])
     Raises:
         ConfigError: With the argument.
     """
-    if isinstance(values, str) or not len(values):
+    if not fits(values, Sequence[Any]) or not len(values):
         raise ConfigError("no values, so no runs", fix="give a list of values", key="values")
     if runs < 1:
         raise ConfigError(f"{runs} runs", fix="give at least one; 6 or more give intervals", key="runs")

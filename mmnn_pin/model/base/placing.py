@@ -117,13 +117,14 @@ def frame_of(
     rest: AtRest, drives: list[Candidate], wheels: list[Candidate], kind: type[Base], overrides: Overrides
 ) -> Base:
     """Control frame, wheels, casters and suspensions; forward is the rolling direction nearer the root's x."""
+    drives = [replace(c, radius=overrides.radius or c.radius) for c in drives]
     alike = all(parallel(drives[0], c) for c in drives[1:])
     forward = rolling(drives[0]) if alike else np.array([1.0, 0.0])
     backward = forward[0] < -1e-6 or (abs(forward[0]) <= 1e-6 and forward[1] < 0)  # axle along x: y is as near
     forward = (-forward if backward else forward) + 0.0  # no -0
     left = np.array([-forward[1], forward[0]])
     middle = np.mean([c.centre[:2] for c in drives], axis=0)
-    placed = [placed_wheel(c, c.centre[:2] - middle, forward, left, alike, overrides) for c in drives]
+    placed = [placed_wheel(c, c.centre[:2] - middle, forward, left, alike) for c in drives]
     in_rows = kind is not DifferentialDrive
     placed.sort(key=lambda w: (-round(w.x, 6) * in_rows, -w.y))  # front to rear, left before right
     track = max(w.y for w in placed) - min(w.y for w in placed)
@@ -133,7 +134,6 @@ def frame_of(
     suspensions = [j.name for c in drives for j in rest.document.moving_ancestors(c.joint.child)[1:]]
     others = [c for c in wheels if c.joint not in [d.joint for d in drives]]
     casters = [j.name for c in others for j in rest.document.moving_ancestors(c.joint.child)]
-    drives = [replace(c, radius=overrides.radius or c.radius) for c in drives]
     floor, radius = max(c.bottom for c in drives), max(c.radius for c in drives)
     casters += [joint.name for joint in bare_swivels(rest, floor, radius)]
     return kind(
@@ -152,14 +152,14 @@ def rolling(candidate: Candidate) -> Array:
     return np.array([candidate.axis[1], -candidate.axis[0]]) / hypot(candidate.axis[0], candidate.axis[1])
 
 
-def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bool, overrides: Overrides) -> Wheel:
+def placed_wheel(c: Candidate, at: Array, forward: Array, left: Array, alike: bool) -> Wheel:
     """The wheel in the control frame; parallel wheels have a sign, others a heading of their own."""
-    direction, radius = rolling(c), overrides.radius or c.radius
+    direction = rolling(c)
     sign = math.copysign(1.0, product(direction, forward)) if alike else 1.0
     heading = 0.0 if alike else atan2(float(product(direction, left)), float(product(direction, forward)))
     x, y = float(product(at, forward)), float(product(at, left))
     x = 0.0 if abs(x) < 1e-12 else x
-    return Wheel(c.joint.name, radius, sign, y=y, x=x, heading=heading)
+    return Wheel(c.joint.name, c.radius, sign, y=y, x=x, heading=heading)
 
 
 def in_order(rest: AtRest, names: Sequence[str] | set[str]) -> tuple[str, ...]:

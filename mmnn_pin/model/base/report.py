@@ -163,7 +163,7 @@ def friction_note(rest: AtRest, base: Base) -> list[Finding]:
     text = f"rolling at 1 m/s takes {force:.3g} N against the friction of the wheels' joints, {times}"
     why = "no floor gives wheels that grip: a simulator's number? PD hardly moves such a base"
     dynamics = f'damping="{joints[first].damping:g}" friction="{joints[first].friction:g}"'
-    return [note(rest, "base-friction", first, text, why, f"measured friction instead of {dynamics}")]
+    return [note(rest, "base-friction", first, text, why, f"state the measured friction instead of {dynamics}")]
 
 
 def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
