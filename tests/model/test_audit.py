@@ -173,7 +173,7 @@ def test_massless_links_are_legal_where_what_they_carry_gives_them_inertia():
     assert robot_of(virtual(GIMBAL, 3.0)).dimensions.arm == 3
 
 
-@pytest.mark.parametrize("axes", [[PLANE[2]] * 2, [PLANE[0]] * 2, [*PLANE, PLANE[1]]])
+@pytest.mark.parametrize("axes", [[PLANE[2]] * 2, [PLANE[0]] * 2, [PLANE[1], *PLANE]])
 def test_massless_links_that_move_without_what_they_carry_are_named(axes):
     with pytest.raises(RobotError, match=r"link 'l\d', moved by joint 'j\d': the mass matrix is singular"):
         robot_of(virtual(axes, 3.0))

@@ -35,6 +35,8 @@ def virtual_joints(document: Document) -> dict[str, str]:
             return {}
         found.append(below[0])
         link = below[0].child
+    if not document.moving_children(link):  # they are all that it can do
+        return {}
     slides = [j for j in found if j.type == "prismatic" and rest.is_horizontal(j)]
     turns = [j for j in found if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
     crossed = len(slides) == 2 and len(turns) == 1 and abs(rest.axis(slides[0]) @ rest.axis(slides[1])) < HORIZONTAL
