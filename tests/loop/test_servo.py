@@ -146,9 +146,10 @@ def test_both_engines_and_a_batch_give_the_same_bits():
     """Wheels by velocity, a joint by position, a jittery way, and a supervisor that trips in between."""
     interfaces, way = WHEELS | {ROBOT.joint_names[1]: "position"}, Latency(sensing=H, command=H, jitter=H)
     limits = Safety(joint_error=0.05)  # the start is off by more
+    late = {"interfaces": interfaces, "latency": way}  # one loop to compile
     loops = [
-        made(duration=0.1, interfaces=interfaces, latency=way),
-        made(duration=0.1, interfaces=interfaces, safety=limits, start=Start(joint_offset=0.04)),
+        made(duration=0.1, **late),
+        made(duration=0.1, **late, safety=limits, start=Start(joint_offset=0.04)),
     ]
     for loop in loops:
         compiled, ordinary = (replace(loop, engine=engine).run() for engine in ("compiled", "ordinary"))
