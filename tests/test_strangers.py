@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import pkgutil
 import random
 import sqlite3
@@ -13,7 +14,7 @@ from io import StringIO
 
 import pytest
 from random_options import tried
-from sound_files import study
+from sound_files import contest, study
 
 import mmnn_pin
 from mmnn_pin.cli import main, mmnn
@@ -137,6 +138,16 @@ def test_a_damaged_text_in_the_list_of_tables_is_one_line(sound, tmp_path):
     file.write_bytes(sound.replace(b"CREATE TABLE rows", b"CREATE TABLE ro\xffs", 1))
     with pytest.raises(StudyError, match="cannot read the database: "):
         load_results(file)
+
+
+def test_a_contest_that_lost_windows_of_a_curve_is_drawn_as_far_as_all_go(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    contest(tmp_path / "contest")
+    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
+    rows["eight/two_layer"]["rows"][0]["curve"].pop()
+    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
+    with redirect_stdout(StringIO()):
+        assert main(["plot", "contest", "--what", "contest-learning", "--out", "out"]) == 0
 
 
 # -- the replay's server -----------------------------------------------------------------------------------------------

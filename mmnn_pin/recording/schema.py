@@ -77,6 +77,9 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
     for name in ("velocity_names", "position_names", "actuator_names"):
         if long := next((text for text in meta.get(name, ()) if len(text) > MOST_TEXT), None):
             return name, f"{shortly(long)} has {len(long)} letters", f"use at most {MOST_TEXT}"
+    names, limits = meta.get("actuator_names", ()), meta.get("effort_limits", ())
+    if limits and len(names) != len(limits):
+        return "effort_limits", f"{shortly(list(limits))} for {len(names)} motors", "give one for each"
     period = meta.get("control_period", 1.0)
     if not (math.isfinite(period) and period > 0):
         return "control_period", f"{period} s", "use a finite number of seconds > 0"

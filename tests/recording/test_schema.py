@@ -94,6 +94,7 @@ FOREIGN: dict[str, tuple[Change, str]] = {
     ),
     "fact of a wrong type": (attribute("robot", 5), "its attribute 'robot': 5 is a whole number: expected a text"),
     "names of a wrong type": (attribute("velocity_names", 'json:[1, "w"]'), "its attribute 'velocity_names'"),
+    "limits of other motors": (attribute("effort_limits", "json:[1.0]"), "its attribute 'effort_limits': [1.0] for "),
     "no period": (attribute("control_period", -1.0), "its attribute 'control_period': -1.0 s"),
     "broken JSON": (attribute("gains", "json:{"), "its attribute 'gains' cannot be read: "),
     "deep JSON": (attribute("gains", f"json:{'[' * 99}{']' * 99}"), "it is nested more than 32 levels deep"),
@@ -308,6 +309,15 @@ def test_a_learner_without_its_settings_is_refused_before_anything_is_fitted(tmp
     recording = Recording.open(tmp_path / "run.h5")
     with pytest.raises(RecordingError, match="the recording does not tell the settings of adaptive"):
         controller_of(recording, recorded_robot(recording))
+
+
+def test_a_report_of_a_recording_that_knows_no_limits_is_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
+        for name in ("effort_limits", "actuator_names"):
+            file.attrs.pop(name, None)
+    assert main(["report", "run.h5", "--html", "r.html", "--no-replay"]) == 0
+    assert "at its limit" not in (tmp_path / "r.html").read_text()
 
 
 def test_no_recording_by_a_name_that_leads_elsewhere(tmp_path):
