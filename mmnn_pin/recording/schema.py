@@ -18,6 +18,7 @@ from .run_file import Columns
 
 KIND = {name: (kind.split()[-1], base, arm) for name, kind, base, arm in SIGNALS}
 MOST_TEXT, DEEPEST = 1000, 32  # letters of a name, levels of a value
+LONGEST = 2.0**31  # s: what a stamp of ROS 2 can tell
 
 
 class Facts(msgspec.Struct, frozen=True):
@@ -113,10 +114,12 @@ def signal_problem(name: str, width: int, about: Columns, meta: Mapping[str, Any
 
 
 def time_problem(time: Array) -> str:
-    """What is wrong with the time of the rows, which must be finite and increase; empty where nothing is."""
+    """What is wrong with the time of the rows: it must be finite, below `LONGEST`, increase; empty if all is well."""
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         return f"row {bad[0]} is at {time[bad[0]]} s"
+    if len(time) and np.abs(time[[0, -1]]).max() >= LONGEST:
+        return f"it is from {time[0]:g} to {time[-1]:g} s, and no time is further than {LONGEST:g} s from 0"
     back = np.flatnonzero(np.diff(time) <= 0)
     return (
         f"row {back[0] + 1} is at {time[back[0] + 1]:g} s, the one before at {time[back[0]]:g} s" if len(back) else ""

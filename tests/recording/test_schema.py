@@ -160,6 +160,7 @@ DAMAGE: dict[str, tuple[Change, str, str]] = {
     ),
     "urdf": (replaced("urdf", data=np.zeros(3)), "urdf", "it is no text"),
     "time": (lambda file: file["signals/time"].__setitem__(7, 0.001), "signals/time", "row 7 is at 0.001 s, the one b"),
+    "far": (lambda file: file["signals/time"].__setitem__(-1, 1e300), "signals/time", "it is from 0 to 1e+300 s, and "),
     "no time": (lambda file: file["signals/time"].__setitem__(7, np.nan), "signals/time", "row 7 is at nan s"),
 }
 
@@ -318,6 +319,16 @@ def test_a_report_of_a_recording_that_knows_no_limits_is_made(tmp_path, monkeypa
             file.attrs.pop(name, None)
     assert main(["report", "run.h5", "--html", "r.html", "--no-replay"]) == 0
     assert "at its limit" not in (tmp_path / "r.html").read_text()
+
+
+def test_rows_of_years_apart_or_before_0_are_shown_or_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for at, to, says in ((-1, 2e9, ""), (0, -5.0, "begins at -5 s, and a log has no times before 0")):
+        with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
+            file["signals/time"][at] = to
+        assert main(["replay", "run.h5", "--html", "p.html", "--force"]) == 0
+        assert main(["export", "run.h5", "--to", "mcap", "--out", "x.mcap", "--force"]) == (2 if says else 0)
+        assert says in capsys.readouterr().err
 
 
 def test_no_recording_by_a_name_that_leads_elsewhere(tmp_path):
