@@ -192,7 +192,7 @@ def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
     ],
 )
 def test_a_log_that_nothing_measured_is_one_line(row, says, tmp_path, capsys):
-    joints = "position.joint_1,effort.joint_1,velocity.joint_1"
+    joints = "position.arm_1_joint,effort.arm_1_joint,velocity.arm_1_joint"
     (tmp_path / "log.csv").write_text(f"time,{joints}\n0,0,0,0\n{row}\n" if "e" in row else f"time\n{row}\n")
     words = ["identify", str(tmp_path / "log.csv"), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")]
     assert main(words) == 2

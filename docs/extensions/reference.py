@@ -217,7 +217,7 @@ FLOORS = {
     "errors": "Errors",
 }
 MORE = {  # what is needed now and then, from its own module
-    "reference": ("Circle", "Eight", "Waypoints", "Table", "Timed", "Hold", "Sines", "MinimumJerk"),
+    "reference": ("Circle", "Eight", "Waypoints", "Table", "Timed", "Smoothed", "Hold", "Sines", "MinimumJerk"),
     "reference.guide": ("Limits",),
     "reference.wishes": ("HOLD", "BaseVelocity", "JointGoal", "Motion"),
     "reference.hand": (

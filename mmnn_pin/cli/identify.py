@@ -13,6 +13,7 @@ from .options import FORCE, examples, numbers, robots, shared, understanding
 from .output import DONE, FAILED, answer, named, warn, wrote
 
 if TYPE_CHECKING:
+    from ..deploy.identify.identification import Identification
     from ..deploy.identify.log import Log
     from ..model.robot import Robot
 
@@ -114,16 +115,18 @@ def identify(
     report = corrected.report_of(found)
     files = corrected.write(found, out, force) if found.better or even_if_worse else {}
     report |= {"file": str(files["urdf"]) if files else None, "files": named(files)}
-    answer(
-        as_json,
-        lambda: report,
-        lambda: "\n".join((text_of(report, sys.stdout.isatty()), wrote(files.values()))).rstrip(),
-    )
+    text = lambda: "\n".join((text_of(report, sys.stdout.isatty()), wrote(files.values()))).rstrip()  # noqa: E731
+    answer(as_json, lambda: report, text)
     if not files:
-        units = "no masses that can be explain these efforts: currents need --torque-constant, check units and signs"
-        why = "the fit is no better than what it is compared with" if found.plausible else units
-        warn(f"nothing written: {why}; --even-if-worse writes it")
+        warn(f"nothing written: {why_nothing(found)}; --even-if-worse writes it")
     return DONE if files else FAILED
+
+
+def why_nothing(found: Identification) -> str:
+    """Why a fit is not written."""
+    if found.plausible:
+        return "the fit is no better than what it is compared with"
+    return "no masses that can be explain these efforts: currents need --torque-constant, check units and signs"
 
 
 def constants_of(given: tuple[str, ...]) -> dict[str, float | None]:

@@ -15,6 +15,7 @@ from .output import DONE, FAILED, STOPPED, answer, compile_if_cold
 
 if TYPE_CHECKING:
     from ..deploy.ros2.settings import Node
+    from ..deploy.ros2.wiring import Row
     from ..lab.experiments.experiment import Experiment
     from ..model.robot import Robot
     from ..recording.recording import Recording
@@ -92,19 +93,23 @@ def ros2(
         return DONE
     if check:
         table = rows(made, settings)
-        width = [max(len(row[i]) for row in table) for i in range(3)]
-        lines = ["  ".join((*(f"{row[i]:{width[i]}}" for i in range(3)), f"{row.qos}: {row.what}")) for row in table]
-        answer(
-            as_json, lambda: {"robot": made.name, "topics": [row._asdict() for row in table]}, lambda: "\n".join(lines)
-        )
+        topics = {"robot": made.name, "topics": [row._asdict() for row in table]}
+        answer(as_json, lambda: topics, lambda: columns(table))
         return DONE
     run = control(settings, file, experiment, made, seconds, wait, out or Path("runs/ros2") / f"{made.name}.h5", force)
     outcome = run.outcome
     facts = {"status": outcome.status, "time": outcome.time, "message": outcome.message, "recording": str(run.path)}
-    answer(
-        as_json, lambda: facts, lambda: f"{outcome.status} after {outcome.time:.3f} s: {outcome.message}".rstrip(": ")
-    )
+    text = f"{outcome.status} after {outcome.time:.3f} s: {outcome.message}".rstrip(": ")
+    answer(as_json, lambda: facts, lambda: text)
     return {"completed": DONE, "interrupted": STOPPED}.get(outcome.status, FAILED)
+
+
+def columns(table: list[Row]) -> str:
+    """Topics, one a line, what is said of them below each other."""
+    width = [max(len(row[i]) for row in table) for i in range(3)]
+    return "\n".join(
+        "  ".join((*(f"{row[i]:{width[i]}}" for i in range(3)), f"{row.qos}: {row.what}")) for row in table
+    )
 
 
 def asked(settings: Node, file: Path) -> tuple[Experiment, Robot]:

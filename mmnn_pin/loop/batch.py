@@ -69,19 +69,10 @@ def simulate_many(
             needed than there is; before anything runs.
         UnknownName: A signal to keep that does not exist.
     """
-    if not loops:
-        raise ConfigError("no runs", fix="give at least one loop")
-    if states is not None and len(states) != len(loops):
-        raise ConfigError(f"{len(states)} states for {len(loops)} runs", fix="give one per run")
     workers = (os.cpu_count() or 1) if workers is None else workers
-    if workers < 1:
-        raise ConfigError(f"{workers} workers", fix="use at least one")
     keep = (keep,) if isinstance(keep, str) else keep
-    if not isinstance(keep, bool):
-        known(keep)
-    require_memory(needed_bytes(loops, keep, workers))
-    starts = states if states is not None else [None] * len(loops)
-    require_fit(loops, starts)
+    starts = [None] * len(loops) if states is None else states
+    require_sound(loops, starts, keep, workers)
     stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
 
     def one(i: int) -> None:
@@ -112,6 +103,25 @@ def simulate_many(
             return results
         finally:
             stop.set()
+
+
+def require_sound(loops: Sequence[Loop], states: Sequence[Any], keep: bool | Collection[str], workers: int) -> None:
+    """Refuse a batch that cannot be run; arguments as in `simulate_many`.
+
+    Raises:
+        ConfigError: No runs, not one state per run, no worker, a state that does not fit, too little memory.
+        UnknownName: A signal to keep that does not exist.
+    """
+    if not loops:
+        raise ConfigError("no runs", fix="give at least one loop")
+    if len(states) != len(loops):
+        raise ConfigError(f"{len(states)} states for {len(loops)} runs", fix="give one per run")
+    if workers < 1:
+        raise ConfigError(f"{workers} workers", fix="use at least one")
+    if not isinstance(keep, bool):
+        known(keep)
+    require_memory(needed_bytes(loops, keep, workers))
+    require_fit(loops, states)
 
 
 def simulate(

@@ -43,7 +43,7 @@ from .sample import Plan
 from .sampled import delay_margin, require_stable_gains
 from .servo import Servo, servo_gains
 from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
-from .suited import Given, suited
+from .suited import Given, suited, timing_for
 
 Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
@@ -60,7 +60,7 @@ class Loop:
         controller: A controller of this package or a `TorqueController` of your own; gains that it is not given suit
             the robot (`loop.suited`), with the delay margin that the latency asks for.
         kinematic: Gains of the kinematic layer.
-        timing: Periods.
+        timing: Periods, and the integrator; by default one that bears the robot's friction (`suited.timing_for`).
         start: Where the run starts.
         nominal: The robot that a controller believes in which uses a model and brings none; None for the true one.
         bounds: Where a state counts as lost.
@@ -119,6 +119,7 @@ class Loop:
         samples_between(self.weights_interval, self.timing.control_period)
         if self.plant not in PLANTS:
             raise UnknownName("plant", self.plant, PLANTS, key="plant")
+        object.__setattr__(self, "timing", timing_for(self.robot, self.timing))
         given = partial(Given.of, self, self.trajectory, self.timing, self.robot.dimensions)
         made = suited(self.controller, self.robot, given)
         object.__setattr__(self, "controller", made)

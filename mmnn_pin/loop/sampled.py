@@ -162,8 +162,7 @@ def held_loop(
     size = motion + len(lagging)
     A, B, errors = np.zeros((size, size)), np.zeros((size, p)), np.zeros((p, size))
     nu = slice(poses + n, motion)
-    M_inv = np.linalg.inv(M)
-    B[nu] = M_inv
+    B[nu] = M_inv = np.linalg.inv(M)
     of_base = slice(poses + n, poses + n + nb)
     law = BY_SIZE[nb].linear_errors(v_ref, base_gains)
     A[:poses, :poses], A[:poses, of_base], errors[:nb, :poses] = law
@@ -171,10 +170,10 @@ def held_loop(
     if nb:
         rates[:nb, :poses], rates[:nb, of_base] = law.command @ law.rates, law.command @ law.by_velocity
     rates[nb:, poses + n + nb : motion] = -np.diag(K)
-    for i, motor in enumerate(lagging):
-        assert lag is not None
-        A[nu, motion + i], A[motion + i, motion + i] = M_inv[:, motor], -1.0 / lag[motor]
-        B[nu, motor], B[motion + i, motor] = 0.0, 1.0 / lag[motor]
+    if lag is not None:
+        of_lag = slice(motion, size)
+        A[nu, of_lag], A[of_lag, of_lag] = M_inv[:, lagging], np.diag(-1.0 / lag[lagging])
+        B[nu, lagging], B[np.arange(motion, size), lagging] = 0.0, 1.0 / lag[lagging]
     A[poses : poses + n, poses + n + nb : motion] = -np.eye(n)
     errors[nb:, poses : poses + n] = np.diag(K)
     errors[:, nu] = -np.eye(p)

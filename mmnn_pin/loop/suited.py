@@ -20,6 +20,7 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from ..compiled import one_thread
@@ -46,6 +47,7 @@ LEFT = (
 )
 POSTURES, JUDGED = 60, 6  # postures at which inertias are looked at, and those at which the loop is judged
 PLACES = 41  # along a reference, likewise
+STIFF = 2.78  # rk4 multiplies what decays at a rate a by more than 1 in a step h where a h is above 2.785
 TRIALS = 100  # postures that are looked at where the middle is too heavy
 
 
@@ -173,6 +175,26 @@ def mass_matrices(robot: Robot, positions: Iterable[Array]) -> list[Array]:
         terms.refresh(position, still)
         found.append(terms.M.copy())
     return found
+
+
+def timing_for(robot: Robot, timing: Timing) -> Timing:
+    """Choose the integrator where a timing leaves it open ("auto").
+
+    Viscous friction D lets velocities decay at the eigenvalues of `M^-1 D`, none of which is above the trace. rk4 is
+    stable while the largest times the plant step is below 2.785 (Hairer and Wanner, Solving Ordinary Differential
+    Equations II, IV.2); from a trace of that on it is `implicit_friction`.
+
+    Args:
+        robot: As loaded; looked at where all joints are at zero.
+        timing: Of a loop.
+    """
+    if timing.integrator != "auto":
+        return timing
+    friction, stiff = viscous_friction(robot), False
+    if friction.any():
+        (M,) = mass_matrices(robot, [robot.follow(np.zeros(robot.dimensions.full))])
+        stiff = float(np.trace(product(inverse(M), friction))) * timing.plant_step > STIFF
+    return msgspec.structs.replace(timing, integrator="implicit_friction" if stiff else "rk4")
 
 
 def effective_inertia(robot: Robot, positions: Iterable[Array], period: float) -> Array:

@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from ..errors import ConfigError, RobotError, UnknownName
 from .base.base import Base
 from .base.overrides import Overrides
+from .base.wheels import alike_on_root, is_low
 from .urdf.document import Document, Joint
 from .urdf.shapes import AtRest
 from .urdf.xml import number
@@ -152,7 +153,9 @@ def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], overrides: 
     else:
         still = dict.fromkeys(short_branches(rest, set(own), slaves), WHY["short"])
         still |= {name: WHY["button"] for name in own if name not in still and is_button(rest, name)}
-    idle = [name for name in overrides.free if name not in still and name != "all"]
+    low = [j for j in rest.document.joints.values() if is_low(rest, j)]  # which a base takes for its own
+    known = {*still, "all", *(j.name for j in (*low, *alike_on_root(rest)))}
+    idle = [name for name in overrides.free if name not in known]
     if idle:
         raise ConfigError(f"'{idle[0]}' is freed, and moves anyhow", fix="leave it out", key="free")
     return {name: why for name, why in still.items() if not freed(name, overrides)}

@@ -7,7 +7,6 @@ independent velocities, nv of the full model, n_u motors, nc = nv - p constraint
 
 from __future__ import annotations
 
-import copy
 import math
 import os
 import sys
@@ -31,6 +30,7 @@ from .arm import Arm, choose_arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
 from .base.report import arm_notes, printed_notes, settle, unsupported, weld_notes
+from .base.standing import require_rolling, welded
 from .base.understanding import find_base
 from .maps import configuration_indices, constraint_rows, motion_map, motor_map
 from .robot import Robot
@@ -41,7 +41,6 @@ from .urdf.finding import excused
 from .urdf.mechanism import Part
 from .urdf.reading import read
 from .urdf.shapes import AtRest
-from .urdf.xml import text_of
 
 ROOT_NAMES = ("root_vx", "root_vy", "root_w")
 
@@ -147,6 +146,7 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     document, welds = welded(document)
     rest = AtRest(document, folders_of(document.path, overrides))
     found = find_base(rest, overrides)
+    require_rolling(rest, found.base, welds, overrides)
     arm = choose_arm(rest, found.base, overrides)
     if not found.base.columns and not arm.joints:
         raise unsupported(
@@ -175,21 +175,6 @@ def settled(overrides: Overrides, base: Base) -> Overrides:
 
 
 # -- Pinocchio's model -------------------------------------------------------------------------------------------------
-
-
-def welded(document: Document) -> tuple[Document, tuple[str, ...]]:
-    """The robot with its planar and floating joints welded, and their names.
-
-    A file made for a simulator stands its robot in the world on such a joint; here the loader does that.
-    """
-    names = tuple(joint.name for joint in document.joints.values() if joint.type in ("planar", "floating"))
-    if not names:
-        return document, ()
-    root = copy.deepcopy(document.root)
-    for element in root.iterchildren("joint"):
-        if element.get("name") in names:
-            element.set("type", "fixed")
-    return replace(document, root=root, text=text_of(root)), names
 
 
 def pinocchio_model(document: Document, mobile: bool) -> tuple[pin.Model, str]:

@@ -76,7 +76,7 @@ class Reducer:
         """Flat table of numbers in SI units, keyed `signal.label.statistic`.
 
         Statistics: `peak` (largest magnitude), `rms_a_b` over each window [a, b) that the run reached (nan otherwise);
-        `effort` is the time integral of the squared motor torques [N^2 m^2 s]; `learned_share` the RMS of Psi_hat over
+        `effort` is the time integral of the squared motor torques [N²m²s]; `learned_share` the RMS of Psi_hat over
         the RMS of the applied torque (base and arm apart), `effective_gain` its mean; where energy was recorded the
         peak of `energy_residual`. On the contact plant also the peaks of slip [m/s], traction use and constraint
         residual [m/s].

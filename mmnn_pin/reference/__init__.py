@@ -8,7 +8,7 @@ from .holonomic import Holonomic
 from .joint import Hold, JointProfile, JointSamples, JointTable, MinimumJerk, Points, Sine, Sines
 from .path import BasePath, BaseSamples, Circle, Eight, Line, Waypoints
 from .samples import Table, check_followable, warnings
-from .timed import Timed
+from .timed import Smoothed, Timed
 from .trajectory import SetpointSource, Trajectory
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "SetpointSource",
     "Sine",
     "Sines",
+    "Smoothed",
     "Table",
     "Timed",
     "Trajectory",

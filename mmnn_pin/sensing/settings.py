@@ -119,10 +119,7 @@ class Sensor(Settings, frozen=True):
         state = self.init(robot, faults) if state is None else state
         wheels, nw, n, p = self._wheels(robot), len(self._wheels(robot)), layout.arm, layout.dof
         W = pseudo_inverse(robot.T[wheels, : layout.base]) if wheels else np.zeros((layout.base, 0))
-        normal, uniform = rng.spawn(2)
-        normals = np.split(standard_normal(normal, (count, nw + n + p + layout.pose)), [nw + n, nw + n + p], axis=1)
-        uniforms = uniform.random((count, 2))
-        angles, rates, poses = (np.ascontiguousarray(part) for part in normals)
+        angles, rates, poses, uniforms = drawn(rng, count, (nw + n, p, layout.pose))
         size = layout.pose + layout.base + 2 * n
         expected, biased = self._modelled(robot)
         ends = np.cumsum([CLOCK, COLUMNS * (nw + n), layout.pose, size, expected, biased])
@@ -130,6 +127,7 @@ class Sensor(Settings, frozen=True):
         joints = joints.reshape(-1, COLUMNS)
         wire = Reading(np.zeros(layout.full), np.zeros(p), clock, joints, np.zeros(size), received, acceleration, bias)
         spread = np.array(one_or_each(self.velocity_noise, p, "velocity", "sensor.velocity_noise"))
+        derivative, turns = self._derivative(period), np.ascontiguousarray(robot.T[wheels, : layout.base])
         effects = (
             Encoders(
                 np.array([*wheels, *robot.arm_index], np.int64),
@@ -138,12 +136,7 @@ class Sensor(Settings, frozen=True):
                 self._per_encoder(nw, n, "noise", self.wheel_noise),
                 angles,
             ),
-            Rates(
-                self.velocity in ("observer", "model"),
-                period,
-                *self._derivative(period),
-                np.ascontiguousarray(robot.T[wheels, : layout.base]),
-            ),
+            Rates(self.velocity in ("observer", "model"), period, *derivative, turns),
             Velocities(self.velocity == "true", W, ESTIMATE if self.velocity == "model" else READING),
             Odometry(self.pose == "odometry", W, pose),
             Noise(spread, np.array(self.pose_noise[: layout.pose], float), rates, poses),
@@ -199,6 +192,13 @@ class Sensor(Settings, frozen=True):
         return np.concatenate(
             (np.full(wheels, of_wheels), one_or_each(getattr(self, name), joints, "joint", f"sensor.{name}"))
         )
+
+
+def drawn(rng: np.random.Generator, count: int, sizes: tuple[int, ...]) -> tuple[Array, ...]:
+    """Random numbers of `count` measurements: normal ones, (count, size) of every size, and two uniform, (count, 2)."""
+    normal, uniform = rng.spawn(2)
+    parts = np.split(standard_normal(normal, (count, sum(sizes))), np.cumsum(sizes)[:-1], axis=1)
+    return *(np.ascontiguousarray(part) for part in parts), uniform.random((count, 2))
 
 
 @lru_cache(maxsize=100)

@@ -195,7 +195,8 @@ class Timing(Settings, frozen=True):
         plant_step: Integration step of the plant [s].
         sensor_period: Time between measurements [s]; None measures at every control sample.
         integrator: "rk4", "semi_implicit_euler", "implicit_friction" for friction too stiff for these, or "stick" for
-            dry friction that really holds a joint.
+            dry friction that really holds a joint; "auto" takes rk4, or implicit_friction where a `Loop` finds the
+            viscous friction of its robot too stiff for the plant step.
 
     Raises:
         ConfigError: A period is not positive and finite, or the plant step does not divide the others.
@@ -208,7 +209,7 @@ class Timing(Settings, frozen=True):
     control_period: float = 0.002
     plant_step: float = 0.001
     sensor_period: float | None = None
-    integrator: Literal["rk4", "semi_implicit_euler", "implicit_friction", "stick"] = "rk4"
+    integrator: Literal["auto", "rk4", "semi_implicit_euler", "implicit_friction", "stick"] = "auto"
 
     def __post_init__(self) -> None:
         for name in ("duration", "control_period", "plant_step", "sensor_period"):

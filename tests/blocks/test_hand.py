@@ -379,6 +379,56 @@ def test_a_camera_looks_at_a_point() -> None:
     assert np.linalg.norm(np.cross(axis, way / np.linalg.norm(way))) < 1e-3 and axis @ way > 0
 
 
+def test_the_base_turns_towards_the_goal_where_that_is_wished_for() -> None:
+    """A goal to the side that the arm reaches by itself: only the wish turns the base, and the hand stays in place."""
+    turned = []
+    for heading in (0.0, 1.0):
+        robot = robot_of("platform_arm")
+        wishes = WholeBodySettings(heading=heading, base=0.01, posture=0.0)
+        body = WholeBody(robot, [Task(orientation=0.0)], settings=wishes, period=H)
+        body.put(np.zeros(3), np.array([1.2, 0.5]))
+        goal = body.target_here(0)
+        for _ in range(2000):
+            body.step(goal[None])
+        body.look_around()
+        way = goal[:2] - body.pose[:2]
+        turned.append(abs(np.arctan2(way[1], way[0]) - body.pose[2]))
+        np.testing.assert_allclose(body.places[0, 9:], goal[:3], atol=2e-3)
+    assert turned[1] < 0.02 < 0.3 < turned[0]
+
+
+def test_the_arm_leaves_singular_postures_where_that_is_wished_for() -> None:
+    """Seven joints that hold a position: the wish moves them, without the hand, to where sqrt det J J' is larger."""
+    reached = []
+    for wish in (0.0, 0.5):
+        robot = robot_of("panda")
+        body = WholeBody(
+            robot, [Task(orientation=0.0)], settings=WholeBodySettings(manipulability=wish, posture=0.0), period=H
+        )
+        body.put(np.zeros(0), np.array([0.1, -0.3, 0.2, -0.6, 0.1, 0.6, 0.3]))
+        goal = body.target_here(0)
+        for _ in range(500):
+            body.step(goal[None])
+        body.look_around()
+        np.testing.assert_allclose(body.places[0, 9:], goal[:3], atol=1e-3)
+        J = body.J[0][:3]
+        reached.append(np.sqrt(np.linalg.det(J @ J.T)))
+    assert reached[1] > 1.1 * reached[0]
+
+
+def test_joints_drift_to_the_posture_only_where_the_hand_leaves_them_free() -> None:
+    robot, wanted = robot_of("panda"), np.array([0.5, -0.2, -0.3, -1.6, 0.3, 1.5, 0.8])
+    body = WholeBody(robot, [Task(orientation=0.0)], settings=WholeBodySettings(posture=1.0), period=H, posture=wanted)
+    body.put(np.zeros(0), np.array([0.1, -0.3, 0.2, -1.8, 0.1, 1.6, 0.3]))
+    goal, far = body.target_here(0), abs(body.q - wanted).max()
+    for _ in range(1000):
+        body.step(goal[None])
+    body.look_around()
+    np.testing.assert_allclose(body.places[0, 9:], goal[:3], atol=1e-3)
+    free = np.linalg.svd(body.J[0][:3])[2][3:]  # motions of the joints that do not move the hand
+    assert abs(free @ (body.q - wanted)).max() < 0.05 * far < abs(body.q - wanted).max()
+
+
 # -- priorities, and two arms ------------------------------------------------------------------------------------------
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from mmnn_pin import load
 from mmnn_pin.errors import TrajectoryError
-from mmnn_pin.reference import Circle, Eight, Timed, Trajectory, Waypoints
+from mmnn_pin.reference import Circle, Eight, Smoothed, Timed, Trajectory, Waypoints
 from mmnn_pin.reference.guide import Limits
 from mmnn_pin.reference.wishes import Motion
 
@@ -19,14 +19,19 @@ POINTS = ((0.0, 0.0), (3.0, 0.0), (3.0, 2.5), (6.0, 4.0))
 LIMITS = {"speed": 0.8, "yaw_rate": 1.2, "acceleration": 0.6, "yaw_acceleration": 1.5, "lateral": 0.4}
 
 
+def axle(track: float, rim: float) -> tuple[tuple[float, float, float], ...]:
+    """Two drive wheels at a distance, whose rims reach a speed."""
+    return (1.0, -track / 2, rim), (1.0, track / 2, rim)
+
+
 def used(path: Timed, count: int = 1001) -> dict[str, np.ndarray]:
     """Share of every limit over time."""
     t = np.linspace(0, path.duration, count)[1:-1]
     one = path.sample(t)
     (v, w), (vdot, wdot) = one.velocity.T, one.acceleration.T
-    rim = np.maximum(abs(v - w * path.track / 2), abs(v + w * path.track / 2))
+    wheels = [abs(a * v + b * w) / most for a, b, most in path.wheels] or [np.zeros_like(v)]
     return {
-        "speed": abs(v) / path.speed, "yaw_rate": abs(w) / path.yaw_rate, "rim": rim / path.rim,
+        "speed": abs(v) / path.speed, "yaw_rate": abs(w) / path.yaw_rate, "wheels": np.max(wheels, axis=0),
         "lateral": abs(v * w) / path.lateral, "acceleration": abs(vdot) / path.acceleration,
         "yaw_acceleration": abs(wdot) / path.yaw_acceleration,
     }  # fmt: skip
@@ -39,7 +44,8 @@ def used(path: Timed, count: int = 1001) -> dict[str, np.ndarray]:
 )  # fmt: skip
 @settings(max_examples=5, deadline=None)
 def test_it_keeps_to_every_limit_and_is_always_at_one(radius, speed, sign, **limits):
-    path = Timed(Waypoints(POINTS, sign * 0.5, radius, ramp=0.0), speed, rim=limits.pop("rim"), track=0.5, **limits)
+    wheels = axle(0.5, limits.pop("rim"))
+    path = Timed(Waypoints(POINTS, sign * 0.5, radius, ramp=0.0), speed, wheels=wheels, **limits)
     shares = np.array(list(used(path).values()))
     assert shares.max() < 1.05  # between the points of its grid
     assert np.mean(shares.max(axis=0) > 0.9) > 0.95  # no faster way: some limit is used up nearly always
@@ -58,10 +64,11 @@ def test_a_straight_line_is_driven_by_the_trapezoid(length, speed, acceleration)
 
 
 def test_a_wheel_that_turns_slowly_sets_the_pace():
-    slow = Timed(Waypoints(((0.0, 0.0), (10.0, 0.0)), 0.5, 0.3, ramp=0.0), 2.0, acceleration=5.0, rim=0.4, track=0.5)
+    straight = Waypoints(((0.0, 0.0), (10.0, 0.0)), 0.5, 0.3, ramp=0.0)
+    slow = Timed(straight, 2.0, acceleration=5.0, wheels=axle(0.5, 0.4))
     assert np.abs(slow.sample(np.linspace(0, slow.duration, 999)).velocity[:, 0]).max() == pytest.approx(0.4, rel=1e-6)
     corner = Waypoints(POINTS, 0.5, 0.4, ramp=0.0)
-    narrow, wide = (Timed(corner, **LIMITS, rim=0.8, track=track) for track in (0.1, 1.0))
+    narrow, wide = (Timed(corner, **LIMITS, wheels=axle(track, 0.8)) for track in (0.1, 1.0))
     assert wide.duration > narrow.duration * 1.01  # the outer wheel is faster on a wide base
 
 
@@ -87,10 +94,36 @@ def test_velocities_are_the_derivative_of_the_path(share):
     assert moved == pytest.approx([v * math.cos(here[2]), v * math.sin(here[2]), w], abs=1e-4)
 
 
+@given(st.floats(0.3, 3.0), st.floats(-1.0, 1.0), st.booleans(), st.integers(0, 1000))
+@settings(max_examples=5, deadline=None)
+def test_points_of_a_planner_are_smoothed_and_timed(length, bent, tail_first, seed):
+    """Noisy points on an arc: near them all, to every limit, and the derivatives of its curve by finite differences."""
+    along, noise = np.linspace(0.0, length, 40), np.random.default_rng(seed).normal(0.0, 0.003, (40, 2))
+    points = np.stack([along, 0.3 * bent * along**2], axis=1) + noise
+    smooth = Smoothed(points, tail_first)
+    s, h = np.linspace(0.05, 0.95, 41) * smooth.span, 1e-6
+    here, before, after = (smooth._curve(s + d) for d in (0.0, -h, h))
+    for one, rate in (("x", here.g * np.cos(here.phi)), ("y", here.g * np.sin(here.phi)), ("phi", here.k)):
+        assert (getattr(after, one) - getattr(before, one)) / (2 * h) == pytest.approx(rate, abs=1e-5)
+    for one, rate in (("g", here.dg), ("k", here.dk)):
+        assert (getattr(after, one) - getattr(before, one)) / (2 * h) == pytest.approx(rate, rel=1e-4, abs=1e-3)
+    path = Timed(smooth, **LIMITS, wheels=axle(0.5, 0.6))
+    shares = np.array(list(used(path).values()))
+    assert shares.max() < 1.1 and np.mean(shares.max(axis=0) > 0.9) > 0.9
+    driven = path.sample(np.linspace(0.0, path.duration, 2000))
+    assert np.hypot(*(driven.pose[:, None, :2] - points[None]).T).min(axis=1).max() < 0.06
+    assert (driven.velocity[:, 0] <= 1e-9).all() if tail_first else (driven.velocity[:, 0] >= -1e-9).all()
+    assert abs(driven.velocity[[0, -1]]).max() < 1e-6
+
+
 def test_a_robots_wheels_and_a_motion_of_it():
     robot = load("platform_arm")
     path = Timed.of(Waypoints(POINTS, 0.5, 0.4, ramp=0.0), robot, Limits(speed=0.7), lateral=0.5)
-    assert path.speed == 0.7 and path.track == robot.base.track and path.lateral == 0.5
+    assert path.speed == 0.7 and path.lateral == 0.5
+    (a, b, most), (c, d, _) = path.wheels
+    first, second = robot.base.wheels[:2]
+    assert (1 / a, 1 / c) == pytest.approx((first.radius, second.radius)) and most == 30.0
+    assert abs(b / a - d / c) == pytest.approx(robot.base.track)
     motion = Motion.of(Trajectory(path), path.duration, 0.002, robot.dimensions)
     assert motion.table[-1, :2] == pytest.approx(POINTS[-1], abs=1e-3)
 
@@ -98,10 +131,17 @@ def test_a_robots_wheels_and_a_motion_of_it():
 @pytest.mark.parametrize(("more", "words"), [
     ({"speed": 0.0}, "speed = 0.0 is not positive"),
     ({"lateral": -1.0}, "lateral = -1.0 is not positive"),
-    ({"rim": math.nan}, "rim = nan is not finite"),
+    ({"wheels": axle(0.5, math.nan)}, "wheels = nan is not finite"),
 ])  # fmt: skip
 def test_bad_limits_are_refused(more, words):
     with pytest.raises(TrajectoryError, match=words):
         Timed(Waypoints(POINTS, 0.5, 0.4, ramp=0.0), **more)
     with pytest.raises(TrajectoryError, match="cannot be timed"):
         Timed(Circle(1.0, 0.5))
+    for points, why in (
+        ([[1.0, 1.0]] * 5, "all in one place"),
+        ([1.0, 2.0], "two or more"),
+        ([[0, 0], [1, math.nan]], "finite"),
+    ):
+        with pytest.raises(TrajectoryError, match=why):
+            Smoothed(points)

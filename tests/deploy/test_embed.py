@@ -14,6 +14,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from builders import first_of
 from deploy.boards import STRICT, on_target, require
 from hypothesis import given
 from hypothesis import strategies as st
@@ -63,7 +64,9 @@ def exported(tmp_path_factory):
 
 
 @needs_gcc
-@pytest.mark.parametrize("controller", ["computed_torque", "two_layer", "adaptive_composite"])
+@pytest.mark.parametrize(
+    "controller", first_of(("computed_torque", "two_layer", "adaptive_composite"), "two_layer", "adaptive_composite")
+)
 def test_the_self_test_has_the_bits_of_the_stepper(exported, controller):
     """`mmnn embed` itself compiles and runs it: torques and checksums of weights and supervisor at every sample."""
     folder, told = exported(controller)

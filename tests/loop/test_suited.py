@@ -7,15 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders import trajectory
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import linalg
 
-from mmnn_pin import PD, Feedback, Loop, Stepper, Timing, load
+from mmnn_pin import PD, Feedback, Loop, Sine, Stepper, Timing, Trajectory, load
 from mmnn_pin.actuator import Actuator
 from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.hardware import Latency
-from mmnn_pin.loop.suited import MARGIN, SLOWEST, Given, Load, effective_inertia, fit, followable
+from mmnn_pin.loop.suited import MARGIN, SLOWEST, Given, Load, effective_inertia, fit, followable, timing_for
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import extra
@@ -195,3 +198,31 @@ def test_gravity_and_an_integral_feed_no_rates_back() -> None:
         for name in ("pd", "pd_gravity", "pid", "computed_torque")
     }
     assert margin["pd_gravity"] == margin["pid"] == margin["pd"] > margin["computed_torque"]
+
+
+# -- the integrator that is not given ---------------------------------------------------------------------------------
+
+
+@given(viscous=st.lists(st.floats(0.0, 1e3), min_size=2, max_size=2))
+@settings(max_examples=50, deadline=None)
+def test_only_friction_that_rk4_may_not_bear_gets_another_integrator(viscous: list[float]) -> None:
+    """The fastest decay by scipy, from Pinocchio's mass matrix."""
+    robot = load("two_axis_arm").with_joint_friction(viscous=viscous)
+    timing = timing_for(robot, Timing())
+    rate = float(linalg.eigh(np.diag(viscous), robot.mass_matrix(robot.neutral()), eigvals_only=True)[-1])
+    if rate * timing.plant_step > 2.785:
+        assert timing.integrator == "implicit_friction"
+    elif 2 * rate * timing.plant_step < 2.78:  # the trace is at most two times the largest
+        assert timing.integrator == "rk4"
+    assert timing_for(robot, Timing(integrator="stick")).integrator == "stick"
+
+
+def test_a_robot_with_stiff_friction_is_not_lost_by_default() -> None:
+    """With rk4 it is, although nothing drives it away."""
+    robot = load("two_axis_arm").with_joint_friction(viscous=500.0)
+    still = Trajectory.of(robot, arm={"arm_1_joint": Sine(0.2, period=1.0)})
+    times = {"": "completed", "rk4": "diverged"}
+    for integrator, status in times.items():
+        timing = Timing(duration=0.1, **({"integrator": integrator} if integrator else {}))
+        run = Loop(robot, still, PD(Feedback(0.0, 5.0)), timing=timing, check_gains=False).run()
+        assert run.outcome.status == status

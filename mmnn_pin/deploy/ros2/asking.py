@@ -12,12 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from ...reference import Smoothed
 from ...reference.wishes import BaseVelocity, Motion, Stand, Wish
 from ...signals import Array
 from . import messages as msg
 from .action import ArmAction
 from .link import Inlet, Link, decoded
-from .planned import Arm, Made, Planner, Refused, base_motion, rest_of, smoothed
+from .planned import Arm, Made, Planner, Refused, base_motion, rest_of
 from .sensing import STILL, Clock, Planar, Tree, composed, wrapped
 from .settings import Node
 
@@ -54,7 +55,7 @@ class Asking:
         if here.size:
             trajectory = msg.JointTrajectory(msg.Header(msg.Time()), list(self.arm.names), points)
             self.arm.motion(trajectory, np.stack([here, 0.0 * here, 0.0 * here]))
-        smoothed(np.array([(0.0, 0.0), (1.0, 0.0)]))
+        Smoothed(np.array([(0.0, 0.0), (1.0, 0.0)])).sample([0.0])
 
     def poll(self, clock: Clock, steady: float, reference: Array, measured: Array, stopped: bool) -> tuple[Wish, ...]:
         """What is asked from now on.

@@ -6,19 +6,20 @@ and with the number that the action `FollowJointTrajectory` has for it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ...elementary.arrays import atan2, cos_sin
 from ...errors import MmnnError, TrajectoryError
-from ...model.robot import Robot, speed_limits
+from ...model.base.holonomic import moves_sideways
+from ...model.robot import Robot
+from ...reference import Holonomic, Smoothed, Timed, Trajectory
 from ...reference.guide import ARM, BASE, Limits
-from ...reference.samples import Table
-from ...reference.trajectory import Trajectory
 from ...reference.wishes import Motion, Stand, Wish
 from ...signals import Array, Setpoint
 from . import messages as msg
@@ -28,9 +29,6 @@ from .settings import Route
 OKAY, INVALID_GOAL, INVALID_JOINTS, OLD_STAMP, OFF_PATH, OFF_GOAL = 0, -1, -2, -3, -4, -5
 MOST_POINTS, LONGEST = 10_000, 3600.0  # of a trajectory, [s]
 AT_REST = 1e-3  # speed of the last point that counts as rest [rad/s or m/s]
-SPACING, WANDER = 0.05, 0.02  # of a path that is smoothed, and how far it may go beside its points [m]
-SLOWEST = 1e-3  # [m/s]
-EVEN = 0.002  # between two samples of a timed path, at most [s]
 
 
 Made = Motion | Stand
@@ -188,9 +186,8 @@ def rest_of(motion: Motion, elapsed: float, shift: Planar | None = None) -> Moti
 def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, period: float) -> Motion | Stand:
     """A path of the base from rest to rest, along its arc length, in the frame of the message; standing without poses.
 
-    The points are smoothed by a spline of degree five that stays within 2 cm of them on average. Speed is as high as
-    the yaw rate, the sideways acceleration and the acceleration along the path allow. Poses that look against the way
-    are driven tail first.
+    The points are `Smoothed`, and driven as fast as speeds, accelerations and wheels allow (`Timed`). Poses that look
+    against the way are driven tail first.
 
     Args:
         message: Of the planner.
@@ -211,80 +208,17 @@ def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, p
     points = np.array([(one.pose.position.x, one.pose.position.y) for one in message.poses])
     if not (np.abs(points) < 1e6).all():
         raise Refused("poses that are not finite")
-    x, y, phi, bend, s = smoothed(points)
-    first = message.poses[0].pose.orientation
-    looks = np.arctan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
-    back = np.cos(looks - phi[0]) < -0.5 and len(message.poses) > 1
-    v, t = driven(s, bend, route, limits, robot)
-    slower = np.ceil(t[-1] / period) * period / t[-1]  # a whole number of samples
-    t, v, (x, y, phi, bend) = evenly(t * slower, v / slower, s, (x, y, phi, bend), period)
-    along = -v if back else v
-    pose = np.stack([x, y, phi + (np.pi if back else 0.0)], axis=1)
-    turn = bend * v
-    velocity = np.stack([along, turn] if robot.dimensions.base == 2 else [along, np.zeros_like(v), turn], axis=1)
+    slower = msgspec.structs.replace(
+        limits, speed=min(route.speed, limits.speed), acceleration=min(route.acceleration, limits.acceleration)
+    )
     try:
-        return Motion.of(Trajectory(Table(t, pose, velocity)), float(t[-1]), period, robot.dimensions)
+        path = Smoothed(points)
+        way, first = float(path.sample([0.0]).pose[0, 2]), message.poses[0].pose.orientation
+        looks = np.arctan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
+        path = Smoothed(points, tail_first=bool(np.cos(looks - way) < -0.5))
+        timed = Timed.of(path, robot, slower, route.lateral)
+        base = Holonomic(timed) if moves_sideways(robot.dimensions.base) else timed
+        end = math.ceil(timed.duration / period) * period
+        return Motion.of(Trajectory(base), end, period, robot.dimensions)
     except TrajectoryError as error:
         raise Refused(error.what) from error
-
-
-def smoothed(points: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """x, y, heading, curvature and arc length of a smooth path near some points.
-
-    Raises:
-        Refused: All in one place.
-    """
-    from scipy.interpolate import splev, splprep
-
-    step = np.hypot(*np.diff(points, axis=0).T)
-    points = points[np.append(True, step > 1e-3)]
-    length = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
-    if length[-1] < SPACING:
-        raise Refused("poses that are all in one place")
-    count = max(8, round(length[-1] / SPACING) + 1)
-    at = np.linspace(0.0, length[-1], count)
-    dense = [np.interp(at, length, column) for column in points.T]
-    weights = np.ones(count)
-    weights[[0, -1]] = 100.0  # it begins and ends where it should
-    spline, _ = splprep(dense, w=weights, u=at, k=5, s=count * WANDER**2)
-    u = np.linspace(0.0, length[-1], max(50, 4 * count))
-    (x, y), (dx, dy), (ddx, ddy) = (splev(u, spline, der=i) for i in range(3))
-    rate = np.hypot(dx, dy)
-    s = np.append(0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(u)))
-    return x, y, np.unwrap(atan2(dy, dx)), (dx * ddy - dy * ddx) / rate**3, s
-
-
-def driven(s: Array, bend: Array, route: Route, limits: Limits, robot: Robot) -> tuple[Array, Array]:
-    """Speed along a path from rest to rest, and the times of its points; arguments as of `base_motion`."""
-    sharp, speeds = np.maximum(np.abs(bend), 1e-9), speed_limits(robot)
-    most = np.minimum(
-        min(route.speed, limits.speed), np.minimum(limits.yaw_rate / sharp, np.sqrt(route.lateral / sharp))
-    )
-    nb, wheels = robot.dimensions.base, robot.dimensions.motors - robot.dimensions.arm
-    for row, fastest in zip(robot.E.T[:wheels, :nb], speeds[:wheels], strict=True):  # a wheel turns by its row times nu
-        most = np.minimum(most, fastest / np.maximum(np.abs(row[0] + bend * row[-1]), 1e-9))
-    most[[0, -1]] = 0.0
-    a = min(route.acceleration, limits.acceleration)
-    for order in (range(1, len(s)), range(len(s) - 2, -1, -1)):
-        for i in order:
-            before = i - order.step
-            most[i] = min(most[i], np.sqrt(most[before] ** 2 + 2.0 * a * abs(s[i] - s[before])))
-    return most, np.append(0.0, np.cumsum(np.diff(s) / np.maximum(0.5 * (most[1:] + most[:-1]), SLOWEST)))
-
-
-def evenly(t: Array, v: Array, s: Array, path: tuple[Array, ...], period: float) -> tuple[Array, Array, Array]:
-    """Times with equal steps of at most `EVEN`, speed, and x, y, heading and curvature there.
-
-    Between two points the acceleration is constant. They are equally far apart along the path: where the base is slow,
-    they are far apart in time, and a spline through them would not move at the speed that is told.
-    """
-    from scipy.interpolate import CubicHermiteSpline
-
-    x, y, phi, bend = path
-    count = round(t[-1] / period) * int(np.ceil(period / EVEN))
-    at = np.linspace(0.0, t[-1], count + 1)
-    i = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(t) - 2)
-    since, a = at - t[i], np.diff(v)[i] / np.diff(t)[i]
-    where = np.minimum(s[i] + (v[i] + 0.5 * a * since) * since, s[-1])
-    curve = CubicHermiteSpline(s, np.stack([x, y, phi]), np.stack([*cos_sin(phi), bend]), axis=1)
-    return at, v[i] + a * since, np.vstack([curve(where), curve(where, 1)[2:]])

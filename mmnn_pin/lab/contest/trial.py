@@ -64,7 +64,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
         rms: RMS errors in the last window of the training, per axis [m, rad].
         peak: Largest errors there.
         peak_of_all: Largest errors of the whole training, the start included.
-        effort: Time integral of the squared motor torques [N^2 m^2 s].
+        effort: Time integral of the squared motor torques [N²m²s].
         torque: Largest torque asked of a motor over its limit.
         kick: The same in the first moments.
         online_fvu: FVU in the last window, mean over the components.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from contextlib import suppress
 from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
-from ...errors import ConfigError, UnknownName
+from ...errors import ConfigError, TrajectoryError, UnknownName
 from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot
 from ...reference import (
@@ -53,6 +54,8 @@ ARM_PROFILES = {"sine": Sine, "sines": Sines, "hold": Hold, "minimum_jerk": Mini
 
 OF_A_FIXED_ARM = 0.15  # scale of a path where no base moves, per metre of reach
 SIX = 6  # joints that an orientation takes
+SMALLER = (0.7, 0.5, 0.35, 0.25)  # sizes in which a path that cannot be followed is tried
+KEY = "reference.hand"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,12 +157,34 @@ class HandTables(Settings, frozen=True):
         )
 
     def motion(self, robot: Robot, timing: Timing) -> HandMotion:
-        """The motion of a robot; errors as of `plan`."""
+        """The motion of a robot; errors as of `plan`, of which one tells the size of the path that can be followed."""
         body = self.body_of(robot, timing.control_period)
-        by = self.scale if self.scale != "auto" else 1.0 if robot.dimensions.base else reach_of(body) * OF_A_FIXED_ARM
-        paths = [path_of(self.path, by, "reference.hand.path")]
+        if self.scale != "auto":
+            return self._drawn(body, self.scale, timing)
+        size = 1.0 if robot.dimensions.base else reach_of(body) * OF_A_FIXED_ARM
+        try:
+            return self._drawn(body, size, timing)
+        except TrajectoryError as refused:
+            smaller = self._followed(body, size, timing) if refused.key == f"{KEY}.path" else None
+            if smaller is not None:
+                fits = f"--set {KEY}.scale={smaller:g} draws it smaller, which it can follow"
+                refused.fix = f"{fits}; or {refused.fix}"
+            raise
+
+    def _followed(self, body: WholeBody, size: float, timing: Timing) -> float | None:
+        """The largest of some smaller sizes in which the path can be followed."""
+        for share in SMALLER:
+            smaller = float(f"{share * size:.2g}")
+            with suppress(TrajectoryError):
+                self._drawn(body, smaller, timing)
+                return smaller
+        return None
+
+    def _drawn(self, body: WholeBody, size: float, timing: Timing) -> HandMotion:
+        """The motion along the path in a size."""
+        paths: list[HandPath | None] = [path_of(self.path, size, f"{KEY}.path")]
         for i, other in enumerate(self.others):
-            paths.append(path_of(other.path, by, f"reference.hand.others.{i}.path") if other.path else None)  # type: ignore[arg-type]
+            paths.append(path_of(other.path, size, f"{KEY}.others.{i}.path") if other.path else None)
         return plan(
             body,
             paths,

@@ -169,7 +169,7 @@ def psi(recordings: Recordings) -> Iterator[Panel]:
 @chart(
     "gains",
     "Effective gains",
-    "All that multiplies z (base) or r (arm) in the torque. PD at a learner's effective gain has the same.",
+    "The whole gain on z (base) or r (arm), robust term included. PD at a learner's effective gain has the same.",
 )
 def gains(recordings: Recordings) -> Iterator[Panel]:
     """Effective gains of base and arm."""

@@ -210,6 +210,6 @@ def unit_of(name: str, slides: set[str]) -> str:
     """
     signal, _, rest = name.partition(".")
     label = rest.rpartition(".")[0]
-    units = {"effort": "N^2 m^2 s", "slip": "m/s", "constraint_residual": "m/s", "energy_residual": "J"}
+    units = {"effort": "N²m²s", "slip": "m/s", "constraint_residual": "m/s", "energy_residual": "J"}
     units |= {"pose_error": "rad" if label == "phi" else "m", "z": "rad/s" if label == "w" else "m/s"}
     return (units | {"e": "m" if label in slides else "rad"}).get(signal, "")

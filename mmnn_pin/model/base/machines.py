@@ -13,11 +13,14 @@ import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from lxml import etree
 
 from ...elementary import hypot
 from ..urdf.document import Joint
 from ..urdf.shapes import AtRest
-from .wheels import Candidate
+from .wheels import LOW, Candidate, height_at
+
+MESHES = "link/*/geometry/mesh"
 
 MOST_PER_SIDE = 3  # wheels of a skid-steer base
 
@@ -30,6 +33,10 @@ TRACK_NAMES = re.compile(r"(^|[_/ -])(tracks?|tracked|crawlers?|caterpillars?|fl
 LEG_JOINTS, ROTORS = 2, 3  # fewest joints of a leg, fewest rotors of a drone
 
 SAME_HEIGHT = 0.1  # feet may differ in height by this fraction of a leg's
+
+SWERVE = "swerve drive"
+
+MODULE_NAMES = re.compile(r"wheel|steer|caster", re.IGNORECASE)
 
 DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])prop_?\d", re.IGNORECASE)
 
@@ -45,10 +52,11 @@ def machine(rest: AtRest) -> tuple[str, str] | None:
     if feet := upright_along_y(rest):
         names = ", ".join(f"'{joint.name}'" for joint in feet)
         return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
+    if told := steering_modules(rest):
+        return SWERVE, f"{len(told)} wheels, or their mounts, turn about vertical axes ({', '.join(told)})"
     if told := list(rotors(rest)):
         return "drone", f"{len(told)} equal rotors turn about vertical axes ({', '.join(told)})"
-    files = [mesh.get("filename", "") for mesh in rest.document.root.iterfind("link/*/geometry/mesh")]
-    meshes = [name.rpartition("/")[2] for name in files]
+    meshes = map(mesh_name, rest.document.root.iterfind(MESHES))
     if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *rest.document.links, *meshes])):
         return "drone", f"'{hit[0]}' in its names, and nothing that carries it"
     return None
@@ -68,12 +76,21 @@ def tracks(rest: AtRest, drives: Sequence[Candidate]) -> str:
     wheels = max(alike, len(drives))
     if wheels > 2 * MOST_PER_SIDE:
         return f"{wheels} parallel wheels: more than {MOST_PER_SIDE} per side run in tracks"
-    files = [
-        mesh.get("filename", "").rpartition("/")[2] for mesh in rest.document.root.iterfind("link/*/geometry/mesh")
-    ]
-    if hit := next(filter(None, map(TRACK_NAMES.search, [*rest.document.links, *rest.document.joints, *files])), None):
-        return f"{wheels} parallel wheels, and '{hit.string}' among its names"
+    if hit := track_named(rest):
+        return f"{wheels} parallel wheels, and {hit}"
     return ""
+
+
+def track_named(rest: AtRest) -> str:
+    """A name that tells that a machine runs on tracks, empty where there is none."""
+    names = [*rest.document.links, *rest.document.joints, *map(mesh_name, rest.document.root.iterfind(MESHES))]
+    hit = next(filter(None, map(TRACK_NAMES.search, names)), None)
+    return f"'{hit.string}' among its names" if hit else ""
+
+
+def mesh_name(mesh: etree._Element) -> str:
+    """Name of a mesh's file, without folders."""
+    return str(mesh.get("filename", "").rpartition("/")[2])
 
 
 def trunk_joints(rest: AtRest) -> list[Joint]:
@@ -129,6 +146,17 @@ def upright_along_y(rest: AtRest) -> list[Joint]:
     found = [j for j in limbs if drops[j.name] > (1 - SAME_HEIGHT) * longest > 0]
     rest_of = [j for j in limbs if j not in found and drops[j.name] < 0.5 * longest]
     return found if len(found) == 2 and rest_of and len(limbs) == len(found) + len(rest_of) else []
+
+
+def steering_modules(rest: AtRest) -> list[str]:
+    """Names of three or more low joints about vertical axes on which names say that wheels are, and nothing turns."""
+    highest, found = height_at(rest, LOW), []
+    for joint in trunk_joints(rest):
+        words = [joint.name, joint.child, *map(mesh_name, rest.document.links[joint.child].iter("mesh"))]
+        ends = rest.is_vertical(joint) and not rest.document.moving_children(joint.child)
+        if ends and MODULE_NAMES.search(" ".join(words)) and rest.hub(joint)[2] <= highest:
+            found.append(joint.name)
+    return found if len(found) >= ROTORS else []
 
 
 def rotors(rest: AtRest) -> Iterator[str]:

@@ -22,9 +22,22 @@ from .machines import MOST_PER_SIDE
 from .overrides import Overrides
 from .report import BaseResult, Reading, note, undecided
 from .skid_steer import SkidSteer, loads, rotation_centre, turning_friction, turning_track
-from .wheels import HUB, Candidate, Candidates, alike_on_root, bare_swivels, coaxial, is_low, parallel, wheel_of
+from .wheels import (
+    HUB,
+    SLOPPY,
+    Candidate,
+    Candidates,
+    alike_on_root,
+    bare_swivels,
+    coaxial,
+    is_low,
+    parallel,
+    wheel_of,
+)
 
 ROLLERS = "--roller RADIANS says how they lie, --wheels which of the wheels drive"
+
+SAME_RATE = 0.05  # rims of wheels that are coupled may differ in speed by this fraction
 
 OFF_CENTRE = 0.02  # a centre of rotation further off than this fraction of half the wheelbase is told
 
@@ -48,11 +61,17 @@ def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], 
             rest, drives, wheels, overrides, stated_rollers(evidence(rest, drives, overrides.controllers_file))
         )
         return BaseResult(base, tuple(findings))
-    if len(drives) != 2 or not coaxial(*drives):
+    if len(drives) != 2 or not coaxial(*drives, within=SLOPPY):
         what = "not two wheels on one axle" if len(drives) == 2 else f"{len(drives)} wheel(s) for a differential drive"
         raise ConfigError(what, fix="name the left and the right one", key="wheels", file=rest.document.path)
     base = frame_of(rest, drives, wheels, DifferentialDrive, overrides)
     left, findings = base.wheels[0].joint, []
+    if not coaxial(*drives):
+        apart = abs(base.wheels[0].x - base.wheels[1].x)
+        text = f"the two wheels are not on one axle: {apart:.3g} m apart along the rolling direction"
+        why, fix = "they are taken as on one, in the middle: you named them", "put their joints on one line"
+        findings.append(note(rest, "base-pair", drives[0].joint.name, text, why, fix))
+        base = replace(base, wheels=tuple(replace(w, x=0.0) for w in base.wheels))
     if overrides.wheels and left != overrides.wheels[0]:
         text = f"'{left}' is the left wheel, not '{overrides.wheels[0]}'"
         findings.append(note(rest, "base-sides", drives[0].joint.name, text, "seen along the rolling direction"))
@@ -61,9 +80,19 @@ def with_wheels(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], 
     ]
     if behind and any(abs(c.radius - drives[0].radius) < 0.1 * drives[0].radius for c in behind):
         text = f"wheels off the axle cannot swivel and would have to slide: {', '.join(c.joint.name for c in behind)}"
-        why, fix = "they are taken as free, and the axle as where the base turns", "--base skid_steer without --wheels"
+        why = "they are taken as free, and the axle as where the base turns"
+        fix = "--base skid_steer without --wheels"
+        if not evenly([*drives, *behind], base):
+            why, fix = f"{why}; what they rub is left out, no base here has them", "put casters there if that is meant"
         findings.append(note(rest, "base-pair", behind[0].joint.name, text, why, fix))
     return BaseResult(base, tuple(findings))
+
+
+def evenly(wheels: list[Candidate], base: Base) -> bool:
+    """Whether parallel wheels could be a skid-steer's: two or three on either side."""
+    across = [float(product(c.centre[:2] - base.frame[:2], cos_sin(base.frame[2] + math.pi / 2))) for c in wheels]
+    left, right = sum(y > 0 for y in across), sum(y < 0 for y in across)
+    return left + right == len(wheels) and left == right and 2 <= left <= MOST_PER_SIDE
 
 
 def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: Overrides) -> Candidate:
@@ -183,9 +212,11 @@ def skidding(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], ove
         what = f"{len(drives)} wheel(s), {left} of them on the left, for a skid-steer base"
         fix = f"name two or {MOST_PER_SIDE} parallel wheels of either side with --wheels"
         raise ConfigError(what, fix=fix, key="wheels", file=rest.document.path)
+    require_together(rest, drives)
     mass, centre = weight_in(rest, base)
     load, mu = loads(base.wheels, mass, centre), overrides.mu or 1.0
-    track = overrides.track or base.track
+    between = abs(np.mean([w.y for w in base.wheels if w.y > 0]) - np.mean([w.y for w in base.wheels if w.y < 0]))
+    track = overrides.track or float(between)
     base = replace(base, track=track, turning=turning_friction(base.wheels, track, load, mu))
     first, rolls = drives[0].joint.name, turning_track(base.wheels)
     text = f"effective track {track:.4g} m, turning friction {base.turning:.3g} N m (mu {mu:g}, {mass:.4g} kg)"
@@ -199,6 +230,26 @@ def skidding(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], ove
         why = f"its weight is there; the middle slides sideways by {abs(ahead):.3g} m times the yaw rate, not in T"
         findings.append(note(rest, "base-skid", first, text, why, "the contact plant shows it: --plant contact"))
     return BaseResult(base, tuple(findings))
+
+
+def require_together(rest: AtRest, drives: list[Candidate]) -> None:
+    """Refuse wheels of a side that a `<mimic>` turns against each other, or at other rates than they roll.
+
+    Raises:
+        Undecided: They would have to slide as the base drives straight on.
+    """
+    by_name = {c.joint.name: c for c in drives}
+    for c in drives:
+        master = by_name.get(c.joint.mimics or "")
+        if master is None:
+            continue
+        right = master.radius / c.radius * math.copysign(1.0, product(rolling(c), rolling(master)))
+        if abs(c.joint.multiplier / right - 1) > SAME_RATE:
+            rate = f"{c.joint.multiplier / right:.3g} times as fast as '{master.joint.name}'"
+            what = f"<mimic> rolls wheel '{c.joint.name}' {rate} (multiplier {c.joint.multiplier:g})"
+            against = Reading("skid_steer", ("it follows another wheel",), (what,))
+            fix = f'multiplier="{right:.4g}" rolls them alike; or take out the <mimic> if it turns by itself'
+            raise undecided(rest, drives, [against], what, fix, c.joint.line)
 
 
 def weight_in(rest: AtRest, base: Base) -> tuple[float, Array]:

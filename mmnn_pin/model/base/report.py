@@ -6,12 +6,12 @@ A refusal lists what the base could be, each with the reasons for and against, o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...elementary import cos, sin
+from ...elementary import cos
 from ...errors import RobotError
 from ..arm import Arm
 from ..urdf.document import Joint
@@ -20,20 +20,15 @@ from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest
 from . import KINDS
 from .base import Base
 from .differential import DifferentialDrive
-from .evidence import RADII, TRACKS, Evidence, beside, evidence, in_yaml, stated
-from .overrides import Overrides
+from .evidence import Evidence, evidence
 from .skid_steer import GRAVITY
-from .wheels import HUB, LUMPY, PARTIAL, STATED, UNSEEN, Candidate, Candidates, coaxial
-
-GO_ON = "name the drive wheels with --wheels LEFT,RIGHT, or say what it is with --base"
+from .wheels import HUB, LUMPY, PARTIAL, TOUCHING, Candidate, Candidates, coaxial, height_at
 
 STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
 
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
 
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
-
-OPINION = 0.01  # lengths that differ by more than this fraction are told
 
 OFF_FLOOR = 0.02  # wheels further than this fraction of their radius from the footprint are told
 
@@ -151,6 +146,15 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
     return [*notes, *friction_note(rest, base)]
 
 
+def buried_note(rest: AtRest, base: Base, lowest: float) -> list[Finding]:
+    """A warning where the robot at rest reaches far below the floor that its wheels touch."""
+    if not base.wheels or base.floor - lowest <= TOUCHING * max(w.radius for w in base.wheels):
+        return []
+    text = f"the robot reaches {base.floor - lowest:.3g} m below the floor that its wheels touch"
+    why, fix = "does it stand on its head, or do other wheels carry it?", "turn it over, or name other wheels"
+    return [note(rest, "base-floor", base.wheels[0].joint, text, why, fix)]
+
+
 def friction_note(rest: AtRest, base: Base) -> list[Finding]:
     """A warning where the friction of the wheels' joints, at 1 m/s, takes more than any floor gives the wheels."""
     joints = rest.document.joints
@@ -164,76 +168,6 @@ def friction_note(rest: AtRest, base: Base) -> list[Finding]:
     why = "no floor gives wheels that grip: a simulator's number? PD hardly moves such a base"
     dynamics = f'damping="{joints[first].damping:g}" friction="{joints[first].friction:g}"'
     return [note(rest, "base-friction", first, text, why, f"state the measured friction instead of {dynamics}")]
-
-
-def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overrides: Overrides) -> Iterator[Finding]:
-    """What the distance of the joints, plugins and controllers say of track and radius where geometry says otherwise.
-
-    Args:
-        rest: The robot at rest.
-        base: Its base.
-        wheels: Its drive wheels, and maybe others.
-        overrides: What the user says; that is not questioned.
-
-    Raises:
-        ConfigError: The controllers' file cannot be read.
-    """
-    if not base.wheels or any(abs(sin(w.heading)) > HORIZONTAL for w in base.wheels):
-        return
-    own = [c for c in wheels if c.joint.name in {w.joint for w in base.wheels}]
-    first, radius = base.wheels[0].joint, float(np.median([w.radius for w in base.wheels]))
-    left = np.array([-sin(base.frame[2]), cos(base.frame[2])])
-    across = [float(rest.hub(c.joint)[:2] @ left) for c in own]
-    joints, contacts = max(across) - min(across), max(w.y for w in base.wheels) - min(w.y for w in base.wheels)
-    if overrides.track is None and apart(joints, contacts):
-        text = f"the wheels touch the floor {contacts:.4g} m apart, their joints are {joints:.4g} m apart"
-        yield note(rest, "base-joints", first, text, "the track is that of the contacts", "--track for another")
-    unseen = [c.joint.name for c in own if c.shape in UNSEEN]
-    if unseen and overrides.track is None and len(base.wheels) > 1:
-        text = f"the track of {contacts:.4g} m is that of the joints: where {', '.join(unseen)} touch cannot be seen"
-        fix = "--track for another, or --package-dir where their meshes are"
-        yield note(rest, "base-joints", first, text, "no shape of them can be read whole", fix)
-    for c in own if overrides.radius is None else ():
-        if not math.isnan(c.other) and apart(c.other, c.radius):
-            text = (
-                f"'{c.joint.name}' has a radius of {c.radius:.4g} m by its collision shapes, {c.other:.4g} m by sight"
-            )
-            yield note(rest, "base-shapes", c.joint.name, text, "taken are the former", f"--radius {c.other:.4g}")
-            break
-    blind = [c.joint.name for c in own if c.shape == STATED and overrides.radius is None]
-    questions = [("track", base.track, stated(rest, overrides.controllers_file, TRACKS)), ("radius", radius, [])]
-    questions[1] = ("radius", radius, stated(rest, overrides.controllers_file, RADII))
-    for name, used, opinions in questions:
-        for opinion in opinions if getattr(overrides, name) is None else ():
-            if blind and name == "radius":
-                text = f"the radius {used:.4g} m of {', '.join(blind)} is what the file states: {opinion.text}"
-                why, fix = "no shape of them can be read whole", "--radius, or --package-dir where their meshes are"
-                yield note(rest, "base-stated", first, text, why, fix)
-            elif apart(opinion.value, used):
-                text = f"{opinion.text} states a {name} of {opinion.value:.4g} m, its geometry {used:.4g} m"
-                yield note(rest, "base-stated", first, text, "taken is the geometry", f"--{name} {opinion.value:.6g}")
-
-
-def unasked(rest: AtRest, base: Base, overrides: Overrides) -> Iterator[Finding]:
-    """What controllers' files beside the robot's state of its track and radius, where none says what its geometry does.
-
-    They are told, not used: a file may be another robot's.
-    """
-    if not base.wheels or base.is_pushed or overrides.controllers_file is not None:
-        return
-    files = beside(rest)
-    for name, used, names in (("track", base.track, TRACKS), ("radius", base.wheels[0].radius, RADII)):
-        found = [(file, one) for file in files for one in in_yaml(str(file), names)]
-        if getattr(overrides, name) is None and found and all(apart(one.value, used) for _, one in found):
-            file, one = found[0]
-            text = f"{file} states a {name} of {one.value:.4g} m, the geometry has {used:.4g} m"
-            fix = f"--controllers {file} where it is this robot's, --{name} {one.value:.6g} to use it"
-            yield note(rest, "base-stated", base.wheels[0].joint, text, "taken is the geometry", fix)
-
-
-def apart(one: float, other: float) -> bool:
-    """Whether two lengths differ by more than is told."""
-    return abs(one - other) > OPINION * max(abs(one), abs(other))
 
 
 def welded_note(rest: AtRest, welded: Sequence[Joint]) -> list[Finding]:
@@ -262,11 +196,11 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
     return notes
 
 
-def weld_notes(rest: AtRest, names: Sequence[str]) -> list[Finding]:
-    """Planar and floating joints that were welded."""
+def weld_notes(rest: AtRest, kinds: dict[str, str]) -> list[Finding]:
+    """Joints that stand the robot in the world, by name, with what they were: welded."""
     why, fix = "the loader places the robot in the world itself", "none needed, unless it should move in the arm"
-    text = "a planar or floating joint is taken as fixed"
-    return [note(rest, "welded", name, text, why, fix, f"joint '{name}'") for name in names]
+    text = "a {} joint that moves the root is taken as fixed"
+    return [note(rest, "welded", name, text.format(kind), why, fix, f"joint '{name}'") for name, kind in kinds.items()]
 
 
 def printed_notes(rest: AtRest, printed: str) -> list[Finding]:
@@ -345,7 +279,7 @@ def undecided(
     wheels: list[Candidate],
     pieces: list[Reading],
     why: str,
-    fix: str = GO_ON,
+    fix: str,
     line: int | None = None,
     names: str = "",
 ) -> Undecided:
@@ -366,12 +300,16 @@ def undecided(
 
 def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
     """The error for what would be drive wheels but for one thing."""
-    near_misses, fix = candidates.near_misses, GO_ON + "; --base fixed parks them"
+    near_misses, fix = (
+        candidates.near_misses,
+        "--base holonomic drives it by forces on its frame; --base fixed parks it",
+    )
+    ends = f"end {min(c.bottom for c in near_misses) - candidates.floor:.3g} m above the robot's lowest point"
     if any(abs(c.axis[2]) > VERTICAL for c in near_misses):
         why = "their axle is vertical"
         fix = "turn the robot so that z points up (a file with y up?); --base fixed parks them"
     elif any(abs(c.axis[2]) > HORIZONTAL for c in near_misses):
-        why = "wheels roll about a horizontal axis here, not with camber"
+        why = "wheels roll about a horizontal axis here, not with camber: that is not covered"
     elif any(c.shape == LUMPY for c in near_misses):
         why, fix = "what turns on them is not round about the axle", blind_fix(near_misses)
     elif any(math.isnan(c.radius) for c in near_misses):
@@ -379,8 +317,16 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
         if any(c.shape == PARTIAL for c in near_misses):
             why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
         fix = "give --radius METRES, and --package-dir FOLDER where their meshes are; --base fixed parks them"
+    elif any(c.unseen for c in near_misses):
+        why = f"meshes are missing, and what is left of them {ends.replace('end', 'ends', 1)}"
+        fix = "give --radius METRES, or --package-dir FOLDER where their meshes are; --base fixed parks them"
+    elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5):
+        why, fix = f"they {ends}, in its upper half", "turn it over if it stands on its head; --base fixed parks them"
     else:
-        why = f"they end {min(c.bottom for c in near_misses) - candidates.floor:.3g} m above the robot's lowest point"
+        why, names = f"they {ends}", ",".join(c.joint.name for c in near_misses)
+        fix = f"--wheels {names} if the floor is where these touch it; {fix}"
+        if len(near_misses) < 2:
+            fix = fix.partition("; ")[2]
     return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
 
 

@@ -7,8 +7,6 @@ is taken as it is. A machine that is none of these is refused by its name (`mach
 from __future__ import annotations
 
 import math
-import re
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,35 +25,37 @@ from .evidence import (
     stated_rollers,
     verdict,
 )
-from .machines import MOST_PER_SIDE, machine, steering_named, tracks
+from .machines import MOST_PER_SIDE, SWERVE, machine, steering_named, track_named, tracks
+from .opinions import second_opinions, unasked
 from .overrides import Overrides
 from .placing import crossed, declared_wheel, in_order, mecanum, pushed, require_used, skidding, with_wheels
 from .report import (
-    GO_ON,
     BaseResult,
     Reading,
     Undecided,
     base_notes,
     blind_fix,
+    buried_note,
     evidence_note,
     not_on_floor,
     note,
     readings,
-    second_opinions,
-    unasked,
     undecided,
     unsupported,
     welded_note,
 )
+from .steering import PUSHED, plain, refuse_steered, refuse_steered_pair
 from .wheels import (
+    COAXIAL,
     ROUND_ABOUT,
+    SLOPPY,
     TOUCHING,
-    TRAIL,
     Candidate,
     Candidates,
     alike_on_root,
     coaxial,
     is_low,
+    one_axle,
     parallel,
     welded_cylinders,
     welded_wheels,
@@ -63,17 +63,15 @@ from .wheels import (
     wheel_of,
 )
 
-STEERS = re.compile(r"tricycle|ackermann|bicycle|car[_-]?like", re.IGNORECASE)
-
 UPRIGHT = "like bodies turn without end about vertical axes: wheels in a file with y up, or casters"
 
 Z_UP = "turn the robot so that z points up; --base holonomic drives it by forces on its frame; --base fixed parks them"
 
+FORCES = "--base holonomic to drive it by forces on its frame, or --base fixed to park it"
+
 UNDRIVEN = "--base fixed to keep the base parked, --base holonomic to drive it by forces on its frame"
 
 SAME_SIZE = 0.1  # radii that differ by less than this fraction are of wheels of one kind
-
-ROLLS = re.compile(r"diff[_-]?drive", re.IGNORECASE)
 
 
 def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
@@ -91,7 +89,8 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     """
     overrides = overrides or Overrides()
     radii = stated(rest, overrides.controllers_file, RADII)
-    candidates = wheel_candidates(rest, overrides.radius or (radii[0].value if len(radii) == 1 else None))
+    radius = overrides.radius or (radii[0].value if len(radii) == 1 else None)
+    candidates = wheel_candidates(rest, radius, overrides.radius)
     drives = candidates.wheels
     if overrides.base == "fixed":
         found = BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
@@ -108,6 +107,7 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     welds = welded_note(rest, welded_cylinders(rest, candidates.floor)) if found.base.wheels else []
     notes = [
         *base_notes(rest, found.base, drives, overrides.radius is not None),
+        *buried_note(rest, found.base, candidates.floor),
         *second_opinions(rest, found.base, drives, overrides),
     ]
     notes += unasked(rest, found.base, overrides)
@@ -131,6 +131,7 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
     base = found.base
     used = {*base.locked, *(wheel.joint for wheel in base.wheels)}
     alike = alike_on_root(rest)
+    used |= {*overrides.free}
     strays = [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
     few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
     if not strays or (not base.columns and overrides.base is None and few):
@@ -145,7 +146,8 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
         raise undecided(rest, wheels, readings(rest, wheels), why, blind_fix(wheels) if why != UPRIGHT else Z_UP)
     base = replace(base, casters=in_order(rest, {*base.casters, *(j.name for j in strays)}))
     names = ", ".join(f"'{j.name}'" for j in strays)
-    why, fix = "low on the base and endless: no joints of an arm", "name them in --wheels if they drive"
+    why = "low on the base and endless: hardly joints of an arm"
+    fix = f"name them in --wheels if they drive, --free {strays[0].name} if it is the arm's"
     told = note(rest, "base-stray", strays[0].name, f"joints that may be wheels stand still: {names}", why, fix)
     return BaseResult(base, (*found.findings, told))
 
@@ -194,16 +196,16 @@ def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseRe
     if 0 < len(balls) == len(drives) - 2:  # balls beside two proper wheels: casters written as continuous joints
         drives = [c for c in drives if c not in balls]
     refuse_steered(rest, wheels)
+    if overrides.base == "holonomic" and (len(drives) < 3 or one_axle(drives) or not in_pairs(drives)):
+        return pushed(rest, candidates)
     refuse_mimic_wheels(rest, wheels, drives)
-    drives, told = driven_pair(rest, drives)
+    drives, told = driven_pair(rest, drives) if overrides.base in (None, "differential_drive") else (drives, [])
     if told:
         found = with_wheels(rest, drives, wheels, overrides)
         return replace(found, findings=(*told, *found.findings))
-    if len(drives) == 2 and coaxial(*drives) and overrides.base != "holonomic":
+    if len(drives) == 2 and coaxial(*drives):
         refuse_steered_pair(rest, drives, wheels)
         return with_wheels(rest, drives, wheels, overrides)
-    if overrides.base == "holonomic" and not in_pairs(drives):
-        return pushed(rest, candidates)
     if len(drives) >= 3 and overrides.base != "differential_drive":
         if not all(parallel(drives[0], c) for c in drives[1:]):
             return crossed(rest, drives, wheels, overrides)
@@ -221,12 +223,15 @@ def no_base(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> U
         why = "what turns on some of them cannot be measured, or does not reach the floor"
         return undecided(rest, everything, readings(rest, drives), why, blind_fix(everything))
     why = "a differential drive has exactly two coaxial drive wheels, other casters swivel or are balls"
-    pairs = [(a, b) for i, a in enumerate(drives) for b in drives[i + 1 :] if coaxial(a, b)]
+    near = SLOPPY if len(drives) == 2 else COAXIAL
+    pairs = [(a, b) for i, a in enumerate(drives) for b in drives[i + 1 :] if coaxial(a, b, within=near)]
     pairs.sort(key=lambda pair: -pair[0].radius)  # those that drive are hardly the smaller ones
     ways = [f"--wheels {a.joint.name},{b.joint.name}" for a, b in pairs]
-    if len(drives) >= 3:
-        ways.append("--base holonomic to drive it by forces on its frame")
-    return undecided(rest, wheels, readings(rest, drives), why, ", or ".join(ways) or GO_ON)
+    if len(drives) == 2:
+        why = "the two wheels are not on one axle" + (", though nearly" if pairs else ", and no other base has two")
+    elif len(drives) == 1:
+        why = "a base on one wheel is not covered"
+    return undecided(rest, wheels, readings(rest, drives), why, ", or ".join([*ways, FORCES]))
 
 
 def in_pairs(drives: list[Candidate]) -> bool:
@@ -246,7 +251,7 @@ def driven_pair(rest: AtRest, drives: list[Candidate]) -> tuple[list[Candidate],
     if len(drives) < 3 or len(own) != 2 or not coaxial(*own):
         return drives, []
     same = [c for c in others if abs(c.radius - own[0].radius) <= SAME_SIZE * own[0].radius]
-    if len(others) > 1 and same:
+    if len(others) > 1 and same and not one_axle(drives):
         return drives, []
     text = f"drive wheels by their motors: {', '.join(f'{c.joint.name} {motors[c.joint.name]}' for c in own)}"
     why = f"taken as free casters: {', '.join(c.joint.name for c in others)}"
@@ -260,16 +265,11 @@ def parked(wheels: list[Candidate]) -> Base:
     return Fixed(parked=tuple(name for name in names if name not in casters), casters=casters)
 
 
-def plain(wheels: Sequence[Candidate]) -> list[Candidate]:
-    """Wheels that hang on nothing that turns."""
-    return [c for c in wheels if c.mount == ""]
-
-
 def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResult:
     """A fixed arm, unless it walks, flies, is welded together or stands on welded wheels."""
     if told := machine(rest):
         name, why = told
-        raise unsupported(rest, name, why)
+        raise unsupported(rest, name, why, (), f"{PUSHED}; --base fixed parks it" if name == SWERVE else "")
     moving = [joint for joint in rest.document.joints.values() if joint.moves]
     welded = welded_wheels(rest, floor)
     if welded and (why := steering_named(rest)):
@@ -280,13 +280,15 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         still = Reading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
         fix = f"{UNDRIVEN}, or make the wheels' joints continuous"
         raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
+    if not moving and (why := track_named(rest)):
+        raise unsupported(rest, "tracked machine", why, (), "--base holonomic drives it by forces on its frame")
     if not moving:
         fix = "--base holonomic drives it by forces on its frame, if it drives at all"
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
     if overrides.base is not None:
         why = "no joint turns without end about a horizontal axis with something round on the floor"
         yours = Reading(overrides.base, ("you said so",), (why,))
-        raise undecided(rest, [], [yours], why, "name them with --wheels LEFT,RIGHT")
+        raise undecided(rest, [], [yours], why, f"name them with --wheels if they turn in this file, or {UNDRIVEN}")
     text = "nothing in this file could be a wheel: taken as an arm on a stand"
     fix = "--base holonomic if it stands on a base whose wheels the file leaves out"
     return BaseResult(Fixed(), (note(rest, "base-none", "", text, fix=fix),))
@@ -294,6 +296,10 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
 
 def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate], overrides: Overrides) -> BaseResult:
     """Four or more wheels that roll in one direction: mecanum wheels or a skid-steer, as the evidence has it."""
+    if one_axle(drives) and overrides.base in (None, "skid_steer"):
+        text = f"taken as skid_steer: {len(drives)} wheels on one axle, twin tyres whose sides turn alike and scrub"
+        found = skidding(rest, drives, wheels, overrides)
+        return replace(found, findings=(note(rest, "base-evidence", drives[0].joint.name, text), *found.findings))
     told = evidence(rest, drives, overrides.controllers_file)
     if overrides.wheels is None and (why := tracks(rest, drives)):
         few = len(drives) <= 2 * MOST_PER_SIDE
@@ -331,45 +337,6 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
 
 
-def refuse_steered(rest: AtRest, wheels: list[Candidate]) -> None:
-    """Refuse wheels that steer, wheels on casters that have motors, and wheels at the ends of legs.
-
-    Raises:
-        Unsupported: By name.
-        Undecided: What drives beside casters cannot be measured.
-    """
-    steered, drives = [c for c in wheels if c.mount == "steering"], plain(wheels)
-    swivels = [c for c in wheels if c.mount == "swivel"]
-    legged = [c for c in wheels if c.mount == "leg"]
-    if len(legged) >= 2:
-        raise unsupported(
-            rest, "legged machine", f"its wheels hang on legs: {'; '.join(c.text for c in legged)}", legged
-        )
-    known = {c.joint.name for c in wheels}
-    blind = [wheel_of(rest, j) for j in rest.document.joints.values() if is_low(rest, j) and j.name not in known]
-    if not drives and len(blind) >= 2:
-        why = "what would drive them cannot be measured"
-        raise undecided(rest, [*wheels, *blind], readings(rest, blind), why, blind_fix(blind))
-    if not drives and not steered and swivels and all(c.trail <= TRAIL for c in swivels):
-        steered = swivels  # what does not trail is no caster
-    if steered and drives:
-        raise unsupported(rest, "car-like base", f"wheels are steered: {'; '.join(c.text for c in steered)}", steered)
-    if steered or (swivels and not drives):
-        name = "swerve drive" if steered else "base on powered casters"
-        why = f"all its wheels {'are steered' if steered else 'hang on swivels'}: {'; '.join(c.text for c in wheels)}"
-        raise unsupported(rest, name, why, wheels, turned_fix(wheels))
-
-
-def turned_fix(wheels: list[Candidate]) -> str:
-    """The way out for a base all of whose wheels can be turned about the vertical."""
-    fix = "--base holonomic drives it by forces on its frame, its wheels standing still"
-    corners = {(c.centre[0] > np.mean([o.centre[0] for o in wheels]), c.centre[1] > 0) for c in wheels}
-    if len(wheels) == 4 and len(corners) == 4 and all(parallel(wheels[0], c) for c in wheels):
-        names = ",".join(c.joint.name for c in wheels)
-        fix += f"; --base holonomic --wheels {names} takes them as mecanum wheels that do not steer"
-    return fix + "; --base fixed takes it as an arm"
-
-
 def refuse_mimic_wheels(rest: AtRest, wheels: list[Candidate], drives: list[Candidate]) -> None:
     """Refuse drive wheels that follow others (<mimic>), but for those of a skid-steer: its sides turn alike.
 
@@ -387,57 +354,4 @@ def refuse_mimic_wheels(rest: AtRest, wheels: list[Candidate], drives: list[Cand
     if turning_alike and verdict(evidence(rest, drives)) == "skid_steer":
         return
     two = Reading("differential_drive", (), ("a drive wheel turns by itself",))
-    raise undecided(rest, wheels, [two], why, GO_ON + ", or take out their <mimic>")
-
-
-def refuse_steered_pair(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]) -> None:
-    """Refuse two coaxial wheels that another wheel or plugin steers.
-
-    A free caster follows by its trail. One without may be a tricycle's front wheel: what the file drives decides.
-
-    Raises:
-        Unsupported: The file drives the wheel that steers, and not the two.
-        Undecided: Nothing tells, or pieces contradict each other.
-    """
-    front = [c for c in wheels if c.mount == "swivel" and c.trail <= TRAIL]
-    told = list(driven(rest, drives, front))
-    steers, rolls = ([text for kind, text in told if kind == wanted] for wanted in ("car-like", "differential_drive"))
-    if front and steers and not rolls:
-        why = f"{'; '.join(c.text for c in front)} has no trail and steers: {', '.join(steers)}"
-        raise unsupported(rest, "car-like base", why, front)
-    if front_axle(front, drives) and not rolls:
-        names = ",".join(c.joint.name for c in drives)
-        fix = f"--wheels {names} if those in front are casters, --base fixed takes it as an arm"
-        why = f"two wheels on one axle are steered, without a trail: {'; '.join(c.text for c in front)}"
-        raise unsupported(rest, "car-like base", why, front, fix)
-    if steers or (front and not rolls):
-        why = f"the file also speaks of steering: {', '.join(steers)}"
-        if not steers:
-            why = f"'{front[0].joint.name}' has no trail: a caster could not follow, a tricycle steers with it"
-        two = Reading("differential_drive", ("two coaxial wheels", *rolls), tuple(steers))
-        car = Reading("car-like", tuple(steers) or (f"a wheel without trail: '{front[0].joint.name}'",), tuple(rolls))
-        raise undecided(rest, wheels, [two, car], why)
-
-
-def front_axle(front: list[Candidate], drives: list[Candidate]) -> bool:
-    """Whether two wheels that could be steered make an axle of their own, parallel to that of two others."""
-    return len(front) == 2 and coaxial(*front) and not coaxial(front[0], drives[0]) and parallel(front[0], drives[0])
-
-
-def driven(rest: AtRest, drives: list[Candidate], front: list[Candidate]) -> Iterator[tuple[str, str]]:
-    """What plugins, controllers and motors say of two coaxial wheels and those that may steer: a kind, and the text."""
-    root = rest.document.root
-    for element in root.iterfind("gazebo//*"):
-        words = f"{element.get('filename', '')} {element.get('name', '')} {element.text or ''}"
-        for kind, pattern in (("car-like", STEERS), ("differential_drive", ROLLS)):
-            if element.tag in ("plugin", "controller") and (hit := pattern.search(words)):
-                yield kind, f"<gazebo> names '{hit[0]}' (line {element.sourceline})"
-    ahead = {j.name for c in front for j in rest.document.moving_ancestors(c.joint.child)}
-    pair = {c.joint.name for c in drives}
-    moved = [e for e in root.iterfind("ros2_control/joint") if e.find("command_interface") is not None]
-    for what, motors in (("<ros2_control>", moved), ("<transmission>", root.findall("transmission/joint"))):
-        lines = {e.get("name"): e.sourceline for e in motors}
-        for kind, own, others in (("car-like", ahead, pair), ("differential_drive", pair, ahead)):
-            if lines.keys() & own and not lines.keys() & others:
-                name = sorted(lines.keys() & own)[0]
-                yield kind, f"{what} drives '{name}' (line {lines[name]})"
+    raise undecided(rest, wheels, [two], why, f"take out their <mimic> if they turn by themselves, or {FORCES}")

@@ -24,6 +24,7 @@ from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, reach_about, roun
 
 TOUCHING = 0.2  # a wheel's lowest point may be off the floor by this fraction of the radius
 COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
+SLOPPY = 0.1  # those of two that the user names may be apart by this fraction, and it is told
 TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
 LUMPY = "not round"
 PARTIAL = "mesh missing"  # a shape that is not measured, since a mesh of it cannot be read
@@ -53,6 +54,7 @@ class Candidate:
         trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
         other: Radius of its visual shapes where its collision shapes are measured, nan where it is not known [m].
+        unseen: Whether its collision shapes are measured while a visual mesh of it is missing: they may be a hub's.
     """
 
     joint: Joint
@@ -64,6 +66,7 @@ class Candidate:
     trail: float = math.inf
     rollers: tuple[str, ...] = ()
     other: float = math.nan
+    unseen: bool = False
 
     @property
     def bottom(self) -> float:
@@ -102,12 +105,13 @@ class Candidates:
     limited: list[Candidate] = field(default_factory=list)
 
 
-def wheel_candidates(rest: AtRest, radius: float | None = None) -> Candidates:
+def wheel_candidates(rest: AtRest, radius: float | None = None, given: float | None = None) -> Candidates:
     """What may be wheels.
 
     Args:
         rest: The robot at rest.
         radius: What is stated of their radius, for those that cannot be measured [m].
+        given: What the user says of it, also for those that a missing mesh leaves in the air [m].
     """
     found = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
     rollers = {name for c in found for name in c.rollers}
@@ -123,6 +127,9 @@ def wheel_candidates(rest: AtRest, radius: float | None = None) -> Candidates:
     known += on_floor(rest, unknown, known, footing, radius)
     lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
     floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
+    if given is not None:
+        hangs = [c for c in known if c.unseen and c.bottom - floor > TOUCHING * c.radius]
+        known = [replace(c, radius=given, shape=STATED) if c in hangs else c for c in known]
     touching = [c for c in known if c.shape == STATED or abs(c.bottom - floor) <= TOUCHING * c.radius]
     limited = limited_wheels(rest, known, floor)
     if touching:
@@ -191,16 +198,16 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
         seen, blind = seen or bool(bodies), blind or gone or rims_gone
         if rounds and not gone and not rims_gone:
             radius, travel, kind = max(rounds)
-            other = sight(rest, joint) if tag == "collision" and not rims else math.nan
-            return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other)
+            other, unseen = sight(rest, joint) if tag == "collision" and not rims else (math.nan, False)
+            return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other, unseen=unseen)
     return Candidate(joint, axis, hub, math.nan, PARTIAL if blind else LUMPY if seen else "unknown")
 
 
-def sight(rest: AtRest, joint: Joint) -> float:
-    """Radius of the round visual shapes on a joint, nan where there are none or one of them cannot be read [m]."""
+def sight(rest: AtRest, joint: Joint) -> tuple[float, bool]:
+    """Radius of the round visual shapes on a joint, nan where none is read [m], and whether one cannot be read."""
     bodies, gone = readable(rest, rest.document.body(joint.child), "visual")
     fits = [fit for s in bodies if (fit := round_about(s, rest.hub(joint), rest.axis(joint)))]
-    return max(fits)[0] if fits and not gone else math.nan
+    return (max(fits)[0] if fits and not gone else math.nan), gone
 
 
 def readable(rest: AtRest, links: list[str], tag: str) -> tuple[list[Shape], bool]:
@@ -277,8 +284,11 @@ def height_at(rest: AtRest, fraction: float) -> float:
 
 
 def is_endless_end(rest: AtRest, joint: Joint) -> bool:
-    """Whether a joint turns without end and carries nothing that moves, rollers apart."""
-    return joint.turns_freely and all(is_roller(rest, j) for j in rest.document.moving_children(joint.child))
+    """Whether a joint turns without end and carries nothing that moves, rollers apart: one alone is an elbow."""
+    carried = rest.document.moving_children(joint.child)
+    return joint.turns_freely and (
+        not carried or (len(carried) >= ROLLERS and all(is_roller(rest, j) for j in carried))
+    )
 
 
 def alike_on_root(rest: AtRest) -> list[Joint]:
@@ -296,13 +306,18 @@ def parallel(a: Candidate, b: Candidate) -> bool:
     return bool(abs(a.axis @ b.axis) > 1 - HORIZONTAL**2)
 
 
-def coaxial(a: Candidate, b: Candidate) -> bool:
+def coaxial(a: Candidate, b: Candidate, *, within: float = COAXIAL) -> bool:
     """Whether two wheels turn about one line, at different places on it; seen from above when it is horizontal."""
     seen = 2 if abs(a.axis[2]) <= TILTED else 3
     between, axis = (b.centre - a.centre)[:seen], a.axis[:seen]
     along = between @ axis
     across = between - along * axis
-    return parallel(a, b) and bool(np.linalg.norm(across) < COAXIAL * abs(along))
+    return parallel(a, b) and bool(np.linalg.norm(across) < within * abs(along))
+
+
+def one_axle(wheels: list[Candidate]) -> bool:
+    """Whether all wheels turn about one line: twin tyres where they are more than two."""
+    return all(coaxial(wheels[0], c) for c in wheels[1:])
 
 
 def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float]:

@@ -37,6 +37,7 @@ class Joint:
         damping: Viscous friction [N m s or N s/m].
         friction: Coulomb friction [N m or N].
         mimics: Joint that it follows, None for an ordinary joint.
+        multiplier: Its rate over that joint's; 1 for an ordinary joint.
         line: Line in the file.
     """
 
@@ -52,6 +53,7 @@ class Joint:
     damping: float
     friction: float
     mimics: str | None
+    multiplier: float
     line: int
 
     @property
@@ -89,6 +91,7 @@ class Joint:
             damping=number(dynamics, "damping", 0.0),
             friction=number(dynamics, "friction", 0.0),
             mimics=None if mimic is None else mimic.get("joint"),
+            multiplier=number(mimic, "multiplier", 1.0),
             line=element.sourceline,
         )
 

@@ -23,10 +23,13 @@ from lxml import etree
 
 from ...errors import ConfigError, RobotError
 from .packages import package_of, packages
+from .xml import KNOWN
 
 XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
+
+INCLUDE = "include"  # an element of xacro that old files have bare, and that adds something
 
 USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
 
@@ -84,6 +87,11 @@ def expand(
     told, data = run(path, job | {"known": packages(path, package_dirs)})
     if "error" in told:
         raise refusal(Path(told["place"]), told["error"], told["absent"], told["needed"])
+    if told["bare"]:
+        name, place = told["bare"]
+        why, fix = "xacro leaves such a call out", f"write <xacro:{name}>, or leave it out: --without {name}"
+        file = Path(place)
+        raise RobotError(f"<{name}> lacks its prefix", why=why, fix=fix, file=file, line=line_of(file, f"<{name}"))
     if unused := [name for name in without if name not in told["omitted"]]:
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
     if b"<link" not in data:
@@ -146,11 +154,12 @@ def child() -> None:
     import xacro
     import xacrodoc
 
-    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": []}
+    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": None}
     data = b""
     with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
         try:
-            data = bytes(xacro.process_file(job["path"], mappings=dict(job["arguments"])).toxml(encoding="utf-8"))
+            document = xacro.process_file(job["path"], mappings=dict(job["arguments"]))
+            data, told["bare"] = bytes(document.toprettyxml(indent="  ", encoding="utf-8")), bare_call(document, texts)
         except MemoryError:
             raise
         except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
@@ -158,7 +167,7 @@ def child() -> None:
                 raise
             told["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0]
             told["place"] = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
-            used, stated = ({name for text in texts for name in pattern.findall(text)} for pattern in (USED, STATED))
+            used, stated = ({name for _, text in texts for name in pattern.findall(text)} for pattern in (USED, STATED))
             told["needed"] = sorted(used - stated - set(job["arguments"]))
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     out.write(json.dumps(told) + "\n")
@@ -166,8 +175,25 @@ def child() -> None:
     out.buffer.write(data)
 
 
+def bare_call(document: Any, texts: list[tuple[str, str]]) -> tuple[str, str] | None:
+    """A call that is left in an expanded document for want of `xacro:`, and the file that has it; None without one.
+
+    Args:
+        document: What xacro made.
+        texts: Files that it read, with what is in them.
+    """
+    whole = "".join(text for _, text in texts).replace("<macro ", "<xacro:macro ")
+    calls = {*MACRO.findall(whole)} - KNOWN.keys() | {INCLUDE}
+    for element in document.documentElement.childNodes:
+        name = getattr(element, "tagName", "")
+        if name in calls:
+            call = re.compile(rf"<{re.escape(name)}[\s/>]")
+            return name, next((file for file, text in texts if call.search(text)), texts[0][0])
+    return None
+
+
 @contextlib.contextmanager
-def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[list[str]]:
+def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[list[tuple[str, str]]]:
     """Have xacro find packages without ROS, and do without those that it does not need; gives the files it reads.
 
     A file of a package that is not there is left out: where a macro or property of it is used, xacro refuses all the
@@ -181,7 +207,7 @@ def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]
     """
     places: Any = sys.modules["xacro.substitution_args"]
     parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
-    known, texts = job["known"], list[str]()
+    known, texts = job["known"], list[tuple[str, str]]()
 
     def seek(package: str) -> str:
         if package not in known:
@@ -194,13 +220,13 @@ def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]
     def parsed(given: Any, filename: str | None = None) -> Any:
         document = parse(given, filename)
         with contextlib.suppress(OSError, TypeError):
-            texts.append(Path(filename or given).read_text(errors="replace"))
+            texts.append((str(filename or given), Path(filename or given).read_text(errors="replace")))
         for element in document.getElementsByTagName("xacro:include"):
             package = re.search(r"\$\(find\s+([^)\s]+)\s*\)", element.getAttribute("filename"))
             if package and seek(package[1]).startswith("package://"):
                 element.setAttribute("optional", "true")
         for name in job["without"]:
-            for element in document.getElementsByTagName(f"xacro:{name}"):
+            for element in (*document.getElementsByTagName(f"xacro:{name}"), *document.getElementsByTagName(name)):
                 element.parentNode.removeChild(element)
                 told["omitted"].add(name)
         return document

@@ -35,7 +35,7 @@ from .mechanism import (
 )
 from .meshes import NO_SHAPE, damage_of
 from .packages import FIND, MeshFile, locate
-from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml, read_numbers
+from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml, read_numbers, uncalled
 
 MAX_BYTES = 50_000_000
 
@@ -72,7 +72,6 @@ REQUIRED: dict[str, tuple[str, ...]] = {
 }
 
 GREY = "0.5 0.5 0.5 1"
-
 SIZES = {"cylinder": ("radius", "length"), "capsule": ("radius", "length"), "sphere": ("radius",), "box": ("size",)}
 
 
@@ -447,4 +446,5 @@ def mesh_finding(element: etree._Element, names: list[str], mesh: MeshFile) -> I
         yield finding("mesh-corrupt", element, f"{what} is corrupt: {damage}", NO_SHAPE, "export it again")
 
 
-ELEMENT_CHECKS = (misspelt, misplaced, repeated, unexpanded, bad_numbers, incomplete, bad_shapes, millimetres, degrees)
+WORDS = (misspelt, misplaced, uncalled, repeated, unexpanded)
+ELEMENT_CHECKS = (*WORDS, bad_numbers, incomplete, bad_shapes, millimetres, degrees)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -365,3 +366,13 @@ def numbers(
 def vector(element: etree._Element | None, key: str, default: tuple[float, ...] = (0.0, 0.0, 0.0)) -> Array:
     """The same as an array."""
     return np.array(numbers(element, key, default))
+
+
+def uncalled(elements: Elements) -> Iterator[Finding]:
+    """What nobody knows and names a link: the call of a macro that nobody expanded, ignored in silence."""
+    links = {link.get("name") for link in elements["link"]}
+    for element, tag, parent in elements.unknown:
+        if parent == "robot" and not nearest(tag, KNOWN[parent][0]) and links & {*element.attrib.values()}:
+            what, why = f"<{tag}> in <robot> is ignored", "it names a link: is it the call of a macro, not expanded?"
+            fix = f"write <xacro:{tag}> in the xacro file that this one is from, and give that"
+            yield finding("misplaced-tag", element, what, why, fix)

@@ -185,6 +185,7 @@ def test_with_a_load_the_first_seconds_count_too(loaded, monkeypatch):
     assert search.ratios(msgspec.structs.replace(pd, outcome="diverged"), pd, 0.4) == [search.LOST] * 4
 
 
+@pytest.mark.long
 def test_a_search_is_the_same_again_and_starts_from_its_own(bench):
     space = spaces("eight")["adaptive"]
     first, second = (search.search(bench, "adaptive", space, 3, lambda text: None) for _ in range(2))

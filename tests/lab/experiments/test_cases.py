@@ -180,6 +180,19 @@ def test_a_robot_that_runs_on_while_its_sensors_see_nothing_fails():
     assert "FAILED: not stopped: joint" in text and "2 runs: 1 tracked, 0 stopped, 1 failed" in text
 
 
+STOPPED = ("sensor_killed", "nan_forever", "frozen_arm", "blocked_wheel", "command_lost")
+
+
+def test_a_part_of_the_fault_matrix_tracks_or_is_stopped_safely(tmp_path, capsys):
+    cases = [word for case in ("none", "blocked_wheel", "command_lost") for word in ("--case", case)]
+    assert main(["run", "faults", *cases, "--controller", "pd", "--json", "--out", str(tmp_path / "out")]) == 0
+    cells = json.loads(capsys.readouterr().out)["comparison"]["verdicts"]
+    assert {case: row["pd"]["kind"] for case, row in cells.items()} == {
+        "none": "tracked", "blocked_wheel": "stopped", "command_lost": "stopped",
+    }  # fmt: skip
+
+
+@pytest.mark.long
 def test_every_cell_of_the_fault_matrix_tracks_or_is_stopped_safely(tmp_path, capsys):
     """The bundled matrix as the command runs it: at least 20 faults, three controllers, no cell without a verdict."""
     out = tmp_path / "out"
@@ -190,7 +203,7 @@ def test_every_cell_of_the_fault_matrix_tracks_or_is_stopped_safely(tmp_path, ca
     kinds = {cell["kind"] for row in cells.values() for cell in row.values()}
     assert kinds == {"tracked", "stopped"}
     assert {cell["kind"] for cell in cells["none"].values()} == {"tracked"}
-    for case in ("sensor_killed", "nan_forever", "frozen_arm", "blocked_wheel", "command_lost"):
+    for case in STOPPED:
         assert {cell["kind"] for cell in cells[case].values()} == {"stopped"}, case
     assert len(list(out.rglob("*.h5"))) == 3 * len(cells)
     assert main(["run", "faults", "--out", str(out)]) == 2 and "--force" in capsys.readouterr().err

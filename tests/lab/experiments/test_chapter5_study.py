@@ -167,6 +167,7 @@ def test_the_document_is_what_the_saved_summary_gives(saved):
     assert len(shown) >= 2 and all((DOCS / "figures" / name).is_file() for name in shown)
 
 
+@pytest.mark.long
 @SIMULATES
 def test_a_little_of_the_study_runs_and_gives_the_document_all_it_tells(saved, monkeypatch, tmp_path):
     from dataclasses import replace

@@ -331,6 +331,7 @@ def test_sentences_follow_the_numbers():
     ]
 
 
+@pytest.mark.long
 @SIMULATES
 def test_a_little_of_the_study_runs_and_gives_the_document_all_it_tells(saved, monkeypatch, tmp_path):
     """The variants and readings have tests of their own; all else runs here, with next to no trials."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +70,16 @@ def test_a_path_too_far_says_where_and_the_fix_works() -> None:
     with pytest.raises(TrajectoryError, match=r"mm from \(.*\) at t = .*tolerance|cannot follow"):
         load_experiment("hand", far).trajectory_of(robot)
     load_experiment("hand", [*far, "reference.hand.tolerance=1.0"]).trajectory_of(robot)
+
+
+def test_a_size_that_can_be_followed_is_told_and_works() -> None:
+    robot = load("two_axis_arm")
+    long = [*SHORT, 'reference.hand.path=[{type="line", by=[8.0, 0.0, 0.0], speed=2.0}]', "time.duration=6.0"]
+    with pytest.raises(TrajectoryError, match="cannot follow") as refused:
+        load_experiment("hand", long).trajectory_of(robot)
+    fix = re.search(r"--set (reference.hand.scale=[0-9.]+) draws it smaller", str(refused.value))
+    assert fix is not None
+    load_experiment("hand", [*long, fix[1]]).trajectory_of(robot)
 
 
 def test_the_motion_is_made_once_for_a_robot_and_fits_its_table() -> None:

@@ -44,6 +44,7 @@ def test_it_is_whole_at_any_width_by_day_and_by_night(chromium: Any, page: Path,
     scheme = "dark" if look == "dark" else "light"
     with opened(chromium, page, READY, viewport=size, color_scheme=scheme) as seen:
         assert seen.page.evaluate("document.documentElement.scrollWidth") <= size["width"]
+        assert seen.page.evaluate("document.documentElement.scrollHeight / innerHeight") <= 5.0  # screens
         for part, few in (("table tr", 30), (".plot svg", 20), (".curve", 60)):
             assert seen.page.locator(part).count() > few
         broken = (
@@ -56,6 +57,23 @@ def test_it_is_whole_at_any_width_by_day_and_by_night(chromium: Any, page: Path,
         plots = seen.shot(tmp_path / f"report_{look}_plots.png")
         assert len(np.unique(plots.reshape(-1, 3), axis=0)) > 100
         assert seen.problems == [] and seen.requests == []
+
+
+def test_what_is_not_judged_is_shaded_and_more_plots_are_a_press_away(chromium: Any, tmp_path: Path) -> None:
+    runs = {"pd": recorded(load("tiago_no_hand"), "pd", control_period=0.002)}
+    file = report(runs, with_replay=False).save(tmp_path / "tiago.html")
+    with opened(chromium, file, READY, viewport={"width": 390, "height": 844}) as seen:
+        assert seen.page.evaluate("document.documentElement.scrollHeight / innerHeight") <= 5.0
+        judged = seen.page.evaluate(f"report.groups[{PLACE}].judged")
+        shaded = seen.page.locator("#plots .plot:visible .transient").evaluate_all(
+            "all => all.map(s => s.getBBox().width)"
+        )
+        assert len(shaded) == (4 if judged[0] > 0 else 0) and all(width > 0 for width in shaded)
+        hidden = seen.page.locator("#plots .plot[hidden]")
+        assert seen.page.locator("#plots .plot:visible").count() == 4 and hidden.count() > 4
+        seen.page.get_by_role("button", name="Show all").click()
+        assert hidden.count() == 0
+        assert seen.problems == []
 
 
 PLACE = '[...document.querySelectorAll("[data-section]")].findIndex(p => p.dataset.section === "errors")'

@@ -312,7 +312,7 @@ def test_rows_are_exported_with_their_bits(done: Path, tmp_path: Path) -> None:
         for name, value in row.metrics.items():
             for read in (float(line[name]), record[name]):
                 assert read == value or (math.isnan(read) and math.isnan(value))
-    assert frame.schema.field("effort").metadata[b"unit"] == b"N^2 m^2 s"
+    assert frame.schema.field("effort").metadata[b"unit"] == "N²m²s".encode()
     assert json.loads(frame.schema.metadata[b"mmnn_pin"])["name"] == "short"
 
 

@@ -102,6 +102,7 @@ def report(
         title=result.experiment.title or title_of(result.recordings) or "Report",
         subject=subject(result),
         verdict=verdict(result),
+        judged=result.experiment.windows[-1],
         runs=runs_of(result),
         tables=list(tables_of(result)),
         charts=charts,

@@ -47,7 +47,7 @@ class Plot {
   }
 
   draw() {
-    const { spec } = this, W = Math.max(260, Math.round(this.box.clientWidth || 360)), H = spec.plane ? this.flatness(W) : 200;
+    const { spec } = this, W = Math.max(260, Math.round(this.box.clientWidth || 360)), H = spec.plane ? this.flatness(W) : W < 500 && innerWidth < 600 ? 160 : 200;
     const left = 62, right = 10, top = 8, bottom = 36, width = W - left - right, height = H - top - bottom;
     let [from, to] = this.group.stretch || this.full, low, high;
     if (spec.plane) [[from, to], [low, high]] = this.plane(width, height);
@@ -60,6 +60,8 @@ class Plot {
     const add = (name, attributes, text) => { const made = this.svg.appendChild(element(name, attributes)); if (text !== undefined) made.textContent = text; return made; };
     const clip = `clip-${Plot.count = (Plot.count || 0) + 1}`;
     add("clipPath", { id: clip }).append(element("rect", { x: left, y: top, width, height }));
+    const begins = this.group.judged?.[0];
+    if (begins > from) add("rect", { class: "transient", x: left, y: top, width: X(Math.min(begins, to)) - left, height });
     for (const [v, text] of scale.ticks(low, high)) if (Y(v) >= top - 1 && Y(v) <= top + height + 1) {
       add("line", { class: v === 0 ? "zero" : "gridline", x1: left, x2: left + width, y1: Y(v), y2: Y(v) });
       add("text", { x: left - 6, y: Y(v) + 4, "text-anchor": "end" }, text);
@@ -176,7 +178,21 @@ class Group {
     this.cursor = this.active = this.stretch = null;
     this.plots = specs.map((spec) => new Plot(this, spec, report));
     place.append(...this.plots.map((plot) => plot.box));
+    this.judged = place.dataset.judged?.split(" ").map(Number);
+    if (this.judged) this.fold(place, innerWidth < 600 ? 4 : 9);
   }
+
+  /** Show so many plots, and a button for the others. */
+  fold(place, most) {
+    const others = this.plots.slice(most);
+    if (others.length < 2) return;
+    for (const plot of others) plot.box.hidden = true;
+    const button = place.appendChild(document.createElement("button"));
+    button.type = "button";
+    button.textContent = `Show all ${this.plots.length} plots`;
+    button.addEventListener("click", () => { for (const plot of others) plot.box.hidden = false; button.remove(); this.draw(); });
+  }
+
   draw() { for (const plot of this.plots) plot.draw(); }
   point(time, active = null) { this.cursor = time; this.active = active; for (const plot of this.plots) plot.read(); }
   zoom(from, to) {

@@ -1,0 +1,292 @@
+"""Twins of descriptions that strangers wrote badly: what is silently dropped, guessed or turned, and its way out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, origin, robot_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_base import four
+from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
+from test_wild import codes
+
+from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.loading import load
+
+BALL = link("ball", 0.1, 1e-4, SPHERE.format(r=0.05)) + joint("ball_j", "fixed", "base", "ball", p=(-0.2, 0, 0.05))
+GONE = '<visual><geometry><mesh filename="package://gone/tyre.stl"/></geometry></visual>'
+
+
+def hubs(radius: float, height: float = 0.1) -> str:
+    """Two wheels whose tyres are a missing mesh, with a collision shape of this radius."""
+    shape = f"{GONE}<collision>{LYING_CYLINDER}<geometry>{CYLINDER.format(r=radius)}</geometry></collision>"
+    return "".join(
+        link(f"{name}_link", 1.0).replace("</link>", f"{shape}</link>")
+        + joint(name, "continuous", "base", f"{name}_link", p=(0, y, height))
+        for name, y in (("left", 0.2), ("right", -0.2))
+    )
+
+
+# --- What is left of a wheel ------------------------------------------------------------------------------------------
+
+
+def test_a_collision_shape_whose_visual_mesh_is_missing_may_be_a_hub():
+    told = codes(robot_of(chassis(hubs(0.03))))["base-shapes"]  # it is: the wheel has 0.1
+    assert "0.03 m is that of the collision shapes of left, right" in told
+    assert "base-shapes" not in codes(robot_of(chassis(hubs(0.03)), radius=0.1))
+    assert "base-shapes" not in codes(robot_of(chassis(hubs(0.1).replace(GONE, ""))))
+    with pytest.raises(Undecided, match=r"meshes are missing, and what is left of them ends 0\.07 m above") as error:
+        robot_of(chassis(hubs(0.03) + BALL))
+    assert "--radius METRES, or --package-dir FOLDER" in error.value.fix
+    robot = robot_of(chassis(hubs(0.03) + BALL), radius=0.1)
+    assert [w.radius for w in robot.base.wheels] == [0.1, 0.1] and robot.base.floor == pytest.approx(0)
+
+
+# --- Calls of macros that xacro leaves out ----------------------------------------------------------------------------
+
+
+def test_a_macro_that_is_called_without_its_prefix_is_said_where_it_stands(tmp_path):
+    arm = ARM.replace('parent link="base"', 'parent link="${on}"')
+    defined = f'<xacro:macro name="my_arm" params="on">{arm}</xacro:macro>'
+    (tmp_path / "arm.xacro").write_text(f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">{defined}</robot>')
+    body = ROBOT.replace(ARM, "")
+    file = xacro(tmp_path, f'<xacro:include filename="arm.xacro"/>\n{body}\n<my_arm on="base"/>')
+    line = file.read_text()[: file.read_text().index("<my_arm")].count("\n") + 1
+    with pytest.raises(RobotError, match=r"<my_arm> lacks its prefix.*--without my_arm") as error:
+        load(file)
+    assert (error.value.file, error.value.line) == (file, line)
+    assert load(file, without=("my_arm",)).dimensions.arm == 0
+    file.write_text(file.read_text().replace("<my_arm", "<xacro:my_arm"))  # the other way out
+    assert load(file).joint_names == ("shoulder", "elbow")
+
+
+def test_a_bare_include_is_said_and_a_bare_property_harms_nothing(tmp_path):
+    with pytest.raises(RobotError, match="<include> lacks its prefix"):
+        load(xacro(tmp_path, ROBOT + '<include filename="arm.xacro"/>'))
+    assert load(xacro(tmp_path, ROBOT + '<property name="a" value="1"/>')).base.kind == "differential_drive"
+    old = f'<macro name="old"><link name="more"/></macro>{ROBOT}<old/>'
+    with pytest.raises(RobotError, match="<old> lacks its prefix"):
+        load(xacro(tmp_path, old))
+
+
+def test_lines_of_a_xacro_file_are_those_of_what_it_expands_to(tmp_path):
+    file = xacro(tmp_path, ROBOT.replace('effort="9"', 'effort="0"') + '<xacro:property name="a" value="1"/>')
+    told = next(f for f in load(file).findings if f.code == "zero-effort")
+    assert told.line > 1
+
+
+def test_a_call_that_nobody_expanded_is_told_in_a_plain_file():
+    call = '<robot_arm name="a" parent="base"/>'
+    assert "<robot_arm> in <robot> is ignored" in codes(robot_of(chassis(pair() + call)))["misplaced-tag"]
+    assert "misplaced-tag" not in codes(robot_of(chassis(pair() + '<company name="none"/>')))
+
+
+# --- Machines -----------------------------------------------------------------------------------------------------
+
+
+def test_wheels_welded_to_their_steering_joints_are_no_rotors():
+    modules = "".join(
+        link(f"m{i}_link", 2.0, 0.006, '<mesh filename="wheel.stl"/>')
+        + joint(f"m{i}", "continuous", "base", f"m{i}_link", p=(x, y, 0.1), axis=(0, 0, 1))
+        for i, (x, y) in enumerate(((0.3, 0.2), (0.3, -0.2), (-0.3, 0.2), (-0.3, -0.2)))
+    )
+    with pytest.raises(Unsupported, match="this is a swerve drive") as error:
+        robot_of(chassis(modules))
+    robot = followed(chassis(modules), ways_of(error.value.fix)[0])
+    assert robot.base.is_pushed and set(robot.base.casters) == {"m0", "m1", "m2", "m3"}
+    with pytest.raises(Unsupported, match="drone"):
+        robot_of(chassis(modules.replace("wheel.stl", "blade.stl")).replace(ARM, ""))
+
+
+def test_a_tracked_machine_that_is_all_one_body_is_called_so():
+    track = link("left_track_link", 5.0) + joint("t", "fixed", "base", "left_track_link", p=(0, 0.2, 0.1))
+    with pytest.raises(Unsupported, match="tracked machine: 'left_track_link'") as error:
+        robot_of(chassis(track).replace(ARM, ""))
+    assert followed(chassis(track).replace(ARM, ""), ways_of(error.value.fix)[0]).base.is_pushed
+
+
+# --- Low joints of an arm ---------------------------------------------------------------------------------------------
+
+
+def low_arm(joints: int, axis=(0, 1, 0)) -> str:
+    text, parent, at = "", "base", (0.25, 0, 0.15)
+    for i in range(joints):
+        text += link(f"u{i}", 1.0, 0.01, '<box size="0.3 0.04 0.04"/>', origin(p=(0.15, 0, 0)))
+        text += joint(f"u{i}j", "continuous", parent, f"u{i}", p=at, axis=axis)
+        parent, at = f"u{i}", (0.3, 0, 0)
+    return text
+
+
+@given(st.integers(1, 4), st.sampled_from([(0, 1, 0), (1, 0, 0)]))
+@settings(max_examples=8, deadline=None)
+def test_an_endless_shoulder_low_on_the_base_is_an_arms(joints, axis):
+    text = chassis(pair() + low_arm(joints, axis)).replace(ARM, "")
+    robot = robot_of(text)
+    if joints == 1 and axis[1]:  # nothing tells it from a third wheel: it stands still, and the way out is printed
+        told = next(f for f in robot.findings if f.code == "base-stray")
+        robot = followed(text, ways_of(told.fix)[-1])
+    assert robot.joint_names == tuple(f"u{i}j" for i in range(joints))
+
+
+# --- Wheels that follow others ----------------------------------------------------------------------------------------
+
+
+def chained(multiplier: float, flip: int = 1, radius: float = 0.1) -> str:
+    """A skid-steer base whose rear wheels follow the front ones, about axes that may point the other way."""
+    text = "".join(wheel(n, (0.2, y, 0.1)) for n, y in (("fl", 0.25), ("fr", -0.25)))
+    for name, y in (("l", 0.25), ("r", -0.25)):
+        shape = CYLINDER.format(r=radius)
+        text += link(f"r{name}_link", 1.0, 0.01, shape, LYING_CYLINDER)
+        more = f'<mimic joint="f{name}" multiplier="{multiplier!r}"/>'
+        text += joint(
+            f"r{name}", "continuous", "base", f"r{name}_link", p=(-0.2, y, radius), axis=(0, flip, 0), more=more
+        )
+    return chassis(text)
+
+
+@given(st.sampled_from([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]), st.sampled_from([1, -1]), st.sampled_from([0.05, 0.1]))
+@settings(max_examples=30, deadline=None)
+def test_wheels_of_a_chain_roll_at_one_speed_or_are_asked_about(multiplier, flip, radius):
+    text = chained(multiplier, flip, radius)
+    if math.isclose(multiplier * flip * radius, 0.1):  # speed of the rear rim where the front one has 0.1 m/s
+        assert robot_of(text).base.kind == "skid_steer"
+        return
+    with pytest.raises(Undecided, match="<mimic> rolls wheel 'rl'") as error:
+        robot_of(text)
+    right = float(error.value.fix.split('"')[1])
+    assert robot_of(chained(right, flip, radius)).base.kind == "skid_steer"
+    with pytest.raises(Undecided, match="<mimic> rolls"):  # what is said of the base does not make them roll
+        robot_of(text, base="skid_steer")
+
+
+def test_a_wheel_that_follows_the_other_side_has_a_way_out():
+    left, _, right = pair().rpartition("</joint>")
+    text = chassis(f'{left}<mimic joint="left"/></joint>{right}')
+    with pytest.raises(Undecided, match="follows 'left'") as error:
+        robot_of(text)
+    assert [followed(text, way).base.kind for way in ways_of(error.value.fix)] == ["holonomic", "fixed"]
+
+
+# --- Joints that stand the robot in the world -------------------------------------------------------------------------
+
+
+def in_world(more: str) -> str:
+    """A robot on virtual x, y and yaw joints."""
+    empty = "".join(f'<link name="{name}"/>' for name in ("world", "vx", "vy"))
+    slide = LIMIT.format(-10, 10)
+    joints = joint("px", "prismatic", "world", "vx", axis=(1, 0, 0), more=slide)
+    joints += joint("py", "prismatic", "vx", "vy", axis=(0, 1, 0), more=slide)
+    return chassis(more + empty + joints + joint("yaw", "continuous", "vy", "base", axis=(0, 0, 1)))
+
+
+def test_virtual_joints_of_the_root_are_no_part_of_the_robot():
+    robot = robot_of(in_world(pair()))
+    assert robot.base.kind == "differential_drive" and robot.joint_names == ("shoulder", "elbow")
+    assert [f.element for f in robot.findings if f.code == "welded"] == ["joint 'px'", "joint 'py'", "joint 'yaw'"]
+    with pytest.raises(Undecided, match="its root moves in the plane by px, py, yaw") as error:
+        robot_of(in_world(""))
+    assert [followed(in_world(""), way).base.kind for way in ways_of(error.value.fix)] == ["holonomic", "fixed"]
+    portal = in_world("").replace('<link name="vy"/>', link("vy", 5.0))  # a gantry has masses on its slides
+    assert robot_of(portal).joint_names == ("px", "py", "yaw", "shoulder", "elbow")
+
+
+# --- Axles that are not what they seem --------------------------------------------------------------------------------
+
+
+@given(st.floats(0.15, 0.4), st.floats(0.03, 0.06))
+@settings(max_examples=10, deadline=None)
+def test_twin_tyres_make_two_sides_of_one_axle(y, apart):
+    twins = "".join(wheel(f"{n}{i}", (0, s * (y + i * apart), 0.1)) for n, s in (("l", 1), ("r", -1)) for i in (0, 1))
+    robot = robot_of(chassis(twins))
+    assert robot.base.kind == "skid_steer" and "twin tyres" in codes(robot)["base-evidence"]
+    assert robot.base.track == pytest.approx(2 * y + apart)  # between the middles of the twins
+    assert robot.base.turning == pytest.approx(mean_scrub(robot, apart), rel=1e-6)
+    assert robot_of(chassis(twins), base="holonomic").base.is_pushed
+
+
+def mean_scrub(robot, apart: float) -> float:
+    """Friction of wheels that slide along themselves by half the distance of the twins, under the whole weight."""
+    return 9.81 * sum(body.mass for body in robot.model.inertias) * apart / 2
+
+
+def turned(axis, angle: float) -> str:
+    """Two wheels whose joints are turned, the right one the other way."""
+    return "".join(
+        link(f"{n}_link", 1.0, 0.01, CYLINDER.format(r=0.1), LYING_CYLINDER)
+        + joint(
+            n, "continuous", "base", f"{n}_link", pin.AngleAxis(s * angle, np.array(axis)).matrix(), (0, s * 0.2, 0.1)
+        )
+        for n, s in (("left", 1), ("right", -1))
+    )
+
+
+TOE, CAMBER = turned((0.0, 0.0, 1.0), 0.15), turned((1.0, 0.0, 0.0), 0.0873)
+
+
+@pytest.mark.parametrize(
+    ("text", "kinds"),
+    [
+        (TOE, ["holonomic", "fixed"]),
+        (CAMBER, ["holonomic", "fixed"]),
+        (wheel("left", (0, 0.2, 0.1)) + BALL, ["holonomic", "fixed"]),
+        (
+            wheel("left", (0, 0.2, 0.1)) + wheel("right", (0.01, -0.2, 0.1)),
+            ["differential_drive", "holonomic", "fixed"],
+        ),
+        (pair() + wheel("back", (-0.25, 0, 0.1)), ["differential_drive", "holonomic", "fixed"]),
+    ],
+)
+def test_every_way_out_of_odd_wheels_is_a_way(text, kinds):
+    with pytest.raises(Undecided) as error:
+        robot_of(chassis(text))
+    assert "LEFT,RIGHT" not in error.value.fix
+    assert [followed(chassis(text), way).base.kind for way in ways_of(error.value.fix)] == kinds
+
+
+def test_wheels_that_are_nearly_on_one_axle_may_be_named():
+    text = chassis(wheel("left", (0, 0.2, 0.1)) + wheel("right", (0.01, -0.2, 0.1)))
+    robot = robot_of(text, wheels=("left", "right"))
+    assert "0.01 m apart" in codes(robot)["base-pair"] and robot.base.frame[0] == pytest.approx(0.005)
+    assert [w.x for w in robot.base.wheels] == [0.0, 0.0]
+    far = text.replace("0.01 -0.2", "0.1 -0.2")
+    with pytest.raises(ConfigError, match="not two wheels on one axle"):
+        robot_of(far, wheels=("left", "right"))
+
+
+def test_a_third_wheel_that_cannot_swivel_is_not_sent_to_a_skid_steer_base():
+    text = chassis(pair() + wheel("back", (-0.25, 0, 0.1)))
+    told = next(f for f in robot_of(text, wheels=("left", "right")).findings if f.code == "base-pair")
+    assert "no base here has them" in told.why and "skid_steer" not in told.fix
+    told = next(f for f in robot_of(four(), wheels=("fl", "fr")).findings if f.code == "base-pair")
+    assert followed(four(), ways_of(told.fix)[0]).base.kind == "skid_steer"
+
+
+def test_a_robot_on_its_head_is_not_driven_by_wheels_in_the_air():
+    over = '<link name="foot"/>' + joint("up", "fixed", "foot", "base", R=np.diag([1.0, -1.0, -1.0]))
+    text = chassis(pair() + over)
+    with pytest.raises(Undecided, match="in its upper half: turn it over") as error:
+        robot_of(text)
+    assert [followed(text, way).base.kind for way in ways_of(error.value.fix)] == ["fixed"]
+    assert "m below the floor" in codes(robot_of(text, wheels=("right", "left")))["base-floor"]
+
+
+# --- Plugins that name other joints -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "code", "words"),
+    [
+        ("left", "right", "", ""),
+        ("right", "left", "base-sides", "names 'right', which is on the right"),
+        ("wheel_l", "wheel_r", "base-stated", "names 'wheel_r', which the robot does not have"),
+    ],
+)
+def test_a_plugin_that_swaps_the_sides_or_names_nothing_is_told(left, right, code, words):
+    plugin = f"<plugin name='d' filename='x'><leftJoint>{left}</leftJoint><rightJoint>{right}</rightJoint></plugin>"
+    found = codes(robot_of(chassis(f"{pair()}<gazebo>{plugin}</gazebo>")))
+    assert words in found[code] if code else not {"base-sides", "base-stated"} & found.keys()
