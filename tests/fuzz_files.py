@@ -28,6 +28,7 @@ import sqlite3
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -405,6 +406,70 @@ def xml(name: str) -> Mutation:
     return mutate
 
 
+def texture(folder: Path, rng: random.Random) -> None:
+    """A picture of any format, sound but large, short of a part, or with a size that lies."""
+    from PIL import Image
+
+    kind, size = rng.choice(("PNG", "JPEG", "BMP", "GIF", "TIFF", "TGA", "WEBP")), rng.choice((1, 64, 3000))
+    data = io.BytesIO()
+    Image.new("RGB", (size, size), "red").save(data, kind)
+    made = bytearray(data.getvalue())
+    where = {"PNG": 16, "BMP": 18, "GIF": 6, "TGA": 12, "JPEG": made.find(b"\xff\xc0") + 5, "WEBP": 26, "TIFF": 4}[kind]
+    how = rng.random()
+    if how < 0.4:
+        made[where : where + 4] = rng.choice((bytes(4), b"\xff" * 4, b"\0\0\xff\xff", b"\x7f\xff\xff\xff"))
+    elif how < 0.6:
+        del made[rng.randrange(len(made)) :]
+    elif how < 0.8:
+        made = bytearray(fuzz_urdf.copy_bytes(bytes(made), rng))
+    (folder / "meshes" / "t.png").write_bytes(made)
+
+
+def inside(folder: Path, rng: random.Random) -> None:
+    """Another number, name or table in the JSON of a GLB file, one with a picture."""
+    file = folder / "meshes" / "m.glb"
+    data, picture = file.read_bytes(), (folder / "meshes" / "t.png").read_bytes()
+    end = 20 + int.from_bytes(data[12:16], "little")
+    tree = json.loads(data[20:end])
+    views, image = tree["bufferViews"], rng.choice(({"bufferView": -1}, {"uri": "t.png"}, {"uri": "../secret/x.stl"}))
+    views.append({"buffer": 0, "byteOffset": len(data) - end - 8, "byteLength": len(picture)})
+    tree["images"] = [{"bufferView": len(views) - 1, "mimeType": "image/png"} if "bufferView" in image else image]
+    tree |= {"textures": [{"source": 0}], "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]}
+    tree["buffers"][0]["byteLength"] += len(picture)
+    tree["meshes"][0]["primitives"] *= rng.choice((1, 1, 50, 20_000))
+    tree["nodes"] += [{"mesh": 0, "children": [0]}] * rng.choice((0, 0, 3, 20_000))
+    for _ in range(rng.choice((0, 1, 3))):
+        tree = disturbed(tree, rng)
+    text = json.dumps(tree).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[end + 8 :] + picture + bytes(-len(picture) % 4)
+    sizes = [2, 28 + len(text) + len(rest), len(text), int.from_bytes(b"JSON", "little")]
+    numbers = b"".join(one.to_bytes(4, "little") for one in sizes)
+    file.write_bytes(b"glTF" + numbers + text + len(rest).to_bytes(4, "little") + b"BIN\0" + rest)
+
+
+def counts(folder: Path, rng: random.Random) -> None:
+    """Another count where a mesh states one, or a scene of many copies."""
+    name = rng.choice(("m.stl", "m.ply", "m.dae"))
+    file = folder / "meshes" / name
+    data, count = file.read_bytes(), rng.choice((0, 1, 2**31 - 1, 2**32 - 1, 10**7))
+    if name == "m.stl":
+        data = data[:80] + count.to_bytes(4, "little") + data[84:]
+    elif name == "m.ply":
+        data = re.sub(rb"(element \w+) \d+", lambda m: m[1] + b" %d" % rng.choice((count, 3)), data)
+    elif rng.random() < 0.5:
+        data = re.sub(rb'(count|stride|offset)="\d+"', lambda m: m[1] + b'="%d"' % rng.choice((count, 1)), data)
+    else:
+        url = re.findall(rb'<geometry id="([^"]+)"', data)[0]
+        copies = b'<node id="q"><instance_geometry url="#%s"/></node>' % url * rng.choice((5, 20_000))
+        data = data.replace(b"</visual_scene>", copies + b"</visual_scene>", 1)
+        dtd = b'<!DOCTYPE COLLADA [<!ENTITY a SYSTEM "../secret/x.stl">]>' if rng.random() < 0.5 else b""
+        data = (
+            b"<!--<COLLADA" + b"x" * rng.choice((0, 70_000)) + b"-->" + dtd + data.partition(b"?>")[2] if dtd else data
+        )
+    file.write_bytes(data)
+
+
 MESHES = ("m.stl", "m.obj", "m.mtl", "m.dae", "m.glb", "m.ply", "t.png")
 PART = '<link name="part_{i}"><visual><geometry><mesh filename="{file}"/></geometry></visual></link>'
 PART += '<joint name="part_{i}" type="fixed"><parent link="base_link"/><child link="part_{i}"/></joint>'
@@ -412,11 +477,16 @@ PART += '<joint name="part_{i}" type="fixed"><parent link="base_link"/><child li
 
 def mesh(folder: Path, rng: random.Random) -> None:
     """A robot, and a recording of it, with a mesh of every kind, one of them broken or exchanged for another."""
-    name = rng.choice(MESHES)
-    if rng.random() < 0.2:
+    name, how = rng.choice(MESHES), rng.random()
+    if how < 0.45:
+        rng.choice((texture, inside, counts))(folder, rng)
+    elif how < 0.6:
         (folder / "meshes" / name).write_bytes((folder / "meshes" / rng.choice(MESHES)).read_bytes())
     else:
         (words if name in ("m.obj", "m.mtl", "m.dae") and rng.random() < 0.5 else raw)(f"meshes/{name}")(folder, rng)
+    (folder / "meshes" / "m.ply").write_bytes(
+        (folder / "meshes" / "m.ply").read_bytes().replace(b"element", b"comment TextureFile t.png\nelement", 1)
+    )
     files = [f"{where}{one}" for one in MESHES[:6] if one != "m.mtl" for where in ("", "meshes/")]
     parts = "".join(PART.format(i=i, file=file) for i, file in enumerate(files))
     text = (folder / "robot.urdf").read_text().replace("</robot>", f"{parts}</robot>")
@@ -682,9 +752,10 @@ def work_through(sources: Path, kinds: list[str], first: int, last: int, cheap: 
                 shutil.rmtree(folder)
                 mutant(sources, folder, kind, seed, cheap)
             print(seed, kind.replace(" ", "_"), end=" ", file=out, flush=True)
+            begun = time.process_time()
             said = verdict(command, folder)
             said = said if said in GOOD else f"`{' '.join(command)}`: {said}"
-            print(said.replace("\n", " "), file=out, flush=True)
+            print(f"{time.process_time() - begun:.2f}", said.replace("\n", " "), file=out, flush=True)
             os.chdir("/")
             shutil.rmtree(folder)
 
@@ -697,7 +768,10 @@ def slow_without_compiling(line: str) -> bool:
 def worked(
     sources: Path, kinds: list[str], first: int, last: int, cheap: bool, twice: bool = False
 ) -> tuple[list[list[str]], str]:
-    """The lines of a process that works some seeds through, as number, kind and verdict; and how it ended."""
+    """The lines of a process that works some seeds through; and how it ended.
+
+    A line is a number, a kind, processor seconds and a verdict; of a crash the first two.
+    """
     command = [sys.executable, __file__, "--sources", str(sources), "--work", str(first), str(last)]
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{ROOT / 'tests'}", "MPLBACKEND": "agg"}
     environment |= {"NUMBA_DISABLE_JIT": str(int(not twice))}
@@ -708,7 +782,7 @@ def worked(
         timeout=60 * (last - first) + 600,
         env=environment,
     )
-    lines = [line.split(" ", 2) for line in done.stdout.splitlines()]
+    lines = [line.split(" ", 3) for line in done.stdout.splitlines()]
     if not lines:
         raise RuntimeError(done.stderr)
     return lines, f"crash, exit code {done.returncode}: {done.stderr[-300:]}"
@@ -716,27 +790,30 @@ def worked(
 
 def fuzz(
     sources: Path, files: int, seed: int = 0, batch: int = 100, kinds: list[str] | None = None, cheap: bool = False
-) -> tuple[dict[str, collections.Counter[str]], list[str]]:
+) -> tuple[dict[str, collections.Counter[str]], list[str], dict[str, float]]:
     """Try many mutants in subprocesses.
 
     Returns:
-        Per kind how often each verdict came, and every line that tells of something wrong.
+        Per kind how often each verdict came; every line that tells of something wrong; processor seconds per kind.
     """
     kinds = kinds or list(KINDS)
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     wrong: list[str] = []
+    spent: dict[str, float] = collections.defaultdict(float)
     for start in range(seed, seed + files, batch):
         first, last = start, min(start + batch, seed + files)
         while first < last:
             lines, end = worked(sources, kinds, first, last, cheap)
-            for number, kind, verdict in lines:
-                said = verdict
+            for number, kind, *told in lines:
+                seconds, said = told if len(told) == 2 else ("0", "")
                 if slow_without_compiling(said):
-                    said = worked(sources, kinds, int(number), int(number) + 1, cheap, twice=True)[0][-1][-1]
+                    again = worked(sources, kinds, int(number), int(number) + 1, cheap, twice=True)[0][-1]
+                    said = again[3] if len(again) == 4 else ""
                 counts[kind][said if said in GOOD else "wrong"] += 1
+                spent[kind] += float(seconds)
                 wrong += [] if said in GOOD else [f"seed {number}, {kind}: {said or end}"]
             first = int(lines[-1][0]) + 1  # after a crash: go on behind it
-    return dict(counts), wrong
+    return dict(counts), wrong, dict(spent)
 
 
 def main() -> int:
@@ -756,9 +833,10 @@ def main() -> int:
         return 0
     with tempfile.TemporaryDirectory() as scratch:
         sources = given.sources or sound_files(Path(scratch) / "sources")
-        counts, wrong = fuzz(sources, given.files, given.seed, given.batch, given.kinds, given.cheap)
+        counts, wrong, spent = fuzz(sources, given.files, given.seed, given.batch, given.kinds, given.cheap)
     for kind, found in counts.items():
-        print(f"{kind}: {sum(found.values()):,} files, {dict(found)}")
+        print(f"{kind}: {sum(found.values()):,} files, {spent[kind]:.0f} s of processor time, {dict(found)}")
+    print(f"{sum(map(collections.Counter.total, counts.values())):,} files, {sum(spent.values()):.0f} s")
     print(*wrong, sep="\n")
     return 1 if wrong else 0
 

@@ -13,10 +13,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 from failing_disks import COMMANDS, GROWING, QUICK, SAYING
 from places import ROOT
 
+from mmnn_pin.cli import mmnn
+
+READ = ("file", "runs", "run", "logs", "--at", "--held-out", "--package-dir")  # paths that commands only read
 KEEPING = ("run contest", "study", "tune")  # the same command goes on with what is there
 
 
@@ -39,6 +43,23 @@ def may_give_up() -> bool:
     if shutil.which("setpriv") is None:
         return False
     return subprocess.run(["setpriv", "--bounding-set=-dac_override", "true"], capture_output=True).returncode == 0
+
+
+PLACES = ("--out", "--html", "--plots")  # options of commands that write
+ELSEWHERE = {"ros2": "tests/deploy/ros2/test_recording_fails.py"}  # needs a middleware: tried there
+
+
+def test_no_command_that_writes_is_forgotten():
+    """The commands that have a place to write to, as the command line itself knows them, and those tried here."""
+    places = {name: [o for p in one.params for o in p.opts if o in PLACES] for name, one in mmnn.commands.items()}
+    tried = {name: [word for word in command.split() if word in PLACES] for name, command in COMMANDS.items()}
+    for name, options in places.items():
+        assert name in ELSEWHERE or set(options) == {
+            o for one in COMMANDS if COMMANDS[one].split()[0] == name for o in tried[one]
+        }
+    paths = {p.opts[-1] for c in mmnn.commands.values() for p in c.params if isinstance(p.type, click.Path)}
+    assert paths <= {*PLACES, *READ}, "a new option with a path: it reads or it writes"
+    assert all((ROOT / file).is_file() for file in ELSEWHERE.values())
 
 
 quick = pytest.mark.parametrize("came_of", [("--quick",)], indirect=True, ids=["quick"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import json
 import pkgutil
 import random
 import sqlite3
@@ -13,7 +14,7 @@ from io import StringIO
 
 import pytest
 from random_options import tried
-from sound_files import study
+from sound_files import contest, study
 
 import mmnn_pin
 from mmnn_pin.cli import main, mmnn
@@ -132,11 +133,30 @@ def test_a_database_that_we_did_not_write_is_one_line(change, sound, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_text_of_a_gigabyte_is_not_read(sound, tmp_path):
+    file = tmp_path / NAME
+    file.write_bytes(sound)
+    with closing(sqlite3.connect(file)) as db, db:
+        db.execute("UPDATE rows SET metrics = zeroblob(60000000) WHERE id = 1")
+    with pytest.raises(StudyError, match="cannot read the database: string or blob too big"):
+        load_results(file)
+
+
 def test_a_damaged_text_in_the_list_of_tables_is_one_line(sound, tmp_path):
     file = tmp_path / NAME
     file.write_bytes(sound.replace(b"CREATE TABLE rows", b"CREATE TABLE ro\xffs", 1))
     with pytest.raises(StudyError, match="cannot read the database: "):
         load_results(file)
+
+
+def test_a_contest_that_lost_windows_of_a_curve_is_drawn_as_far_as_all_go(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    contest(tmp_path / "contest")
+    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
+    rows["eight/two_layer"]["rows"][0]["curve"].pop()
+    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
+    with redirect_stdout(StringIO()):
+        assert main(["plot", "contest", "--what", "contest-learning", "--out", "out"]) == 0
 
 
 # -- the replay's server -----------------------------------------------------------------------------------------------
@@ -162,6 +182,22 @@ def test_a_foreign_page_gets_nothing_from_the_server(headers, status):
         connection.request("GET", "/", headers=headers)
         answer = connection.getresponse()
         assert (answer.status, b"mine" in answer.read()) == (status, status == 200)
+
+
+@pytest.mark.parametrize(
+    ("row", "says"),
+    [
+        ("1" * 200_000, "log.csv:2: error: not a CSV file"),
+        ("1, 1e200, 0, 0", "is 1e+200 in sample 1: nothing measures"),
+    ],
+)
+def test_a_log_that_nothing_measured_is_one_line(row, says, tmp_path, capsys):
+    joints = "position.arm_1_joint,effort.arm_1_joint,velocity.arm_1_joint"
+    (tmp_path / "log.csv").write_text(f"time,{joints}\n0,0,0,0\n{row}\n" if "e" in row else f"time\n{row}\n")
+    words = ["identify", str(tmp_path / "log.csv"), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")]
+    assert main(words) == 2
+    said = capsys.readouterr().err
+    assert says in said and said.count("\n") == 1 and not (tmp_path / "out").exists()
 
 
 def test_a_state_that_is_no_text_is_one_line(tmp_path, capsys):

@@ -233,10 +233,11 @@ class Load:
         self.to_motors, self.psi = pseudo_inverse(robot.E), np.zeros(robot.dimensions.dof)
         self.limits, self.speeds = robot.effort_limits, speed_limits(robot)
 
-    def along(self, trajectory: Trajectory, duration: float) -> Array:
+    def along(self, trajectory: Trajectory, duration: float, enough: float | Array = np.inf) -> Array:
         """Largest torque and speed of every motor over its limits, (2, motors), a reference followed exactly.
 
-        The whole motion counts, also what a slower one does not reach in the duration [s] that it has when not slowed.
+        The whole motion counts, also what a slower one does not reach in the duration [s] that it has when not slowed;
+        but the search ends where something is larger than `enough`.
         """
         robot, layout = self.robot, self.robot.dimensions
         instants = int(np.clip(duration / OFTEN, *INSTANTS))
@@ -249,6 +250,8 @@ class Load:
             self.terms.refresh_psi(nu, np.concatenate((setpoint.acceleration, setpoint.qddot)), self.psi)
             torque, speed = product(self.to_motors, self.psi), product(robot.E.T, nu)
             found = np.maximum(found, (over(torque, self.limits), over(speed, self.speeds)))
+            if (found > enough).any():
+                break
         return found
 
 
@@ -279,10 +282,10 @@ def followable(robot: Robot, reference: Callable[[Limits], Trajectory], duration
     for _ in range(TRIALS if static.max(initial=0.0) > share and np.isfinite(half).any() else 0):
         off = np.where(np.isfinite(half), rng.uniform(-0.5, 0.5, len(half)) * half, 0.0)
         tried = reference((lower + np.maximum(2 * off, 0.0), upper + np.minimum(2 * off, 0.0)))
-        held = load.along(replace(tried, slowness=SLOWEST), duration)
+        held = load.along(replace(tried, slowness=SLOWEST), duration, static.max(initial=0.0))
         if held.max(initial=0.0) < static.max(initial=0.0):
             best, static = tried, held
     slowness, enough = 1.0, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
-    while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration) > enough).any():
+    while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration, enough) > enough).any():
         slowness = min(SLOWER * slowness, SLOWEST)
     return replace(best, slowness=slowness)

@@ -18,6 +18,7 @@ from .run_file import Columns
 
 KIND = {name: (kind.split()[-1], base, arm) for name, kind, base, arm in SIGNALS}
 MOST_TEXT, DEEPEST = 1000, 32  # letters of a name, levels of a value
+LONGEST = 2.0**31  # s: what a stamp of ROS 2 can tell
 
 
 class Facts(msgspec.Struct, frozen=True):
@@ -77,6 +78,9 @@ def facts_problem(meta: Mapping[str, Any]) -> tuple[str, str, str] | None:
     for name in ("velocity_names", "position_names", "actuator_names"):
         if long := next((text for text in meta.get(name, ()) if len(text) > MOST_TEXT), None):
             return name, f"{shortly(long)} has {len(long)} letters", f"use at most {MOST_TEXT}"
+    names, limits = meta.get("actuator_names", ()), meta.get("effort_limits", ())
+    if limits and len(names) != len(limits):
+        return "effort_limits", f"{shortly(list(limits))} for {len(names)} motors", "give one for each"
     period = meta.get("control_period", 1.0)
     if not (math.isfinite(period) and period > 0):
         return "control_period", f"{period} s", "use a finite number of seconds > 0"
@@ -110,10 +114,12 @@ def signal_problem(name: str, width: int, about: Columns, meta: Mapping[str, Any
 
 
 def time_problem(time: Array) -> str:
-    """What is wrong with the time of the rows, which must be finite and increase; empty where nothing is."""
+    """What is wrong with the time of the rows: it must be finite, below `LONGEST`, increase; empty if all is well."""
     bad = np.flatnonzero(~np.isfinite(time))
     if len(bad):
         return f"row {bad[0]} is at {time[bad[0]]} s"
+    if len(time) and np.abs(time[[0, -1]]).max() >= LONGEST:
+        return f"it is from {time[0]:g} to {time[-1]:g} s, and no time is further than {LONGEST:g} s from 0"
     back = np.flatnonzero(np.diff(time) <= 0)
     return (
         f"row {back[0] + 1} is at {time[back[0] + 1]:g} s, the one before at {time[back[0]]:g} s" if len(back) else ""

@@ -160,8 +160,9 @@ class Columns(Mapping[str, Array]):
         try:
             with file.open(newline="", encoding="utf-8-sig") as stream:
                 rows = list(csv.reader(stream, skipinitialspace=True))
-        except (OSError, UnicodeDecodeError) as error:
-            why = getattr(error, "strerror", None) or "it is no text in UTF-8"
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            no_text = "it is no text in UTF-8" if isinstance(error, UnicodeDecodeError) else str(error)
+            why = getattr(error, "strerror", None) or no_text
             raise TrajectoryError("cannot be read", why=why, fix="name a CSV file", file=file) from None
         heads = [head.partition("[")[0].strip() for head in rows[0]] if rows else []
         if missing := [name for name in needed if name not in heads]:

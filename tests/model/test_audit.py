@@ -18,9 +18,9 @@ from mmnn_pin.model.base.report import CODES as UNDERSTOOD
 from mmnn_pin.model.loading import require_sane
 from mmnn_pin.model.urdf.finding import CODES, Finding
 from mmnn_pin.model.urdf.mechanism import lumped, parts_of
+from mmnn_pin.model.urdf.meshes import damage_of
 from mmnn_pin.model.urdf.packages import locate
 from mmnn_pin.model.urdf.reading import audit_file, parse
-from mmnn_pin.model.urdf.shapes import damage_of
 
 DOCUMENT = ROOT / "docs" / "reference" / "urdf-audit.md"
 TETRAHEDRON = b"solid\nfacet normal 0 0 1\nendfacet\nendsolid\n"

@@ -94,6 +94,7 @@ FOREIGN: dict[str, tuple[Change, str]] = {
     ),
     "fact of a wrong type": (attribute("robot", 5), "its attribute 'robot': 5 is a whole number: expected a text"),
     "names of a wrong type": (attribute("velocity_names", 'json:[1, "w"]'), "its attribute 'velocity_names'"),
+    "limits of other motors": (attribute("effort_limits", "json:[1.0]"), "its attribute 'effort_limits': [1.0] for "),
     "no period": (attribute("control_period", -1.0), "its attribute 'control_period': -1.0 s"),
     "broken JSON": (attribute("gains", "json:{"), "its attribute 'gains' cannot be read: "),
     "deep JSON": (attribute("gains", f"json:{'[' * 99}{']' * 99}"), "it is nested more than 32 levels deep"),
@@ -159,6 +160,7 @@ DAMAGE: dict[str, tuple[Change, str, str]] = {
     ),
     "urdf": (replaced("urdf", data=np.zeros(3)), "urdf", "it is no text"),
     "time": (lambda file: file["signals/time"].__setitem__(7, 0.001), "signals/time", "row 7 is at 0.001 s, the one b"),
+    "far": (lambda file: file["signals/time"].__setitem__(-1, 1e300), "signals/time", "it is from 0 to 1e+300 s, and "),
     "no time": (lambda file: file["signals/time"].__setitem__(7, np.nan), "signals/time", "row 7 is at nan s"),
 }
 
@@ -308,6 +310,25 @@ def test_a_learner_without_its_settings_is_refused_before_anything_is_fitted(tmp
     recording = Recording.open(tmp_path / "run.h5")
     with pytest.raises(RecordingError, match="the recording does not tell the settings of adaptive"):
         controller_of(recording, recorded_robot(recording))
+
+
+def test_a_report_of_a_recording_that_knows_no_limits_is_made(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
+        for name in ("effort_limits", "actuator_names"):
+            file.attrs.pop(name, None)
+    assert main(["report", "run.h5", "--html", "r.html", "--no-replay"]) == 0
+    assert "at its limit" not in (tmp_path / "r.html").read_text()
+
+
+def test_rows_of_years_apart_or_before_0_are_shown_or_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for at, to, says in ((-1, 2e9, ""), (0, -5.0, "begins at -5 s, and a log has no times before 0")):
+        with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
+            file["signals/time"][at] = to
+        assert main(["replay", "run.h5", "--html", "p.html", "--force"]) == 0
+        assert main(["export", "run.h5", "--to", "mcap", "--out", "x.mcap", "--force"]) == (2 if says else 0)
+        assert says in capsys.readouterr().err
 
 
 def test_no_recording_by_a_name_that_leads_elsewhere(tmp_path):

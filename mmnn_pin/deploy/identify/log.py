@@ -21,6 +21,8 @@ BASE = tuple(f"base.{name}" for name in ("x", "y", "phi", "v", "vx", "vy", "w"))
 REFERENCE = tuple(f"reference.{name}" for name in ("x", "y", "phi"))
 Columns = Mapping[str, str]
 
+LARGEST = 1e30  # in SI units, of anything; its square is a number
+
 
 @dataclass(frozen=True, eq=False)
 class Log:
@@ -102,7 +104,7 @@ def from_signals(name: str, signals: Mapping[str, Array]) -> Log:
     """A log of signals by their full names.
 
     Raises:
-        RecordingError: Signals of another length than the time's.
+        RecordingError: Signals of another length than the time's, or with a number that nothing measures.
     """
     time = np.asarray(signals["time"], float)
     parts: dict[str, Any] = {key: {} for key in ("position", "velocity", "effort", "base", "reference")}
@@ -110,6 +112,9 @@ def from_signals(name: str, signals: Mapping[str, Array]) -> Log:
         if np.shape(values) != time.shape or time.ndim != 1:
             what = f"{signal} has shape {np.shape(values)}, the time {time.shape}"
             raise RecordingError(what, fix="give one number per time", file=name)
+        if len(far := np.flatnonzero(np.abs(values) > LARGEST)):
+            what = f"{signal} is {np.asarray(values)[far[0]]:g} in sample {far[0]}"
+            raise RecordingError(what, why="nothing measures that", fix="leave the sample out", file=name)
         kind, _, rest = signal.partition(".")
         if kind in parts:
             parts[kind][signal if kind in ("base", "reference") else rest] = np.asarray(values, float)

@@ -165,19 +165,23 @@ def read_table(path: Path) -> tuple[list[str], Array]:
         raise RecordingError("no header", fix="name the columns in the first line", file=path, line=1)
     mark = next((c for c in ",;\t" if c in lines[0]), " ")
     rows = csv.reader(lines, delimiter=mark, skipinitialspace=True)
-    header = [name.strip() for name in next(rows)]
+    try:
+        cells = list(rows)
+    except csv.Error as error:
+        raise RecordingError("not a CSV file", why=str(error), file=path, line=rows.line_num) from None
+    header = [name.strip() for name in cells[0]]
     numbers = []
-    for row in rows:
+    for line, row in enumerate(cells[1:], 2):
         if not any(cell.strip() for cell in row):
             continue
         try:
             numbers.append([float(cell) if cell.strip() else np.nan for cell in row])
         except ValueError as error:
             what = str(error).replace("could not convert string to float:", "not a number:")
-            raise RecordingError(what, fix="give numbers below the header", file=path, line=rows.line_num) from None
+            raise RecordingError(what, fix="give numbers below the header", file=path, line=line) from None
         if len(row) != len(header):
             what = f"{len(row)} cells under {len(header)} headers"
-            raise RecordingError(what, fix="give one cell per column", file=path, line=rows.line_num)
+            raise RecordingError(what, fix="give one cell per column", file=path, line=line)
     if len(numbers) < 2:
         raise RecordingError(f"{len(numbers)} rows of numbers", fix="give a recorded motion", file=path)
     return header, np.array(numbers)

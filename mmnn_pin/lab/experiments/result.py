@@ -152,7 +152,7 @@ class Result(Mapping[str, Recording]):
         if not self.recordings:
             return []
         first = next(iter(self.recordings.values()))
-        limits = first.meta["effort_limits"]
+        actuators, limits = (first.meta.get(key, ()) for key in ("actuator_names", "effort_limits"))
         given = {name: "applied" if "applied" in r else "motor_torque" for name, r in self.recordings.items()}
         peaks = {name: as_columns(r[given[name]]) for name, r in self.recordings.items() if len(r)}
         return [
@@ -161,7 +161,7 @@ class Result(Mapping[str, Recording]):
                 "limit": finite(limit),
                 "peak": {name: finite(abs(torque[:, i]).max()) for name, torque in peaks.items()},
             }
-            for i, (actuator, limit) in enumerate(zip(first.meta["actuator_names"], limits, strict=True))
+            for i, (actuator, limit) in enumerate(zip(actuators, limits, strict=False))
         ]
 
     def relative_to(self, other: str) -> dict[str, dict[str, float | None]]:

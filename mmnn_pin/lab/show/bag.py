@@ -26,6 +26,7 @@ import numpy as np
 from mcap_ros2.writer import Writer
 from scipy.spatial.transform import Rotation
 
+from ...errors import RecordingError
 from ...model.robot import Robot
 from ...model.urdf.document import Document, Joint
 from ...model.urdf.reading import parse
@@ -177,8 +178,11 @@ def write_bag(recording: Recording, path: Path, about: dict[str, Any]) -> None:
     """Write a recording as MCAP, with what there is to know of it (`export.about`).
 
     Raises:
-        RecordingError: It does not hold its robot.
+        RecordingError: It does not hold its robot, or begins before time 0.
     """
+    if len(recording) and recording.time[0] < 0:
+        why = f"it begins at {recording.time[0]:g} s, and a log has no times before 0"
+        raise RecordingError("cannot be written as MCAP", why=why, fix="use another format", file=recording.path)
     robot = recorded_robot(recording)
     frames = frames_of(recording, robot)
     still = [transform(frame, 0, stamp(0)) for frame in frames if not frame.moves]

@@ -351,9 +351,9 @@ def learning(standing: Standing) -> Figure:
         step = contest.window
         for name in standing.controllers:
             curves = relative_curves(standing, task, name)
-            if curves and len(curves[0]):
-                joined = -(-len(curves[0]) // POINTS)  # windows in a point
-                middle = np.median([thinned(curve, joined) for curve in curves], axis=0)
+            if length := min(map(len, curves), default=0):  # of a file that lost windows of a run: what all have
+                joined = -(-length // POINTS)  # windows in a point
+                middle = np.median([thinned(curve[:length], joined) for curve in curves], axis=0)
                 step = contest.window * joined
                 axes.plot(step * (np.arange(len(middle)) + 0.5), middle, **style[name].line)
         axes.set(yscale="log", xlabel=f"time [s], in steps of {step:g} s", ylabel="error / PD's", title=task)

@@ -29,6 +29,7 @@ FORMAT, FORMAT_VERSION = "mmnn_pin study", 1
 NAME = "study.sqlite"
 AGAIN = "take the database from a copy, or choose another folder with --out"
 ROOM = "free some space; what is stored is kept, and the same command goes on from there"
+LONGEST_VALUE = 50_000_000  # bytes of a text in a database: a study's file is far shorter
 SCHEMA = f"""
 CREATE TABLE meta (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
 CREATE TABLE rows (
@@ -265,7 +266,9 @@ def reading(path: Path) -> Iterator[Store]:
 def connect(path: Path, mode: str) -> sqlite3.Connection:
     """A connection to a file."""
     with sqlite_errors(path, "open"):
-        return sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=30.0)
+        opened = sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True, timeout=30.0)
+        opened.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LONGEST_VALUE)
+        return opened
 
 
 def require_ours(store: Store) -> None:

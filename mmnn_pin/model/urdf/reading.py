@@ -33,8 +33,8 @@ from .mechanism import (
     no_inertials,
     too_large,
 )
+from .meshes import NO_SHAPE, damage_of
 from .packages import FIND, MeshFile, locate
-from .shapes import NO_SHAPE, damage_of
 from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml, read_numbers, uncalled
 
 MAX_BYTES = 50_000_000

@@ -6,13 +6,10 @@ and read only when they are asked for (that takes long); nothing is fetched, not
 
 from __future__ import annotations
 
-import logging
 import math
-import re
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +19,9 @@ from ...elementary import arrays, cos_sin, hypot
 from ...elementary.matrices import length, product
 from ...signals import Array
 from .document import Document, Joint, placement
+from .meshes import vertices_of
 from .packages import locate
-from .xml import number, numbers, read_numbers, vector
+from .xml import number, numbers, vector
 
 PRIMITIVES = ("cylinder", "sphere", "box")
 
@@ -36,22 +34,6 @@ TREAD = 0.98  # what reaches out further than this fraction of a wheel's radius 
 HORIZONTAL = 0.02  # largest vertical part of a unit axis that counts as horizontal
 
 VERTICAL = 1 - HORIZONTAL  # smallest vertical part of one that counts as vertical
-
-MOST_BYTES = {".stl": 60_000_000, ".dae": 60_000_000, ".obj": 60_000_000}  # of a mesh; no wheel needs more
-
-OTHER_FORMATS = {".ply": 8_000_000, ".glb": 8_000_000, ".gltf": 8_000_000, ".off": 8_000_000}  # read by trimesh
-
-MOST_NODES = 100_000  # of a COLLADA file with all its copies
-
-CHUNK = 65_536  # bytes looked at, at either end of a file
-
-TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", 9), ("attributes", "<u2")])  # of a binary STL file
-
-UNIT = re.compile(rb"<unit\b[^>]*?\bmeter\s*=\s*[\"']([^\"']+)[\"']")  # of a COLLADA file
-
-VERTEX = re.compile(rb"^v[ \t]+(\S+[ \t]+\S+[ \t]+\S+)", re.MULTILINE)  # of an OBJ file
-
-NO_SHAPE = "assumed: no shape; only the radius of a wheel needs it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,9 +248,6 @@ def outline(shape: Shape) -> Array:
     return both * shape.half @ shape.pose[:3, :3].T + shape.pose[:3, 3]
 
 
-# -- mesh files --------------------------------------------------------------------------------------------------------
-
-
 def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) -> Array:
     """(k, 3) vertices of a mesh file, unscaled; (0, 3) when it is missing, remote, outside or cannot be read."""
     file = locate(name, urdf, package_dirs).file
@@ -276,139 +255,3 @@ def mesh_points(urdf: Path, name: str, package_dirs: Sequence[str | Path] = ()) 
         return np.zeros((0, 3)) if file is None else vertices_of(file, file.stat().st_mtime_ns)
     except OSError:
         return np.zeros((0, 3))
-
-
-@lru_cache(maxsize=16)
-def vertices_of(file: Path, changed: int) -> Array:
-    """(k, 3) vertices of a mesh file, read-only; (0, 3) when it cannot be read; wheels share one file.
-
-    Args:
-        file: The file.
-        changed: When it was written last; a file written again is read again.
-    """
-    if damage_of(file):
-        return np.zeros((0, 3))
-    if file.suffix.lower() == ".stl" and (corners := stl_corners(file)) is not None:
-        return corners
-    if file.suffix.lower() == ".obj":
-        return obj_vertices(file)
-    import trimesh  # comes with yourdfpy; slow to import
-
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)  # of textures that are not there
-    try:
-        with warnings.catch_warnings(action="ignore"):  # of numbers that are not finite
-            vertices = np.array(trimesh.load_mesh(file, process=False).vertices, dtype=np.float64).reshape(-1, 3)
-        return vertices * unit_of(file)
-    except Exception:  # whatever a damaged file makes a decoder raise: the mesh counts as unknown
-        return np.zeros((0, 3))
-
-
-def unit_of(file: Path) -> float:
-    """Metres in the unit of a COLLADA file, by which RViz and Gazebo scale it; 1 where none is stated."""
-    if file.suffix.lower() != ".dae":
-        return 1.0
-    with file.open("rb") as stream:
-        hit = UNIT.search(stream.read(CHUNK))
-    value = read_numbers(hit[1].decode(errors="replace")) if hit else ()
-    return value[0] if len(value) == 1 and value[0] > 0 else 1.0
-
-
-def stl_corners(file: Path) -> Array | None:
-    """(k, 3) corners of a binary STL file, None for the text form."""
-    data = file.read_bytes()
-    if data.lstrip().startswith(b"solid") and b"facet" in data[:CHUNK]:
-        return None
-    triangles = np.frombuffer(data, dtype=TRIANGLE, count=int.from_bytes(data[80:84], "little"), offset=84)
-    return np.asarray(triangles["corners"].reshape(-1, 3), dtype=np.float64)
-
-
-def obj_vertices(file: Path) -> Array:
-    """(k, 3) vertices of an OBJ file; (0, 3) where one is no three numbers."""
-    lines = VERTEX.findall(file.read_bytes())
-    with warnings.catch_warnings(action="ignore"):  # where a word is no number it stops, or refuses all
-        try:
-            values = np.fromstring(b" ".join(lines), sep=" ")
-        except ValueError:
-            return np.zeros((0, 3))
-    return values.reshape(-1, 3) if values.size == 3 * len(lines) else np.zeros((0, 3))
-
-
-def damage_of(file: Path) -> str:
-    """What is wrong with a mesh file by its size, its head and its tail; empty when nothing is seen."""
-    try:
-        size = file.stat().st_size
-        with file.open("rb") as stream:
-            head = stream.read(CHUNK)
-            stream.seek(max(size - CHUNK, 0))
-            tail = stream.read(CHUNK)
-    except OSError as error:
-        return f"cannot be read ({error.strerror})"
-    if not size:
-        return "it is empty"
-    most = (MOST_BYTES | OTHER_FORMATS).get(file.suffix.lower())
-    if most is None:
-        return "it is in a format that is not read: use STL, COLLADA or OBJ"
-    if size > most:
-        return f"it has more than {most // 1_000_000} MB"
-    check = {".stl": stl_damage, ".dae": dae_damage, ".obj": obj_damage, ".glb": glb_damage}.get(file.suffix.lower())
-    damage = check(head, tail, size) if check else ""
-    return damage or (copies_damage(file) if file.suffix.lower() == ".dae" else "")
-
-
-def stl_damage(head: bytes, tail: bytes, size: int) -> str:
-    """Binary STL states its number of triangles, 50 bytes each; the text form ends with `endsolid`."""
-    if head.lstrip().startswith(b"solid") and b"facet" in head:
-        return "" if b"endsolid" in tail else "it ends before endsolid"
-    if size < 84:
-        return f"an STL file has at least 84 bytes, this one {size}"
-    need = 84 + 50 * int.from_bytes(head[80:84], "little")
-    if size < need:
-        return f"its {(need - 84) // 50} triangles take {need} bytes, it has {size}"
-    whole = head[84 : 84 + (min(need, len(head)) - 84) // 50 * 50]
-    corners = np.frombuffer(whole, dtype=TRIANGLE)["corners"]
-    return "" if np.isfinite(corners).all() else "a corner of its triangles is not finite"
-
-
-def dae_damage(head: bytes, tail: bytes, size: int) -> str:
-    """Collada is XML from `<COLLADA` to its end, without a DOCTYPE."""
-    if b"<!DOCTYPE" in head:
-        return "a DOCTYPE, whose entities could blow up"
-    return "" if b"<COLLADA" in head and b"</COLLADA" in tail else "not a whole Collada file"
-
-
-def copies_damage(file: Path) -> str:
-    """Nodes of a Collada file may stand for others, those for others, and so on: a small file of a billion nodes."""
-    if b"instance_node" not in (data := file.read_bytes()):
-        return ""
-    try:
-        root = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True, huge_tree=True))
-        named = {node.get("id", ""): node for node in root.iter("{*}node")}
-        known: dict[str, float] = {}
-
-        def copies(node: etree._Element) -> float:
-            inner = [copies(child) for child in node.iterchildren("{*}node")]
-            for instance in node.iterchildren("{*}instance_node"):
-                name = instance.get("url", "").removeprefix("#")
-                if name not in known:
-                    known[name] = math.inf  # until it is known: a node that stands for itself has no end
-                    known[name] = copies(named[name]) if name in named else 0.0
-                inner.append(known[name])
-            return 1.0 + sum(inner)
-
-        most = max(map(copies, named.values()), default=0.0)
-    except (etree.XMLSyntaxError, RecursionError) as error:
-        return f"not a whole Collada file ({type(error).__name__})"
-    return f"it unfolds to more than {MOST_NODES:,} nodes" if most > MOST_NODES else ""
-
-
-def obj_damage(head: bytes, tail: bytes, size: int) -> str:
-    """An OBJ file lists vertices, `v x y z`."""
-    return "" if head.startswith(b"v ") or b"\nv " in head + tail else "it has no vertices"
-
-
-def glb_damage(head: bytes, tail: bytes, size: int) -> str:
-    """A GLB file states its size and that of its first part, for which a reader makes room at once."""
-    stated, first = (int.from_bytes(head[at : at + 4], "little") for at in (8, 12))
-    if not head.startswith(b"glTF") or size < 20:
-        return "not a whole GLB file"
-    return f"it states {max(stated, first + 20)} bytes and has {size}" if max(stated, first + 20) > size else ""

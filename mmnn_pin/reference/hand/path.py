@@ -233,19 +233,22 @@ class HandSpline(HandPath):
             TrajectoryError: A column is missing, or a value is no number (with the line); as for the class.
         """
         names: tuple[str, ...] = ("t", "x", "y", "z")
-        with open(file, newline="", encoding="utf-8-sig") as stream:
-            rows = csv.DictReader(stream, skipinitialspace=True)
-            there = rows.fieldnames or ()
-            names += ("qx", "qy", "qz", "qw") if any(name in there for name in ("qx", "qy", "qz", "qw")) else ()
-            if missing := [name for name in names if name not in there]:
-                fix = f"name them {', '.join(names)}"
-                raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
-            table: list[list[float]] = []
-            for row in rows:
-                try:
-                    table.append([float(row[name] or "") for name in names])
-                except ValueError as error:
-                    raise TrajectoryError(str(error), file=file, line=rows.line_num) from None
+        try:
+            with open(file, newline="", encoding="utf-8-sig") as stream:
+                rows = csv.DictReader(stream, skipinitialspace=True)
+                there = rows.fieldnames or ()
+                names += ("qx", "qy", "qz", "qw") if any(name in there for name in ("qx", "qy", "qz", "qw")) else ()
+                if missing := [name for name in names if name not in there]:
+                    fix = f"name them {', '.join(names)}"
+                    raise TrajectoryError(f"no column {', '.join(missing)}", fix=fix, file=file, line=1)
+                table: list[list[float]] = []
+                for row in rows:
+                    try:
+                        table.append([float(row[name] or "") for name in names])
+                    except ValueError as error:
+                        raise TrajectoryError(str(error), file=file, line=rows.line_num) from None
+        except (OSError, UnicodeDecodeError, csv.Error) as error:
+            raise TrajectoryError("cannot be read", why=str(error), fix="name a CSV file", file=file) from None
         data = np.array(table).reshape(-1, len(names))
         try:
             return cls(data[:, 1:4], data[:, 0], data[:, 4:] if len(names) > 4 else None)  # type: ignore[arg-type]

@@ -29,6 +29,7 @@ FAR = 1e6  # a coordinate beyond this is as good as infinite: it is not drawn [m
 MOST_TIPS = 4  # more ends than this are fingers: only the one with the most joints before it is traced
 GAP = 0.1  # two stretches that are nearer than this are one [s]
 AT_LIMIT = 1 - 1e-6
+MOST_FRAMES = 10_000_000  # of a replay, before those without a row are left out
 
 
 # -- bodies ------------------------------------------------------------------------------------------------------------
@@ -133,6 +134,8 @@ def frames_of(recording: Recording, fps: float) -> IntArray:
         why = "it ended before its first sample" if not len(recording) else "no position in it is finite"
         raise RecordingError("nothing to replay", why=why, file=recording.path)
     times = recording.time[good]
+    if (times[-1] - times[0]) * fps > MOST_FRAMES:  # rows years apart: all of them are fewer
+        return good
     grid = np.append(np.arange(times[0], times[-1], 1 / fps), times[-1])
     return good[np.unique(np.searchsorted((times[1:] + times[:-1]) / 2, grid))]
 

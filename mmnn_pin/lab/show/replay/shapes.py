@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from ....model.base.overrides import folders_of
 from ....model.robot import Robot
 from ....model.urdf.document import placement
+from ....model.urdf.meshes import BrokenMesh, meshes_of
 from ....model.urdf.packages import locate
-from ....model.urdf.shapes import damage_of
 from ....model.urdf.xml import number, vector
 from ....recording.recording import UNSEEN
 from ....signals import Array
@@ -36,7 +36,6 @@ MISSING: Color = (0.93, 0.36, 0.62, 1.0)
 PLAIN: Color = (0.72, 0.74, 0.77, 1.0)
 WHY = {"remote": "is remote and never fetched", "outside": "lies outside its package"}
 STEPS = 65535
-MOST_TRIANGLES, MOST_BESIDE = 5_000_000, 8_000_000  # of a mesh file, bytes of a file that it names
 
 
 class Shapes:
@@ -172,32 +171,6 @@ class Part:
     color: Color | None
 
 
-class BrokenMesh(Exception):
-    """A mesh file that cannot be shown; the text says why."""
-
-
-@dataclass(frozen=True)
-class Beside:
-    """What a mesh file gets that names others: materials and buffers of its own folder. No picture is ever opened."""
-
-    folder: Path
-
-    def get(self, name: str) -> bytes:
-        """The content of a file.
-
-        Raises:
-            FileNotFoundError: There is none that it may have.
-        """
-        file = self.folder / name.strip()
-        if file.parent != self.folder or file.suffix.lower() not in (".mtl", ".bin") or not file.is_file():
-            raise FileNotFoundError(name)
-        if file.stat().st_size > MOST_BESIDE:
-            raise FileNotFoundError(f"{name}: more than {MOST_BESIDE // 1_000_000} MB")
-        return file.read_bytes()
-
-    __getitem__ = get
-
-
 def read_mesh(file: Path) -> list[Part]:
     """The parts of a mesh file: STL, Collada, OBJ and whatever else trimesh reads.
 
@@ -206,26 +179,12 @@ def read_mesh(file: Path) -> list[Part]:
     Raises:
         BrokenMesh: It cannot be read, or holds no triangles.
     """
-    import trimesh  # slow to import
-
-    if damage := damage_of(file):
-        raise BrokenMesh(f"cannot be read ({damage})")
     try:
-        resolver: Any = Beside(file.parent)
-        loaded: Any = trimesh.load(file, process=False, resolver=resolver)
-        if isinstance(loaded, trimesh.Scene):
-            shown = [loaded.graph[name][1] for name in loaded.graph.nodes_geometry]
-            if sum(len(getattr(loaded.geometry[one], "faces", ())) for one in shown) > MOST_TRIANGLES:
-                raise BrokenMesh(f"shows more than {MOST_TRIANGLES:,} triangles")
-        meshes = loaded.dump() if isinstance(loaded, trimesh.Scene) else [loaded]
-        parts = [part_of(mesh) for mesh in meshes if len(getattr(mesh, "faces", ()))]
+        return [part_of(mesh) for mesh in meshes_of(file)]
     except BrokenMesh:
         raise
-    except Exception as error:  # whatever a damaged file makes a decoder raise
+    except Exception as error:  # of what trimesh took for a place or a colour
         raise BrokenMesh(f"cannot be read ({str(error) or type(error).__name__})") from error
-    if not parts:
-        raise BrokenMesh("holds no triangles")
-    return parts
 
 
 def part_of(mesh: Any) -> Part:
