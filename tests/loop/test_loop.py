@@ -28,6 +28,7 @@ from mmnn_pin import (
 from mmnn_pin.errors import ConfigError, InputError, RecordingError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop.before_run import Bounds, Start
+from mmnn_pin.loop.suited import timing_for
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.urdf.reading import parse
@@ -82,7 +83,7 @@ def rms(recording: Recording, *names: str, after: float = 0.0) -> float:
 
 def plant_states(recording: Recording, robot: Robot, timing: Timing) -> tuple[np.ndarray, np.ndarray]:
     """Position and nu at every plant step, from the recorded start and torques alone."""
-    plant = IdealPlant(robot, timing.plant_step, timing.integrator)
+    plant = IdealPlant(robot, timing.plant_step, timing_for(robot, timing).integrator)
     plant.start(recording["position"][0], recording["nu"][0])
     position, nu = [], []
     for torque in recording["torque"]:
