@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -117,8 +118,9 @@ def test_it_is_bound_to_the_loopback_and_answers_to_its_name_alone(stepper):
         port = int(view.url.rsplit(":", 1)[1].strip("/"))
         bound = [line.split()[1] for line in open("/proc/net/tcp").readlines()[1:]]  # noqa: SIM115
         assert f"0100007F:{port:04X}" in bound and f"00000000:{port:04X}" not in bound
-        for path in ("", "live"):
-            asked = urllib.request.Request(view.url + path, headers={"Host": f"evil.example:{port}"})
+        foreign = ({"Host": f"evil.example:{port}"}, {"Origin": "http://evil.example"}, {"Origin": "null"})
+        for path, headers in itertools.product(("", "live"), foreign):
+            asked = urllib.request.Request(view.url + path, headers=headers)
             with pytest.raises(urllib.error.HTTPError, match="403"):
                 urllib.request.urlopen(asked)
         with pytest.raises(urllib.error.HTTPError, match="404"):
