@@ -789,9 +789,15 @@ def worked(
 
 
 def fuzz(
-    sources: Path, files: int, seed: int = 0, batch: int = 100, kinds: list[str] | None = None, cheap: bool = False
+    sources: Path,
+    files: int,
+    seed: int = 0,
+    batch: int = 100,
+    kinds: list[str] | None = None,
+    cheap: bool = False,
+    watched: bool = False,
 ) -> tuple[dict[str, collections.Counter[str]], list[str], dict[str, float]]:
-    """Try many mutants in subprocesses.
+    """Try many mutants in subprocesses; `watched` tells of every batch, and Ctrl-C ends it with what is done.
 
     Returns:
         Per kind how often each verdict came; every line that tells of something wrong; processor seconds per kind.
@@ -800,19 +806,26 @@ def fuzz(
     counts: dict[str, collections.Counter[str]] = collections.defaultdict(collections.Counter)
     wrong: list[str] = []
     spent: dict[str, float] = collections.defaultdict(float)
-    for start in range(seed, seed + files, batch):
-        first, last = start, min(start + batch, seed + files)
-        while first < last:
-            lines, end = worked(sources, kinds, first, last, cheap)
-            for number, kind, *told in lines:
-                seconds, said = told if len(told) == 2 else ("0", "")
-                if slow_without_compiling(said):
-                    again = worked(sources, kinds, int(number), int(number) + 1, cheap, twice=True)[0][-1]
-                    said = again[3] if len(again) == 4 else ""
-                counts[kind][said if said in GOOD else "wrong"] += 1
-                spent[kind] += float(seconds)
-                wrong += [] if said in GOOD else [f"seed {number}, {kind}: {said or end}"]
-            first = int(lines[-1][0]) + 1  # after a crash: go on behind it
+    try:
+        for start in range(seed, seed + files, batch):
+            first, last = start, min(start + batch, seed + files)
+            while first < last:
+                lines, end = worked(sources, kinds, first, last, cheap)
+                for number, kind, *told in lines:
+                    seconds, said = told if len(told) == 2 else ("0", "")
+                    if slow_without_compiling(said):
+                        again = worked(sources, kinds, int(number), int(number) + 1, cheap, twice=True)[0][-1]
+                        said = again[3] if len(again) == 4 else ""
+                    counts[kind][said if said in GOOD else "wrong"] += 1
+                    spent[kind] += float(seconds)
+                    wrong += [] if said in GOOD else [f"seed {number}, {kind}: {said or end}"]
+                first = int(lines[-1][0]) + 1  # after a crash: go on behind it
+            if watched:
+                done = sum(map(collections.Counter.total, counts.values()))
+                print(f"{done:,} files, {sum(spent.values()):.0f} s, {len(wrong)} wrong", *wrong[-1:], file=sys.stderr)
+    except KeyboardInterrupt:
+        if not watched:
+            raise
     return dict(counts), wrong, dict(spent)
 
 
@@ -833,7 +846,7 @@ def main() -> int:
         return 0
     with tempfile.TemporaryDirectory() as scratch:
         sources = given.sources or sound_files(Path(scratch) / "sources")
-        counts, wrong, spent = fuzz(sources, given.files, given.seed, given.batch, given.kinds, given.cheap)
+        counts, wrong, spent = fuzz(sources, given.files, given.seed, given.batch, given.kinds, given.cheap, True)
     for kind, found in counts.items():
         print(f"{kind}: {sum(found.values()):,} files, {spent[kind]:.0f} s of processor time, {dict(found)}")
     print(f"{sum(map(collections.Counter.total, counts.values())):,} files, {sum(spent.values()):.0f} s")
