@@ -41,6 +41,7 @@ from .path import (
     times,
 )
 
+AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
 POINTS, APART = 500, 0.02  # of the grid, at least; and how far apart they may be [m]
 HALVINGS = 35  # of an interval that a bound of x is looked for in
 
@@ -71,7 +72,7 @@ class Smoothed(BasePath):
 
     Args:
         points: (k, 2) points [m], k >= 2, at any distances.
-        tail_first: Whether it is driven backwards.
+        looks: Heading with which it begins [rad]; where that is against the way, it is driven tail first.
         wander: How far it may go beside the polygon of the points, on average [m]; its ends stay where they are.
 
     Attributes:
@@ -85,7 +86,7 @@ class Smoothed(BasePath):
     followable: ClassVar[bool] = True
 
     points: Any
-    tail_first: bool = False
+    looks: float | None = None
     wander: float = 0.02
 
     def __post_init__(self) -> None:
@@ -143,7 +144,7 @@ class Smoothed(BasePath):
         near = np.interp(s, u, headings)
         c, sine = cos_sin(near)
         phi = near + atan2(c * y1 - sine * x1, c * x1 + sine * y1)
-        if self.tail_first:
+        if self.looks is not None and cos_sin(self.looks - headings[0])[0] < AGAINST:
             phi, g, dg = phi + np.pi, -g, -dg
         return Curve(x, y, phi, g, dg, k, dk)
 

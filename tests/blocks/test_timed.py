@@ -100,7 +100,7 @@ def test_points_of_a_planner_are_smoothed_and_timed(length, bent, tail_first, se
     """Noisy points on an arc: near them all, to every limit, and the derivatives of its curve by finite differences."""
     along, noise = np.linspace(0.0, length, 40), np.random.default_rng(seed).normal(0.0, 0.003, (40, 2))
     points = np.stack([along, 0.3 * bent * along**2], axis=1) + noise
-    smooth = Smoothed(points, tail_first)
+    smooth = Smoothed(points, 3.0 if tail_first else 0.1)
     s, h = np.linspace(0.05, 0.95, 41) * smooth.span, 1e-6
     here, before, after = (smooth._curve(s + d) for d in (0.0, -h, h))
     for one, rate in (("x", here.g * np.cos(here.phi)), ("y", here.g * np.sin(here.phi)), ("phi", here.k)):

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ...elementary import atan2
 from ...errors import MmnnError, TrajectoryError
 from ...model.base.holonomic import moves_sideways
 from ...model.robot import Robot
@@ -212,11 +213,9 @@ def base_motion(message: msg.Path, route: Route, limits: Limits, robot: Robot, p
         limits, speed=min(route.speed, limits.speed), acceleration=min(route.acceleration, limits.acceleration)
     )
     try:
-        path = Smoothed(points)
-        way, first = float(path.sample([0.0]).pose[0, 2]), message.poses[0].pose.orientation
-        looks = np.arctan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
-        path = Smoothed(points, tail_first=bool(np.cos(looks - way) < -0.5))
-        timed = Timed.of(path, robot, slower, route.lateral)
+        first = message.poses[0].pose.orientation
+        looks = atan2(2.0 * (first.w * first.z + first.x * first.y), 1.0 - 2.0 * (first.y**2 + first.z**2))
+        timed = Timed.of(Smoothed(points, looks), robot, slower, route.lateral)
         base = Holonomic(timed) if moves_sideways(robot.dimensions.base) else timed
         end = math.ceil(timed.duration / period) * period
         return Motion.of(Trajectory(base), end, period, robot.dimensions)

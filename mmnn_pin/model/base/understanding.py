@@ -25,7 +25,18 @@ from .evidence import (
     stated_rollers,
     verdict,
 )
-from .machines import MOST_PER_SIDE, SWERVE, machine, steering_named, track_named, tracks
+from .machines import (
+    MOST_PER_SIDE,
+    PUSHED,
+    SWERVE,
+    machine,
+    plain,
+    refuse_steered,
+    refuse_steered_pair,
+    steering_named,
+    track_named,
+    tracks,
+)
 from .opinions import second_opinions, unasked
 from .overrides import Overrides
 from .placing import crossed, declared_wheel, in_order, mecanum, pushed, require_used, skidding, with_wheels
@@ -44,7 +55,6 @@ from .report import (
     unsupported,
     welded_note,
 )
-from .steering import PUSHED, plain, refuse_steered, refuse_steered_pair
 from .wheels import (
     COAXIAL,
     ROUND_ABOUT,
