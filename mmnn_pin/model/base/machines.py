@@ -190,7 +190,7 @@ def is_propeller(rest: AtRest, joint: Joint) -> bool:
     return bool(beside)
 
 
-# -- wheels that steer  ---------------------------------------------------------------------------------------------
+# -- wheels that steer --------------------------------------------------------------------------------------------
 
 
 def plain(wheels: Sequence[Candidate]) -> list[Candidate]:
