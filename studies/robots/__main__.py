@@ -132,19 +132,19 @@ def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
 
 
 def words(robot: Robot) -> str:
-    """A robot in a few words."""
+    """A robot in a few words: base, radius and track [m], how many joints its arm has."""
     base = robot.base
-    radius = f"radius {base.wheels[0].radius:.4g} m, track {base.track:.4g} m" if base.wheels else "no wheels"
-    return f"{base.kind}, {radius}, {robot.dimensions.arm} arm joints"
+    lengths = f"{base.wheels[0].radius:.4g}, {base.track:.4g}" if base.wheels else "no wheels"
+    return f"{base.kind}, {lengths}, {robot.dimensions.arm} joints"
 
 
 def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
     """A row of the table of docs/reference/public-robots.md."""
-    truth = ", ".join([entry["kind"], *(f"{entry[name]:g} m" for name in ("radius", "track") if name in entry)])
-    text = outcome.text if outcome.verdict.startswith("right") else ""
+    truth = ", ".join([entry["kind"], *(f"{entry[name]:g}" for name in ("radius", "track") if name in entry)])
+    text = outcome.text.removeprefix(f"{entry['kind']}, ") if outcome.verdict.startswith("right") else ""
     found = ": ".join(filter(None, (outcome.verdict, f"`{outcome.command}`" if outcome.command else "", text)))
     place = entry.get("repository", "example-robot-data")
-    return f"| {entry['name']} | {place} | {truth} ({entry['source']}) | {found} |"
+    return f"| {entry['name']} | {place} | {truth} | {found} |"
 
 
 def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> str:
