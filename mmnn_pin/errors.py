@@ -73,6 +73,9 @@ class StudyError(InputError):
     """A study whose database or workers cannot be used."""
 
 
+SHOWN = 60  # names in a message: a robot may have hundreds of links
+
+
 class UnknownName(InputError):
     """A name that nothing answers to.
 
@@ -88,6 +91,6 @@ class UnknownName(InputError):
         self.kind, self.name, self.available = kind, name, tuple(available)
         near = difflib.get_close_matches(name, self.available, n=1)
         guess = f"did you mean '{near[0]}'? " if near else ""
-        super().__init__(
-            f"unknown {kind} '{name}'", fix=f"{guess}there is: {', '.join(self.available)}", file=file, key=key
-        )
+        many = len(self.available) - SHOWN
+        names = ", ".join(self.available[:SHOWN]) + (f" and {many} more" if many > 0 else "")
+        super().__init__(f"unknown {kind} '{name}'", fix=f"{guess}there is: {names}", file=file, key=key)

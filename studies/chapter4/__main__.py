@@ -185,7 +185,7 @@ def numbers_of(result: Result) -> dict[str, Any]:
 
 
 def read_otherwise(say: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Every switch that the thesis leaves open, turned alone from the default variant."""
+    """Every reading of what the thesis does not state, changed alone from the default variant."""
     rows = summaries(readings(load_experiment("chapter4"), "chapter4"))
     say(f"{len(rows)} readings")
     return rows

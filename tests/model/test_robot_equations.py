@@ -130,6 +130,10 @@ def test_another_length_is_refused_with_what_was_expected(wrong: object) -> None
 def test_a_frame_that_is_not_there_is_named() -> None:
     with pytest.raises(UnknownName, match="did you mean 'arm_tip'"):
         robot("platform_arm").jacobian("arm_tp", robot("platform_arm").neutral())
+    r = robot("tiago")
+    with pytest.raises(UnknownName, match=r"root_joint, .* and \d+ more$") as refused:
+        r.jacobian("nothing like it", r.neutral())
+    assert len(refused.value.available) > 100 and str(refused.value).count(",") < 60
 
 
 def test_a_robot_shows_itself_in_a_line_and_escapes_what_a_file_says(tmp_path: Path) -> None:

@@ -67,10 +67,10 @@ class Style:
 
 
 STYLES = {name: Style(one.colour, (0, one.dashes or None), one.width) for name, one in CONTROLLERS.items()}
-OTHERS = tuple(
-    Style(color, dash)
-    for color in ("#CC79A7", "#666666")
-    for dash in ((0.0, (3, 1)), (0.0, (8, 1.5, 3, 1.5)), (0.0, (2, 1, 2, 3)), (0.0, (12, 2, 1, 2)), (0.0, (1, 3)))
+FREE = ("#AA3377", "#228833", "#EE7733", "#4477AA", "#666666")
+DASHES = ((3, 1), (8, 1.5, 3, 1.5), (2, 1, 2, 3), (12, 2, 1, 2), (1, 3))
+OTHERS = tuple(  # one colour after the other: on a replay there are no dashes
+    Style(color, (0.0, DASHES[(place + turn) % len(DASHES)])) for turn in range(2) for place, color in enumerate(FREE)
 )
 TRUTH: Look = {"color": "0.65", "linewidth": 3.5, "solid_capstyle": "round", "zorder": 1.9}
 

@@ -110,6 +110,8 @@ def test_other_names_get_their_controller_s_style_once_and_then_free_ones():
     assert len(set(styles.values())) == 4
     many = styles_of({str(k): recording("mine", rows=1) for k in range(2 * len(OTHERS))})
     assert len(set(many.values())) == len(OTHERS)
+    five = styles_of({str(k): recording("mine", rows=1) for k in range(5)}).values()
+    assert len({style.color for style in five}) == 5, "a replay has colours alone"
 
 
 def test_torques_of_base_and_motors_with_their_limits():

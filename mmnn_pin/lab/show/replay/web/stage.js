@@ -147,14 +147,18 @@ class Stage {
     }
   }
 
-  /** Labels that the edge of the view would cut are left out. */
+  /** Labels that the edge of the view would cut, or that would cover one another, are left out. */
   keepLabels() {
     const { camera } = this.viewer, at = new this.THREE.Vector3(), [across, up] = [0, 5].map((i) => camera.projectionMatrix.elements[i]);
+    const kept = [];
     camera.updateMatrixWorld();
     for (const label of this.labels) {
       label.getWorldPosition(at).project(camera);
-      const { x, y } = label.scale;
-      label.visible = at.z < 1 && Math.abs(at.x) + (across * x) / 2 < 1 && Math.abs(at.y) + (up * y) / 2 < 1;
+      const { x, y } = at, [wide, high] = [across * label.scale.x, up * label.scale.y];
+      const inside = at.z < 1 && Math.abs(x) + wide / 2 < 1 && Math.abs(y) + high / 2 < 1;
+      const covers = (other) => Math.abs(x - other.x) < wide && Math.abs(y - other.y) < high;
+      label.visible = inside && !kept.some(covers);
+      if (label.visible) kept.push({ x, y });
     }
   }
 
