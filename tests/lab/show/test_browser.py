@@ -236,3 +236,8 @@ def test_a_phone_shows_all_controls(chromium: Any, tmp_path: Path) -> None:
         for box in (c.bounding_box() for c in seen.page.locator("#controls input, #controls button").all()):
             assert box["x"] >= 0 and box["x"] + box["width"] <= 375 and box["y"] + box["height"] <= 700
         assert seen.page.evaluate("document.documentElement.scrollWidth") == 375
+        place = "label.getWorldPosition(label.position.clone()).project(replay.stage.viewer.camera)"
+        shown = f"replay.stage.labels.filter((label) => label.visible).map((label) => {place})"
+        at = np.array([(p["x"] * 375 / 2, p["y"] * 700 / 2) for p in seen.page.evaluate(shown)])
+        far = np.abs(at[:, None] - at)[~np.eye(len(at), dtype=bool)]  # [pixels]
+        assert len(at) >= 2 and ((far[:, 0] > 30) | (far[:, 1] > 12)).all(), "numbers of the floor do not cover another"
