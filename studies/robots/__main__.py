@@ -91,10 +91,11 @@ def with_more(known: Any, more: Any) -> Any:
 
 def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> dict[str, str]:
     """The options of a refusal that suit the truth; a radius that it asks for is the maker's, as if measured."""
-    if "--radius" in fix and "radius" in entry and "radius" not in said:
+    kind, asked = entry["kind"], "--radius" in fix and "radius" in entry and "radius" not in said
+    ways = re.split("; |, | or ", fix.replace("--radius METRES", f"--radius {entry['radius']}") if asked else fix)
+    if asked and not any("--wheels" in way and "--radius" in way for way in ways):
         return {"radius": str(entry["radius"])}
-    kind = entry["kind"]
-    for way in re.split("; |, | or ", fix):
+    for way in sorted(ways, key=lambda way: asked and "--radius" not in way):
         options = dict(WAY.findall(way))
         fits = kind.startswith("refused: ") or options.get("base", kind) == kind
         ends = kind.startswith("refused: ") and {"base", "wheels"} & options.keys()

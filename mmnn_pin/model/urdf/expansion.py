@@ -203,6 +203,7 @@ def child() -> None:
                 {name for text in texts.values() for name in pattern.findall(text)} for pattern in (USED, STATED)
             )
             told["needed"] = sorted(used - stated - set(job["arguments"]))
+            told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     out.write(json.dumps(told) + "\n")
     out.flush()
