@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 from lxml import etree
 
 from ...errors import ConfigError, RobotError
+from .finding import Finding, finding
 from .packages import FIND, package_of, packages
 from .xml import KNOWN
 
@@ -58,6 +59,26 @@ class Expansion(NamedTuple):
     data: bytes
     absent: list[str]
     calls: list[str]
+
+    def findings(self, without: Sequence[str]) -> list[Finding]:
+        """What there is to say of the file, with the macros that the user leaves out."""
+        notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
+        if self.absent:
+            what, why = (
+                f"packages or files of them not found: {', '.join(self.absent)}",
+                "what they would add is left out",
+            )
+            fix = "give the folder that holds them with --package-dir"
+            notes.append(finding("xacro-package", 1, what, why, fix))
+        if self.calls:
+            what, why = (
+                f"<{'>, <'.join(self.calls)}> without 'xacro:'",
+                "taken as before ROS Jade: now xacro leaves them out",
+            )
+            notes.append(finding("xacro-prefix", 1, what, why, "write them with 'xacro:'"))
+        if without:
+            notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", "you said --without"))
+        return notes
 
 
 def is_xacro(path: Path, data: bytes) -> bool:
