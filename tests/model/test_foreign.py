@@ -10,7 +10,7 @@ import pytest
 from drives import CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, origin, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_base import LYING
+from test_base import LYING, four
 from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
 from test_twins import BALL, GONE, hubs, in_world
 from test_wild import codes
@@ -173,8 +173,8 @@ def test_an_arm_that_hangs_below_the_floor_at_rest_lifts_no_wheels(below):
             robot_of(chassis(pair() + hanging))
 
 
-@pytest.mark.parametrize(("mass", "shape", "kind"), [(1e-3, "", "differential_drive"), (5.0, "", None)])
-def test_virtual_joints_may_weigh_as_little_as_a_simulator_asks(mass, shape, kind):
+@pytest.mark.parametrize(("mass", "kind"), [(1e-3, "differential_drive"), (1.0, "differential_drive"), (5.0, None)])
+def test_virtual_joints_may_weigh_as_little_as_a_simulator_asks(mass, kind):
     text = (
         in_world(pair()).replace('<link name="vx"/>', link("vx", mass)).replace('<link name="vy"/>', link("vy", mass))
     )
@@ -197,6 +197,16 @@ def test_wheels_beside_others_with_limits_are_offered_by_name():
         robot_of(text)
     robot = followed(text, ways_of(error.value.fix)[0])
     assert robot.base.kind == "differential_drive" and robot.base.track == robot_of(chassis(pair())).base.track
+
+
+def test_wheels_of_a_skid_steer_base_that_have_no_motors_are_told():
+    named = "<left_joint>rl</left_joint><right_joint>rr</right_joint>"
+    plugin = f"<gazebo><plugin name='diff_drive' filename='x'>{named}</plugin></gazebo>"
+    told = next(f for f in robot_of(four(more=plugin)).findings if f.code == "base-driven")
+    assert "only rl, rr have motors" in told.message
+    assert followed(four(more=plugin), ways_of(told.fix)[0]).base.kind == "differential_drive"
+    every = named.replace("<left", "<left_joint>fl</left_joint><right_joint>fr</right_joint><left", 1)
+    assert "base-driven" not in codes(robot_of(four(more=plugin.replace(named, every))))
 
 
 # --- xacro ------------------------------------------------------------------------------------------------------------

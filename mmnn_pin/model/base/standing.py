@@ -12,7 +12,7 @@ from .base import Base
 from .overrides import Overrides
 from .report import Reading, undecided
 
-NOTHING = 0.01  # of a robot's mass: what simulators ask for of an empty link
+NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
 
 
 def welded(document: Document) -> tuple[Document, dict[str, str]]:

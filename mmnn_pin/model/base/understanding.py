@@ -340,9 +340,21 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
     findings = [evidence_note(rest, meaning, cited)] if cited else []
     if meaning == "skid_steer":
         found = skidding(rest, drives, wheels, overrides)
-        return replace(found, findings=(*findings, *found.findings))
+        return replace(found, findings=(*findings, *along(rest, drives), *found.findings))
     base, assumed = mecanum(rest, drives, wheels, overrides, stated_rollers(cited))
     return BaseResult(base, (*findings, *assumed))
+
+
+def along(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
+    """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
+    motors = motors_named(rest)
+    own = [c.joint.name for c in drives if c.joint.name in motors]
+    if not 0 < len(own) < len(drives):
+        return []
+    text = f"of the wheels only {', '.join(own)} have motors: {motors[own[0]]}"
+    why = "the others are taken as turned along with those of their side, by a belt or chain"
+    fix = f"--wheels {','.join(own)} where they roll freely" if len(own) == 2 else ""
+    return [note(rest, "base-driven", own[0], text, why, fix)]
 
 
 # -- wheels that leave a doubt -----------------------------------------------------------------------------------------
