@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from drives import CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, origin, robot_of
+from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, UP, joint, link, origin, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_base import LYING, four
@@ -207,6 +207,16 @@ def test_wheels_of_a_skid_steer_base_that_have_no_motors_are_told():
     assert followed(four(more=plugin), ways_of(told.fix)[0]).base.kind == "differential_drive"
     every = named.replace("<left", "<left_joint>fl</left_joint><right_joint>fr</right_joint><left", 1)
     assert "base-driven" not in codes(robot_of(four(more=plugin.replace(named, every))))
+
+
+def test_joints_whose_limits_are_one_value_are_no_arm():
+    stiff = LIMIT.format(0, 0)
+    caster = link("fork", 0.3) + joint("turn", "revolute", "base", "fork", p=(-0.2, 0.1, 0.13), axis=UP, more=stiff)
+    caster += link("roll", 0.1) + joint("rolls", "revolute", "fork", "roll", p=(-0.05, 0, -0.08), more=stiff)
+    robot = robot_of(chassis(pair() + caster))
+    assert robot.joint_names == ("shoulder", "elbow") and {"turn", "rolls"} <= robot.arm.locked.keys()
+    assert "turn, rolls" in codes(robot)["arm-locked"]
+    assert "turn" in robot_of(chassis(pair() + caster), free=("turn",)).joint_names
 
 
 # --- xacro ------------------------------------------------------------------------------------------------------------
