@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, UP, joint, link, origin, robot_of
+from drives import CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, UP, joint, link, origin, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_base import LYING, four
