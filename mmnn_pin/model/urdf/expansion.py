@@ -173,7 +173,10 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     Raises:
         RobotError: It takes too long or too much.
     """
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
+        "OPENBLAS_NUM_THREADS": "1",
+    }
     command = [sys.executable, "-P", "-c", CHILD]
     try:
         ended = subprocess.run(
@@ -191,17 +194,25 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     return json.loads(head), data
 
 
+def taken() -> int:
+    """Address space of this process [bytes]: libraries reserve some for every core; 0 where that is not known."""
+    with contextlib.suppress(OSError):
+        return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    return 0
+
+
 def child() -> None:
     """Expand the file of a job on standard input; on standard output a line of JSON, then the URDF."""
     job, out = json.load(sys.stdin), sys.stdout
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
-        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 2))
     import xacro
     import xacrodoc
 
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        most = taken() + BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 2))
     told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": []}
     data = b""
     with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
