@@ -1,8 +1,17 @@
 """How the arithmetic of the blocks is made fast: compiled by numba, with the linear algebra libraries on one thread.
 
-`@compiled` (`@inlined`, `@spliced` for small functions) is `numba.njit` without the interpreter lock and with a file
-cache. numba's cache looks only at the file of the function itself, so an edited callee would run stale; here the cache
-folder is keyed by a hash of all sources of the package. `NUMBA_DISABLE_JIT=1` runs the same functions as plain Python.
+numba's own way is to take the code of every function into its callers, and to optimise all of it again at every level:
+a loop around a learner and a hardware model took half a minute. Here a function says how it is called:
+
+    @linked     by its address: compiled once, for all callers. What is larger than a few lines.
+    @internal   so too, from compiled code alone (from Python a caller is compiled for it)
+    @compiled   numba's own way
+    @inlined    numba's own way, and always inlined; handing over arrays takes longer than a little arithmetic
+    @spliced    its source is copied into its callers
+
+All run without the interpreter lock, and are kept in a file cache. numba's cache looks only at the file of the function
+itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all sources of the package.
+`NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. Large tuples are handed over by address, see `held`.
 
 What a block remembers is one flat array: from Python one array costs 0.15 us per call, a tuple of twelve 1.6 us.
 Compiled code sees it as a named tuple of views that `views` generates from the tuple's declaration:
@@ -26,13 +35,19 @@ import hashlib
 import os
 import sys
 from collections.abc import Callable, Mapping
-from functools import cache, wraps
+from copy import copy
+from dataclasses import dataclass
+from functools import cache, cached_property, partial, wraps
+from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar, cast, get_type_hints
 
 import numba
 import numpy as np
+from llvmlite.binding import add_symbol
 from numba.core.options import DefaultOptions
+from numba.core.registry import CPUDispatcher
 from numba.extending import overload
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
@@ -41,7 +56,7 @@ from threadpoolctl import ThreadpoolController
 # less time. One that does allocate fails to compile, loudly.
 LEAN: dict[str, Any] = {"_nrt": False} if hasattr(DefaultOptions, "_nrt") else {}
 
-MARKS = (b"@compiled", b"@inlined", b"@spliced")
+MARKS = (b"@internal", b"@compiled", b"@linked", b"@inlined", b"@spliced")
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
@@ -102,12 +117,78 @@ def compiled(function: F, **options: Any) -> F:
 
 def inlined(function: F) -> F:
     """Compile a function also into its callers: handing over arrays takes longer than a little arithmetic."""
-    return compiled(function, forceinline=True)
+    return without_wrapper(compiled(function, forceinline=True, no_cpython_wrapper=True))
 
 
 def spliced(function: F) -> F:
     """Copy a function into the source of its one or two callers: as fast, and nothing is compiled twice."""
-    return compiled(function, inline="always")
+    return without_wrapper(compiled(function, inline="always", no_cpython_wrapper=True))
+
+
+def linked(function: F, **options: Any) -> F:
+    """Compile a function once: its callers call it where it is, and do not take in its code and optimise it again."""
+    made: Any = compiled(function, **options)
+    if hasattr(made, "add_overload"):
+        made.add_overload = partial(publish, made)
+    return cast(F, made)
+
+
+def internal(function: F) -> F:
+    """The same for a function that only compiled code calls: what hands over arguments from Python is not compiled."""
+    return without_wrapper(linked(function, no_cpython_wrapper=True))
+
+
+def without_wrapper(function: F) -> F:
+    """Let a function that was compiled for compiled callers be called from Python, too: by a caller made when asked."""
+    made: Any = function
+    if isinstance(made, CPUDispatcher):
+        made.__class__ = Internal
+    return function
+
+
+class Internal(CPUDispatcher):
+    """What numba makes of a function; called from Python, it compiles a caller."""
+
+    def __call__(self, *args: Any) -> Any:
+        """Call it from Python."""
+        return self.caller(*args)
+
+    @cached_property
+    def caller(self) -> Any:
+        """The function, for Python."""
+        given = ", ".join(self.py_func.__code__.co_varnames[: self.py_func.__code__.co_argcount])
+        call = spelled(f"def call({given}): return function({given})", function=self)
+        return numba.njit(nogil=True, error_model="numpy", **LEAN)(call)
+
+
+@dataclass(frozen=True)
+class Load:
+    """Makes a linked function ready before code that calls it, which comes from the cache."""
+
+    module: str
+    name: str
+    types: tuple[Any, ...]
+
+    def __call__(self) -> None:
+        """Compile the function for these types, or take it from the cache."""
+        attrgetter(self.name)(import_module(self.module)).compile(self.types)
+
+
+def publish(dispatcher: Any, compilation: Any) -> None:
+    """Enter what numba has compiled for some types under a name of its own, by which compiled callers find it."""
+    type(dispatcher).add_overload(dispatcher, compilation)
+    target, types, library = dispatcher.targetctx, compilation.signature.args, compilation.library
+    fndesc = copy(compilation.fndesc)
+    load = Load(fndesc.modname, fndesc.qualname, types)
+    name = f"{load.module}.{load.name}.{hashlib.sha256(str(types).encode()).hexdigest()[:16]}"
+    add_symbol(name, library.get_pointer_to_function(fndesc.llvm_func_name))
+    fndesc.mangled_name = name
+    face = target.codegen().create_library(name)
+    face._reload_init.add(load)
+    face.finalize()
+    face._shared_module = face._final_module
+    target.remove_user_function(compilation.entry_point)
+    target.insert_user_function(compilation.entry_point, fndesc, [face])
 
 
 @compiled

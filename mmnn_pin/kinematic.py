@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from .compiled import compiled
+from .compiled import compiled, internal
 from .elementary import cos_sin
 from .model.base import BY_SIZE, velocity_command
 from .settings import Settings, one_or_each, require_gains
@@ -48,7 +48,7 @@ def world_error(pose_ref: Array, pose: Array, error: Array) -> None:
     error[2] = wrap(pose_ref[2] - pose[2])
 
 
-@compiled
+@internal
 def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
     """Velocity command of one sample: fills alpha ... nudot_ref of the row from its reference and measurement.
 

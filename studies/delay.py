@@ -16,7 +16,7 @@ import numpy as np
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.show.table import Column, Table, number, row_of, terminal_text
 from mmnn_pin.loop.before_run import Start
-from mmnn_pin.loop.hardware import Latency
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.suited import Given, suited
 from mmnn_pin.model import Robot, load

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..compiled import compiled, spliced
+from ..compiled import compiled, internal
 from ..elementary import sin
+from ..held import held
 from ..signals import EARLY, Array
 
 # Columns of the table of pushes.
@@ -16,12 +17,14 @@ SHAPES = {"step": STEP, "impulse": IMPULSE, "sine": SINE, "noise": NOISE}
 BRAKE = 1e4  # torque or force by which a blocked joint is held [N m or N]
 
 
+@held
 class Forces(NamedTuple):
     """What the world does to a robot over one step of the plant: force (p,) on nu [N, N m]."""
 
     force: Array
 
 
+@held
 class Pushes(NamedTuple):
     """Forces and torques on single velocities, one after the other.
 
@@ -35,7 +38,7 @@ class Pushes(NamedTuple):
     table: Array
     gusts: Array
 
-    @spliced
+    @internal
     def act(self, wire: Forces, k: int, time: float) -> None:
         """Add the pushes of the step that begins at a time, in control sample k."""
         table, middle = self.table, time + 0.5 * self.dt

@@ -3,9 +3,9 @@
 The dynamics come from the flattened tree (`model/tree`); everything else is the same functions that the ordinary
 loop calls. The two agree bit for bit.
 
-`advance` is the loop; its stages are spliced into it, since compiled code is optimised anew at every level of calls,
-seconds of a first run. What stands behind `hardware is not None` or `learner is not None` is compiled only for runs
-that have one.
+`advance` is the loop. It and its stages are compiled anew for a learner or a hardware model that is new; what they
+call is linked, and compiled once. What stands behind `hardware is not None` or `learner is not None` is compiled only
+for runs that have one.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled, copy_to, spliced, view
+from ..compiled import compiled, copy_to, internal, view
 from ..disturbance import block
+from ..held import held
 from ..model.reduction import as_measured, quadratic
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, energy_of, evaluate, new_work
@@ -37,6 +38,7 @@ NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_r
 POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
 
 
+@held
 class Numbers(NamedTuple):
     """The numbers of a run: periods, steps per control and measurement, integrator, age of a measurement."""
 
@@ -50,6 +52,7 @@ class Numbers(NamedTuple):
     age: float
 
 
+@held
 class Run(NamedTuple):
     """The blocks' settings as arrays, the controller's state, and where the samples go."""
 
@@ -68,12 +71,15 @@ class Run(NamedTuple):
     row: Array
 
 
+@held
 class Machine(NamedTuple):
-    """A robot in motion: its body, the body with its payload, memory to work in, position, nu and work done."""
+    """A robot in motion: its body, also with its payload, memory to work in and views of it, position, nu."""
 
     body: Body
     loaded: Body
     work: Work
+    terms: Terms
+    joints: Joints
     y: Array
     position: Array
     nu: Array
@@ -86,7 +92,11 @@ def new_machine(robot: Robot, loaded: Robot | None, position: Array, nu: Array) 
         RobotError: It has a joint that cannot be flattened.
     """
     body, y, nv = body_of(robot), np.concatenate((position, nu, [0.0])), position.size
-    return Machine(body, body if loaded is None else body_of(loaded), new_work(body), y, y[:nv], y[nv : nv + nu.size])
+    work = new_work(body)
+    terms = Terms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
+    joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base)
+    with_load = body if loaded is None else body_of(loaded)
+    return Machine(body, with_load, work, terms, joints, y, y[:nv], y[nv : nv + nu.size])
 
 
 class CompiledLoop:
@@ -218,7 +228,7 @@ def advance(
     return -1
 
 
-@spliced
+@internal
 def measure(number: int, time: float, run: Run, true: Machine, hardware: Hardware | None) -> None:
     """The measurement of this number at a time [s], into the row."""
     if hardware is not None:
@@ -227,7 +237,7 @@ def measure(number: int, time: float, run: Run, true: Machine, hardware: Hardwar
         exact(run.row, run.at, true.position, true.nu, true.body.arm)
 
 
-@spliced
+@internal
 def control(
     k: int,
     time: float,
@@ -273,7 +283,7 @@ def control(
         settle(row, at, learner, run.state)
 
 
-@spliced
+@internal
 def drive(k: int, time: float, run: Run, true: Machine, hardware: Hardware) -> None:
     """Motors, pushes and blocked joints of sample k over the step at a time [s]: `hardware.tau`, `work.hold`."""
     rotate(true.nu, hardware.E, hardware.motors.wire.joint)
@@ -281,7 +291,7 @@ def drive(k: int, time: float, run: Run, true: Machine, hardware: Hardware) -> N
     block(time, hardware.world.blocked, true.work.hold)
 
 
-@spliced
+@internal
 def pick_up(time: float, true: Machine, hardware: Hardware) -> None:
     """Note the energy that comes with the payload and goes with it, once each: it is no error of the balance."""
     shift, now = hardware.world.shift, 1.0 if time + EARLY < hardware.world.drop else 2.0
@@ -292,7 +302,7 @@ def pick_up(time: float, true: Machine, hardware: Hardware) -> None:
         shift[1] = now
 
 
-@spliced
+@internal
 def model_psi(row: Array, at: IntArray, nominal: Machine) -> None:
     """Psi of the nominal robot at the measured state, into psi_hat."""
     body, work, psi_hat = nominal.body, nominal.work, view(row, at, PSI_HAT)
@@ -304,7 +314,7 @@ def model_psi(row: Array, at: IntArray, nominal: Machine) -> None:
     psi_of(body, work, nominal.position, view(row, at, NU_REF), view(row, at, NUDOT_REF), psi_hat)
 
 
-@spliced
+@internal
 def observe(run: Run, body: Body, true: Machine, energy: float) -> int:
     """What only a simulation knows of a sample, into the row; -1, or the column that went bad."""
     row, at, work = run.row, run.at, true.work
@@ -315,16 +325,14 @@ def observe(run: Run, body: Body, true: Machine, energy: float) -> int:
     return after_torque(row, at, true.y, body.arm, work.M, run.E_inv, potential, energy, run.bounds)
 
 
-@spliced
+@internal
 def move(n: Numbers, i: int, body: Body, true: Machine, tau: Array) -> None:
     """Step i of the plant in a control period under a torque (p,); at step 0 the dynamics are evaluated already."""
-    work, y = true.work, true.y
-    terms = Terms(work.v, work.M, work.h, work.F, work.hold, work.ydot, work.L, work.rest, work.grip)
+    work, terms, y = true.work, true.terms, true.y
     if n.method != RK4:
         if i > 0:
             evaluate(body, work, true.position, true.nu)
-        joints = Joints(body.T, body.damping, body.dry, body.viscous, body.base)
-        euler(n.method, n.dt, joints, terms, tau, y)
+        euler(n.method, n.dt, true.joints, terms, tau, y)
     else:
         nv, p = body.T.shape
         copy_to(y, work.trial)

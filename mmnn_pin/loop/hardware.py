@@ -20,15 +20,14 @@ from numba.extending import overload
 
 from .. import actuator as motor
 from .. import safety
-from ..actuator import Drive, Motors
-from ..compiled import compiled, copy_to, spliced
+from ..actuator import Motors
+from ..compiled import compiled, copy_to, internal, linked
 from ..disturbance import Forces
-from ..errors import ConfigError
+from ..held import held
 from ..safety import Supervisor
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
-from ..settings import Settings, Timing, require_gains
-from ..signals import EARLY, INDEX, Array, IntArray
+from ..signals import INDEX, Array, IntArray
 from .servo import Split
 
 APPLIED, DISTURBANCE, SAFETY = INDEX["applied"], INDEX["disturbance"], INDEX["safety"]
@@ -37,6 +36,7 @@ PSI_APPLIED, NUDOT_REF = INDEX["psi_applied"], INDEX["nudot_ref"]
 ARRIVES, IS_LOST, IS_BROKEN = 0.0, 1.0, 2.0  # what becomes of a command
 
 
+@held
 class Command(NamedTuple):
     """What goes from the controller to the motors: torque (p,), and whether one arrived (1,), 0 or 1."""
 
@@ -44,6 +44,7 @@ class Command(NamedTuple):
     arrived: Array
 
 
+@held
 class CommandLine(NamedTuple):
     """Commands that are lost, so that the motors keep what they had, or that arrive as no numbers.
 
@@ -55,7 +56,7 @@ class CommandLine(NamedTuple):
     fates: Array
     sent: Array
 
-    @spliced
+    @internal
     def act(self, wire: Command, k: int, time: float) -> None:
         """Let the command through, or not."""
         wire.arrived[0] = 0.0 if self.fates[k] == IS_LOST else 1.0
@@ -65,102 +66,7 @@ class CommandLine(NamedTuple):
             copy_to(self.sent, wire.torque)
 
 
-class Latency(Settings, frozen=True):
-    """How long a measurement and a command are under way between robot and controller.
-
-    Args:
-        sensing: Age of a measurement when it is used [s]; a whole number of measurements in a simulation.
-        command: Time from there to the motors [s], rounded to steps of the plant.
-        jitter: Largest further delay of a command, every one by its own chance; none overtakes another [s].
-        margin: Delay beyond these that a loop should bear; less is reported [s].
-        predict: Whether a measurement is brought up to now, by what the reference has moved since it was taken
-            (`loop.lead.catch_up`); it needs one at every control sample.
-
-    Raises:
-        ConfigError: A number that is negative or not finite.
-    """
-
-    sensing: float = 0.0
-    command: float = 0.0
-    jitter: float = 0.0
-    margin: float = 0.003
-    predict: bool = False
-
-    def __post_init__(self) -> None:
-        require_gains(self, "latency")
-
-    @property
-    def total(self) -> float:
-        """All of it at its longest [s]."""
-        return self.sensing + self.command + self.jitter
-
-    def caught_up(self, timing: Timing) -> float:
-        """By how much a measurement is brought up to now [s].
-
-        Raises:
-            ConfigError: There is none at some control samples, and what was brought up once is kept there.
-        """
-        if not self.predict:
-            return 0.0
-        if timing.measurement_period > timing.control_period * (1 + 1e-9):
-            why = f"the sensors measure every {timing.measurement_period:g} s, the controller acts every"
-            why += f" {timing.control_period:g} s"
-            fix = "use latency.predict = false, or a shorter time.sensor_period"
-            raise ConfigError("a measurement that is not new at every sample", why=why, fix=fix, key="latency.predict")
-        return self.sensing
-
-    def measurements(self, timing: Timing) -> int:
-        """Measurements by which the sensors are late.
-
-        Raises:
-            ConfigError: Not a whole number.
-        """
-        late = round(self.sensing / timing.measurement_period)
-        if abs(late * timing.measurement_period - self.sensing) > EARLY:
-            why = f"the sensors measure every {timing.measurement_period:g} s"
-            fix = "give a multiple of that, a shorter time.sensor_period, or latency.command"
-            raise ConfigError(f"{self.sensing:g} s", why=why, fix=fix, key="latency.sensing")
-        return late
-
-    def in_force(self, timing: Timing, rng: np.random.Generator) -> IntArray:
-        """Number of the command in force at every step of the plant, -1 before the first; (0,) without delay."""
-        if self.command + self.jitter == 0.0:
-            return np.zeros(0, np.int64)
-        steps, numbers = timing.steps_per_control, np.arange(timing.samples)
-        late = self.command + self.jitter * rng.random(timing.samples)
-        arrivals = numbers * steps + np.round(late / timing.plant_step).astype(np.int64)
-        arrivals = np.maximum.accumulate(arrivals)
-        return np.searchsorted(arrivals, np.arange(timing.samples * steps), side="right").astype(np.int64) - 1
-
-    def slots(self, timing: Timing) -> int:
-        """How many commands may be under way at once."""
-        late = self.command + self.jitter
-        return 0 if late == 0.0 else math.ceil(late / timing.control_period) + 2
-
-
-class Transport(NamedTuple):
-    """The way of the commands to the motors, on which each is late.
-
-    Attributes:
-        dt: Step of the plant [s].
-        in_force: (steps,) see `Latency.in_force`.
-        sent: (slots, motors) state: the last commands, command k in row k modulo slots.
-    """
-
-    dt: float
-    in_force: IntArray
-    sent: Array
-
-    @spliced
-    def act(self, wire: Drive, k: int, time: float) -> None:
-        """Put the command that has arrived in place of the one that is sent."""
-        slots, n = self.sent.shape[0], int(time / self.dt + 0.5)
-        last = self.in_force[min(n, self.in_force.size - 1)]
-        for i in range(wire.torque.size):
-            self.sent[k % slots, i] = wire.torque[i]
-            wire.torque[i] = self.sent[last % slots, i] if last >= 0 else 0.0
-
-
+@held
 class MotorSide(NamedTuple):
     """Encoders on the motors instead of the joints, from which backlash separates them.
 
@@ -172,7 +78,7 @@ class MotorSide(NamedTuple):
     geared: IntArray
     states: Array
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Put positions and speeds of the motors in place of those of their joints."""
         for i in range(self.geared.shape[0]):
@@ -182,6 +88,7 @@ class MotorSide(NamedTuple):
                 wire.nu[self.geared[i, 2]] = state[motor.ROTOR_SPEED]
 
 
+@held
 class World(NamedTuple):
     """What the world does to the robot.
 
@@ -203,6 +110,7 @@ class World(NamedTuple):
     shift: Array
 
 
+@held
 class Totals(NamedTuple):
     """What is recorded of a control period.
 
@@ -219,6 +127,7 @@ class Totals(NamedTuple):
     force: Array
 
 
+@held
 class Expected(NamedTuple):
     """What is expected of nu after a sample, for an observer on a model: the controller's own estimate is the model.
 
@@ -236,6 +145,7 @@ class Expected(NamedTuple):
     acceleration: Array
 
 
+@held
 class Way(NamedTuple):
     """What a torque meets between the controller and the motors, all that `send` needs: Python hands it over each time.
 
@@ -259,6 +169,7 @@ class Way(NamedTuple):
     expected: Expected
 
 
+@held
 class Hardware(NamedTuple):
     """The hardware model of one run.
 
@@ -308,7 +219,7 @@ def unrolled(effects: Any, wire: Any, k: int, time: float) -> Any:
     return names["every_effect"]
 
 
-@compiled
+@linked
 def sense(
     number: int, time: float, row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray, hardware: Hardware
 ) -> None:
@@ -347,7 +258,7 @@ def is_stopped(on: bool, state: Array) -> bool:
     return on and not safety.may_learn(state)
 
 
-@compiled
+@linked
 def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way) -> None:
     """The torque of control sample k on its way to the motors: what is lost or broken, and what the supervisor does.
 
@@ -389,7 +300,7 @@ def expect(row: Array, at: IntArray, expected: Expected) -> None:
         expected.acceleration[i] = value if math.isfinite(value) else 0.0
 
 
-@spliced
+@compiled
 def shorted(doing: float, supervisor: Supervisor) -> int:
     """How many motors, from the first on, have their windings shorted by a supervisor that does this."""
     if doing < safety.STOPPING:
@@ -408,7 +319,7 @@ def rotate(nu: Array, E: Array, speeds: Array) -> None:
             speeds[j] += E[i, j] * nu[i]
 
 
-@compiled
+@linked
 def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> None:
     """Generalized torque over one step of the plant, of motors and world, into `hardware.tau`.
 
@@ -436,7 +347,7 @@ def act(k: int, time: float, row: Array, at: IntArray, hardware: Hardware) -> No
             hardware.way.totals.force[i] += world.wire.force[i]
 
 
-@compiled
+@linked
 def note(steps: int, row: Array, at: IntArray, totals: Totals) -> None:
     """What motors and pushes gave on average over a control period, into its row, once it is over."""
     for j in range(at[APPLIED + 1] - at[APPLIED]):

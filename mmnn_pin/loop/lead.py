@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled, copy_to
+from ..compiled import compiled, copy_to, linked
 from ..elementary import cos_sin
 from ..errors import ConfigError
 from ..model.base.holonomic import moves_sideways
@@ -39,7 +39,7 @@ from ..torque.law import Ahead, constant_gain
 from ..torque.learning_law import LearningLaw
 from ..torque.model_based import PD, ScheduledPD
 from .before_run import lags
-from .hardware import Latency
+from .latency import Latency
 
 TIME, POSE_REF, POSE = INDEX["time"], INDEX["pose_ref"], INDEX["pose"]
 VELOCITY_REF, ACCELERATION_REF, VELOCITY = INDEX["velocity_ref"], INDEX["acceleration_ref"], INDEX["velocity"]
@@ -112,7 +112,7 @@ def held(controller: CompiledController) -> CompiledController:
     return replace(controller, learning=False) if learns else controller  # type: ignore[type-var]
 
 
-@compiled
+@linked
 def catch_up(row: Array, at: IntArray, setpoint: Array, then: Array, age: float) -> None:
     """Bring a measurement up to now by what the reference has moved since it was taken, in place.
 
@@ -143,7 +143,7 @@ def catch_up(row: Array, at: IntArray, setpoint: Array, then: Array, age: float)
         row[at[POSE] + 2] += turn
 
 
-@compiled
+@linked
 def reference_then(setpoints: Array, k: int, back: float, then: Array) -> None:
     """The reference of sample k less some periods, of a table (N, w), into `then`; the first one before the start."""
     place = max(k - back, 0.0)
@@ -217,7 +217,7 @@ def recall(past: Past, time: float) -> None:
         past.then[j] = past.rows[i, j] + share * (past.rows[later, j] - past.rows[i, j])
 
 
-@compiled
+@linked
 def look_ahead(row: Array, at: IntArray, before: Array, ahead: Ahead) -> None:
     """The row of a sample as it will be where the torque acts, into `ahead.row`: the reference moves, errors stay.
 

@@ -35,7 +35,7 @@ from ..torque.controller import CompiledController, Context, ControllerState, To
 from .before_run import Bounds, Start, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
-from .hardware import Latency
+from .latency import Latency
 from .lead import delays
 from .new_hardware import new_hardware
 from .ordinary import OrdinaryLoop

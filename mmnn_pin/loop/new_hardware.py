@@ -20,7 +20,8 @@ from ..signals import Array, IntArray
 from ..torque.controller import CompiledController, ControllerState
 from ..torque.learning_law import LearningLaw
 from .before_run import Start
-from .hardware import Command, CommandLine, Expected, Hardware, MotorSide, Totals, Transport, Way, World
+from .hardware import Command, CommandLine, Expected, Hardware, MotorSide, Totals, Way, World
+from .latency import Transport
 from .lead import leads
 from .servo import interfaces_of, require_no_torque_regressor, servo_slots, split_of, state_size, velocity_servo
 from .setup import Setup, believed_by

@@ -19,8 +19,8 @@ from ..model.base.holonomic import moves_sideways
 from ..model.loading import load
 from ..model.reduction import as_measured, quadratic
 from ..model.tree.body import body_of, evaluate, new_work
-from ..model.tree.dynamics import psi_again
-from ..model.tree.twin import Twin
+from ..model.tree.dynamics import potential_energy
+from ..model.tree.twin import psi_of
 from ..plant.integrators import Joints, Terms, derivative, euler, rk4_stage
 from ..recording.metrics import accumulate
 from ..sensing import exact
@@ -28,6 +28,7 @@ from ..signals import INDEX, Layout
 from ..torque import law
 from ..torque.controller import Context, Feedback
 from ..torque.neural import Neural
+from .lead import catch_up, reference_then
 from .sample import after_torque, before_torque
 
 
@@ -57,6 +58,8 @@ def call_control_blocks() -> None:
     y, arm, nu = np.zeros(nv + p + 1), np.array([3]), np.zeros(p)
     moves_sideways(layout.base)
     exact(row, at, y[:nv], nu, arm)
+    reference_then(setpoint[None], 0, 0.0, setpoint)
+    catch_up(row, at, setpoint, setpoint, 0.0)
     before_torque(row, at, 0.0, setpoint, np.ones(3), np.ones(1))
     law.step(row, at, numbers, state.values, None, None)
     T, M, L, v = np.zeros((nv, p)), np.eye(p), np.zeros((p, p)), np.zeros(nv)
@@ -77,10 +80,8 @@ def call_plant_blocks() -> None:
     pose, velocity, q, qdot = (row[layout.where(name)] for name in ("pose", "velocity", "q", "qdot"))
     as_measured(body.offset, body.columns, pose, velocity, q, qdot, y[:nv], y[nv : nv + p])
     evaluate(body, work, y[:nv], y[nv : nv + p])
-    psi_again(body.tree, y[:nv], nu, nu, work.scratch, np.zeros(p))
-    twin = Twin(robot)
-    twin.refresh(y[:nv], y[nv : nv + p])
-    twin.potential()
+    psi_of(body, work, y[:nv], nu, nu, np.zeros(p))
+    potential_energy(body.tree, y[:nv], work.scratch)
     arrays.cos_sin(np.zeros(1))  # of references
     quadratic(work.M, nu)
     after_torque(row, layout.offsets, y, body.arm, np.eye(p), np.eye(p), 0.0, 0.0, np.ones(p))

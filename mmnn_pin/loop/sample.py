@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .. import kinematic
-from ..compiled import compiled, copy_to, view
+from ..compiled import compiled, copy_to, linked, view
 from ..elementary.matrices import pseudo_inverse
 from ..model.robot import Robot
 from ..plant.contact.feet import Contact
@@ -33,7 +33,7 @@ TRUE_POSE_ERROR, TRUE_Z, TRUE_E = (INDEX[n] for n in ("true_pose_error", "true_z
 ENERGY, WORK, RESIDUAL = (INDEX[n] for n in ("energy", "work", "energy_residual"))
 
 
-@compiled
+@linked
 def before_torque(row: Array, at: IntArray, time: float, setpoint: Array, gains: Array, K: Array) -> None:
     """Everything of a sample up to the controller: time, setpoint, velocity command; the measurement is in the row.
 
@@ -50,7 +50,7 @@ def before_torque(row: Array, at: IntArray, time: float, setpoint: Array, gains:
     kinematic.command(row, at, gains, K)
 
 
-@compiled
+@linked
 def after_torque(
     row: Array,
     at: IntArray,

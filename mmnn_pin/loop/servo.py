@@ -26,9 +26,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..actuator import Drive
-from ..compiled import compiled, spliced
+from ..compiled import internal, linked
 from ..elementary.matrices import inverse, product, pseudo_inverse, solve
 from ..errors import ConfigError, UnknownName
+from ..held import held
 from ..model.robot import Robot
 from ..model.tree.twin import Twin
 from ..settings import Numbers, Settings, one_or_each, require_numbers
@@ -87,6 +88,7 @@ class Command(NamedTuple):
     motor_velocity: Array
 
 
+@held
 class Split(NamedTuple):
     """The servo rows of one robot: numbers of their law and what it remembers.
 
@@ -182,7 +184,7 @@ def require_no_torque_regressor(controller: CompiledController | TorqueControlle
         raise ConfigError(f"{controller.name} on a velocity interface", why=why, fix=fix, key="interfaces")
 
 
-@compiled
+@linked
 def ask(row: Array, at: IntArray, split: Split) -> None:
     """The servos' commands of a sample; what the torque law reads on s becomes what the robot does there."""
     nb = at[Z + 1] - at[Z]
@@ -199,7 +201,7 @@ def ask(row: Array, at: IntArray, split: Split) -> None:
             row[at[NUDOT_REF] + i] = b * (split.command[i] - split.integral[i] - nu)
 
 
-@compiled
+@linked
 def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     """No torque on s, and its errors back in the row; where the controller was not asked the commands brake, too."""
     nb = at[Z + 1] - at[Z]
@@ -222,6 +224,7 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     split.begun[0] = 1.0
 
 
+@held
 class VelocityServo(NamedTuple):
     """Servos of motors in a simulation: `torque = gain (error + stiffness int error dt)`, `error = asked - speed`.
 
@@ -249,7 +252,7 @@ class VelocityServo(NamedTuple):
     command: Array
     ring: Array
 
-    @spliced
+    @internal
     def act(self, wire: Drive, k: int, time: float) -> None:
         """Put the servos' torques in place of what is commanded."""
         slots, n = self.ring.shape[0] - 1, int(time / self.dt + 0.5)

@@ -24,7 +24,7 @@ from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
 from .controller import context_of
-from .hardware import Latency
+from .latency import Latency
 from .lead import Lead, delays, lead_of, leads
 from .servo import Servo
 

@@ -37,6 +37,7 @@ WHY = {
     "user": "locked as you said",
     "tip": "it does not lead to the arm's tip",
     "short": "taken as a head or finger: a short branch",
+    "rigid": "taken as a rigid joint: its limits are one value",
     "button": "taken as a button or bumper: it slides by two centimetres at most and carries no joint",
 }
 
@@ -75,7 +76,9 @@ def choose_arm(rest: AtRest, base: Base, overrides: Overrides) -> Arm:
     reasons = dict.fromkeys(base.locked, WHY["base"])
     reasons |= dict.fromkeys(user_locks(rest, overrides, wheels, base.locked), WHY["user"])
     own = [j.name for j in moving if j.name not in reasons and j.name not in slaves]
-    reasons |= unwanted(rest, own, slaves, overrides)
+    stiff = [name for name in own if document.joints[name].lower == document.joints[name].upper]
+    stiff = stiff if base.columns or len(stiff) < len(own) else []  # all of an arm: nobody wrote their limits
+    reasons |= unwanted(rest, own, stiff, slaves, overrides)
     locked = {}
     for joint in moving:
         if joint.name in reasons:
@@ -132,13 +135,17 @@ def position_of(joint: Joint, overrides: Overrides) -> float:
     return given
 
 
-def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], overrides: Overrides) -> dict[str, str]:
+def unwanted(
+    rest: AtRest, own: list[str], stiff: list[str], slaves: dict[str, Slave], overrides: Overrides
+) -> dict[str, str]:
     """Joints that are not of the manipulator, and why.
 
     Raises:
         UnknownName: The tip is no link.
         ConfigError: No joint leads to it, or a joint is freed that is not locked.
     """
+    rigid = dict.fromkeys(stiff, WHY["rigid"])
+    own = [name for name in own if name not in rigid or freed(name, overrides)]
     if overrides.arm_tip is not None:
         if overrides.arm_tip not in rest.document.links:
             raise UnknownName("link", overrides.arm_tip, rest.document.links, file=rest.document.path, key="arm_tip")
@@ -153,6 +160,7 @@ def unwanted(rest: AtRest, own: list[str], slaves: dict[str, Slave], overrides: 
     else:
         still = dict.fromkeys(short_branches(rest, set(own), slaves), WHY["short"])
         still |= {name: WHY["button"] for name in own if name not in still and is_button(rest, name)}
+    still |= rigid
     low = [j for j in rest.document.joints.values() if is_low(rest, j)]  # which a base takes for its own
     known = {*still, "all", *(j.name for j in (*low, *alike_on_root(rest)))}
     idle = [name for name in overrides.free if name not in known]

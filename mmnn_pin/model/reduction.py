@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import compiled
+from ..compiled import compiled, linked
 from ..elementary import cos_sin, exp, tanh
 from ..signals import Array, IntArray
 from .base.holonomic import moves_sideways
@@ -20,7 +20,7 @@ from .base.holonomic import moves_sideways
 COULOMB_SPEED = 0.01
 
 
-@compiled
+@linked
 def as_measured(
     offset: Array, arm: Array, pose: Array, velocity: Array, q: Array, qdot: Array, position: Array, nu: Array
 ) -> None:

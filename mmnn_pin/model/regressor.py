@@ -30,7 +30,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ..compiled import compiled
+from ..compiled import compiled, internal, linked
 from ..elementary import tanh
 from ..elementary.matrices import product
 from ..errors import RobotError
@@ -308,7 +308,7 @@ def moving_joints(T: Array, base: int) -> NDArray[np.int64]:
 # -- compiled: Y at a state --------------------------------------------------------------------------------------------
 
 
-@compiled
+@linked
 def regress(known: Massless, nu_ref: Array, nudot_ref: Array) -> None:
     """Y at the known position and velocity, (p, k), into `known.Y`.
 
@@ -343,7 +343,7 @@ def measured(known: Massless, pose: Array, velocity: Array, q: Array, qdot: Arra
     as_measured(known.offset, known.arm, pose, velocity, q, qdot, known.position, known.nu)
 
 
-@compiled
+@internal
 def body_columns(known: Massless, i: int) -> None:
     """Columns of Y of body i, after a pass over the tree."""
     links, numbers, scratch, Y = known.tree.links, known.tree.numbers, known.scratch, known.Y
@@ -377,7 +377,7 @@ def body_columns(known: Massless, i: int) -> None:
         j = links[j, LINK.parent] if j > BASE.w else j - 1
 
 
-@compiled
+@internal
 def joint_columns(known: Massless, nudot_ref: Array, first: int) -> None:
     """Columns of Y of rotors and of viscous and dry friction, from `first` on; a last one is that of turning."""
     joints, nu, Y = known.joints, known.nu, known.Y

@@ -17,8 +17,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ..compiled import compiled
+from ..compiled import compiled, internal, linked
 from ..elementary import tanh
+from ..held import held
 from ..model.reduction import COULOMB_SPEED, dry_level, position_rate, solve, spread, substitute
 from ..signals import Array
 
@@ -28,6 +29,7 @@ ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 1, "stick": 1}
 SWEEPS = 100  # of Gauss-Seidel at most
 
 
+@held
 class Joints(NamedTuple):
     """A robot as an integrator sees it.
 
@@ -46,6 +48,7 @@ class Joints(NamedTuple):
     base: int
 
 
+@held
 class Terms(NamedTuple):
     """The terms of the dynamics at a state, and scratch.
 
@@ -72,7 +75,7 @@ class Terms(NamedTuple):
     grip: Array
 
 
-@compiled
+@linked
 def derivative(y: Array, tau: Array, base: int, terms: Terms) -> None:
     """Time derivative of y, into `terms.ydot`, under the generalized torque tau (p,) with `base` base velocities."""
     nv, p, rest, ydot = terms.v.size, tau.size, terms.rest, terms.ydot
@@ -86,7 +89,7 @@ def derivative(y: Array, tau: Array, base: int, terms: Terms) -> None:
     ydot[nv + p] = power
 
 
-@compiled
+@linked
 def rk4_stage(stage: int, dt: float, y: Array, ydot: Array, total: Array, trial: Array) -> None:
     """Take in the derivative of one of the four stages; trial is where the next one is evaluated, or the result.
 
@@ -116,7 +119,7 @@ def friction_ratio(v: float, damping: float, dry: Array) -> float:
     return damping + level * tanh(v / COULOMB_SPEED) / v
 
 
-@compiled
+@internal
 def stiffen(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
     """Add `dt S` to M, so that `(M + dt S) nudot = tau - h` gives the velocity after a step with `F = S nu_new`.
 
@@ -137,7 +140,7 @@ def stiffen(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
                     M[j, k] += T[i, j] * ratio * T[i, k]
 
 
-@compiled
+@internal
 def friction_ahead(dt: float, joints: Joints, smooth: bool, terms: Terms) -> None:
     """Friction F (p,) at the start of a step becomes that of its end, `F + dt S nudot`; arguments as in `stiffen`."""
     T, viscous, damping, dry, v, F = joints.T, joints.viscous, joints.damping, joints.dry, terms.v, terms.F
@@ -166,7 +169,7 @@ def release(joints: Joints, terms: Terms) -> None:
                 F[j] -= T[i, j] * force
 
 
-@compiled
+@internal
 def stick(dt: float, joints: Joints, terms: Terms) -> None:
     """Impulses of dry friction: each within `+-level dt`, bringing its joint to rest or as near to it as they can.
 
@@ -209,7 +212,7 @@ def stick(dt: float, joints: Joints, terms: Terms) -> None:
             F[j] -= T[i, j] * grip[i, p + 1] / dt
 
 
-@compiled
+@linked
 def euler(method: int, dt: float, joints: Joints, terms: Terms, tau: Array, y: Array) -> None:
     """One step of semi-implicit Euler: nu first, then the position with the new nu; the work by the trapezoid of nu.
 

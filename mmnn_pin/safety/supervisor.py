@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..compiled import compiled, copy_to, spliced
+from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import hypot
+from ..held import held
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -28,6 +29,7 @@ TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
 
 
+@held
 class Supervisor(NamedTuple):
     """A supervisor of one run: its limits and its state as arrays.
 
@@ -71,7 +73,7 @@ class Supervisor(NamedTuple):
     stale: Array
 
 
-@compiled
+@linked
 def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, message: Array, state: Array) -> None:
     """Take a measurement that came in; one that is not finite is refused, and the last good one stays.
 
@@ -96,7 +98,7 @@ def accept(row: Array, at: IntArray, time: float, now: float, is_new: bool, mess
         copy_to(message, measured)
 
 
-@compiled
+@linked
 def has_ended(time: float, numbers: Array, state: Array) -> bool:
     """Whether a tripped run has shown its stop for long enough."""
     return state[HAS_TRIPPED] > 0.0 and time - state[TIME] >= numbers[STOP_TIME] - EARLY
@@ -108,7 +110,7 @@ def may_learn(state: Array) -> bool:
     return state[HAS_TRIPPED] == 0.0 and state[GOOD] > 0.0
 
 
-@compiled
+@internal
 def trip(time: float, code: int, place: int, value: float, limit: float, state: Array) -> None:
     """Stop, for the first reason that comes up."""
     if state[HAS_TRIPPED] == 0.0:
@@ -133,7 +135,7 @@ def release(time: float, supervisor: Supervisor) -> bool:
     return True
 
 
-@spliced
+@internal
 def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Array, supervisor: Supervisor) -> None:
     """Check a sample and write the torque that goes to the motors into the row, and what was done as `safety`.
 
@@ -176,7 +178,7 @@ def supervise(row: Array, at: IntArray, time: float, arrived: bool, weights: Arr
     copy_to(tau, supervisor.last)
 
 
-@spliced
+@internal
 def bound_weights(time: float, weights: Array, supervisor: Supervisor) -> bool:
     """Scale weights back onto their bound; true if some were beyond it."""
     beyond, places, most = False, supervisor.weights, supervisor.numbers[WEIGHTS]
@@ -193,7 +195,7 @@ def bound_weights(time: float, weights: Array, supervisor: Supervisor) -> bool:
     return beyond
 
 
-@spliced
+@internal
 def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Trip on measured speeds and tracking errors beyond their limits."""
     nb, n = at[ALPHA + 1] - at[ALPHA], at[JOINT_ERROR + 1] - at[JOINT_ERROR]
@@ -216,7 +218,7 @@ def check_motion(row: Array, at: IntArray, time: float, supervisor: Supervisor) 
             trip(time, OFF_JOINT, i, abs(row[at[JOINT_ERROR] + i]), errors[i], state)
 
 
-@spliced
+@internal
 def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
     """Brake the base and hold the arm; blind, or where that does not help, let the torque go to zero."""
     tau, state, numbers = row[at[TORQUE] : at[TORQUE + 1]], supervisor.state, supervisor.numbers
@@ -248,7 +250,7 @@ def stop(row: Array, at: IntArray, time: float, supervisor: Supervisor) -> None:
         tau[j] = fade * stale[j] + supervisor.gains[j] * hold
 
 
-@spliced
+@compiled
 def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
     """Whether a measured velocity is not at rest."""
     fastest = 0.0
@@ -257,7 +259,7 @@ def moves(row: Array, at: IntArray, p: int, n: int, rest: float) -> bool:
     return fastest > rest
 
 
-@spliced
+@compiled
 def clip(time: float, tau: Array, supervisor: Supervisor) -> bool:
     """Clip the motor torques, and trip when a motor has asked for too much for too long."""
     clipped, numbers, above = False, supervisor.numbers, supervisor.above
@@ -275,7 +277,7 @@ def clip(time: float, tau: Array, supervisor: Supervisor) -> bool:
     return clipped
 
 
-@compiled
+@internal
 def within(tau: Array, E: Array, E_inv: Array, limits: Array) -> None:
     """Tau (p,) with every motor within its limit (motors,); more motors than velocities are all scaled alike."""
     p, motors, scale = E.shape[0], E.shape[1], 1.0

@@ -15,9 +15,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-from ..compiled import compiled, copy_to, spliced
+from ..compiled import copy_to, internal, linked
 from ..elementary import cos_sin
 from ..elementary.matrices import product
+from ..held import held
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -28,7 +29,7 @@ COUNT, RECEIVED, CLOCK = range(3)
 READING, MOVED, ESTIMATE, RATE, COLUMNS = range(5)
 
 
-@compiled
+@linked
 def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -> None:
     """Exact measurement of pose, base velocity, arm joints and their rates.
 
@@ -54,6 +55,7 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -
         qdot[i] = nu[velocity.size + i]
 
 
+@held
 class Reading(NamedTuple):
     """What goes from the robot to the controller; the effects change it one after the other.
 
@@ -79,6 +81,7 @@ class Reading(NamedTuple):
     bias: Array
 
 
+@held
 class Sensors(NamedTuple):
     """The sensors of one run: time between two measurements [s], what they pass on, and the effects."""
 
@@ -87,6 +90,7 @@ class Sensors(NamedTuple):
     effects: tuple[Any, ...]
 
 
+@held
 class FrozenEncoders(NamedTuple):
     """Encoders that keep their reading for a while.
 
@@ -98,7 +102,7 @@ class FrozenEncoders(NamedTuple):
     windows: Array
     held: Array
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Put what they keep in place of the truth."""
         for i in range(self.windows.shape[0]):
@@ -111,6 +115,7 @@ class FrozenEncoders(NamedTuple):
                     wire.nu[int(window[3])] = 0.0
 
 
+@held
 class Encoders(NamedTuple):
     """Readings in whole steps of angles with an offset and noise.
 
@@ -128,7 +133,7 @@ class Encoders(NamedTuple):
     spread: Array
     normals: Array
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Read all encoders."""
         for i in range(self.places.size):
@@ -139,6 +144,7 @@ class Encoders(NamedTuple):
             wire.joints[i, READING] = angle
 
 
+@held
 class Rates(NamedTuple):
     """Rates from readings: differences and their first-order filter, or an observer that tracks angle and rate.
 
@@ -166,7 +172,7 @@ class Rates(NamedTuple):
     gamma: float
     rolls: Array
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Rates of wheels and joints."""
         nw, nb = self.rolls.shape
@@ -192,6 +198,7 @@ class Rates(NamedTuple):
                 joint[RATE] += self.alpha * (joint[MOVED] / self.period - joint[RATE])
 
 
+@held
 class Velocities(NamedTuple):
     """The message's velocities and joint positions.
 
@@ -205,7 +212,7 @@ class Velocities(NamedTuple):
     W: Array
     place: int
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Write base velocity, q and qdot."""
         nb, nw = self.W.shape
@@ -244,6 +251,7 @@ def observe(sensors: Sensors, velocity: Array, q: Array, received: Array) -> Non
     received[pose:] = wire.message[pose:]
 
 
+@held
 class Odometry(NamedTuple):
     """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading).
 
@@ -257,7 +265,7 @@ class Odometry(NamedTuple):
     W: Array
     pose: Array
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Write the pose."""
         if self.pose.size:
@@ -280,6 +288,7 @@ class Odometry(NamedTuple):
                 wire.message[i] = self.pose[i]
 
 
+@held
 class Noise(NamedTuple):
     """Noise of velocities and pose as they are sent.
 
@@ -295,7 +304,7 @@ class Noise(NamedTuple):
     velocity_normals: Array
     pose_normals: Array
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Add it to the message."""
         p, pose = self.velocity.size, self.pose.size
@@ -306,6 +315,7 @@ class Noise(NamedTuple):
             wire.message[i] += self.pose[i] * self.pose_normals[k, i]
 
 
+@held
 class Line(NamedTuple):
     """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts.
 
@@ -325,7 +335,7 @@ class Line(NamedTuple):
     faults: Array
     slots: Array
 
-    @spliced
+    @internal
     def act(self, wire: Reading, k: int, time: float) -> None:
         """Send the message off, and receive what has come."""
         count, late, added = int(wire.clock[COUNT]), self.faults[k, 0], self.faults[k, 1]

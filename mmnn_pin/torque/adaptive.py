@@ -32,9 +32,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..compiled import Matrix, Vector, compiled, layout_of, views
+from ..compiled import Matrix, Vector, compiled, internal, layout_of, linked, views
 from ..elementary.matrices import cholesky, inverse
 from ..errors import ConfigError
+from ..held import held
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
@@ -104,6 +105,7 @@ class AdaptiveSettings(Settings, frozen=True):
                 raise ConfigError(f"{getattr(self, name)}", fix="use a finite ratio > 1", key=f"adaptive.{name}")
 
 
+@held
 class Adaptation(NamedTuple):
     """The numbers of an adaptive controller.
 
@@ -145,14 +147,14 @@ class Estimate(NamedTuple):
 estimate_of = views(Estimate)
 
 
-@compiled
+@linked
 def estimate(row: Array, at: IntArray, a: Adaptation, state: Array) -> None:
     """Psi_hat at the measured state, then the update of theta."""
     look(row, at, a.known)
     adapt(row, at, a, estimate_of(state, a.layout))
 
 
-@compiled
+@internal
 def look(row: Array, at: IntArray, known: Massless) -> None:
     """Y at a sample, into known.Y."""
     velocity, q = row[at[VELOCITY] : at[Q]], row[at[Q] : at[QDOT]]
@@ -160,7 +162,7 @@ def look(row: Array, at: IntArray, known: Massless) -> None:
     regress(known, row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]])
 
 
-@compiled
+@internal
 def adapt(row: Array, at: IntArray, a: Adaptation, o: Estimate) -> None:
     """Psi_hat and gain of one sample, then the update of theta.
 

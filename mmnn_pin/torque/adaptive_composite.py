@@ -18,8 +18,9 @@ from typing import Any, NamedTuple, Self
 import msgspec
 import numpy as np
 
-from ..compiled import Matrix, Vector, compiled, layout_of, views
+from ..compiled import Matrix, Vector, compiled, internal, layout_of, linked, views
 from ..elementary import exp
+from ..held import held
 from ..model.regressor import measured, regress
 from ..settings import Settings, plain, require_numbers
 from ..signals import Array, IntArray
@@ -57,6 +58,7 @@ class AdaptiveCompositeSettings(Settings, frozen=True):
         require_numbers(self, "adaptive_composite", ("forgetting_time", "every"))
 
 
+@held
 class Prediction(NamedTuple):
     """The numbers of a composite adaptive controller.
 
@@ -99,7 +101,7 @@ class Composite(NamedTuple):
 composite_of = views(Composite)
 
 
-@compiled
+@linked
 def estimate(row: Array, at: IntArray, p: Prediction, state: Array) -> None:
     """What the control period before this sample says; Psi_hat; the update of theta along s, and down the error."""
     a, o = p.adaptation, composite_of(state, p.layout)
@@ -117,13 +119,13 @@ def estimate(row: Array, at: IntArray, p: Prediction, state: Array) -> None:
         follow(p, o)
 
 
-@compiled
+@linked
 def settle(row: Array, at: IntArray, p: Prediction, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
     remember(row, at, composite_of(state, p.layout).filtered)
 
 
-@compiled
+@internal
 def gather(p: Prediction, o: Composite) -> None:
     """Take the filtered regressor and torque into Q and b."""
     Y, y, k = o.filtered.Phi_f, o.filtered.Y_f, p.gradient.size
@@ -141,7 +143,7 @@ def gather(p: Prediction, o: Composite) -> None:
                     Q[j, c] += share * Y[i, j] * Y[i, c]
 
 
-@compiled
+@internal
 def follow(p: Prediction, o: Composite) -> None:
     """One step down the prediction error."""
     a, theta = p.adaptation.bodies, o.estimate.theta
@@ -151,7 +153,7 @@ def follow(p: Prediction, o: Composite) -> None:
     move(theta, shortened(p.step, a), 0.0, a)
 
 
-@compiled
+@internal
 def descend(p: Prediction, a: Bodies, o: Composite) -> None:
     """One step down the prediction error, into p.step; `a.factors` belong to the theta in the state.
 

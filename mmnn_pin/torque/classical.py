@@ -25,7 +25,8 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
-from ..compiled import Vector, compiled, copy_to, layout_of, views
+from ..compiled import Vector, copy_to, layout_of, linked, views
+from ..held import held
 from ..model.regressor import Massless, Regressor, measured, regress
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
@@ -39,6 +40,7 @@ WEIGHT_NORM = INDEX["weight_norm"]
 ROUNDING = 1e-9  # part of a torque below which an excess is rounding
 
 
+@held
 class Gravity(NamedTuple):
     """The numbers of a PD with gravity.
 
@@ -53,7 +55,7 @@ class Gravity(NamedTuple):
     rest: Array
 
 
-@compiled
+@linked
 def gravity(row: Array, at: IntArray, a: Gravity, state: Array) -> None:
     """Psi_hat = g(q) of one sample; arguments as of `law.estimate`."""
     known = a.known
@@ -118,6 +120,7 @@ class PIDSettings(Settings, frozen=True):
         require_numbers(self, "pid", ())
 
 
+@held
 class Integrator(NamedTuple):
     """The numbers of a PID controller.
 
@@ -150,7 +153,7 @@ class Integral(NamedTuple):
 integral_of = views(Integral)
 
 
-@compiled
+@linked
 def integral(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
     """Psi_hat = I and the gain of one sample; arguments as of `law.estimate`."""
     o, squares = integral_of(state, a.layout), 0.0
@@ -161,7 +164,7 @@ def integral(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
     row[at[WEIGHT_NORM]] = math.sqrt(squares)
 
 
-@compiled
+@linked
 def integrate(row: Array, at: IntArray, a: Integrator, state: Array) -> None:
     """The integral of the next sample; the same however often it is called. Arguments as of `law.settle`."""
     o, z, r = integral_of(state, a.layout), row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]

@@ -26,10 +26,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ..compiled import Vector, compiled, layout_of, views
+from ..compiled import Vector, internal, layout_of, linked, views
 from ..elementary import exp
 from ..elementary.matrices import svd, triangle
 from ..elementary.normals import standard_normal
+from ..held import held
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
@@ -90,6 +91,7 @@ class ConcurrentSettings(Settings, frozen=True):
         require_at_most(self, "concurrent", {"entries": MOST})
 
 
+@held
 class History(NamedTuple):
     """The numbers of a concurrent learner, and room to work in.
 
@@ -153,7 +155,7 @@ class Recalled(NamedTuple):
 recalled_of = views(Recalled)
 
 
-@compiled
+@linked
 def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of w and of the stack.
 
@@ -194,7 +196,7 @@ def estimate(row: Array, at: IntArray, a: History, state: Array) -> None:
             w[j] += share * (a.target[j] - w[j])
 
 
-@compiled
+@internal
 def features(a: History, pose: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array) -> None:
     """Phi and Psi_0 at a state, into a.Phi and a.psi0."""
     measured(a.known, pose, velocity, q, qdot)
@@ -211,7 +213,7 @@ def features(a: History, pose: Array, q: Array, velocity: Array, qdot: Array, nu
                     a.Phi[i, j] += Y[i, c] * a.basis[c, j]
 
 
-@compiled
+@internal
 def say(row: Array, at: IntArray, a: History, w: Array) -> None:
     """Psi_hat, the gain, and the norm of w."""
     psi_hat, square = row[at[PSI_HAT] : at[PSI_HAT + 1]], 0.0
@@ -224,7 +226,7 @@ def say(row: Array, at: IntArray, a: History, w: Array) -> None:
             psi_hat[i] += a.Phi[i, j] * w[j]
 
 
-@compiled
+@internal
 def answer(row: Array, at: IntArray, a: History, w: Array, P: Array) -> None:
     """One sample of `w' = tracking P Phi' s`, its answer to s kept below a share of the feedback."""
     p, k = a.Phi.shape
@@ -248,7 +250,7 @@ def answer(row: Array, at: IntArray, a: History, w: Array, P: Array) -> None:
     into_ball(w, a.radius)
 
 
-@compiled
+@internal
 def into_ball(w: Array, radius: float) -> None:
     """The nearest point with |w| <= radius; zero for what is no number."""
     square = 0.0
@@ -261,7 +263,7 @@ def into_ball(w: Array, radius: float) -> None:
         w[j] = share * w[j] if share > 0.0 else 0.0
 
 
-@compiled
+@linked
 def settle(row: Array, at: IntArray, a: History, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
     if a.learning:

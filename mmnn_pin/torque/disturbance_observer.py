@@ -17,8 +17,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from ..compiled import Vector, compiled, layout_of, views
+from ..compiled import Vector, layout_of, linked, views
 from ..elementary import exp
+from ..held import held
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import CompiledController, Context, ControllerState, Feedback, Law
@@ -48,6 +49,7 @@ class DisturbanceObserverSettings(Settings, frozen=True):
         require_numbers(self, "disturbance_observer", ("bound",))
 
 
+@held
 class Observer(NamedTuple):
     """The numbers of a disturbance observer.
 
@@ -77,7 +79,7 @@ class Observed(NamedTuple):
 observed_of = views(Observed)
 
 
-@compiled
+@linked
 def estimate(row: Array, at: IntArray, a: Observer, state: Array) -> None:
     """Psi_hat = d_hat and the gain of one sample, then the update; arguments as of `law.estimate`."""
     d, z, r, squares = observed_of(state, a.layout).d, row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]], 0.0

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import Matrix, Vector, compiled
+from ..compiled import Matrix, Vector, compiled, internal
 from ..elementary import exp
 from ..errors import ConfigError
 from ..signals import INDEX, Array, Dimensions, IntArray
@@ -153,7 +153,7 @@ def is_usable(values: Array) -> bool:
     return usable
 
 
-@compiled
+@internal
 def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
     """Take a sample in; the means over the period that ends with it into f.q, f.nu, f.nudot and f.torque.
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import Cube, Matrix, Vector, compiled
+from ..compiled import Cube, Matrix, Vector, compiled, internal
 from ..elementary import log
 from ..signals import Array
 
@@ -79,7 +79,7 @@ def scratch(p: int, k: int) -> Scratch:
     return Scratch(*(np.zeros(shape) for shape in ((k, p), (p, p), (p, p), (p, p), (k, k), (k,))))
 
 
-@compiled
+@internal
 def consider(s: Stack, w: Scratch, Phi: Array, y: Array, time: float, growth: float, lifetime: float) -> bool:
     """Put an equation into the stack where it is worth it; drop one whose time is over.
 
@@ -137,7 +137,7 @@ def image(s: Stack, w: Scratch, Phi: Array) -> None:
     product(Phi, w.PU, w.S)
 
 
-@compiled
+@internal
 def log_det_with(w: Scratch, sign: float) -> float:
     """`log det(1 + sign S)`; w.S becomes the Cholesky factor of `1 + sign S`."""
     for i in range(len(w.S)):
@@ -146,7 +146,7 @@ def log_det_with(w: Scratch, sign: float) -> float:
     return log_det(w.X, w.S)
 
 
-@compiled
+@internal
 def removed(s: Stack, w: Scratch, i: int) -> None:
     """`1 - G_i+` into w.X, with G_i+ as it is once the equation of w.PU has been added."""
     p = len(w.S)
@@ -160,7 +160,7 @@ def removed(s: Stack, w: Scratch, i: int) -> None:
             w.X[a, b] = total
 
 
-@compiled
+@internal
 def put(s: Stack, w: Scratch, place: int, Phi: Array, y: Array, share: float) -> None:
     """Replace an entry by share (1 or 0) times an equation: L, b, P, and G of all entries."""
     p, k = Phi.shape
@@ -184,7 +184,7 @@ def put(s: Stack, w: Scratch, place: int, Phi: Array, y: Array, share: float) ->
     refreshed(s, w, int(s.used[1]) % max(1, int(s.used[0])))
 
 
-@compiled
+@internal
 def spread(s: Stack, w: Scratch, Phi: Array, sign: float) -> None:
     """What an equation that comes (1) or goes (-1) makes of P and of every G_i."""
     p, k = Phi.shape
@@ -205,7 +205,7 @@ def spread(s: Stack, w: Scratch, Phi: Array, sign: float) -> None:
                 s.P[i, j] -= sign * w.PU[i, c] * w.PU[j, c]
 
 
-@compiled
+@internal
 def refreshed(s: Stack, w: Scratch, i: int) -> None:
     """G_i from P."""
     image(s, w, s.Phi[i])
@@ -214,7 +214,7 @@ def refreshed(s: Stack, w: Scratch, i: int) -> None:
             s.G[i, a, b] = w.S[a, b]
 
 
-@compiled
+@internal
 def estimate_of(s: Stack, out: Array) -> None:
     """`w_L = P b` into out (k,)."""
     for i in range(out.size):
@@ -234,7 +234,7 @@ def product(A: Array, B: Array, out: Array) -> None:
             out[i, j] = total
 
 
-@compiled
+@internal
 def factored(A: Array, F: Array) -> bool:
     """Lower triangular `A = F F'`, the other half of F untouched; False where A is not positive definite."""
     for j in range(len(A)):
@@ -251,7 +251,7 @@ def factored(A: Array, F: Array) -> bool:
     return True
 
 
-@compiled
+@internal
 def solved(factor: Array, C: Array) -> None:
     """`C F'^-1` in place for a lower triangular F, so that `C C'` becomes `C (F F')^-1 C'`."""
     for a in range(len(C)):
@@ -273,7 +273,7 @@ def log_det(X: Array, factor: Array) -> float:
     return total
 
 
-@compiled
+@internal
 def inverse(L: Array, factor: Array, column: Array, P: Array) -> None:
     """`L^-1` into P, by way of a factor (k, k) and a column (k,); P stays where L is not positive definite."""
     if not factored(L, factor):

@@ -23,8 +23,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..compiled import Matrix, Vector, by_type, compiled, copy_to, layout_of, views
+from ..compiled import Matrix, Vector, by_type, compiled, copy_to, internal, layout_of, linked, views
 from ..elementary.matrices import pseudo_inverse
+from ..held import held
 from ..signals import INDEX, Array, IntArray
 from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
 from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update
@@ -73,6 +74,7 @@ class Packed(NamedTuple):
     settings: Array
 
 
+@held
 class Ahead(NamedTuple):
     """Where the torque acts, ahead of its sample (`loop.lead`).
 
@@ -185,7 +187,7 @@ def nothing_to_keep(row: Array, at: IntArray, learner: Any, state: Array) -> Non
     """`settle` of a learner that never looks back."""
 
 
-@compiled
+@linked
 def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimits | None, ahead: Ahead | None) -> None:
     """Torque of one sample, and the update of the networks' weights.
 
@@ -248,7 +250,7 @@ def lead(psi_hat: Array, later: Array, share: Array, applied: Array) -> None:
         applied[i] = psi_hat[i] + share[i] * (later[i] - psi_hat[i])
 
 
-@compiled
+@internal
 def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) -> None:
     """Outputs, effective gain and updates of the base's and the arm's network."""
     first = 0
@@ -272,7 +274,7 @@ def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) 
         first += error.size
 
 
-@compiled
+@internal
 def network(
     n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, psi_hat: Array
 ) -> float:
@@ -294,7 +296,7 @@ def network(
     return norm
 
 
-@compiled
+@internal
 def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array) -> None:
     """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
     if int(n.kind[0]) == ONE_LAYER:
@@ -305,6 +307,7 @@ def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, s
     project(W, rates[4])
 
 
+@held
 class MotorLimits(NamedTuple):
     """Limits of a robot's motors, and room to work in.
 
@@ -332,7 +335,7 @@ def motor_limits(E: Array, effort: Array) -> MotorLimits | None:
     return MotorLimits(E, E_inv, (1.0 - ROUNDING) * effort, np.zeros(effort.size), np.zeros(len(E)))
 
 
-@compiled
+@internal
 def soften(gain: Array, k: Array, robust: Array, feedback: Array, limits: MotorLimits) -> None:
     """Lower the robust term (p,) to the share that k s leaves of the motors' limits; gain and feedback are the sums."""
     fixed = limits.asked
@@ -360,7 +363,7 @@ def share_left(feedback: Array, more: Array, limits: MotorLimits) -> float:
     return share if not math.isnan(share) else 0.0
 
 
-@compiled
+@internal
 def limit(psi_hat: Array, feedback: Array, limits: MotorLimits) -> None:
     """Clip psi_hat, motor by motor, to what the feedback leaves of the limits.
 

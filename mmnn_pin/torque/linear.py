@@ -31,7 +31,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ..compiled import Matrix, Vector, compiled, copy_to, views
+from ..compiled import Matrix, Vector, compiled, copy_to, internal, linked, views
+from ..held import held
 from ..model.regressor import Massless, measured, regress
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, Filtered, low_pass, period, remember
@@ -45,6 +46,7 @@ PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"]
 CERTAIN = 1e12  # an equation that would lower its own variance by more than this is not taken: the data are no data
 
 
+@held
 class Linear(NamedTuple):
     """The numbers of a linear learner, and room to work in.
 
@@ -112,19 +114,19 @@ class Parts(NamedTuple):
 parts_of = views(Parts)
 
 
-@compiled
+@linked
 def estimate(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of the weights."""
     learn(row, at, a, a.known, a.random, parts_of(state, a.layout))
 
 
-@compiled
+@linked
 def settle(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
     remember(row, at, parts_of(state, a.layout).filtered)
 
 
-@compiled
+@internal
 def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, o: Parts) -> None:
     """Psi_hat and gain of one sample, then the update of the weights.
 
@@ -160,7 +162,7 @@ def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: R
         project(a, o)
 
 
-@compiled
+@internal
 def features(
     a: Linear, known: Massless | None, random: Random | None, o: Parts, pose: Array, q: Array, velocity: Array,
     qdot: Array, nu_ref: Array, nudot_ref: Array,
@@ -179,7 +181,7 @@ def features(
         fill(random, o.a, o.b, q, velocity, qdot, nu_ref, nudot_ref, a.Phi[0])
 
 
-@compiled
+@internal
 def say(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
     """Psi_hat, the gain, and the norms of the weights of base and arm."""
     p, m, nb = a.gain.size, o.W.shape[0], at[VELOCITY + 1] - at[VELOCITY]
@@ -194,7 +196,7 @@ def say(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
     row[at[WEIGHT_NORM]], row[at[WEIGHT_NORM] + 1] = math.sqrt(square), math.sqrt(arm)
 
 
-@compiled
+@internal
 def track(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
     """One step of `W' = tau P Phi' s`, its answer to s kept below a share of the feedback."""
     z, r, m, k = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]], o.W.shape[0], o.D.size
@@ -222,7 +224,7 @@ def track(row: Array, at: IntArray, a: Linear, o: Parts) -> None:
             o.W[c, j] += size * step[j]
 
 
-@compiled
+@internal
 def predict(a: Linear, o: Parts) -> None:
     """The equations that filtered torque gives, one Kalman update each; then the drift."""
     m, k, rows = o.W.shape[0], o.D.size, a.Phi.shape[0]
@@ -247,7 +249,7 @@ def predict(a: Linear, o: Parts) -> None:
         add(o.U, o.D, place, added, a.work[3])
 
 
-@compiled
+@internal
 def project(a: Linear, o: Parts) -> None:
     """Every column of W back into its ball `W' P_0^-1 W <= radius^2`."""
     n, Pn, inverse = a.work[0], a.work[1], a.work[2]
@@ -299,7 +301,7 @@ def dot(a: Array, b: Array, size: int) -> float:
     return (s0 + s1) + (s2 + s3)
 
 
-@compiled
+@internal
 def measure(U: Array, D: Array, phi: Array, noise: float, f: Array, b: Array) -> float:
     """P after `y = phi' w + v` was measured, `P - P phi phi' P / (noise + phi' P phi)`, in place.
 

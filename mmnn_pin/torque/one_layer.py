@@ -13,7 +13,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ..compiled import compiled
+from ..compiled import internal
 from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_gains
@@ -69,7 +69,7 @@ class OneLayer(Settings, frozen=True):
             V[:] = rng.uniform(-self.centre_range, self.centre_range, V.shape)
 
 
-@compiled
+@internal
 def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Array, psi_hat: Array) -> float:
     """Output `Psi_hat = W' phi(x)`, `phi_j = exp(-|x - c_j|^2 / (2 width^2))`.
 
@@ -94,7 +94,7 @@ def one_layer_output(W: Array, centres: Array, width: float, x: Array, phi: Arra
     return math.sqrt(weighted_sum(W, phi, psi_hat))
 
 
-@compiled
+@internal
 def one_layer_update(W: Array, phi: Array, s: Array, beta: float, mu: float, dt: float) -> None:
     """One step of `Wdot = beta phi s' - mu beta |s| W` (reconstructed); shapes as in `one_layer_output`."""
     norm = 0.0

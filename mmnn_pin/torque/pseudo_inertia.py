@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..compiled import compiled
+from ..compiled import compiled, internal
 from ..elementary import matrices
 from ..signals import Array
 
@@ -60,7 +60,7 @@ class Bodies(NamedTuple):
     work: Array
 
 
-@compiled
+@internal
 def directions(theta: Array, gradient: Array, a: Bodies) -> float:
     """Where a gradient (k,) takes theta in a sample, into `a.steps` and `a.rest`.
 
@@ -76,7 +76,7 @@ def directions(theta: Array, gradient: Array, a: Bodies) -> float:
     return total
 
 
-@compiled
+@internal
 def move(theta: Array, eta: float, sigma: float, a: Bodies) -> None:
     """One sample of theta, along `a.steps` and `a.rest` times eta and back by the leakage."""
     first = BODY * len(a.roots)
@@ -97,7 +97,7 @@ def factor(theta: Array, a: Bodies, b: int) -> None:
     cholesky(Q, a.factors[b])
 
 
-@compiled
+@internal
 def direction(theta: Array, gradient: Array, a: Bodies, b: int) -> float:
     """Where body b goes, `X = h gamma B' L B` with `P = B B'` in the coordinates where P_0 is the identity.
 
@@ -117,7 +117,7 @@ def direction(theta: Array, gradient: Array, a: Bodies, b: int) -> float:
     return a.h * a.gamma * total
 
 
-@compiled
+@internal
 def update_body(theta: Array, eta: float, sigma: float, a: Bodies, b: int) -> None:
     """One sample of body b, along its direction times eta and back by the leakage."""
     Q, L, X, B, half = a.work[0], a.work[1], a.steps[b], a.factors[b], a.work[2]
@@ -200,7 +200,7 @@ def cholesky(S: Array, B: Array) -> bool:
     return True
 
 
-@compiled
+@internal
 def exponential(X: Array, E: Array) -> None:
     """`1 + X / 2 + X^2 / 8`, positive definite for every symmetric X (4 x 4), about `exp(X / 2)`."""
     product(X, X, E)
@@ -223,7 +223,7 @@ def within(Q: Array, least: float, most: float, shifted: Array, B: Array) -> boo
     return bool(cholesky(shifted, B))
 
 
-@compiled
+@internal
 def clip(Q: Array, least: float, most: float, U: Array, half: Array) -> None:
     """Put the eigenvalues of Q between two bounds, by Jacobi's rotations."""
     for i in range(4):

@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ..compiled import compiled
+from ..compiled import compiled, internal
 from ..elementary import exp
 from ..errors import ConfigError
 from ..settings import Settings, require_at_most, require_gains
@@ -68,7 +68,7 @@ class TwoLayer(Settings, frozen=True):
         V[:] = rng.uniform(-self.v_range, self.v_range, V.shape) if self.initial == "random" else 0.0
 
 
-@compiled
+@internal
 def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi_hat: Array) -> float:
     """Output `Psi_hat = W' sigma(V' x)` (3.25).
 
@@ -135,7 +135,7 @@ def weighted_sum(W: Array, sigma: Array, psi_hat: Array) -> float:
     return squares
 
 
-@compiled
+@internal
 def two_layer_update(
     W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, F: float, G: float, kappa: float, dt: float
 ) -> None:

@@ -29,9 +29,10 @@ import msgspec
 import numpy as np
 from scipy.special import expit
 
-from ..compiled import Matrix, Vector, compiled, copy_to, layout_of, views
+from ..compiled import Matrix, Vector, compiled, copy_to, internal, layout_of, linked, views
 from ..elementary import exp
 from ..errors import ConfigError
+from ..held import held
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told, all_facts, read_facts
@@ -94,6 +95,7 @@ class TwoLayerCompositeSettings(Settings, frozen=True):
             )
 
 
+@held
 class Experience(NamedTuple):
     """The numbers of a network's prediction error, and room to work in.
 
@@ -153,7 +155,7 @@ class Experienced(NamedTuple):
 experienced_of = views(Experienced)
 
 
-@compiled
+@linked
 def estimate(row: Array, at: IntArray, a: Experience, state: Array) -> None:
     """Learn from the last control period and from kept ones.
 
@@ -180,7 +182,7 @@ def estimate(row: Array, at: IntArray, a: Experience, state: Array) -> None:
         teach(a, o.networks, sample[:nx], sample[nx:])
 
 
-@compiled
+@internal
 def recollect(a: Experience) -> None:
     """The input x* of a period, into a.x."""
     f = a.filter
@@ -209,7 +211,7 @@ def keep_sample(a: Experience, counts: Array, kept: Array) -> None:
     counts[1] += 1.0
 
 
-@compiled
+@internal
 def teach(a: Experience, o: Networks, x: Array, torque: Array) -> None:
     """One normalised step of base's and arm's network towards a torque (p,) at an input (nx,)."""
     first = 0
@@ -222,7 +224,7 @@ def teach(a: Experience, o: Networks, x: Array, torque: Array) -> None:
         first += m
 
 
-@compiled
+@internal
 def descend(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Array) -> None:
     """One normalised step of one network."""
     h, m, nx = W.shape[0], W.shape[1], x.size
@@ -264,7 +266,7 @@ def descend(a: Experience, W: Array, V: Array, x: Array, torque: Array, unit: Ar
     shrink(V, sum_v, a.radius[1])
 
 
-@compiled
+@linked
 def settle(row: Array, at: IntArray, a: Experience, state: Array) -> None:
     """Keep the torque that is held from this sample on."""
     remember(row, at, experienced_of(state, a.layout).filtered)

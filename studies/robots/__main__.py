@@ -91,10 +91,11 @@ def with_more(known: Any, more: Any) -> Any:
 
 def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> dict[str, str]:
     """The options of a refusal that suit the truth; a radius that it asks for is the maker's, as if measured."""
-    if "--radius" in fix and "radius" in entry and "radius" not in said:
+    kind, asked = entry["kind"], "--radius" in fix and "radius" in entry and "radius" not in said
+    ways = re.split("; |, | or ", fix.replace("--radius METRES", f"--radius {entry['radius']}") if asked else fix)
+    if asked and not any("--wheels" in way and "--radius" in way for way in ways):
         return {"radius": str(entry["radius"])}
-    kind = entry["kind"]
-    for way in re.split("; |, | or ", fix):
+    for way in sorted(ways, key=lambda way: asked and "--radius" not in way):
         options = dict(WAY.findall(way))
         fits = kind.startswith("refused: ") or options.get("base", kind) == kind
         ends = kind.startswith("refused: ") and {"base", "wheels"} & options.keys()
@@ -147,15 +148,32 @@ def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
     return f"| {entry['name']} | {place} | {truth} | {found} |"
 
 
-def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> str:
-    """A row of the table of `studies.track_any`, or why there is none."""
+def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> track_any.Row | None:
+    """A row of the table of `studies.track_any`, None where it is refused; either is told as it comes."""
     said = {key: list(value) if isinstance(value, tuple) else value for key, value in outcome.said.items() if value}
     settings = tuple(f"overrides.{key}={json.dumps(value)}" for key, value in said.items())
     try:
         row = track_any.row_of(str(place(entry, folder)), settings, CONTROLLERS)
     except InputError as refused:
-        return f"| {entry['name']} | not run: {refused.what}: {refused.why} |"
-    return track_any.summary([replace(row, name=entry["name"])], CONTROLLERS)[2]
+        click.echo(f"{entry['name']}: not run: {refused.what}: {refused.why}", err=True)
+        return None
+    click.echo(track_any.summary([replace(row, name=entry["name"])], CONTROLLERS)[2], err=True)
+    return replace(row, name=entry["name"])
+
+
+def tracked(rows: list[track_any.Row]) -> str:
+    """The table of the robots that were driven, and the joints on which `adaptive` is worse than `pd_gravity`."""
+    worse = [
+        f"{row.name}: {joint} ({track_any.cell(one)} for {track_any.cell(other)})"
+        for row in rows
+        for joint, one, other in zip(row.joints, row.errors["adaptive"], row.errors["pd_gravity"], strict=True)
+        if not one <= other
+    ]
+    joints = sum(len(row.joints) for row in rows)
+    text = (
+        f"adaptive errs no more than pd_gravity on {joints - len(worse)} of {joints} joints, not on: {', '.join(worse)}"
+    )
+    return "\n".join([*track_any.summary(rows, CONTROLLERS), "", text, ""])
 
 
 @click.command()
@@ -166,21 +184,22 @@ def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> str:
 def main(folder: Path, only: str, markdown: bool, track: bool) -> None:
     """Hold all robots of the corpus against the truth."""
     entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]
-    counts: dict[str, int] = {}
+    counts, rows = dict[str, int](), list[track_any.Row | None]()
     for entry in entries:
         if only.lower() not in entry["name"].lower():
             continue
         outcome = judge(entry, folder)
         counts[outcome.verdict] = counts.get(outcome.verdict, 0) + 1
         if track:
-            if outcome.verdict.startswith("right"):
-                click.echo(driven(entry, folder, outcome))
+            rows += [driven(entry, folder, outcome)] if outcome.verdict.startswith("right") else []
         elif markdown:
             click.echo(markdown_row(entry, outcome))
         else:
             click.echo(
                 f"{outcome.verdict:24}{entry['name']:26}{outcome.seconds:6.2f} s  {outcome.command}  {outcome.text}"
             )
+    if track:
+        click.echo(tracked([row for row in rows if row is not None]))
     click.echo(", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items())))
 
 

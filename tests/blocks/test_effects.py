@@ -13,11 +13,10 @@ from hypothesis import strategies as st
 from places import ROOT
 from scipy.signal import lfilter
 
-from mmnn_pin import actuator
-from mmnn_pin.actuator import (
+from mmnn_pin.actuator import NEVER, effects
+from mmnn_pin.actuator.effects import (
     DRAWN,
     GIVEN,
-    NEVER,
     ROTOR_SPEED,
     STATES,
     SUM,
@@ -124,8 +123,8 @@ def test_a_dead_motor_has_no_torque_while_its_window_is_open():
 
 
 def test_the_dead_zone_of_contributing_is_one():
-    (text,) = re.findall(r"```python\n( +class DeadZone.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
-    names = dict(vars(actuator)) | {"spliced": lambda function: function}  # a text has no file to cache beside
+    (text,) = re.findall(r"```python\n( +@held\n +class DeadZone.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
+    names = dict(vars(effects)) | {"internal": lambda function: function}  # a text has no file to cache beside
     exec(textwrap.dedent(text), names)
     wire = drive()
     names["DeadZone"](np.array([2.0, 5.0, 0.5])).act(wire, 0, 0.0)

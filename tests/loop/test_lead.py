@@ -22,7 +22,7 @@ from mmnn_pin.lab.proof.lyapunov import powers
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.loop.before_run import Start
 from mmnn_pin.loop.controller import Torque
-from mmnn_pin.loop.hardware import Latency
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.lead import catch_up, look_ahead
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sample import Control, before_torque

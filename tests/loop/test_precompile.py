@@ -14,6 +14,7 @@ from mmnn_pin.loop.precompile import precompile
 SCRIPT = """
 import sys
 from dataclasses import replace
+from numba.core.registry import CPUDispatcher
 import mmnn_pin as mm
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop import precompile
@@ -23,7 +24,7 @@ def versions():
     found = {}
     for name, module in list(sys.modules.items()):
         for key, function in vars(module).items() if name.startswith("mmnn_pin") else ():
-            if hasattr(function, "signatures") and function.py_func.__module__ == name:
+            if isinstance(function, CPUDispatcher) and function.py_func.__module__ == name:
                 found[f"{name}.{key}"] = len(function.signatures)
     return found
 before = versions()
@@ -31,9 +32,10 @@ experiment = mm.load_experiment("chapter4", ["time.duration=0.02", 'time.integra
 robot = experiment.load_robot()
 for controller in ("two_layer", "computed_torque"):
     simulate_many([replace(experiment.loop(robot, experiment.controller(controller)), engine="compiled")])
-new = sorted(name.rsplit(".", 1)[1] for name, count in versions().items() if count and not before.get(name))
+new = sorted(name.rsplit(".", 1)[1] for name, count in versions().items() if count and not before.get(name)
+             and not name.startswith("mmnn_pin.loop.compiled."))
 several = [name for name, count in versions().items() if count > 1]
-print(sorted(set(new) - {"advance"}), several)
+print(new, several)
 """
 
 

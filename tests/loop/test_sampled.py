@@ -19,7 +19,7 @@ from mmnn_pin.errors import ConfigError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop import sampled
 from mmnn_pin.loop.before_run import Start
-from mmnn_pin.loop.hardware import Latency
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.loop import Loop
 from mmnn_pin.loop.sampled import HeldLoop, SampledLoop, require_stable, sampled_loop
 from mmnn_pin.loop.suited import Given, suited

@@ -17,7 +17,7 @@ from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.loop.batch import simulate_many
 from mmnn_pin.loop.before_run import Start
-from mmnn_pin.loop.hardware import Latency
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.ordinary import OrdinaryLoop
 from mmnn_pin.loop.servo import Servo, interfaces_of, servo_slots, split_of, velocity_servo
 from mmnn_pin.loop.suited import Given, suited

@@ -18,7 +18,7 @@ from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.experiment import made_for
 from mmnn_pin.loop.before_run import Start
-from mmnn_pin.loop.hardware import Latency
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.loop.suited import MARGIN, SLOWEST, Given, Load, effective_inertia, fit, followable, timing_for
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.robot import Robot

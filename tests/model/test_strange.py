@@ -420,9 +420,9 @@ def test_a_file_of_macros_names_one_that_calls_them(tmp_path):
         load(file)
     assert error.value.fix == f"give a file that calls them, such as {caller}"
     assert load(caller).base.kind == "differential_drive"  # as it says
-    old = xacro(tmp_path, '<xacro:include filename="body.xacro"/><body/>', "old.xacro")
+    bare = xacro(tmp_path, "<body/>", "bare.urdf.xacro")  # it does not include the file that has the macro
     with pytest.raises(RobotError, match="write <xacro:body>"):
-        load(old)
+        load(bare)
 
 
 AGAIN = '<xacro:m n="${n-1}"/>'

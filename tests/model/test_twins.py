@@ -14,7 +14,7 @@ from test_base import four
 from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
 from test_wild import codes
 
-from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.errors import ConfigError
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.loading import load
 
@@ -36,13 +36,13 @@ def hubs(radius: float, height: float = 0.1) -> str:
 
 
 def test_a_collision_shape_whose_visual_mesh_is_missing_may_be_a_hub():
-    told = codes(robot_of(chassis(hubs(0.03))))["base-shapes"]  # it is: the wheel has 0.1
-    assert "0.03 m is that of the collision shapes of left, right" in told
-    assert "base-shapes" not in codes(robot_of(chassis(hubs(0.03)), radius=0.1))
-    assert "base-shapes" not in codes(robot_of(chassis(hubs(0.1).replace(GONE, ""))))
-    with pytest.raises(Undecided, match=r"meshes are missing, and what is left of them ends 0\.07 m above") as error:
-        robot_of(chassis(hubs(0.03) + BALL))
+    with pytest.raises(Undecided, match="meshes are missing, none is measured from what is left") as error:
+        robot_of(chassis(hubs(0.03)))  # it is: the wheel has 0.1
     assert "--radius METRES, or --package-dir FOLDER" in error.value.fix
+    told = codes(robot_of(chassis(hubs(0.1) + BALL)))["base-shapes"]  # it reaches the ball's floor
+    assert "0.1 m is that of the collision shapes of left, right" in told
+    assert "base-shapes" not in codes(robot_of(chassis(hubs(0.1).replace(GONE, ""))))
+    assert "'left' 0.1 m" in codes(robot_of(chassis(hubs(0.03) + BALL)))["base-hub-height"]
     robot = robot_of(chassis(hubs(0.03) + BALL), radius=0.1)
     assert [w.radius for w in robot.base.wheels] == [0.1, 0.1] and robot.base.floor == pytest.approx(0)
 
@@ -50,28 +50,30 @@ def test_a_collision_shape_whose_visual_mesh_is_missing_may_be_a_hub():
 # --- Calls of macros that xacro leaves out ----------------------------------------------------------------------------
 
 
-def test_a_macro_that_is_called_without_its_prefix_is_said_where_it_stands(tmp_path):
+def test_a_macro_that_is_called_without_its_prefix_is_called_and_told(tmp_path):
     arm = ARM.replace('parent link="base"', 'parent link="${on}"')
     defined = f'<xacro:macro name="my_arm" params="on">{arm}</xacro:macro>'
     (tmp_path / "arm.xacro").write_text(f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">{defined}</robot>')
     body = ROBOT.replace(ARM, "")
     file = xacro(tmp_path, f'<xacro:include filename="arm.xacro"/>\n{body}\n<my_arm on="base"/>')
-    line = file.read_text()[: file.read_text().index("<my_arm")].count("\n") + 1
-    with pytest.raises(RobotError, match=r"<my_arm> lacks its prefix.*--without my_arm") as error:
-        load(file)
-    assert (error.value.file, error.value.line) == (file, line)
+    robot = load(file)
+    assert robot.joint_names == ("shoulder", "elbow") and "<my_arm>" in codes(robot)["xacro-prefix"]
     assert load(file, without=("my_arm",)).dimensions.arm == 0
-    file.write_text(file.read_text().replace("<my_arm", "<xacro:my_arm"))  # the other way out
-    assert load(file).joint_names == ("shoulder", "elbow")
+    file.write_text(file.read_text().replace("<my_arm", "<xacro:my_arm"))
+    assert "xacro-prefix" not in codes(load(file))
 
 
-def test_a_bare_include_is_said_and_a_bare_property_harms_nothing(tmp_path):
-    with pytest.raises(RobotError, match="<include> lacks its prefix"):
-        load(xacro(tmp_path, ROBOT + '<include filename="arm.xacro"/>'))
+def test_all_that_old_xacro_had_without_its_prefix_is_done(tmp_path):
+    (tmp_path / "arm.xacro").write_text(f"<robot>{ARM}</robot>")
+    old = ROBOT.replace(ARM, "") + '<include filename="arm.xacro"/>'
+    assert load(xacro(tmp_path, old)).joint_names == ("shoulder", "elbow")
     assert load(xacro(tmp_path, ROBOT + '<property name="a" value="1"/>')).base.kind == "differential_drive"
-    old = f'<macro name="old"><link name="more"/></macro>{ROBOT}<old/>'
-    with pytest.raises(RobotError, match="<old> lacks its prefix"):
-        load(xacro(tmp_path, old))
+    arm = ARM.replace('lower="0.2"', 'lower="${low}"')
+    old = f'<property name="low" value="0.3"/><macro name="my_arm" params="">{arm}</macro>'
+    robot = load(xacro(tmp_path, f"{old}{ROBOT.replace(ARM, '')}<my_arm/>"))
+    assert robot.joint_names == ("shoulder", "elbow") and robot.lower[-1] == 0.3
+    one = f'{ROBOT.replace(ARM, "")}<unless value="1">{ARM}</unless>'
+    assert load(xacro(tmp_path, one)).dimensions.arm == 0
 
 
 def test_lines_of_a_xacro_file_are_those_of_what_it_expands_to(tmp_path):

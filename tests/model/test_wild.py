@@ -118,7 +118,7 @@ def test_a_hub_is_no_wheel_where_the_mesh_of_the_tyre_is_missing():
     gone = drive_of('<mesh filename="package://gone/tyre.stl"/>', 0.2, 0.05)
     chassis, wheel, others = gone.partition('<link name="left_link">')
     text = chassis + wheel + others.replace("</inertial><collision>", f"</inertial>{hub}<collision>")
-    with pytest.raises(Undecided, match=r"mesh missing, radius unknown.*--radius METRES, and --package-dir"):
+    with pytest.raises(Undecided, match=r"mesh missing, radius unknown.*--radius METRES, or --package-dir"):
         robot_of(text)
     assert [w.radius for w in robot_of(text, radius=0.05).base.wheels] == [0.05, 0.05]
     plugin = "<gazebo><plugin name='d'><wheel_diameter>0.1</wheel_diameter></plugin></gazebo></robot>"

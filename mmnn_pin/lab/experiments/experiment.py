@@ -18,7 +18,7 @@ from ...disturbance import Disturbance, require_in_time
 from ...errors import ConfigError, InputError, UnknownName
 from ...kinematic import Kinematic
 from ...loop.before_run import Bounds, Start
-from ...loop.hardware import Latency
+from ...loop.latency import Latency
 from ...loop.loop import PLANTS, Loop
 from ...loop.servo import Servo
 from ...loop.suited import Fit, Given, effective_inertia, fit, followable

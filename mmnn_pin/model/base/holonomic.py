@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...compiled import compiled, spliced
+from ...compiled import compiled
 from ...elementary import cos_sin
 from ...signals import Array
 from .base import Base, LinearErrors, PoseEnergy
@@ -49,7 +49,7 @@ class Holonomic(Base):
         return float(max(gains))
 
 
-@spliced
+@compiled
 def moves_sideways(nb: int) -> bool:
     """Whether a base of nb velocities has vy among them: it stands second, w is always last."""
     return nb == 3

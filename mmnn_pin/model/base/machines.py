@@ -95,6 +95,14 @@ def track_named(rest: AtRest) -> str:
     return f"'{hit.string}' among its names" if hit else ""
 
 
+def welded_tracks(rest: AtRest) -> str:
+    """Names of links on both sides of the root's body that tell that it runs on tracks, empty where there are none."""
+    body = rest.document.body(rest.document.root_link)[1:]
+    named = [(name, float(rest.placements[name][1, 3])) for name in body if TRACK_NAMES.search(name)]
+    sided = [[name for name, y in named if side * y > 0] for side in (1, -1)]
+    return f"'{sided[0][0]}' and '{sided[1][0]}' on its sides" if all(sided) else ""
+
+
 def mesh_name(mesh: etree._Element) -> str:
     """Name of a mesh's file, without folders."""
     return str(mesh.get("filename", "").rpartition("/")[2])

@@ -68,14 +68,14 @@ def second_opinions(rest: AtRest, base: Base, wheels: Sequence[Candidate], overr
 
 def shape_opinions(rest: AtRest, wheels: Sequence[Candidate]) -> Iterator[Finding]:
     """Wheels whose visual shapes have another radius than the collision shapes that are measured, or are missing."""
-    hubs = [c for c in wheels if c.unseen]
+    hubs = [c for c in wheels if not math.isnan(c.left) and c.shape not in UNSEEN]
     if hubs:
         names = ", ".join(c.joint.name for c in hubs)
         text = (
             f"the radius {hubs[0].radius:.4g} m is that of the collision shapes of {names}: a mesh of them is missing"
         )
         fix = "--package-dir FOLDER with the package of their meshes, or --radius METRES"
-        yield note(rest, "base-shapes", hubs[0].joint.name, text, "those may be of a hub alone", fix)
+        yield note(rest, "base-shapes", hubs[0].joint.name, text, "the floor or the file bears it out", fix)
     others = [c for c in wheels if not math.isnan(c.other) and apart(c.other, c.radius)]
     for c in others[:1]:
         text = f"'{c.joint.name}' has a radius of {c.radius:.4g} m by its collision shapes, {c.other:.4g} m by sight"

@@ -25,6 +25,7 @@ from .skid_steer import SkidSteer, loads, rotation_centre, turning_friction, tur
 from .wheels import (
     HUB,
     SLOPPY,
+    SURE,
     Candidate,
     Candidates,
     alike_on_root,
@@ -115,11 +116,11 @@ def declared_wheel(rest: AtRest, name: str, candidates: Candidates, overrides: O
         raise ConfigError(f"joint '{name}' cannot be a drive wheel", why=why, fix=fix, key="wheels")
     found = next((c for c in candidates.wheels if c.joint.name == name), None)
     candidate = found or wheel_of(rest, joint)
-    radius = overrides.radius or candidate.radius
-    if math.isnan(radius):
+    radius, left = overrides.radius or candidate.radius, 0.0 if math.isnan(candidate.left) else candidate.left
+    if math.isnan(radius) or (found is None and left and overrides.radius is None):
         radius, candidate = float(candidate.centre[2] - candidates.footing), replace(candidate, shape=HUB)
-    if not radius > 0:
-        why = "no shape of it can be read, and nothing tells where the floor is"
+    if not radius > (0.0 if overrides.radius else (1 - SURE) * left):
+        why = "no shape of it can be read whole, and nothing tells where the floor is"
         raise ConfigError(f"the radius of wheel '{name}' is unknown", why=why, fix="give --radius", key="radius")
     return replace(candidate, radius=radius)
 

@@ -22,11 +22,12 @@ from .base import Base
 from .differential import DifferentialDrive
 from .evidence import Evidence, evidence
 from .skid_steer import GRAVITY
-from .wheels import HUB, LUMPY, PARTIAL, TOUCHING, Candidate, Candidates, coaxial, height_at
+from .wheels import HUB, LUMPY, PARTIAL, TILTED, TOUCHING, Candidate, Candidates, coaxial, height_at
 
 STRAIGHT = 0.7  # cosine of the largest angle between rolling direction and root link that is not told
 
 LARGE, WIDE = 2.0, 3.0  # [m], fraction of the track; no wheel of a robot has a larger radius
+HUGE = 20.0  # [m], no robot has a larger track
 
 SAME_RADIUS = 0.01  # radii that differ by more than this fraction are told
 
@@ -131,7 +132,10 @@ def base_notes(rest: AtRest, base: Base, wheels: Sequence[Candidate], given: boo
         why, fix = "forward is where they roll", "turn the axes of their joints if they roll along x"
         notes.append(note(rest, "base-heading", first, text, why, fix))
     large = [w for w in base.wheels if w.radius > LARGE or 0 < WIDE * base.track < w.radius]
-    if large and not given:
+    if base.track > HUGE:
+        text, why = f"the wheels are {base.track:.4g} m apart", "is the whole file in millimetres or centimetres?"
+        notes.append(note(rest, "base-size", first, text, why, "write it in metres"))
+    elif large and not given:
         text = f"wheel '{large[0].joint}' has a radius of {large[0].radius:.4g} m on a track of {base.track:.4g} m"
         why, fix = "is its mesh in millimetres or inches?", "give the mesh its scale, or --radius"
         notes.append(note(rest, "base-size", large[0].joint, text, why, fix))
@@ -311,23 +315,35 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
     elif any(abs(c.axis[2]) > HORIZONTAL for c in near_misses):
         why = "wheels roll about a horizontal axis here, not with camber: that is not covered"
     elif any(c.shape == LUMPY for c in near_misses):
-        why, fix = "what turns on them is not round about the axle", blind_fix(near_misses)
+        why, fix = lumpy(rest, near_misses)
     elif any(math.isnan(c.radius) for c in near_misses):
         why = "no shape of them can be read, and nothing tells where the floor is"
+        fix = "give --radius METRES, or make their shapes cylinders; --base fixed parks them"
         if any(c.shape == PARTIAL for c in near_misses):
             why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
-        fix = "give --radius METRES, and --package-dir FOLDER where their meshes are; --base fixed parks them"
-    elif any(c.unseen for c in near_misses):
-        why = f"meshes are missing, and what is left of them {ends.replace('end', 'ends', 1)}"
-        fix = "give --radius METRES, or --package-dir FOLDER where their meshes are; --base fixed parks them"
+            fix = "give --radius METRES, or --package-dir FOLDER where their meshes are; --base fixed parks them"
     elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5):
         why, fix = f"they {ends}, in its upper half", "turn it over if it stands on its head; --base fixed parks them"
     else:
         why, names = f"they {ends}", ",".join(c.joint.name for c in near_misses)
-        fix = f"--wheels {names} if the floor is where these touch it; {fix}"
+        fix = f"--wheels {names} if the floor is where these touch it, with --radius METRES if they are larger; {fix}"
         if len(near_misses) < 2:
             fix = fix.partition("; ")[2]
     return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
+
+
+def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
+    """Why bodies are not round about their axles, and the way out: many a cylinder lies across its joint's axis."""
+    paired = any(coaxial(a, b) for i, a in enumerate(wheels) for b in wheels[:i])
+    for c in wheels:
+        lying = [s for link in rest.document.body(c.joint.child) for s in rest.primitives[link] if s.kind == "cylinder"]
+        along = [rest.placements[c.joint.child][:3, :3].T @ s.pose[:3, 2] for s in lying]
+        if across := [axis for axis in along if abs(axis @ c.joint.axis) < TILTED]:
+            xyz, own = (" ".join(f"{abs(round(float(v), 3)):g}" for v in axis) for axis in (across[0], c.joint.axis))
+            why = f"the cylinder on '{c.joint.name}' lies along {xyz} in its link, and its joint turns about {own}"
+            fix = "turn the cylinders or the <axis> of the joints, so that they agree: an <axis> that is left out is x"
+            return why, f"{fix}; {blind_fix(wheels) if paired else '--base fixed parks them'}"
+    return "what turns on them is not round about the axle", blind_fix(wheels)
 
 
 def blind_fix(wheels: Sequence[Candidate]) -> str:

@@ -12,6 +12,8 @@ from .base import Base
 from .overrides import Overrides
 from .report import Reading, undecided
 
+NOTHING = 0.05  # of the mass of a robot: what simulators ask for of an empty link
+
 
 def welded(document: Document) -> tuple[Document, dict[str, str]]:
     """The robot with its planar and floating joints welded, and those of a virtual x, y and yaw; and what they were."""
@@ -27,11 +29,15 @@ def welded(document: Document) -> tuple[Document, dict[str, str]]:
 
 
 def virtual_joints(document: Document) -> dict[str, str]:
-    """Joints with their types that place a robot in the plane, on empty links: two level slides and a vertical turn."""
+    """Joints with their types that place a robot in the plane: two level slides and a vertical turn.
+
+    Their links are empty, but for the little mass that some simulators ask for.
+    """
     rest, link, found = AtRest(document), document.root_link, list[Joint]()
+    mass = NOTHING * sum(rest.masses.values())
     while len(found) < 3:
         below = document.moving_children(link)
-        if len(below) != 1 or any(rest.mass(name) > 0 for name in document.body(link)):
+        if len(below) != 1 or any(rest.mass(name) > mass or shaped(rest, name) for name in document.body(link)):
             return {}
         found.append(below[0])
         link = below[0].child
@@ -41,6 +47,11 @@ def virtual_joints(document: Document) -> dict[str, str]:
     turns = [j for j in found if j.type in ("revolute", "continuous") and rest.is_vertical(j)]
     crossed = len(slides) == 2 and len(turns) == 1 and abs(rest.axis(slides[0]) @ rest.axis(slides[1])) < HORIZONTAL
     return {j.name: j.type for j in found} if crossed else {}
+
+
+def shaped(rest: AtRest, link: str) -> bool:
+    """Whether a link that weighs something has a shape, too."""
+    return rest.mass(link) > 0 and rest.document.links[link].find(".//geometry") is not None
 
 
 def require_rolling(rest: AtRest, base: Base, welds: dict[str, str], overrides: Overrides) -> None:

@@ -36,6 +36,7 @@ from .machines import (
     steering_named,
     track_named,
     tracks,
+    welded_tracks,
 )
 from .opinions import second_opinions, unasked
 from .overrides import Overrides
@@ -48,6 +49,7 @@ from .report import (
     blind_fix,
     buried_note,
     evidence_note,
+    lumpy,
     not_on_floor,
     note,
     readings,
@@ -57,8 +59,10 @@ from .report import (
 )
 from .wheels import (
     COAXIAL,
+    LUMPY,
     ROUND_ABOUT,
     SLOPPY,
+    TILTED,
     TOUCHING,
     Candidate,
     Candidates,
@@ -100,7 +104,7 @@ def find_base(rest: AtRest, overrides: Overrides | None = None) -> BaseResult:
     overrides = overrides or Overrides()
     radii = stated(rest, overrides.controllers_file, RADII)
     radius = overrides.radius or (radii[0].value if len(radii) == 1 else None)
-    candidates = wheel_candidates(rest, radius, overrides.radius)
+    candidates = wheel_candidates(rest, radius, overrides.radius is not None)
     drives = candidates.wheels
     if overrides.base == "fixed":
         found = BaseResult(parked([*candidates.wheels, *candidates.near_misses, *candidates.limited]))
@@ -151,9 +155,15 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
         near = [j for j in rest.document.joints.values() if is_low(rest, j) or j in strays]
         wheels = [wheel_of(rest, j) for j in near if not rest.is_vertical(j)]
         why = f"{len(strays)} joints turn without end low on the base, and what is on them cannot be measured"
+        fix = blind_fix(wheels)
         if not wheels:
             wheels, why = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in near], UPRIGHT
-        raise undecided(rest, wheels, readings(rest, wheels), why, blind_fix(wheels) if why != UPRIGHT else Z_UP)
+            fix = Z_UP
+        elif any(abs(c.axis[2]) > TILTED for c in wheels):
+            why, fix = f"{len(strays)} like bodies turn without end about tilted axes: does it roll on a ball?", FORCES
+        elif all(c.shape == LUMPY for c in wheels):
+            why, fix = lumpy(rest, wheels)
+        raise undecided(rest, wheels, readings(rest, wheels), why, fix)
     base = replace(base, casters=in_order(rest, {*base.casters, *(j.name for j in strays)}))
     names = ", ".join(f"'{j.name}'" for j in strays)
     why = "low on the base and endless: hardly joints of an arm"
@@ -290,8 +300,9 @@ def without_wheels(rest: AtRest, overrides: Overrides, floor: float) -> BaseResu
         still = Reading("fixed", ("no wheel can turn in this file",), ("there are wheels under it",))
         fix = f"{UNDRIVEN}, or make the wheels' joints continuous"
         raise undecided(rest, [], [rolls, still], f"{len(welded)} wheels are welded on", fix, welded[0].line, names)
-    if not moving and (why := track_named(rest)):
-        raise unsupported(rest, "tracked machine", why, (), "--base holonomic drives it by forces on its frame")
+    if why := track_named(rest) if not moving else welded_tracks(rest):
+        more = "; --base fixed takes it as an arm" if moving else ""
+        raise unsupported(rest, "tracked machine", why, (), f"--base holonomic drives it by forces on its frame{more}")
     if not moving:
         fix = "--base holonomic drives it by forces on its frame, if it drives at all"
         raise unsupported(rest, "single rigid body", "it has no joint that moves", (), fix)
@@ -329,9 +340,21 @@ def many_parallel(rest: AtRest, drives: list[Candidate], wheels: list[Candidate]
     findings = [evidence_note(rest, meaning, cited)] if cited else []
     if meaning == "skid_steer":
         found = skidding(rest, drives, wheels, overrides)
-        return replace(found, findings=(*findings, *found.findings))
+        return replace(found, findings=(*findings, *along(rest, drives), *found.findings))
     base, assumed = mecanum(rest, drives, wheels, overrides, stated_rollers(cited))
     return BaseResult(base, (*findings, *assumed))
+
+
+def along(rest: AtRest, drives: list[Candidate]) -> list[Finding]:
+    """A note where only some wheels of a skid-steer base have motors: the others are taken as turned by these."""
+    motors = motors_named(rest)
+    own = [c.joint.name for c in drives if c.joint.name in motors]
+    if not 0 < len(own) < len(drives):
+        return []
+    text = f"of the wheels only {', '.join(own)} have motors: {motors[own[0]]}"
+    why = "the others are taken as turned along with those of their side, by a belt or chain"
+    fix = f"--wheels {','.join(own)} where they roll freely" if len(own) == 2 else ""
+    return [note(rest, "base-driven", own[0], text, why, fix)]
 
 
 # -- wheels that leave a doubt -----------------------------------------------------------------------------------------
@@ -343,7 +366,8 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     why = f"{names}: revolute with limits, and a wheel turns without end"
     two = Reading("differential_drive", ("coaxial round bodies on the floor",), (why,))
     still = Reading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
-    fix = 'write type="continuous" for wheels, name the others with --wheels LEFT,RIGHT, or --base fixed to park them'
+    drives = ",".join(c.joint.name for c in plain(candidates.wheels)) or "LEFT,RIGHT"
+    fix = f'write type="continuous" for wheels, name the others with --wheels {drives}, or --base fixed to park them'
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
 
 

@@ -2,9 +2,9 @@
 
 A wheel is a joint that turns freely about a horizontal axis, carries a round body around that axis and touches the
 floor, with its tread. Its body is a cylinder, a sphere or a mesh, and where rollers turn on it, what they reach. Where
-a mesh is missing nothing is measured from what is left. Joints that cannot be measured are wheels all the same where
-two share an axis, or three are low on the root's body: their radius is what is stated, else the height of their hub
-above a frame that stands for the floor.
+a mesh is missing nothing is measured from what is left, unless that reaches the floor that something else tells, or
+has the radius that is stated. Joints that cannot be measured are wheels all the same where two share an axis, or three
+are low on the root's body: their radius is what is stated, else the height of their hub above the floor.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from ..urdf.shapes import HORIZONTAL, VERTICAL, AtRest, Shape, reach_about, roun
 TOUCHING = 0.2  # a wheel's lowest point may be off the floor by this fraction of the radius
 COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
 SLOPPY = 0.1  # those of two that the user names may be apart by this fraction, and it is told
+SURE = 0.05  # what is left of a wheel is all of it if its radius is right within this fraction
 TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
 LUMPY = "not round"
 PARTIAL = "mesh missing"  # a shape that is not measured, since a mesh of it cannot be read
@@ -54,7 +55,8 @@ class Candidate:
         trail: Distance of the wheel from the vertical axis that it hangs on, inf without one [m].
         rollers: Joints of the rollers on its rim.
         other: Radius of its visual shapes where its collision shapes are measured, nan where it is not known [m].
-        unseen: Whether its collision shapes are measured while a visual mesh of it is missing: they may be a hub's.
+        left: Radius of what is left of it where a mesh is missing: that may be its hub; nan where nothing is missing,
+            or nothing left [m].
     """
 
     joint: Joint
@@ -66,7 +68,7 @@ class Candidate:
     trail: float = math.inf
     rollers: tuple[str, ...] = ()
     other: float = math.nan
-    unseen: bool = False
+    left: float = math.nan
 
     @property
     def bottom(self) -> float:
@@ -105,13 +107,13 @@ class Candidates:
     limited: list[Candidate] = field(default_factory=list)
 
 
-def wheel_candidates(rest: AtRest, radius: float | None = None, given: float | None = None) -> Candidates:
+def wheel_candidates(rest: AtRest, radius: float | None = None, given: bool = False) -> Candidates:
     """What may be wheels.
 
     Args:
         rest: The robot at rest.
         radius: What is stated of their radius, for those that cannot be measured [m].
-        given: What the user says of it, also for those that a missing mesh leaves in the air [m].
+        given: Whether the user states it, and not the file.
     """
     found = [c for joint in rest.document.joints.values() if (c := round_joint(rest, joint))]
     rollers = {name for c in found for name in c.rollers}
@@ -121,16 +123,19 @@ def wheel_candidates(rest: AtRest, radius: float | None = None, given: float | N
     found = [c for c in found if rest.is_horizontal(c.joint)]
     unknown, lumpy = [c for c in found if c.shape in ("unknown", PARTIAL)], [c for c in found if c.shape == LUMPY]
     known = [c for c in found if c not in unknown and c not in lumpy]
-    blind = {link for c in unknown for link in rest.document.body(c.joint.child)}  # what is left of them tells nothing
+    partial = [c for c in known if not math.isnan(c.left)]
+    blind = {link for c in unknown + partial for link in rest.document.body(c.joint.child)}  # tells no floor
     shapes = [shape for link in rest.document.links if link not in blind for shape in rest.primitives[link]]
-    footing = footing_of(rest, known, shapes)
-    known += on_floor(rest, unknown, known, footing, radius)
+    seen, around = [c for c in known if c not in partial], [s for s in shapes if not at_hub(s, unknown + partial)]
+    footing = footing_of(rest, seen, around)
+    doubted = [c for c in partial if c.mount == "" and not borne_out(c, footing, radius)]
+    known = [c for c in known if c not in doubted]
+    unknown += [replace(c, radius=math.nan, shape=PARTIAL) for c in doubted]
+    known += on_floor(rest, unknown, known, footing, radius, given)
     lowest = [shape.lowest for shape in shapes] + [rest.bottom(link) for link in rest.document.links]
     floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
-    if given is not None:
-        hangs = [c for c in known if c.unseen and c.bottom - floor > TOUCHING * c.radius]
-        known = [replace(c, radius=given, shape=STATED) if c in hangs else c for c in known]
-    touching = [c for c in known if c.shape == STATED or abs(c.bottom - floor) <= TOUCHING * c.radius]
+    ground = standing_on(rest, known, floor)
+    touching = [c for c in known if c.shape == STATED or abs(c.bottom - ground) <= TOUCHING * c.radius]
     limited = limited_wheels(rest, known, floor)
     if touching:
         return Candidates(touching, [], floor, footing, limited)
@@ -140,6 +145,29 @@ def wheel_candidates(rest: AtRest, radius: float | None = None, given: float | N
     lying = [c for c in upright if c.shape not in ("unknown", PARTIAL, LUMPY) and is_axle(rest, c, upright)]
     turning = [c for c in lumpy if is_axle(rest, c, lumpy) or is_round_about(rest, c, lumpy)]
     return Candidates([], hanging or standing or lying or turning, floor, footing, limited)
+
+
+def borne_out(c: Candidate, footing: float, stated: float | None) -> bool:
+    """Whether what is left of a wheel is all of it: it reaches the floor, or has the radius that is stated."""
+    near = SURE * c.radius
+    return abs(c.bottom - footing) <= near or (stated is not None and abs(c.radius - stated) <= near)
+
+
+def at_hub(shape: Shape, wheels: list[Candidate]) -> bool:
+    """Whether a lying cylinder is as high as the hub of a wheel that cannot be measured: its motor, no caster."""
+    high = [abs(float(shape.pose[2, 3]) - float(c.centre[2])) for c in wheels]
+    return shape.kind == "cylinder" and shape.rolls and min(high, default=math.inf) < shape.radius / 2
+
+
+def standing_on(rest: AtRest, known: list[Candidate], floor: float) -> float:
+    """Height of the floor by three or more wheels and balls, though an arm at rest hangs below it; else `floor`."""
+    body = rest.document.body(rest.document.root_link)
+    feet = [(c.bottom, c.radius) for c in known if not math.isnan(c.radius)]
+    feet += [(s.lowest, s.radius) for link in body for s in rest.primitives[link] if s.rolls]
+    level = min((bottom for bottom, _ in feet), default=math.nan)
+    steady = [bottom for bottom, radius in feet if bottom - level <= TOUCHING * radius]
+    own = min((rest.bottom(link) for link in body), default=math.inf)
+    return level if len(steady) >= ROUND_ABOUT and level - own <= SURE * feet[0][1] else floor
 
 
 def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[Candidate]:
@@ -186,7 +214,7 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
     Its shape is `LUMPY` when its body is not round. Rollers reach out further than the rim that carries them.
     """
     axis, hub, links = rest.axis(joint), rest.hub(joint), rest.document.body(joint.child)
-    seen = blind = False
+    seen, blind, left = False, False, math.nan
     for tag in ("collision", "visual"):
         bodies, gone = readable(rest, links, tag)
         rims, rims_gone = readable(rest, [rest.document.joints[name].child for name in rollers], tag)
@@ -199,8 +227,10 @@ def wheel_of(rest: AtRest, joint: Joint, rollers: tuple[str, ...] = ()) -> Candi
         if rounds and not gone and not rims_gone:
             radius, travel, kind = max(rounds)
             other, unseen = sight(rest, joint) if tag == "collision" and not rims else (math.nan, False)
-            return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other, unseen=unseen)
-    return Candidate(joint, axis, hub, math.nan, PARTIAL if blind else LUMPY if seen else "unknown")
+            left = radius if unseen else math.nan
+            return Candidate(joint, axis, hub + travel * axis, radius, kind, other=other, left=left)
+        left = max([left, *(radius for radius, _, _ in rounds)], key=lambda r: 0.0 if math.isnan(r) else r)
+    return Candidate(joint, axis, hub, math.nan, PARTIAL if blind else LUMPY if seen else "unknown", left=left)
 
 
 def sight(rest: AtRest, joint: Joint) -> tuple[float, bool]:
@@ -241,11 +271,17 @@ def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
 
 
 def on_floor(
-    rest: AtRest, unknown: list[Candidate], known: list[Candidate], footing: float, stated: float | None
+    rest: AtRest,
+    unknown: list[Candidate],
+    known: list[Candidate],
+    footing: float,
+    stated: float | None,
+    given: bool = False,
 ) -> list[Candidate]:
     """Bodies of unknown shape that are wheels by their places, of the radius that is stated, else of the hub's height.
 
-    Two share an axis, or three are low on the root's body. The radius is nan where nothing tells the floor.
+    Two share an axis, or three are low on the root's body. The radius is nan where nothing tells the floor; a file's
+    cannot be less than what is left of the wheel.
     """
     low = [c for c in unknown if is_low(rest, c.joint)]
     wheels = []
@@ -253,11 +289,14 @@ def on_floor(
         partners = [o for o in known + unknown if o is not c and coaxial(c, o)]
         if not partners and not (c in low and len(low) >= ROUND_ABOUT):
             continue
-        radius = stated if stated is not None else float(c.centre[2] - footing)
-        if radius <= 0 or any(radius >= np.linalg.norm(o.centre - c.centre) for o in partners[:1]):
+        least = 0.0 if math.isnan(c.left) else (1 - SURE) * c.left
+        believed = stated is not None and (given or stated >= least)
+        radius = stated if believed and stated is not None else float(c.centre[2] - footing)
+        short = not believed and radius < least
+        if short or radius <= 0 or any(radius >= np.linalg.norm(o.centre - c.centre) for o in partners[:1]):
             radius = math.nan
         blind = c.shape if math.isnan(radius) else HUB
-        wheels.append(replace(c, radius=radius, shape=blind if stated is None or math.isnan(radius) else STATED))
+        wheels.append(replace(c, radius=radius, shape=STATED if believed and not math.isnan(radius) else blind))
     return wheels
 
 
@@ -292,13 +331,18 @@ def is_endless_end(rest: AtRest, joint: Joint) -> bool:
 
 
 def alike_on_root(rest: AtRest) -> list[Joint]:
-    """Three or more like bodies on endless parallel joints on the root's body: wheels or casters, hardly an arm."""
+    """Three or more like bodies on endless joints on the root's body: wheels or casters, hardly an arm.
+
+    Their axes are parallel, or they are low and tilted alike.
+    """
     joints = [j for j in rest.document.moving_children(rest.document.root_link) if is_endless_end(rest, j)]
     if len(joints) < ROUND_ABOUT:
         return []
     masses, axes = [rest.mass(j.child) for j in joints], [rest.axis(j) for j in joints]
     alike = max(masses) - min(masses) <= 0.2 * max(masses)
-    return joints if alike and all(abs(axes[0] @ axis) > VERTICAL for axis in axes) else []
+    tilts, highest = [abs(float(axis[2])) for axis in axes], max(float(rest.hub(j)[2]) for j in joints)
+    around = max(tilts) - min(tilts) <= HORIZONTAL and highest <= height_at(rest, LOW)  # wheels on a ball, say
+    return joints if alike and (around or all(abs(axes[0] @ axis) > VERTICAL for axis in axes)) else []
 
 
 def parallel(a: Candidate, b: Candidate) -> bool:

@@ -10,7 +10,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ...compiled import compiled
+from ...compiled import linked
+from ...held import held
 from ...signals import Array, IntArray
 from ..dynamics import Dynamics
 from ..reduction import friction, quadratic, spread
@@ -21,6 +22,7 @@ from .motion import Tree, new_scratch
 from .tree import flatten
 
 
+@held
 class Body(NamedTuple):
     """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and base (p,), `Robot.arm_map`."""
 
@@ -36,6 +38,7 @@ class Body(NamedTuple):
     columns: Array
 
 
+@held
 class Work(NamedTuple):
     """Scratch memory for one robot in one thread."""
 
@@ -123,7 +126,7 @@ def parameters(robot: Robot) -> Array:
     )
 
 
-@compiled
+@linked
 def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
     """M, `h = C nu + gravity + friction`, friction F and `v = T nu` at a state."""
     terms(body.tree, position, nu, work.scratch, work.M, work.h)
@@ -133,7 +136,7 @@ def evaluate(body: Body, work: Work, position: Array, nu: Array) -> None:
         work.h[i] += work.F[i]
 
 
-@compiled
+@linked
 def energy_of(body: Body, work: Work, position: Array, nu: Array) -> float:
     """Kinetic and potential energy at a state [J]; the work's terms become those of that state."""
     evaluate(body, work, position, nu)

@@ -13,7 +13,7 @@ Echeandia and Wensing 2021, in moments). Symbols as in `mmnn_pin.model.tree.moti
 
 from __future__ import annotations
 
-from mmnn_pin.compiled import compiled, inlined, spliced
+from mmnn_pin.compiled import inlined, linked, spliced
 
 from ...elementary import cos_sin
 from .motion import (
@@ -194,7 +194,7 @@ def _inverse(
         _pull(links, numbers, i, get(scratch, BASE.w, AT.force), get(scratch, BASE.w, AT.torque), scratch, out)
 
 
-@inlined
+@linked
 def terms(tree: Tree, position: Array, nu: Array, scratch: Array, M: Array, h: Array) -> None:
     """Reduced mass matrix and bias forces, `M = T' M T` and `h = T' (C(q, T nu) T nu + g)`.
 
@@ -213,7 +213,7 @@ def terms(tree: Tree, position: Array, nu: Array, scratch: Array, M: Array, h: A
     _inverse(links, numbers, g, nu, nu, 0.0, scratch, h)
 
 
-@compiled
+@linked
 def psi(tree: Tree, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
     """What the networks must learn, `T' (M T nudot_ref + C(q, T nu) T nu_ref + g)`, thesis (3.20), (3.21).
 
@@ -230,7 +230,7 @@ def psi(tree: Tree, position: Array, nu: Array, nu_ref: Array, nudot_ref: Array,
     psi_again(tree, position, nu_ref, nudot_ref, scratch, out)
 
 
-@inlined
+@linked
 def psi_again(tree: Tree, position: Array, nu_ref: Array, nudot_ref: Array, scratch: Array, out: Array) -> None:
     """`psi` where `scratch` still holds this state, from `terms` or `psi` just before."""
     g, rotors = _gravity(tree.gravity, tree.frame, tree.level, position), tree.rotors
@@ -240,7 +240,7 @@ def psi_again(tree: Tree, position: Array, nu_ref: Array, nudot_ref: Array, scra
             out[a] += rotors[a, b] * nudot_ref[b]
 
 
-@compiled
+@linked
 def potential_energy(tree: Tree, position: Array, scratch: Array) -> float:
     """Potential energy [J], as `pin.computePotentialEnergy`; overwrites the places in `scratch`."""
     links, numbers, frame = tree.links, tree.numbers, tree.frame

@@ -7,15 +7,13 @@ from typing import Protocol
 
 import numpy as np
 
-from ...compiled import compiled, spliced
+from ...compiled import linked
 from ...errors import RobotError
-from ...signals import Array, IntArray
+from ...signals import Array
 from ..dynamics import Dynamics
-from ..reduction import friction, spread
 from ..robot import Robot
-from .body import Body, Work, body_of
-from .dynamics import potential_energy, psi_again, terms
-from .motion import Tree, new_scratch
+from .body import Body, Work, body_of, evaluate, new_work
+from .dynamics import potential_energy, psi_again
 
 
 class Terms(Protocol):
@@ -43,54 +41,12 @@ class Terms(Protocol):
         """Potential energy at the place last refreshed [J]."""
 
 
-@spliced
+@linked
 def psi_of(body: Body, work: Work, position: Array, nu_ref: Array, nudot_ref: Array, out: Array) -> None:
     """`M nudot_ref + C nu_ref + gravity + friction` at the state last evaluated, into out (p,)."""
     psi_again(body.tree, position, nu_ref, nudot_ref, work.scratch, out)
     for i in range(out.size):
         out[i] += work.F[i]
-
-
-# From Python a tuple of arrays costs 0.15 us per array and call: these take the few that they need.
-
-
-@spliced
-def whole(links: IntArray, numbers: Array, rotors: Array, rest: Array) -> Tree:
-    """A tree from its arrays and its single numbers."""
-    gravity, frame = (rest[0], rest[1], rest[2]), (rest[3], rest[4], rest[5])
-    return Tree(links, numbers, rotors, gravity, frame, int(rest[6]), rest[7])
-
-
-@compiled
-def refresh(
-    links: IntArray, numbers: Array, rotors: Array, rest: Array, T: Array, damping: Array, dry: Array, viscous: Array,
-    scratch: Array, position: Array, nu: Array, M: Array, h: Array, F: Array, v: Array,
-) -> None:  # fmt: skip
-    """What `body.evaluate` does."""
-    terms(whole(links, numbers, rotors, rest), position, nu, scratch, M, h)
-    spread(T, nu, v)
-    friction(T, v, nu, damping, dry, viscous, F)
-    for i in range(nu.size):
-        h[i] += F[i]
-
-
-@compiled
-def refresh_psi(
-    links: IntArray, numbers: Array, rotors: Array, rest: Array, scratch: Array, position: Array, F: Array,
-    nu_ref: Array, nudot_ref: Array, out: Array,
-) -> None:  # fmt: skip
-    """What `psi_of` does."""
-    psi_again(whole(links, numbers, rotors, rest), position, nu_ref, nudot_ref, scratch, out)
-    for i in range(out.size):
-        out[i] += F[i]
-
-
-@compiled
-def potential(
-    links: IntArray, numbers: Array, rotors: Array, rest: Array, scratch: Array, position: Array
-) -> float:  # fmt: skip
-    """Potential energy [J]."""
-    return potential_energy(whole(links, numbers, rotors, rest), position, scratch)
 
 
 class Twin:
@@ -107,13 +63,9 @@ class Twin:
     """
 
     def __init__(self, robot: Robot) -> None:
-        body, p = body_of(robot), robot.dimensions.dof
-        tree = body.tree
-        rest = np.array([*tree.gravity, *tree.frame, tree.level, tree.root_energy])
-        self.tree, self.scratch = (tree.links, tree.numbers, tree.rotors, rest), new_scratch(tree)
-        self.fixed = (*self.tree, body.T, body.damping, body.dry, body.viscous, self.scratch)
-        self.position, self.feels_gravity = robot.neutral_position(), body.feels_gravity
-        self.M, self.h, self.F, self.v = np.zeros((p, p)), np.zeros(p), np.zeros(p), np.zeros(robot.dimensions.full)
+        self.body = body_of(robot)
+        self.work, self.position = new_work(self.body), robot.neutral_position()
+        self.M, self.h, self.F, self.v = self.work.M, self.work.h, self.work.F, self.work.v
 
     def mass_matrix(self, position: Array) -> Array:
         """Reduced mass matrix at a position (nv,), (p, p) [kg, kg m, kg m^2]; a copy."""
@@ -123,15 +75,16 @@ class Twin:
     def refresh(self, position: Array, nu: Array) -> None:
         """See `Terms.refresh`."""
         self.position[:] = position
-        refresh(*self.fixed, self.position, nu, self.M, self.h, self.F, self.v)
+        evaluate(self.body, self.work, self.position, nu)
 
     def refresh_psi(self, nu_ref: Array, nudot_ref: Array, psi: Array) -> None:
         """See `Terms.refresh_psi`."""
-        refresh_psi(*self.tree, self.scratch, self.position, self.F, nu_ref, nudot_ref, psi)
+        psi_of(self.body, self.work, self.position, nu_ref, nudot_ref, psi)
 
     def potential(self) -> float:
         """See `Terms.potential`."""
-        return float(potential(*self.tree, self.scratch, self.position)) if self.feels_gravity else 0.0
+        body = self.body
+        return float(potential_energy(body.tree, self.position, self.work.scratch)) if body.feels_gravity else 0.0
 
 
 def terms_of(robot: Robot) -> Terms:

@@ -14,24 +14,29 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from lxml import etree
 
 from ...errors import ConfigError, RobotError
-from .packages import package_of, packages
+from .finding import Finding, finding
+from .packages import FIND, package_of, packages
 from .xml import KNOWN
 
 XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
 
-INCLUDE = "include"  # an element of xacro that old files have bare, and that adds something
+BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
+
+HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
 
 USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
+
+INVALID = r"Invalid parameter \"([^\"]+)\""
 
 SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
 
@@ -40,6 +45,40 @@ PATIENCE = 30.0  # how long it may wait for anything else [s]
 FILES = 400  # looked at for one that calls a macro
 
 CHILD = "from mmnn_pin.model.urdf.expansion import child; child()"
+
+
+class Expansion(NamedTuple):
+    """What a xacro file expands to.
+
+    Attributes:
+        data: The URDF.
+        absent: Packages, and files of packages, that it names, that are not there, and that it could do without.
+        calls: Macros that it calls without their prefix.
+    """
+
+    data: bytes
+    absent: list[str]
+    calls: list[str]
+
+    def findings(self, without: Sequence[str]) -> list[Finding]:
+        """What there is to say of the file, with the macros that the user leaves out."""
+        notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
+        if self.absent:
+            what, why = (
+                f"packages or files of them not found: {', '.join(self.absent)}",
+                "what they would add is left out",
+            )
+            fix = "give the folder that holds them with --package-dir"
+            notes.append(finding("xacro-package", 1, what, why, fix))
+        if self.calls:
+            what, why = (
+                f"<{'>, <'.join(self.calls)}> without 'xacro:'",
+                "taken as before ROS Jade: now xacro leaves them out",
+            )
+            notes.append(finding("xacro-prefix", 1, what, why, "write them with 'xacro:'"))
+        if without:
+            notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", "you said --without"))
+        return notes
 
 
 def is_xacro(path: Path, data: bytes) -> bool:
@@ -67,8 +106,10 @@ def expand(
     given: Sequence[str] = (),
     package_dirs: Sequence[str | Path] = (),
     without: Sequence[str] = (),
-) -> tuple[bytes, list[str]]:
-    """The URDF that a xacro file expands to, and the packages that it names and could do without.
+) -> Expansion:
+    """The URDF that a xacro file expands to.
+
+    Calls of macros without `xacro:` are taken as calls, as xacro did before ROS Jade: today's leaves them out.
 
     Args:
         path: The file.
@@ -80,27 +121,34 @@ def expand(
         ConfigError: Arguments that are none, a macro to leave out that is never called.
         RobotError: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
     """
-    job = {"path": str(path), "arguments": arguments_of(given), "without": list(without)}
+    job: dict[str, Any] = {"path": str(path), "arguments": arguments_of(given), "without": list(without), "calls": []}
     if find_spec("xacro") is None or find_spec("xacrodoc") is None:  # the extra `xacro`
         fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
         raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1)
-    told, data = run(path, job | {"known": packages(path, package_dirs)})
+    job["known"] = packages(path, package_dirs)
+    told, data = run(path, job)
+    while new := [name for name in told["bare"] if name not in job["calls"]]:
+        job["calls"] += new
+        told, data = run(path, job)
     if "error" in told:
-        raise refusal(Path(told["place"]), told["error"], told["absent"], told["needed"])
-    if told["bare"]:
-        name, place = told["bare"]
-        why, fix = "xacro leaves such a call out", f"write <xacro:{name}>, or leave it out: --without {name}"
-        file = Path(place)
-        raise RobotError(f"<{name}> lacks its prefix", why=why, fix=fix, file=file, line=line_of(file, f"<{name}"))
+        raise refusal(
+            Path(told["place"]), told["error"], told["absent"], told["needed"], lambda m: leads_on(path, job, m)
+        )
     if unused := [name for name in without if name not in told["omitted"]]:
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
     if b"<link" not in data:
         raise macros_only(path, data)
-    return (pruned(data) if without else data), told["absent"]
+    return Expansion(pruned(data) if without else data, told["absent"], job["calls"])
+
+
+def leads_on(path: Path, job: dict[str, Any], macro: str) -> bool:
+    """Whether something is left of a robot without the calls of a macro, as far as that can be seen now."""
+    told, data = run(path, job | {"without": [*job["without"], macro]})
+    return "error" in told or b"<link" in pruned(data)
 
 
 def pruned(data: bytes) -> bytes:
-    """A URDF without the joints whose parent was left out, and all that they carry."""
+    """A URDF without the joints of which a link was left out, and all that they carry."""
     try:
         root = etree.fromstring(data)
     except etree.XMLSyntaxError:
@@ -110,7 +158,7 @@ def pruned(data: bytes) -> bytes:
     hanging = [
         (joint, up.get("link"), down.get("link")) for joint, up, down in ends if up is not None and down is not None
     ]
-    while lost := [entry for entry in hanging if entry[1] not in links]:
+    while lost := [entry for entry in hanging if entry[1] not in links or entry[2] not in links]:
         for joint, _, child in lost:
             root.remove(joint)
             if child in links:
@@ -125,7 +173,10 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     Raises:
         RobotError: It takes too long or too much.
     """
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
+        "OPENBLAS_NUM_THREADS": "1",
+    }
     command = [sys.executable, "-P", "-c", CHILD]
     try:
         ended = subprocess.run(
@@ -143,23 +194,34 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     return json.loads(head), data
 
 
+def taken() -> int:
+    """Address space of this process [bytes]: libraries reserve some for every core; 0 where that is not known."""
+    with contextlib.suppress(OSError):
+        return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    return 0
+
+
 def child() -> None:
     """Expand the file of a job on standard input; on standard output a line of JSON, then the URDF."""
     job, out = json.load(sys.stdin), sys.stdout
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        resource.setrlimit(resource.RLIMIT_AS, (BYTES, BYTES))
-        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 2))
     import xacro
     import xacrodoc
 
-    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": None}
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        most = taken() + BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 2))
+    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": []}
     data = b""
     with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
         try:
             document = xacro.process_file(job["path"], mappings=dict(job["arguments"]))
-            data, told["bare"] = bytes(document.toprettyxml(indent="  ", encoding="utf-8")), bare_call(document, texts)
+            data, told["bare"] = (
+                bytes(document.toprettyxml(indent="  ", encoding="utf-8")),
+                bare_calls(document, [*texts.values()]),
+            )
         except MemoryError:
             raise
         except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
@@ -167,47 +229,59 @@ def child() -> None:
                 raise
             told["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0]
             told["place"] = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
-            used, stated = ({name for _, text in texts for name in pattern.findall(text)} for pattern in (USED, STATED))
+            if hit := re.search(INVALID, told["error"]):
+                told["place"] = next((file for file, text in texts.items() if giving(hit[1], text)), told["place"])
+            used, stated = (
+                {name for text in texts.values() for name in pattern.findall(text)} for pattern in (USED, STATED)
+            )
             told["needed"] = sorted(used - stated - set(job["arguments"]))
+            told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     out.write(json.dumps(told) + "\n")
     out.flush()
     out.buffer.write(data)
 
 
-def bare_call(document: Any, texts: list[tuple[str, str]]) -> tuple[str, str] | None:
-    """A call that is left in an expanded document for want of `xacro:`, and the file that has it; None without one.
+def bare_calls(document: Any, texts: list[str]) -> list[str]:
+    """Calls that are left in an expanded document for want of `xacro:`.
 
     Args:
         document: What xacro made.
-        texts: Files that it read, with what is in them.
+        texts: What is in the files that it read.
     """
-    whole = "".join(text for _, text in texts).replace("<macro ", "<xacro:macro ")
-    calls = {*MACRO.findall(whole)} - KNOWN.keys() | {INCLUDE}
-    for element in document.documentElement.childNodes:
-        name = getattr(element, "tagName", "")
-        if name in calls:
-            call = re.compile(rf"<{re.escape(name)}[\s/>]")
-            return name, next((file for file, text in texts if call.search(text)), texts[0][0])
-    return None
+    calls = {*MACRO.findall("".join(texts).replace("<macro ", "<xacro:macro "))} - KNOWN.keys() | BARE
+    return sorted({name for name in calls for _ in robots_own(document, name)})
+
+
+def robots_own(document: Any, name: str) -> list[Any]:
+    """Elements of a name that belong to the robot itself: a simulator's blocks have others called alike."""
+    found = []
+    for element in document.getElementsByTagName(name):
+        above = element.parentNode
+        while above.parentNode is not None and above.tagName in HOLDERS | BARE:
+            above = above.parentNode
+        found += [element] if above.parentNode is None else []
+    return found
 
 
 @contextlib.contextmanager
-def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[list[tuple[str, str]]]:
-    """Have xacro find packages without ROS, and do without those that it does not need; gives the files it reads.
+def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[dict[str, str]]:
+    """Have xacro find packages without ROS, and do without those that it does not need; gives what it reads.
 
-    A file of a package that is not there is left out: where a macro or property of it is used, xacro refuses all the
-    same. A file that a build would install elsewhere in its package is taken where it is, if there is one alone.
+    A file that is not there is left out, or one of a package that is not: where a macro or property of it is used,
+    xacro refuses all the same. A file that a build would install elsewhere in its package is taken where it is, if
+    there is one alone.
 
     Args:
         xacro: The module.
         xacrodoc: The module that finds packages where ROS is installed.
-        job: What to expand: `known`, folders of packages; `without`, macros to leave out.
+        job: What to expand: `known`, folders of packages; `without`, macros to leave out; `calls`, macros that are
+            called without their prefix.
         told: `absent` is filled with the packages that are not there, `omitted` with macros that are left out.
     """
     places: Any = sys.modules["xacro.substitution_args"]
     parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
-    known, texts = job["known"], list[tuple[str, str]]()
+    known, texts = job["known"], dict[str, str]()
 
     def seek(package: str) -> str:
         if package not in known:
@@ -220,11 +294,21 @@ def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]
     def parsed(given: Any, filename: str | None = None) -> Any:
         document = parse(given, filename)
         with contextlib.suppress(OSError, TypeError):
-            texts.append((str(filename or given), Path(filename or given).read_text(errors="replace")))
+            texts[str(filename or given)] = Path(filename or given).read_text(errors="replace")
+        for name in job["calls"]:
+            for element in robots_own(document, name):
+                element.tagName = element.nodeName = f"xacro:{name}"
         for element in document.getElementsByTagName("xacro:include"):
-            package = re.search(r"\$\(find\s+([^)\s]+)\s*\)", element.getAttribute("filename"))
-            if package and seek(package[1]).startswith("package://"):
-                element.setAttribute("optional", "true")
+            if hit := FIND.match(element.getAttribute("filename")):
+                folder = seek(hit[1])
+                gone = (
+                    "$" not in hit[2]
+                    and not set(hit[2]) & {*"*[?"}
+                    and not os.path.exists(elsewhere(os.path.join(folder, hit[2]), known))
+                )
+                if folder.startswith("package://") or gone:
+                    element.setAttribute("optional", "true")
+                    told["absent"] |= {hit[1] if folder.startswith("package://") else f"{hit[1]}/{hit[2]}"}
         for name in job["without"]:
             for element in (*document.getElementsByTagName(f"xacro:{name}"), *document.getElementsByTagName(name)):
                 element.parentNode.removeChild(element)
@@ -261,7 +345,16 @@ WAYS_OUT = (
     (r"Undefined substitution argument (\S+)", "give it: --xacro {}:=VALUE"),
     (
         r"No such file or directory:? .*?([^/'\" ]+)['\"]?(?: |$)",
-        "is '{}' in a package that --package-dir should name?",
+        "bring '{}' to that place: it starts from the file's folder",
+    ),
+    (r"environment variable '([^']+)' is not set", "set it where you start: {}=VALUE mmnn ..."),
+    (
+        INVALID,
+        "the macro has no '{}': bring the version of its package that this file is made for",
+    ),
+    (
+        r"name '([^']+)' is not defined",
+        "define '{}': give a file that includes this one, or the package that defines it",
     ),
     (r"unknown macro name: xacro:(\S+)", "is the file that defines '{}' included?"),
     (r"(unbound prefix)", 'declare it: <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'),
@@ -269,7 +362,7 @@ WAYS_OUT = (
 )
 
 
-def refusal(place: Path, error: str, absent: list[str], needed: list[str]) -> RobotError:
+def refusal(place: Path, error: str, absent: list[str], needed: list[str], may_go: Callable[[str], bool]) -> RobotError:
     """Why a file could not be expanded, at the line where the cause is named.
 
     Args:
@@ -277,6 +370,7 @@ def refusal(place: Path, error: str, absent: list[str], needed: list[str]) -> Ro
         error: Its words.
         absent: Packages that are not found.
         needed: Arguments without a value.
+        may_go: Whether the calls of a macro can be left out.
     """
     text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(error.split())), "", "mend the file"
     for pattern, way in WAYS_OUT:
@@ -285,10 +379,19 @@ def refusal(place: Path, error: str, absent: list[str], needed: list[str]) -> Ro
             break
     if "Undefined substitution" in text and len(needed) > 1:
         fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
-    if absent and (fix == "mend the file" or "included" in fix):
-        leave = f", or leave it out: --without {word}" if "unknown macro" in text else ""
-        fix = f"is it in a package that is not found ({', '.join(absent)})? Give its folder with --package-dir{leave}"
+    called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
+    macro = word if "unknown macro" in text else called
+    if absent and (fix == "mend the file" or "unknown macro" in text or "is not defined" in text):
+        fix = f"is it in what is not found ({', '.join(absent)})? Give the folder of the package with --package-dir"
+    if macro and (absent or called) and may_go(macro):
+        fix += f", or leave it out: --without {macro}"
     return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+
+
+def giving(parameter: str, text: str) -> str:
+    """The macro that a file calls with a parameter, empty where there is none."""
+    hit = re.search(rf"<xacro:([\w.-]+)\s[^<>]*?\b{re.escape(parameter)}=", text)
+    return hit[1] if hit else ""
 
 
 def line_of(path: Path, word: str) -> int:

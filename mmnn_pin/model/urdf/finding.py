@@ -23,6 +23,7 @@ CODES = {
     "expanded": "note",
     "color": "warning",
     "xacro-package": "warning",
+    "xacro-prefix": "warning",
     "namespace": "warning",
     "version": "error",
     "too-many": "error",

@@ -182,18 +182,11 @@ def audit_xacro(
     without: Sequence[str],
 ) -> tuple[Document | None, tuple[Finding, ...]]:
     """The same for the content of a xacro file; raises `RobotError` where it cannot be expanded."""
-    data, absent = expand(path, xacro, package_dirs, without)
-    if len(data) > MAX_BYTES:
+    made = expand(path, xacro, package_dirs, without)
+    if len(made.data) > MAX_BYTES:
         return None, settle([finding("file", 1, f"expands to more than {MAX_BYTES // 1_000_000} MB")], path, strict)
-    document, findings = audit_data(data, path, strict, package_dirs)
-    notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
-    if absent:
-        what, why = f"packages not found: {', '.join(absent)}", "what their files would add is left out"
-        fix = "give the folder that holds them with --package-dir"
-        notes.append(finding("xacro-package", 1, what, why, fix))
-    if without:
-        notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", "you said --without"))
-    whole = (*settle(notes, path, strict), *findings)
+    document, findings = audit_data(made.data, path, strict, package_dirs)
+    whole = (*settle(made.findings(without), path, strict), *findings)
     return document and replace(document, findings=whole), whole
 
 

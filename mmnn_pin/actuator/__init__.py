@@ -1,0 +1,9 @@
+"""What motors and gears make of a commanded torque: limits, current loop, supply, backlash.
+
+`Actuator` in `settings` makes the list of effects, `effects` has one class for each.
+"""
+
+from .effects import AHEAD, ROTOR_SPEED, STATES, SUM, Backlash, Drive, Motors
+from .settings import NEVER, Actuator, motor_places
+
+__all__ = ["AHEAD", "NEVER", "ROTOR_SPEED", "STATES", "SUM", "Actuator", "Backlash", "Drive", "Motors", "motor_places"]

@@ -1,0 +1,274 @@
+"""The effects of motors and gears on a torque, one class each, as compiled code steps them.
+
+**Supply.** A direct-current motor: the drive asks for the voltage `R u / kt + kt w`, gets it within the supply and in
+whole steps of the PWM, and the torque is `kt (V - kt w) / R`. Its bridge takes the share `V / supply` of the winding's
+current from the battery, whose voltage sags by its resistance times the sum of what the motors took in the last step.
+
+**Backlash.** Two masses with a gap between them, a two-sided contact: the rotor (inertia J) turns freely inside the gap
+and presses on the flank with a spring and a damper that never pulls. It starts in the middle, at the joint's speed. The
+rotor moves by implicit Euler, which is stable however stiff the flank; the joint feels the flank's torque, held over a
+step. The rotor's inertia is then here, not in the robot's armature. What a held torque gives the joint too much in a
+step is `dt^2 u' E' M^-1 E u / 2`, what implicit Euler takes from the rotors `dt^2 u' J^-1 u / 2`: rotors lighter than
+what they drive never gain energy, and others are refused.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from ..compiled import compiled, internal
+from ..held import held
+from ..signals import EARLY, Array, IntArray
+
+# State of a motor: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, the current
+# that it draws from the supply, the sum of what it gave to the joint in this control period, what it gave last.
+TORQUE, AHEAD, ROTOR_SPEED, DRAWN, SUM, GIVEN, STATES = range(7)
+
+
+@held
+class Drive(NamedTuple):
+    """What goes from the commands to the joints; the effects change it one after the other.
+
+    Attributes:
+        torque: (motors,) first what is commanded, last what the joints get [N m or N].
+        speed: (motors,) speed of the motors [rad/s or m/s].
+        joint: (motors,) speed of the joints [rad/s or m/s].
+        shorted: (1,) how many motors, from the first on, have their windings shorted.
+    """
+
+    torque: Array
+    speed: Array
+    joint: Array
+    shorted: IntArray
+
+
+@held
+class Motors(NamedTuple):
+    """The motors of one run: whether they are imperfect, their state, what they pass on, and the effects."""
+
+    imperfect: bool
+    states: Array
+    wire: Drive
+    effects: tuple[Any, ...]
+
+
+@held
+class MotorSpeed(NamedTuple):
+    """The speed at which a motor turns: its rotor's where the gear has a gap, else its joint's."""
+
+    gap: Array
+    states: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Write the motors' speeds."""
+        for i in range(wire.speed.size):
+            wire.speed[i] = self.states[i, ROTOR_SPEED] if self.gap[i] > 0.0 else wire.joint[i]
+
+
+@held
+class TorqueConstant(NamedTuple):
+    """A torque constant that the drive does not know: `gain` times the command."""
+
+    gain: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Scale the torques."""
+        for i in range(wire.torque.size):
+            wire.torque[i] = self.gain[i] * wire.torque[i]
+
+
+@held
+class TorqueLimit(NamedTuple):
+    """The largest torque of every motor, inf for none."""
+
+    limit: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Clip the torques."""
+        for i in range(wire.torque.size):
+            wire.torque[i] = min(max(wire.torque[i], -self.limit[i]), self.limit[i])
+
+
+@held
+class Supply(NamedTuple):
+    """What the battery's voltage and the PWM let a motor give at its speed: `kt (V - kt w) / R`."""
+
+    voltage: float  # of the battery without a load [V]; 0 for a supply without end
+    battery: float  # its resistance [Ohm]
+    levels: float  # steps of the PWM between 0 and the voltage, 0 for none
+    constant: Array  # (motors,) kt [N m/A]
+    resistance: Array  # (motors,) of the windings [Ohm]
+    states: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Limit the torques to what the drives' voltages give."""
+        if self.voltage > 0.0:
+            voltage = max(sagged(self), 0.0)
+            for i in range(wire.torque.size):
+                kt, w = self.constant[i], wire.speed[i]
+                wanted = self.resistance[i] * wire.torque[i] / kt + kt * w
+                if self.levels > 0.0:
+                    step = self.voltage / self.levels
+                    wanted = step * math.floor(wanted / step + 0.5)
+                wire.torque[i] = kt * (min(max(wanted, -voltage), voltage) - kt * w) / self.resistance[i]
+
+
+@compiled
+def sagged(supply: Supply) -> float:
+    """Voltage of the battery under what the motors drew in the last step [V]."""
+    voltage = supply.voltage
+    for i in range(supply.constant.size):
+        voltage -= supply.battery * supply.states[i, DRAWN]
+    return voltage
+
+
+@held
+class SpeedLimit(NamedTuple):
+    """The speed from which on a motor brakes but does not drive, inf for none."""
+
+    limit: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Take away the torques that would drive on."""
+        for i in range(wire.torque.size):
+            if abs(wire.speed[i]) >= self.limit[i] and wire.torque[i] * wire.speed[i] > 0.0:
+                wire.torque[i] = 0.0
+
+
+@held
+class DeadMotors(NamedTuple):
+    """Motors without current for a while: windows (k, 3) of motor, start and end [s]."""
+
+    windows: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Take the torque of the dead ones away."""
+        for i in range(self.windows.shape[0]):
+            if self.windows[i, 1] <= time + EARLY and time + EARLY < self.windows[i, 2]:
+                wire.torque[int(self.windows[i, 0])] = 0.0
+
+
+@held
+class CurrentLoop(NamedTuple):
+    """A first-order lag: `decay = exp(-dt / lag)` of what is missing is left after a step."""
+
+    decay: Array
+    states: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Let the torques follow."""
+        for i in range(wire.torque.size):
+            u = wire.torque[i]
+            self.states[i, TORQUE] = u + self.decay[i] * (self.states[i, TORQUE] - u)
+            wire.torque[i] = self.states[i, TORQUE]
+
+
+@held
+class Battery(NamedTuple):
+    """What the bridges take from the battery, `V / supply` of the winding's current, negative where a motor brakes.
+
+    The supply's voltage sags by it in the next step.
+    """
+
+    supply: Supply
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Write the currents of this step."""
+        supply = self.supply
+        voltage = sagged(supply)
+        for i in range(wire.torque.size):
+            drawn = 0.0
+            if voltage > 0.0:
+                current = wire.torque[i] / supply.constant[i]
+                needed = supply.resistance[i] * current + supply.constant[i] * wire.speed[i]
+                drawn = min(max(needed / voltage, -1.0), 1.0) * current
+            supply.states[i, DRAWN] = drawn
+
+
+@held
+class ShortedWindings(NamedTuple):
+    """The brake of motors whose windings a supervisor has shorted; implicit in the rotor, where there is one."""
+
+    dt: float
+    brake: Array
+    gap: Array
+    rotor: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Brake the first motors, as many as are shorted."""
+        for i in range(wire.shorted[0]):
+            u, b = wire.torque[i], self.brake[i]
+            implicit = self.dt * b / self.rotor[i] if self.gap[i] > 0.0 else 0.0
+            wire.torque[i] = (u - b * wire.speed[i]) / (1.0 + implicit)
+
+
+@held
+class Backlash(NamedTuple):
+    """Gears with a gap: rotor and joint are two masses, a flank between them that pushes and never pulls."""
+
+    dt: float
+    gap: Array  # (motors,) from flank to flank, 0 for none [rad or m]
+    rotor: Array  # (motors,) inertia J on the motor's side [kg m^2 or kg]
+    stiffness: Array  # (motors,) k of the flank
+    damping: Array  # (motors,) c of the flank
+    friction: Array  # (motors,) Coulomb friction of the rotor
+    states: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Torque of the flanks on the joints; the rotors' speed and lead move on by implicit Euler."""
+        dt = self.dt
+        for i in range(wire.torque.size):
+            if self.gap[i] > 0.0:
+                u, joint, J, rubs = wire.torque[i], wire.joint[i], self.rotor[i], self.friction[i]
+                free = slowed(self.states[i, ROTOR_SPEED] + dt * u / J, dt * rubs / J)
+                before, half, torque = self.states[i, AHEAD], 0.5 * self.gap[i], 0.0
+                ahead = before + dt * (free - joint)
+                if abs(ahead) > half:
+                    flank = half if ahead > 0.0 else -half
+                    # torque = k (ahead - flank) + c (w - joint) at the end of the step
+                    grip = dt * self.stiffness[i] + self.damping[i]
+                    push = self.stiffness[i] * (before - flank) - grip * joint
+                    most = 1.0 + dt * grip / J
+                    pushed = slowed((self.states[i, ROTOR_SPEED] + dt * (u - push) / J) / most, dt * rubs / (J * most))
+                    torque = push + grip * pushed
+                    if torque * flank <= 0.0:
+                        torque = 0.0
+                    elif (before - flank) * flank < 0.0 and (before + dt * (pushed - joint) - flank) * flank < 0.0:
+                        touching = joint + (flank - before) / dt  # it would be hit before it is there
+                        free, torque = touching, J * (free - touching) / dt
+                    else:
+                        free = pushed
+                self.states[i, ROTOR_SPEED] = free
+                self.states[i, AHEAD] += dt * (free - joint)
+                wire.torque[i] = torque
+
+
+@held
+class Meter(NamedTuple):
+    """What the joints get, now and as the sum over a control period: the signal `applied`."""
+
+    states: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Write both down."""
+        for i in range(wire.torque.size):
+            self.states[i, GIVEN] = wire.torque[i]
+            self.states[i, SUM] += wire.torque[i]
+
+
+@compiled
+def slowed(speed: float, most: float) -> float:
+    """Speed after a friction that takes at most so much of it and holds at rest."""
+    return speed - min(max(speed, -most), most)

@@ -1,0 +1,118 @@
+"""Large tuples for compiled code by their place in memory.
+
+numba hands a named tuple over by value: every array in it is seven numbers, at every call, in every caller. A tuple of
+a hundred arrays makes small functions slow to compile, and slow to call from Python. One that is marked,
+
+    @held
+    class Motors(NamedTuple):
+        wire: Drive
+        effects: tuple[Any, ...]
+
+is written into memory once, when compiled code first meets it, and handed over as one address. Compiled code reads
+its fields as before. Tuples within it that are marked, too, are addresses in it. A marked tuple is made by Python only.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import struct
+from functools import cached_property
+from typing import Any, TypeVar
+
+import numba
+import numpy as np
+from numba.core import cgutils, types
+from numba.core.datamodel import models, register_default
+from numba.core.imputils import impl_ret_borrowed, lower_getattr_generic
+from numba.core.typing.templates import AttributeTemplate, infer_getattr
+from numba.extending import NativeValue, typeof_impl, unbox
+
+T = TypeVar("T")
+
+
+def held(kind: type[T]) -> type[T]:
+    """The class of named tuples, of which compiled code is handed the address."""
+    more: dict[str, Any] = {name: getattr(kind, name) for name in ("__doc__", "__module__", "__qualname__")}
+    more |= {"address": cached_property(address), "__getstate__": lambda value: None}  # a copy stands elsewhere
+    made = type(kind.__name__, (kind,), more)
+    typeof_impl.register(made)(typed)
+    return made
+
+
+def address(value: Any) -> int:
+    """Where a tuple stands in memory, as compiled code reads it, as long as it lives."""
+    form, numbers = words(value)
+    made = ctypes.create_string_buffer(struct.pack(form, *numbers))
+    return ctypes.addressof(value.__dict__.setdefault("memory", made))  # threads that ask at once get the same
+
+
+def words(parts: tuple[Any, ...]) -> tuple[str, list[Any]]:
+    """The parts of a tuple as a format of `struct` and its numbers; an array's are those of numba's `ArrayModel`."""
+    form, numbers = "0q", list[Any]()
+    for part in parts:
+        if hasattr(part, "address"):
+            more, found = "P", [part.address]
+        elif isinstance(part, tuple):
+            more, found = words(part)
+        elif part is None:
+            more, found = "P", [0]
+        elif isinstance(part, np.ndarray):
+            more = f"{5 + 2 * part.ndim}q"
+            found = [0, 0, part.size, part.itemsize, part.ctypes.data, *part.shape, *part.strides]
+        else:
+            more, found = {types.boolean: "?", types.int64: "q", types.float64: "d"}[numba.typeof(part)], [part]
+        form, numbers = form + more, numbers + found
+    return form + "0q", numbers
+
+
+class Held(types.Type):
+    """numba's type of a marked tuple."""
+
+    def __init__(self, tuple_type: Any) -> None:
+        self.tuple_type, self.instance_class = tuple_type, tuple_type.instance_class
+        super().__init__(f"Held({tuple_type})")
+
+
+@register_default(Held)
+class Address(models.PrimitiveModel):
+    """A marked tuple in compiled code."""
+
+    def __init__(self, manager: Any, kind: Held) -> None:
+        super().__init__(manager, kind, manager.lookup(kind.tuple_type).get_value_type().as_pointer())
+
+
+def typed(value: Any, context: Any) -> Held | None:
+    """Numba's type of a marked tuple; None where it has none for a part."""
+    parts = [typeof_impl(part, context) for part in value]
+    return None if None in parts else Held(types.BaseTuple.from_types(parts, type(value)))
+
+
+@unbox(Held)
+def take(kind: Held, value: Any, c: Any) -> NativeValue:
+    """The address of a marked tuple that comes from Python."""
+    place = c.pyapi.object_getattr_string(value, "address")
+    number = c.pyapi.long_as_voidptr(place)
+    c.pyapi.decref(place)
+    failed = cgutils.is_not_null(c.builder, c.pyapi.err_occurred())
+    return NativeValue(c.builder.bitcast(number, c.context.get_value_type(kind)), is_error=failed)
+
+
+@infer_getattr
+class Field(AttributeTemplate):
+    """The type of a marked tuple's field."""
+
+    key = Held
+
+    def generic_resolve(self, kind: Held, name: str) -> Any:  # type: ignore[override]
+        """The field's type, None for no field."""
+        fields = kind.tuple_type.fields
+        return kind.tuple_type.types[fields.index(name)] if name in fields else None
+
+
+@lower_getattr_generic(Held)
+def read(context: Any, builder: Any, kind: Held, place: Any, name: str) -> Any:
+    """Read a field; that it never changes is said, so that it is read once."""
+    i = kind.tuple_type.fields.index(name)
+    found = builder.load(cgutils.gep_inbounds(builder, place, 0, i))
+    found.set_metadata("invariant.load", builder.module.add_metadata([]))
+    return impl_ret_borrowed(context, builder, kind.tuple_type.types[i], found)

@@ -1,0 +1,112 @@
+"""Messages that take their time: how old a measurement is when it is used, and when a command reaches the motors."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..actuator import Drive
+from ..compiled import internal
+from ..errors import ConfigError
+from ..held import held
+from ..settings import Settings, Timing, require_gains
+from ..signals import EARLY, Array, IntArray
+
+
+class Latency(Settings, frozen=True):
+    """How long a measurement and a command are under way between robot and controller.
+
+    Args:
+        sensing: Age of a measurement when it is used [s]; a whole number of measurements in a simulation.
+        command: Time from there to the motors [s], rounded to steps of the plant.
+        jitter: Largest further delay of a command, every one by its own chance; none overtakes another [s].
+        margin: Delay beyond these that a loop should bear; less is reported [s].
+        predict: Whether a measurement is brought up to now, by what the reference has moved since it was taken
+            (`loop.lead.catch_up`); it needs one at every control sample.
+
+    Raises:
+        ConfigError: A number that is negative or not finite.
+    """
+
+    sensing: float = 0.0
+    command: float = 0.0
+    jitter: float = 0.0
+    margin: float = 0.003
+    predict: bool = False
+
+    def __post_init__(self) -> None:
+        require_gains(self, "latency")
+
+    @property
+    def total(self) -> float:
+        """All of it at its longest [s]."""
+        return self.sensing + self.command + self.jitter
+
+    def caught_up(self, timing: Timing) -> float:
+        """By how much a measurement is brought up to now [s].
+
+        Raises:
+            ConfigError: There is none at some control samples, and what was brought up once is kept there.
+        """
+        if not self.predict:
+            return 0.0
+        if timing.measurement_period > timing.control_period * (1 + 1e-9):
+            why = f"the sensors measure every {timing.measurement_period:g} s, the controller acts every"
+            why += f" {timing.control_period:g} s"
+            fix = "use latency.predict = false, or a shorter time.sensor_period"
+            raise ConfigError("a measurement that is not new at every sample", why=why, fix=fix, key="latency.predict")
+        return self.sensing
+
+    def measurements(self, timing: Timing) -> int:
+        """Measurements by which the sensors are late.
+
+        Raises:
+            ConfigError: Not a whole number.
+        """
+        late = round(self.sensing / timing.measurement_period)
+        if abs(late * timing.measurement_period - self.sensing) > EARLY:
+            why = f"the sensors measure every {timing.measurement_period:g} s"
+            fix = "give a multiple of that, a shorter time.sensor_period, or latency.command"
+            raise ConfigError(f"{self.sensing:g} s", why=why, fix=fix, key="latency.sensing")
+        return late
+
+    def in_force(self, timing: Timing, rng: np.random.Generator) -> IntArray:
+        """Number of the command in force at every step of the plant, -1 before the first; (0,) without delay."""
+        if self.command + self.jitter == 0.0:
+            return np.zeros(0, np.int64)
+        steps, numbers = timing.steps_per_control, np.arange(timing.samples)
+        late = self.command + self.jitter * rng.random(timing.samples)
+        arrivals = numbers * steps + np.round(late / timing.plant_step).astype(np.int64)
+        arrivals = np.maximum.accumulate(arrivals)
+        return np.searchsorted(arrivals, np.arange(timing.samples * steps), side="right").astype(np.int64) - 1
+
+    def slots(self, timing: Timing) -> int:
+        """How many commands may be under way at once."""
+        late = self.command + self.jitter
+        return 0 if late == 0.0 else math.ceil(late / timing.control_period) + 2
+
+
+@held
+class Transport(NamedTuple):
+    """The way of the commands to the motors, on which each is late.
+
+    Attributes:
+        dt: Step of the plant [s].
+        in_force: (steps,) see `Latency.in_force`.
+        sent: (slots, motors) state: the last commands, command k in row k modulo slots.
+    """
+
+    dt: float
+    in_force: IntArray
+    sent: Array
+
+    @internal
+    def act(self, wire: Drive, k: int, time: float) -> None:
+        """Put the command that has arrived in place of the one that is sent."""
+        slots, n = self.sent.shape[0], int(time / self.dt + 0.5)
+        last = self.in_force[min(n, self.in_force.size - 1)]
+        for i in range(wire.torque.size):
+            self.sent[k % slots, i] = wire.torque[i]
+            wire.torque[i] = self.sent[last % slots, i] if last >= 0 else 0.0

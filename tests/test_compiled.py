@@ -1,0 +1,205 @@
+"""How compiled functions meet: by what name they are linked, and what stands in memory for large tuples."""
+
+from __future__ import annotations
+
+import copy
+import os
+import pickle
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import config
+
+from mmnn_pin.compiled import compiled, internal, linked
+from mmnn_pin.held import held
+
+compiles = pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+
+
+@held
+class Inner(NamedTuple):
+    """A part with memory of its own."""
+
+    first: bool
+    values: np.ndarray
+
+
+@held
+class Outer(NamedTuple):
+    """One of every kind of field, with what needs less than a word between the others."""
+
+    on: bool
+    cube: np.ndarray
+    number: int
+    off: bool
+    share: float
+    nothing: None
+    inner: Inner
+    pair: tuple[float, float]
+    mixed: tuple[Any, ...]
+    last: np.ndarray
+
+
+@compiled
+def read_all(o: Outer, out: np.ndarray) -> None:
+    """Every number of the tuple, in order."""
+    out[0], out[1], out[2], out[3] = 1.0 if o.on else 0.0, float(o.number), 1.0 if o.off else 0.0, o.share
+    out[4], out[5], out[6] = 1.0 if o.inner.first else 0.0, o.pair[0], o.pair[1]
+    out[7], out[8] = 1.0 if o.mixed[1].first else 0.0, o.mixed[0]
+    k = 9
+    if o.nothing is None:
+        for i in range(o.cube.shape[0]):
+            for j in range(o.cube.shape[1]):
+                for n in range(o.cube.shape[2]):
+                    out[k] = o.cube[i, j, n]
+                    k += 1
+    for array in (o.inner.values, o.mixed[1].values, o.last):
+        for i in range(array.size):
+            out[k] = array[i]
+            k += 1
+
+
+def whole(draw: Any) -> Outer:
+    """A tuple of drawn numbers."""
+    number = st.floats(-1e9, 1e9)
+    rng = np.random.default_rng(draw(st.integers(0, 1000)))
+    size = st.integers(0, 3)
+    inner = [Inner(draw(st.booleans()), rng.normal(size=draw(size))) for _ in range(2)]
+    cube = rng.normal(size=(draw(size), draw(size), draw(size)))
+    pair, mixed = (draw(number), draw(number)), (draw(number), inner[1])
+    on, n, off = draw(st.booleans()), draw(st.integers(-(2**62), 2**62)), draw(st.booleans())
+    return Outer(on, cube, n, off, draw(number), None, inner[0], pair, mixed, rng.normal(size=draw(size)))
+
+
+@settings(deadline=None)
+@given(st.data())
+def test_compiled_code_reads_every_field_of_a_tuple_in_memory(data):
+    o = whole(data.draw)
+    expected = [o.on, o.number, o.off, o.share, o.inner.first, *o.pair, o.mixed[1].first, o.mixed[0]]
+    expected += [*o.cube.ravel(), *o.inner.values, *o.mixed[1].values, *o.last]
+    out = np.zeros(len(expected))
+    read_all(o, out)
+    np.testing.assert_array_equal(out, np.array(expected, float))
+
+
+def test_an_array_that_changes_is_read_as_it_is_and_another_tuple_is_another():
+    first = Inner(True, np.zeros(2))
+    outer = Outer(True, np.zeros((1, 1, 1)), 3, False, 0.5, None, first, (1.0, 2.0), (3.0, first), np.zeros(1))
+    out = np.zeros(15)
+    read_all(outer, out)
+    first.values[:] = 7.0
+    read_all(outer, out)
+    np.testing.assert_array_equal(out[10:14], 7.0)
+    read_all(outer._replace(number=5), out)
+    assert out[1] == 5.0
+
+
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+def test_a_copy_stands_in_memory_of_its_own(again):
+    value = Inner(True, np.arange(3.0))
+    place = value.address
+    other = again(value)
+    assert type(other) is Inner and other.first is value.first
+    np.testing.assert_array_equal(other.values, value.values)
+    assert other.address != place
+
+
+def test_threads_that_ask_at_once_get_one_place():
+    with ThreadPoolExecutor(8) as pool:
+        for _ in range(200):
+            value = Inner(True, np.zeros(1))
+            assert len({*pool.map(lambda _, value=value: value.address, range(8))}) == 1
+
+
+@compiles
+def test_a_field_that_is_no_number_of_a_known_kind_is_refused():
+    with pytest.raises(KeyError):
+        assert Inner("text", np.zeros(1)).address  # type: ignore[arg-type]
+
+
+@internal
+def doubled(a: np.ndarray) -> float:
+    """For compiled callers."""
+    return 2.0 * a[0]
+
+
+@compiled
+def caller(a: np.ndarray) -> float:
+    """One of them."""
+    return doubled(a) + 1.0
+
+
+def test_an_internal_function_can_be_called_from_python_too():
+    assert caller(np.full(2, 3.0)) == 7.0
+    assert doubled(np.full(2, 3.0)) == 6.0
+
+
+@linked
+def root(x: float) -> float:
+    """Raises where there is none."""
+    if x < 0.0:
+        raise ValueError("negative")
+    return x**0.5
+
+
+@compiled
+def twice_root(x: float) -> float:
+    """Calls it by its address."""
+    return 2.0 * root(x)
+
+
+def test_what_a_linked_function_raises_reaches_the_caller():
+    assert twice_root(9.0) == 6.0
+    with pytest.raises(ValueError, match="negative"):
+        twice_root(-1.0)
+
+
+MODULE = """
+from mmnn_pin.compiled import compiled, internal, linked
+
+@internal
+def low(x):
+    return x + 1.0
+
+@linked
+def middle(x):
+    return 10.0 * low(x)
+
+@compiled
+def high(x):
+    return middle(x) + low(x)
+"""
+SCRIPT = """
+import part
+print(part.high(1.0), [sum(f.stats.cache_misses.values()) for f in (part.high, part.middle, part.low)])
+"""
+
+
+@compiles
+def test_code_from_the_cache_finds_what_it_is_linked_with(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "part.py").write_text(MODULE)
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def run() -> str:
+        path = {"PYTHONPATH": f"{tmp_path}:{Path(__file__).parents[1]}"}
+        command = [sys.executable, "-c", SCRIPT]
+        done = subprocess.run(command, capture_output=True, text=True, env=os.environ | path, check=False)
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+    assert run() == "22.0 [1, 1, 1]"
+    assert run() == "22.0 [0, 0, 0]"
+    # linked code that is gone is compiled again, and what calls it finds it
+    gone = list((tmp_path / "cache").rglob("part.low*.nb?"))
+    assert gone
+    for path in gone:
+        path.unlink()
+    assert run() == "22.0 [0, 0, 1]"
