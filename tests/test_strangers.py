@@ -159,6 +159,17 @@ def test_a_contest_that_lost_windows_of_a_curve_is_drawn_as_far_as_all_go(tmp_pa
         assert main(["plot", "contest", "--what", "contest-learning", "--out", "out"]) == 0
 
 
+def test_a_contest_with_a_squared_error_below_0_is_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    contest(tmp_path / "contest")
+    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
+    rows["eight/two_layer"]["rows"][0]["curve"][0][0] = -1.0
+    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
+    assert main(["report", "contest", "--html", "out.html"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "the curve of two_layer has a squared error below 0" in line
+
+
 # -- the replay's server -----------------------------------------------------------------------------------------------
 
 

@@ -425,6 +425,13 @@ def test_a_file_of_macros_names_one_that_calls_them(tmp_path):
         load(bare)
 
 
+def test_memory_that_libraries_reserve_is_not_that_of_a_file(tmp_path, monkeypatch):
+    reserve = "import mmap\nkept = mmap.mmap(-1, 3 << 30, 0x4022, mmap.PROT_READ)"  # private, anonymous, without swap
+    (tmp_path / "sitecustomize.py").write_text(reserve)
+    monkeypatch.syspath_prepend(tmp_path)  # as OpenBLAS does for every core
+    assert load(xacro(tmp_path, ROBOT)).base.kind == "differential_drive"
+
+
 AGAIN = '<xacro:m n="${n-1}"/>'
 MACRO = '<xacro:macro name="m" params="n"><a/>{}</xacro:macro><xacro:m n="40"/>'
 

@@ -103,6 +103,8 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if any(len(window) != len(self.rms) for window in self.curve):
             raise ValueError(f"a window of the curve of {self.controller} has not {len(self.rms)} axes")
+        if any(value < 0.0 for window in self.curve for value in window):
+            raise ValueError(f"the curve of {self.controller} has a squared error below 0")
 
     @property
     def completed(self) -> bool:
