@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numba import config
 
@@ -78,7 +78,6 @@ def whole(draw: Any) -> Outer:
     return Outer(on, cube, n, off, draw(number), None, inner[0], pair, mixed, rng.normal(size=draw(size)))
 
 
-@settings(deadline=None)
 @given(st.data())
 def test_compiled_code_reads_every_field_of_a_tuple_in_memory(data):
     o = whole(data.draw)
