@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import ctypes
 import json
 import math
@@ -10,14 +11,17 @@ import re
 import shutil
 import subprocess
 import sys
+from contextlib import redirect_stdout
 from functools import cache
+from io import StringIO
 
 import numpy as np
 import pytest
 from builders import first_of
 from deploy.boards import STRICT, on_target, require
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
+from lxml import etree
 from places import ROOT
 
 from mmnn_pin import Recording, load_experiment
@@ -25,7 +29,7 @@ from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed.board import Fresh
 from mmnn_pin.deploy.embed.body import write
 from mmnn_pin.deploy.embed.export import supervised
-from mmnn_pin.deploy.embed.files import files_of, translated
+from mmnn_pin.deploy.embed.files import files_of, plain, quoted, translated
 from mmnn_pin.deploy.embed.program import Program
 from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
@@ -209,6 +213,59 @@ def test_the_plugin_of_ros2_control_compiles_with_both_flavours(exported, tmp_pa
     stubs = ROOT / "tests" / "deploy" / "stubs"
     command = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", f"-I{stubs}", f"-I{folder}", *flavour, "-c"]
     subprocess.run([*command, folder / "ros2_control" / "plugin.cpp", "-o", tmp_path / "plugin.o"], check=True)
+
+
+@given(st.lists(st.text(), min_size=1, max_size=3))
+def test_names_in_a_list_of_c_are_read_back_by_another_reader(names):
+    texts = re.findall(r'"([^"]*)"', quoted(names))
+    assert [ast.literal_eval(f'b"{text}"').decode() for text in texts] == names
+    assert not re.search(r"[^ -~]|[?%]", "".join(texts))
+
+
+@given(st.text())
+@example("*/ #error here /*")
+@example('??/ \\ " %n <x> // \n')
+def test_a_plain_name_ends_no_comment_and_is_no_format(name):
+    assert len(plain(name)) == len(name)
+    assert not re.search(r"[^ -~]|[*?%<>&\\\"'`#]", plain(name))
+
+
+@pytest.mark.skipif(not HAS_GCC, reason="no gcc: apt-get install gcc")
+def test_names_that_imitate_c_are_harmless_in_every_file(tmp_path):
+    """Joints and the robot are called so that each would end a comment, a text or a format."""
+    hostile = 'a */ #error x /* ??/ \\ " %n %s'
+    text = (ROOT / "urdf" / "platform_arm.urdf").read_text()
+    escaped = hostile.replace('"', "&quot;")
+    text = re.sub(r'(<robot name=")[^"]*', lambda found: found[1] + escaped, text)
+    text = re.sub(r'"(arm_1_joint|wheel_left_joint)"', lambda found: f'"{found[1]} {escaped}"', text)
+    (tmp_path / "hostile.urdf").write_text(text)
+    folder = tmp_path / "out"
+    with redirect_stdout(StringIO()):
+        assert (
+            main(
+                [
+                    "embed",
+                    "track",
+                    "--robot",
+                    str(tmp_path / "hostile.urdf"),
+                    "--controller",
+                    "pd",
+                    "--out",
+                    str(folder),
+                ]
+            )
+            == 0
+        )
+    sources = sorted(map(str, folder.glob("*.c")))
+    done = subprocess.run(
+        ["gcc", *STRICT, "-trigraphs", "-o", tmp_path / "test", *sources], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert subprocess.run([tmp_path / "test"], capture_output=True, check=False).returncode == 0
+    etree.parse(folder / "ros2_control" / "plugin.xml")
+    plugin = (folder / "ros2_control" / "plugin.cpp").read_text()
+    assert "#error" not in "".join(file.read_text() for file in folder.rglob("*.[ch]"))
+    assert quoted([f"arm_1_joint {hostile}"]) in plugin
 
 
 # -- the small parts ---------------------------------------------------------------------------------------------------

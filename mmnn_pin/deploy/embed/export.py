@@ -20,7 +20,7 @@ from ...safety import Safety
 from ...settings.arguments import checked
 from ...torque.controller import CompiledController
 from .board import Fresh
-from .files import Export, files_of, readme, selftest, starts, translated
+from .files import Export, files_of, plain, readme, selftest, starts, translated
 from .golden import answers, usual_events
 
 FLAGS = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-ffp-contract=off", "-O2")
@@ -104,7 +104,7 @@ def embed(
     tool = found_compiler(compiler)
     stepper = Fresh.of(supervised(loop))
     require_limits(stepper)
-    title = f"{loop.controller.name} for {loop.robot.name}"
+    title = plain(f"{loop.controller.name} for {loop.robot.name}")
     export = translated(stepper, title, "float" if single else "double", diagnostics)
     require_small(export, memory)
     texts = files_of(export)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from string import ascii_letters, digits
 from typing import Any
 
 import jinja2
@@ -22,6 +23,7 @@ TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("mmnn_pin.deploy.embed"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
 )
 FEW = 8  # numbers that are set one by one at the start
+KEPT = frozenset(ascii_letters + digits + " _-+.,:()/")  # signs of names that mean nothing in C, printf, XML, Markdown
 TOLERANCE = 1e-3  # of torques in single precision, over the largest
 
 
@@ -272,7 +274,7 @@ def interface(export: Export) -> dict[str, Any]:
     return {
         "period": f"{stepper.period!r}",
         "motors": layout.motors,
-        "motor_names": [f"{name}" for name in robot.actuator_names],
+        "motor_names": [plain(name) for name in robot.actuator_names],
         "timeout": stepper.follower.timeout,
         "measurement": [(name, size, words[name]) for name, _, size in measured],
         "setpoint": [(name, size, words[name]) for name, _, size in asked],
@@ -365,8 +367,15 @@ def plugin(export: Export) -> dict[str, str]:
 
 
 def quoted(names: Iterable[str]) -> str:
-    """Names as the entries of a list in C."""
-    return ", ".join(f'"{name}"' for name in names)
+    """Names as the entries of a list in C; what could end a string, or be a trigraph, as octal numbers."""
+    safe = {ord(sign) for sign in KEPT}
+    texts = ("".join(chr(b) if b in safe else f"\\{b:03o}" for b in name.encode()) for name in names)
+    return ", ".join(f'"{text}"' for text in texts)
+
+
+def plain(name: str) -> str:
+    """A robot's or a joint's name for comments, prints and pages, where it can neither end nor begin anything."""
+    return "".join(sign if sign in KEPT else "_" for sign in name)
 
 
 def readme(export: Export, steps: int, ram: int) -> str:
@@ -375,7 +384,7 @@ def readme(export: Export, steps: int, ram: int) -> str:
     return render(
         "README.md", title=export.title, version=__version__, steps=steps, ram=ram, period=stepper.period,
         real=export.program.real, is_exact=export.program.real == "double", tolerance=TOLERANCE,
-        motors=", ".join(stepper.robot.actuator_names),
+        motors=", ".join(map(plain, stepper.robot.actuator_names)),
     )  # fmt: skip
 
 
