@@ -87,7 +87,7 @@ def sound_times(log: Log) -> Log:
     if jitter > JITTER:
         more.append(f"the period jitters by {100 * jitter:.0f} %: interpolated to even times")
     if log.time[-1] < SHORTEST:
-        what = f"{log.time[-1]:.3g} s of motion"
+        what = f"{log.time[-1]:.6g} s of motion"
         raise RecordingError(what, why=f"at least {SHORTEST:g} s are needed", fix="record a minute", file=log.name)
     return log.with_signals(log.signals, None, *more)
 
