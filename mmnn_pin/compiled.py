@@ -11,7 +11,7 @@ a loop around a learner and a hardware model took half a minute. Here a function
 
 All run without the interpreter lock, and are kept in a file cache. numba's cache looks only at the file of the function
 itself, so an edited callee would run stale; here the cache folder is keyed by a hash of all sources of the package.
-`NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. Large tuples are handed over by address, see `held`.
+`NUMBA_DISABLE_JIT=1` runs the same functions as plain Python. Large tuples go by address, too: `by_address`.
 
 What a block remembers is one flat array: from Python one array costs 0.15 us per call, a tuple of twelve 1.6 us.
 Compiled code sees it as a named tuple of views that `views` generates from the tuple's declaration:
@@ -180,7 +180,8 @@ def publish(dispatcher: Any, compilation: Any) -> None:
     target, types, library = dispatcher.targetctx, compilation.signature.args, compilation.library
     fndesc = copy(compilation.fndesc)
     load = Load(fndesc.modname, fndesc.qualname, types)
-    name = f"{load.module}.{load.name}.{hashlib.sha256(str(types).encode()).hexdigest()[:16]}"
+    given = str([(getattr(kind, "instance_class", None), kind) for kind in types])  # numba says no more than its name
+    name = f"{load.module}.{load.name}.{hashlib.sha256(given.encode()).hexdigest()[:16]}"
     add_symbol(name, library.get_pointer_to_function(fndesc.llvm_func_name))
     fndesc.mangled_name = name
     face = target.codegen().create_library(name)

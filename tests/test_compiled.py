@@ -15,15 +15,23 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numba import config
+from numba import config, typeof
+from numba._dispatcher import compute_fingerprint
 
-from mmnn_pin.compiled import compiled, internal, linked
-from mmnn_pin.held import held
+from mmnn_pin import load_experiment
+from mmnn_pin.by_address import by_address
+from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.loop.hardware import MotorSide
+from mmnn_pin.loop.latency import Transport
+from mmnn_pin.loop.servo import VelocityServo
+from mmnn_pin.sensing import FrozenEncoders
+from mmnn_pin.torque import CONTROLLERS
+from mmnn_pin.torque.controller import CompiledController
 
 compiles = pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 
 
-@held
+@by_address
 class Inner(NamedTuple):
     """A part with memory of its own."""
 
@@ -31,7 +39,7 @@ class Inner(NamedTuple):
     values: np.ndarray
 
 
-@held
+@by_address
 class Outer(NamedTuple):
     """One of every kind of field, with what needs less than a word between the others."""
 
@@ -123,6 +131,84 @@ def test_a_field_that_is_no_number_of_a_known_kind_is_refused():
         assert Inner("text", np.zeros(1)).address  # type: ignore[arg-type]
 
 
+class One:
+    """Has a class whose name and fields are those of another."""
+
+    @by_address
+    class Namesake(NamedTuple):
+        """The one."""
+
+        values: np.ndarray
+
+
+class Other:
+    """Likewise."""
+
+    @by_address
+    class Namesake(NamedTuple):
+        """The other."""
+
+        values: np.ndarray
+
+
+def which(a: Any) -> float:
+    """The number of the class."""
+    return 1.0 if isinstance(a, One.Namesake) else 2.0
+
+
+by_type(which, "a", lambda kind: first if kind is One.Namesake else second)
+
+
+@internal
+def first(a: Any) -> float:
+    """Of one class."""
+    return 1.0
+
+
+@internal
+def second(a: Any) -> float:
+    """Of the other."""
+    return 2.0
+
+
+@linked
+def asked(a: Any) -> float:
+    """Calls what belongs to the class."""
+    return which(a)
+
+
+@compiled
+def asked_through(a: Any) -> float:
+    """Calls the linked one, by the name that it has for the class."""
+    return asked(a)
+
+
+@compiles
+def test_classes_of_one_name_and_shape_are_not_taken_for_each_other():
+    for kind, number in ((One.Namesake, 1.0), (Other.Namesake, 2.0), (One.Namesake, 1.0)):
+        value = kind(np.zeros(1))
+        assert asked_through.compile((typeof(value),))(value) == number  # type: ignore[attr-defined]
+
+
+def test_what_may_stand_in_one_place_differs_in_its_parts():
+    """Learners before one loop, and what may come first among the effects."""
+    experiment = load_experiment("eight")
+    robot, learners = experiment.load_robot(), {}
+    for name in CONTROLLERS:
+        if name.startswith("pd_effective"):  # a PD with the gains of a learner's run
+            continue
+        controller = experiment.controller(name, robot=robot)
+        if isinstance(controller, CompiledController):
+            learner = controller.law(experiment.loop(robot, controller).context()).learner
+            learners[type(learner)] = learner
+    assert len(learners) > 6
+    one, two, whole = np.zeros(1), np.zeros((1, 1)), np.zeros((1, 1), np.int64)
+    sensors = [FrozenEncoders(two, one), MotorSide(whole, two)]
+    motors = [Transport(0.1, whole[0], two), VelocityServo(0.1, *[one] * 6, two)]
+    for group in (learners.values(), sensors, motors):
+        assert len({compute_fingerprint(value) for value in group}) == len(group)
+
+
 @internal
 def doubled(a: np.ndarray) -> float:
     """For compiled callers."""
@@ -161,7 +247,13 @@ def test_what_a_linked_function_raises_reaches_the_caller():
 
 
 MODULE = """
-from mmnn_pin.compiled import compiled, internal, linked
+from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.loop.hardware import MotorSide
+from mmnn_pin.loop.latency import Transport
+from mmnn_pin.loop.servo import VelocityServo
+from mmnn_pin.sensing import FrozenEncoders
+from mmnn_pin.torque import CONTROLLERS
+from mmnn_pin.torque.controller import CompiledController
 
 @internal
 def low(x):

@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from ..by_address import by_address
 from ..compiled import compiled, internal
-from ..held import held
 from ..signals import EARLY, Array, IntArray
 
 # State of a motor: torque of its current loop, how far its rotor is ahead of the joint, the rotor's speed, the current
@@ -26,7 +26,7 @@ from ..signals import EARLY, Array, IntArray
 TORQUE, AHEAD, ROTOR_SPEED, DRAWN, SUM, GIVEN, STATES = range(7)
 
 
-@held
+@by_address
 class Drive(NamedTuple):
     """What goes from the commands to the joints; the effects change it one after the other.
 
@@ -43,7 +43,7 @@ class Drive(NamedTuple):
     shorted: IntArray
 
 
-@held
+@by_address
 class Motors(NamedTuple):
     """The motors of one run: whether they are imperfect, their state, what they pass on, and the effects."""
 
@@ -53,7 +53,7 @@ class Motors(NamedTuple):
     effects: tuple[Any, ...]
 
 
-@held
+@by_address
 class MotorSpeed(NamedTuple):
     """The speed at which a motor turns: its rotor's where the gear has a gap, else its joint's."""
 
@@ -67,7 +67,7 @@ class MotorSpeed(NamedTuple):
             wire.speed[i] = self.states[i, ROTOR_SPEED] if self.gap[i] > 0.0 else wire.joint[i]
 
 
-@held
+@by_address
 class TorqueConstant(NamedTuple):
     """A torque constant that the drive does not know: `gain` times the command."""
 
@@ -80,7 +80,7 @@ class TorqueConstant(NamedTuple):
             wire.torque[i] = self.gain[i] * wire.torque[i]
 
 
-@held
+@by_address
 class TorqueLimit(NamedTuple):
     """The largest torque of every motor, inf for none."""
 
@@ -93,7 +93,7 @@ class TorqueLimit(NamedTuple):
             wire.torque[i] = min(max(wire.torque[i], -self.limit[i]), self.limit[i])
 
 
-@held
+@by_address
 class Supply(NamedTuple):
     """What the battery's voltage and the PWM let a motor give at its speed: `kt (V - kt w) / R`."""
 
@@ -127,7 +127,7 @@ def sagged(supply: Supply) -> float:
     return voltage
 
 
-@held
+@by_address
 class SpeedLimit(NamedTuple):
     """The speed from which on a motor brakes but does not drive, inf for none."""
 
@@ -141,7 +141,7 @@ class SpeedLimit(NamedTuple):
                 wire.torque[i] = 0.0
 
 
-@held
+@by_address
 class DeadMotors(NamedTuple):
     """Motors without current for a while: windows (k, 3) of motor, start and end [s]."""
 
@@ -155,7 +155,7 @@ class DeadMotors(NamedTuple):
                 wire.torque[int(self.windows[i, 0])] = 0.0
 
 
-@held
+@by_address
 class CurrentLoop(NamedTuple):
     """A first-order lag: `decay = exp(-dt / lag)` of what is missing is left after a step."""
 
@@ -171,7 +171,7 @@ class CurrentLoop(NamedTuple):
             wire.torque[i] = self.states[i, TORQUE]
 
 
-@held
+@by_address
 class Battery(NamedTuple):
     """What the bridges take from the battery, `V / supply` of the winding's current, negative where a motor brakes.
 
@@ -194,7 +194,7 @@ class Battery(NamedTuple):
             supply.states[i, DRAWN] = drawn
 
 
-@held
+@by_address
 class ShortedWindings(NamedTuple):
     """The brake of motors whose windings a supervisor has shorted; implicit in the rotor, where there is one."""
 
@@ -212,7 +212,7 @@ class ShortedWindings(NamedTuple):
             wire.torque[i] = (u - b * wire.speed[i]) / (1.0 + implicit)
 
 
-@held
+@by_address
 class Backlash(NamedTuple):
     """Gears with a gap: rotor and joint are two masses, a flank between them that pushes and never pulls."""
 
@@ -254,7 +254,7 @@ class Backlash(NamedTuple):
                 wire.torque[i] = torque
 
 
-@held
+@by_address
 class Meter(NamedTuple):
     """What the joints get, now and as the sum over a control period: the signal `applied`."""
 

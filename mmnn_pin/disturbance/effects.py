@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ..by_address import by_address
 from ..compiled import compiled, internal
 from ..elementary import sin
-from ..held import held
 from ..signals import EARLY, Array
 
 # Columns of the table of pushes.
@@ -17,14 +17,14 @@ SHAPES = {"step": STEP, "impulse": IMPULSE, "sine": SINE, "noise": NOISE}
 BRAKE = 1e4  # torque or force by which a blocked joint is held [N m or N]
 
 
-@held
+@by_address
 class Forces(NamedTuple):
     """What the world does to a robot over one step of the plant: force (p,) on nu [N, N m]."""
 
     force: Array
 
 
-@held
+@by_address
 class Pushes(NamedTuple):
     """Forces and torques on single velocities, one after the other.
 

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..by_address import by_address
 from ..compiled import compiled, copy_to, internal, view
 from ..disturbance import block
-from ..held import held
 from ..model.reduction import as_measured, quadratic
 from ..model.robot import Robot
 from ..model.tree.body import Body, Work, body_of, energy_of, evaluate, new_work
@@ -38,7 +38,7 @@ NU_REF, NUDOT_REF, PSI, PSI_HAT, TORQUE = (INDEX[n] for n in ("nu_ref", "nudot_r
 POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("pose", "velocity", "q", "qdot"))
 
 
-@held
+@by_address
 class Numbers(NamedTuple):
     """The numbers of a run: periods, steps per control and measurement, integrator, age of a measurement."""
 
@@ -52,7 +52,7 @@ class Numbers(NamedTuple):
     age: float
 
 
-@held
+@by_address
 class Run(NamedTuple):
     """The blocks' settings as arrays, the controller's state, and where the samples go."""
 
@@ -71,7 +71,7 @@ class Run(NamedTuple):
     row: Array
 
 
-@held
+@by_address
 class Machine(NamedTuple):
     """A robot in motion: its body, also with its payload, memory to work in and views of it, position, nu."""
 

@@ -21,9 +21,9 @@ from numba.extending import overload
 from .. import actuator as motor
 from .. import safety
 from ..actuator import Motors
+from ..by_address import by_address
 from ..compiled import compiled, copy_to, internal, linked
 from ..disturbance import Forces
-from ..held import held
 from ..safety import Supervisor
 from ..sensing import Sensors, exact
 from ..sensing.effects import COUNT, RECEIVED, Reading
@@ -36,7 +36,7 @@ PSI_APPLIED, NUDOT_REF = INDEX["psi_applied"], INDEX["nudot_ref"]
 ARRIVES, IS_LOST, IS_BROKEN = 0.0, 1.0, 2.0  # what becomes of a command
 
 
-@held
+@by_address
 class Command(NamedTuple):
     """What goes from the controller to the motors: torque (p,), and whether one arrived (1,), 0 or 1."""
 
@@ -44,7 +44,7 @@ class Command(NamedTuple):
     arrived: Array
 
 
-@held
+@by_address
 class CommandLine(NamedTuple):
     """Commands that are lost, so that the motors keep what they had, or that arrive as no numbers.
 
@@ -66,7 +66,7 @@ class CommandLine(NamedTuple):
             copy_to(self.sent, wire.torque)
 
 
-@held
+@by_address
 class MotorSide(NamedTuple):
     """Encoders on the motors instead of the joints, from which backlash separates them.
 
@@ -88,7 +88,7 @@ class MotorSide(NamedTuple):
                 wire.nu[self.geared[i, 2]] = state[motor.ROTOR_SPEED]
 
 
-@held
+@by_address
 class World(NamedTuple):
     """What the world does to the robot.
 
@@ -110,7 +110,7 @@ class World(NamedTuple):
     shift: Array
 
 
-@held
+@by_address
 class Totals(NamedTuple):
     """What is recorded of a control period.
 
@@ -127,7 +127,7 @@ class Totals(NamedTuple):
     force: Array
 
 
-@held
+@by_address
 class Expected(NamedTuple):
     """What is expected of nu after a sample, for an observer on a model: the controller's own estimate is the model.
 
@@ -145,7 +145,7 @@ class Expected(NamedTuple):
     acceleration: Array
 
 
-@held
+@by_address
 class Way(NamedTuple):
     """What a torque meets between the controller and the motors, all that `send` needs: Python hands it over each time.
 
@@ -169,7 +169,7 @@ class Way(NamedTuple):
     expected: Expected
 
 
-@held
+@by_address
 class Hardware(NamedTuple):
     """The hardware model of one run.
 

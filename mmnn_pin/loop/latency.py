@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..actuator import Drive
+from ..by_address import by_address
 from ..compiled import internal
 from ..errors import ConfigError
-from ..held import held
 from ..settings import Settings, Timing, require_gains
 from ..signals import EARLY, Array, IntArray
 
@@ -88,7 +88,7 @@ class Latency(Settings, frozen=True):
         return 0 if late == 0.0 else math.ceil(late / timing.control_period) + 2
 
 
-@held
+@by_address
 class Transport(NamedTuple):
     """The way of the commands to the motors, on which each is late.
 

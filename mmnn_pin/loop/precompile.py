@@ -49,7 +49,7 @@ def precompile() -> None:
 
 
 def call_control_blocks() -> None:
-    """Call exact measurement, velocity command, torque and the integrators."""
+    """Call exact measurement, the reference of a late one, velocity command, torque and the integrators."""
     layout = Layout(base=2, arm=1, full=4, motors=3)
     row, at, p, nv = layout.new_row(), layout.offsets, layout.dof, layout.full
     controller, context = Neural(feedback=Feedback(1.0, 1.0)), Context(layout, 0.001, 1)

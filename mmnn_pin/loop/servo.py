@@ -26,10 +26,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..actuator import Drive
+from ..by_address import by_address
 from ..compiled import internal, linked
 from ..elementary.matrices import inverse, product, pseudo_inverse, solve
 from ..errors import ConfigError, UnknownName
-from ..held import held
 from ..model.robot import Robot
 from ..model.tree.twin import Twin
 from ..settings import Numbers, Settings, one_or_each, require_numbers
@@ -88,7 +88,7 @@ class Command(NamedTuple):
     motor_velocity: Array
 
 
-@held
+@by_address
 class Split(NamedTuple):
     """The servo rows of one robot: numbers of their law and what it remembers.
 
@@ -224,7 +224,7 @@ def answered(row: Array, at: IntArray, stopped: bool, split: Split) -> None:
     split.begun[0] = 1.0
 
 
-@held
+@by_address
 class VelocityServo(NamedTuple):
     """Servos of motors in a simulation: `torque = gain (error + stiffness int error dt)`, `error = asked - speed`.
 

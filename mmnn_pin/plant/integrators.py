@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ..by_address import by_address
 from ..compiled import compiled, internal, linked
 from ..elementary import tanh
-from ..held import held
 from ..model.reduction import COULOMB_SPEED, dry_level, position_rate, solve, spread, substitute
 from ..signals import Array
 
@@ -29,7 +29,7 @@ ORDER = {"rk4": 4, "semi_implicit_euler": 1, "implicit_friction": 1, "stick": 1}
 SWEEPS = 100  # of Gauss-Seidel at most
 
 
-@held
+@by_address
 class Joints(NamedTuple):
     """A robot as an integrator sees it.
 
@@ -48,7 +48,7 @@ class Joints(NamedTuple):
     base: int
 
 
-@held
+@by_address
 class Terms(NamedTuple):
     """The terms of the dynamics at a state, and scratch.
 

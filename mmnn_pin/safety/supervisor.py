@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ..by_address import by_address
 from ..compiled import compiled, copy_to, internal, linked
 from ..elementary import hypot
-from ..held import held
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -29,7 +29,7 @@ TRIPPED = -2  # what an engine's `advance` returns at the end of a tripped run
 NOTHING, OVER_TORQUE, OVER_SPEED, OFF_PATH, OFF_HEADING, OFF_JOINT, DEAF, LOST, BAD_WEIGHTS, PRESSED = range(10)
 
 
-@held
+@by_address
 class Supervisor(NamedTuple):
     """A supervisor of one run: its limits and its state as arrays.
 

@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+from ..by_address import by_address
 from ..compiled import copy_to, internal, linked
 from ..elementary import cos_sin
 from ..elementary.matrices import product
-from ..held import held
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
 
@@ -55,7 +55,7 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -
         qdot[i] = nu[velocity.size + i]
 
 
-@held
+@by_address
 class Reading(NamedTuple):
     """What goes from the robot to the controller; the effects change it one after the other.
 
@@ -81,7 +81,7 @@ class Reading(NamedTuple):
     bias: Array
 
 
-@held
+@by_address
 class Sensors(NamedTuple):
     """The sensors of one run: time between two measurements [s], what they pass on, and the effects."""
 
@@ -90,7 +90,7 @@ class Sensors(NamedTuple):
     effects: tuple[Any, ...]
 
 
-@held
+@by_address
 class FrozenEncoders(NamedTuple):
     """Encoders that keep their reading for a while.
 
@@ -115,7 +115,7 @@ class FrozenEncoders(NamedTuple):
                     wire.nu[int(window[3])] = 0.0
 
 
-@held
+@by_address
 class Encoders(NamedTuple):
     """Readings in whole steps of angles with an offset and noise.
 
@@ -144,7 +144,7 @@ class Encoders(NamedTuple):
             wire.joints[i, READING] = angle
 
 
-@held
+@by_address
 class Rates(NamedTuple):
     """Rates from readings: differences and their first-order filter, or an observer that tracks angle and rate.
 
@@ -198,7 +198,7 @@ class Rates(NamedTuple):
                 joint[RATE] += self.alpha * (joint[MOVED] / self.period - joint[RATE])
 
 
-@held
+@by_address
 class Velocities(NamedTuple):
     """The message's velocities and joint positions.
 
@@ -251,7 +251,7 @@ def observe(sensors: Sensors, velocity: Array, q: Array, received: Array) -> Non
     received[pose:] = wire.message[pose:]
 
 
-@held
+@by_address
 class Odometry(NamedTuple):
     """The pose: the true one, or integrated from the wheels along the chord of the arc (its middle heading).
 
@@ -288,7 +288,7 @@ class Odometry(NamedTuple):
                 wire.message[i] = self.pose[i]
 
 
-@held
+@by_address
 class Noise(NamedTuple):
     """Noise of velocities and pose as they are sent.
 
@@ -315,7 +315,7 @@ class Noise(NamedTuple):
             wire.message[i] += self.pose[i] * self.pose_normals[k, i]
 
 
-@held
+@by_address
 class Line(NamedTuple):
     """The line to the controller: messages are late, out of order, lost or corrupted, and the newest one counts.
 

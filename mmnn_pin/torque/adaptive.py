@@ -32,10 +32,10 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..by_address import by_address
 from ..compiled import Matrix, Vector, compiled, internal, layout_of, linked, views
 from ..elementary.matrices import cholesky, inverse
 from ..errors import ConfigError
-from ..held import held
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
@@ -105,7 +105,7 @@ class AdaptiveSettings(Settings, frozen=True):
                 raise ConfigError(f"{getattr(self, name)}", fix="use a finite ratio > 1", key=f"adaptive.{name}")
 
 
-@held
+@by_address
 class Adaptation(NamedTuple):
     """The numbers of an adaptive controller.
 

@@ -18,9 +18,9 @@ from typing import Any, NamedTuple, Self
 import msgspec
 import numpy as np
 
+from ..by_address import by_address
 from ..compiled import Matrix, Vector, compiled, internal, layout_of, linked, views
 from ..elementary import exp
-from ..held import held
 from ..model.regressor import measured, regress
 from ..settings import Settings, plain, require_numbers
 from ..signals import Array, IntArray
@@ -58,7 +58,7 @@ class AdaptiveCompositeSettings(Settings, frozen=True):
         require_numbers(self, "adaptive_composite", ("forgetting_time", "every"))
 
 
-@held
+@by_address
 class Prediction(NamedTuple):
     """The numbers of a composite adaptive controller.
 

@@ -25,8 +25,8 @@ from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from ..by_address import by_address
 from ..compiled import Vector, copy_to, layout_of, linked, views
-from ..held import held
 from ..model.regressor import Massless, Regressor, measured, regress
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
@@ -40,7 +40,7 @@ WEIGHT_NORM = INDEX["weight_norm"]
 ROUNDING = 1e-9  # part of a torque below which an excess is rounding
 
 
-@held
+@by_address
 class Gravity(NamedTuple):
     """The numbers of a PD with gravity.
 
@@ -120,7 +120,7 @@ class PIDSettings(Settings, frozen=True):
         require_numbers(self, "pid", ())
 
 
-@held
+@by_address
 class Integrator(NamedTuple):
     """The numbers of a PID controller.
 

@@ -26,11 +26,11 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from ..by_address import by_address
 from ..compiled import Vector, internal, layout_of, linked, views
 from ..elementary import exp
 from ..elementary.matrices import svd, triangle
 from ..elementary.normals import standard_normal
-from ..held import held
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
@@ -91,7 +91,7 @@ class ConcurrentSettings(Settings, frozen=True):
         require_at_most(self, "concurrent", {"entries": MOST})
 
 
-@held
+@by_address
 class History(NamedTuple):
     """The numbers of a concurrent learner, and room to work in.
 

@@ -17,9 +17,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
+from ..by_address import by_address
 from ..compiled import Vector, layout_of, linked, views
 from ..elementary import exp
-from ..held import held
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import CompiledController, Context, ControllerState, Feedback, Law
@@ -49,7 +49,7 @@ class DisturbanceObserverSettings(Settings, frozen=True):
         require_numbers(self, "disturbance_observer", ("bound",))
 
 
-@held
+@by_address
 class Observer(NamedTuple):
     """The numbers of a disturbance observer.
 

@@ -23,9 +23,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..by_address import by_address
 from ..compiled import Matrix, Vector, by_type, compiled, copy_to, internal, layout_of, linked, views
 from ..elementary.matrices import pseudo_inverse
-from ..held import held
 from ..signals import INDEX, Array, IntArray
 from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
 from .two_layer import TWO_LAYER, hidden_input, project, two_layer_output, two_layer_update
@@ -74,7 +74,7 @@ class Packed(NamedTuple):
     settings: Array
 
 
-@held
+@by_address
 class Ahead(NamedTuple):
     """Where the torque acts, ahead of its sample (`loop.lead`).
 
@@ -307,7 +307,7 @@ def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, s
     project(W, rates[4])
 
 
-@held
+@by_address
 class MotorLimits(NamedTuple):
     """Limits of a robot's motors, and room to work in.
 

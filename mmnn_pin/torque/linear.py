@@ -31,8 +31,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ..by_address import by_address
 from ..compiled import Matrix, Vector, compiled, copy_to, internal, linked, views
-from ..held import held
 from ..model.regressor import Massless, measured, regress
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, Filtered, low_pass, period, remember
@@ -46,7 +46,7 @@ PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"]
 CERTAIN = 1e12  # an equation that would lower its own variance by more than this is not taken: the data are no data
 
 
-@held
+@by_address
 class Linear(NamedTuple):
     """The numbers of a linear learner, and room to work in.
 

@@ -29,10 +29,10 @@ import msgspec
 import numpy as np
 from scipy.special import expit
 
+from ..by_address import by_address
 from ..compiled import Matrix, Vector, compiled, copy_to, internal, layout_of, linked, views
 from ..elementary import exp
 from ..errors import ConfigError
-from ..held import held
 from ..settings import Settings, require_at_most, require_numbers
 from ..signals import INDEX, Array, IntArray, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Told, all_facts, read_facts
@@ -95,7 +95,7 @@ class TwoLayerCompositeSettings(Settings, frozen=True):
             )
 
 
-@held
+@by_address
 class Experience(NamedTuple):
     """The numbers of a network's prediction error, and room to work in.
 

@@ -123,7 +123,9 @@ def test_a_dead_motor_has_no_torque_while_its_window_is_open():
 
 
 def test_the_dead_zone_of_contributing_is_one():
-    (text,) = re.findall(r"```python\n( +@held\n +class DeadZone.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S)
+    (text,) = re.findall(
+        r"```python\n( +@by_address\n +class DeadZone.*?)```", (ROOT / "CONTRIBUTING.md").read_text(), re.S
+    )
     names = dict(vars(effects)) | {"internal": lambda function: function}  # a text has no file to cache beside
     exec(textwrap.dedent(text), names)
     wire = drive()

@@ -10,8 +10,8 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ...by_address import by_address
 from ...compiled import linked
-from ...held import held
 from ...signals import Array, IntArray
 from ..dynamics import Dynamics
 from ..reduction import friction, quadratic, spread
@@ -22,7 +22,7 @@ from .motion import Tree, new_scratch
 from .tree import flatten
 
 
-@held
+@by_address
 class Body(NamedTuple):
     """A robot as arrays: its tree, T (nv, p), friction of joints (nv,) and base (p,), `Robot.arm_map`."""
 
@@ -38,7 +38,7 @@ class Body(NamedTuple):
     columns: Array
 
 
-@held
+@by_address
 class Work(NamedTuple):
     """Scratch memory for one robot in one thread."""
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from mmnn_pin.compiled import compiled, inlined, spliced
 
+from ...by_address import by_address
 from ...elementary import cos_sin
-from ...held import held
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -88,7 +88,7 @@ class _Scratch(NamedTuple):
 BASE, LINK, NUMBER, AT = _Base(), _Links(), _Numbers(), _Scratch()
 
 
-@held
+@by_address
 class Tree(NamedTuple):
     """A robot as plain arrays; joint frames are turned so that every axis is z.
 

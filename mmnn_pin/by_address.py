@@ -3,13 +3,16 @@
 numba hands a named tuple over by value: every array in it is seven numbers, at every call, in every caller. A tuple of
 a hundred arrays makes small functions slow to compile, and slow to call from Python. One that is marked,
 
-    @held
+    @by_address
     class Motors(NamedTuple):
         wire: Drive
         effects: tuple[Any, ...]
 
 is written into memory once, when compiled code first meets it, and handed over as one address. Compiled code reads
 its fields as before. Tuples within it that are marked, too, are addresses in it. A marked tuple is made by Python only.
+
+When Python calls, numba looks at the parts of a tuple and not at its class: classes that may stand in one place must
+differ in the types of their parts, or in their number.
 """
 
 from __future__ import annotations
@@ -30,7 +33,7 @@ from numba.extending import NativeValue, typeof_impl, unbox
 T = TypeVar("T")
 
 
-def held(kind: type[T]) -> type[T]:
+def by_address(kind: type[T]) -> type[T]:
     """The class of named tuples, of which compiled code is handed the address."""
     more: dict[str, Any] = {name: getattr(kind, name) for name in ("__doc__", "__module__", "__qualname__")}
     more |= {"address": cached_property(address), "__getstate__": lambda value: None}  # a copy stands elsewhere
@@ -65,30 +68,30 @@ def words(parts: tuple[Any, ...]) -> tuple[str, list[Any]]:
     return form + "0q", numbers
 
 
-class Held(types.Type):
+class Placed(types.Type):
     """numba's type of a marked tuple."""
 
     def __init__(self, tuple_type: Any) -> None:
         self.tuple_type, self.instance_class = tuple_type, tuple_type.instance_class
-        super().__init__(f"Held({tuple_type})")
+        super().__init__(f"{self.instance_class} {tuple_type} by address")  # numba says no more than its name
 
 
-@register_default(Held)
+@register_default(Placed)
 class Address(models.PrimitiveModel):
     """A marked tuple in compiled code."""
 
-    def __init__(self, manager: Any, kind: Held) -> None:
+    def __init__(self, manager: Any, kind: Placed) -> None:
         super().__init__(manager, kind, manager.lookup(kind.tuple_type).get_value_type().as_pointer())
 
 
-def typed(value: Any, context: Any) -> Held | None:
+def typed(value: Any, context: Any) -> Placed | None:
     """Numba's type of a marked tuple; None where it has none for a part."""
     parts = [typeof_impl(part, context) for part in value]
-    return None if None in parts else Held(types.BaseTuple.from_types(parts, type(value)))
+    return None if None in parts else Placed(types.BaseTuple.from_types(parts, type(value)))
 
 
-@unbox(Held)
-def take(kind: Held, value: Any, c: Any) -> NativeValue:
+@unbox(Placed)
+def take(kind: Placed, value: Any, c: Any) -> NativeValue:
     """The address of a marked tuple that comes from Python."""
     place = c.pyapi.object_getattr_string(value, "address")
     number = c.pyapi.long_as_voidptr(place)
@@ -101,16 +104,16 @@ def take(kind: Held, value: Any, c: Any) -> NativeValue:
 class Field(AttributeTemplate):
     """The type of a marked tuple's field."""
 
-    key = Held
+    key = Placed
 
-    def generic_resolve(self, kind: Held, name: str) -> Any:  # type: ignore[override]
+    def generic_resolve(self, kind: Placed, name: str) -> Any:  # type: ignore[override]
         """The field's type, None for no field."""
         fields = kind.tuple_type.fields
         return kind.tuple_type.types[fields.index(name)] if name in fields else None
 
 
-@lower_getattr_generic(Held)
-def read(context: Any, builder: Any, kind: Held, place: Any, name: str) -> Any:
+@lower_getattr_generic(Placed)
+def read(context: Any, builder: Any, kind: Placed, place: Any, name: str) -> Any:
     """Read a field; that it never changes is said, so that it is read once."""
     i = kind.tuple_type.fields.index(name)
     found = builder.load(cgutils.gep_inbounds(builder, place, 0, i))
