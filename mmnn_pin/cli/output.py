@@ -97,7 +97,7 @@ def compile_if_cold(hardware: bool = False) -> None:
     folder = cache_folder()
     if hardware and folder is not None and not (announced := folder / "hardware was announced").exists():
         parts = "sensors, motors, a supervisor or disturbances"
-        click.echo(f"first run with {parts}: their part of the loop is compiled, about half a minute more", err=True)
+        click.echo(f"first run with {parts}: their part of the loop is compiled, about 20 s more", err=True)
         with suppress(OSError):  # a full disk: it is announced again
             announced.touch()
 
