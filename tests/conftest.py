@@ -8,8 +8,7 @@ import os
 import signal
 import sys
 import tempfile
-from copy import copy
-from functools import cache, wraps
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +26,11 @@ settings.register_profile("untimed", deadline=None)  # the first example may com
 settings.load_profile("untimed")
 
 EXAMPLES = 15  # of a property are tried at most, in plain Python 4; `--full` tries as many as its test says
-MOST_SAMPLES = 4000  # of a run in the ordinary engine, 0.1 ms each
 LOCKS = Path(tempfile.gettempdir()) / "mmnn_pin-compiling"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--full", action="store_true", help="properties with all examples, every run in its own engine")
+    parser.addoption("--full", action="store_true", help="properties with all their examples")
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
@@ -45,36 +43,18 @@ def pytest_itemcollected(item: pytest.Item) -> None:
         test._hypothesis_internal_use_settings = settings(own, max_examples=min(own.max_examples, most))
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out of a run as plain Python what is marked as `compiled`."""
+    from numba import config as numba
+
+    if numba.DISABLE_JIT and not config.getoption("--full"):
+        left_out = [item for item in items if item.get_closest_marker("compiled")]
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if not item.get_closest_marker("compiled")]
+
+
 def pytest_sessionstart(session: pytest.Session) -> None:
     let_coverage_rest()
-    if not session.config.getoption("--full"):
-        compile_few_loops()
-
-
-def compile_few_loops() -> None:
-    """Let `Loop.run` take the ordinary engine for short runs of rare loops, unless a test asks for the compiled one.
-
-    Both engines have the same bits (`test_compiled_loop.py`, `test_hardware.py`, `assert_engines_agree`). A loop takes
-    20 s to compile for every combination of a controller, hardware and a lead; the ordinary engine needs parts of it.
-    Contests and studies are left alone: they compare bits of a run with those of their batches, which are compiled.
-    """
-    from mmnn_pin.loop.loop import Loop
-    from mmnn_pin.torque.model_based import PD, ComputedTorque
-    from mmnn_pin.torque.neural import Neural
-
-    own = Loop.run
-
-    @wraps(own)
-    def run(self: Loop, *arguments: Any, **named: Any) -> Any:
-        ideal = self.sensor.exact and not (self.layout.hardware or self.lead)
-        frequent = ideal and isinstance(self.controller, (PD, ComputedTorque, Neural))
-        left_alone = sys._getframe(1).f_globals["__name__"].startswith(("mmnn_pin.lab.contest", "mmnn_pin.lab.study"))
-        if self.engine == "auto" and not (frequent or left_alone) and self.timing.samples <= MOST_SAMPLES:
-            self = copy(self)
-            object.__setattr__(self, "engine", "ordinary")
-        return own(self, *arguments, **named)
-
-    Loop.run = run  # type: ignore[method-assign]
 
 
 def let_coverage_rest() -> None:

@@ -152,6 +152,7 @@ print(digest.hexdigest())
 """
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "setting",
     [

@@ -207,6 +207,7 @@ def reference(torque, times, inertia=0.05):
     return solve_ivp(rate, (0, end), np.zeros(4), "DOP853", t_eval=times, rtol=1e-9, atol=1e-12, max_step=2e-4).y.T
 
 
+@pytest.mark.compiled
 def test_backlash_is_the_two_sided_contact_of_two_masses():
     def torque(t):
         return 0.5 * math.sin(12.0 * t)
@@ -338,6 +339,7 @@ def test_a_gap_is_seen_from_the_motors_side():
     assert ahead["motor"][0] == 0.0 and 0.0095 < ahead["motor"].max() < 0.0115  # half the gap; the flank gives way
 
 
+@pytest.mark.compiled
 def test_a_motor_within_the_friction_of_its_joint_does_not_move_it():
     """The rotor crosses the gap and presses; the joint sticks, exactly."""
     gear = Actuator(**{**GEAR, "stiffness": 200.0, "damping": 0.5})
@@ -354,6 +356,7 @@ def test_a_speed_limit_holds_within_one_step():
     assert free.max() > 3.0
 
 
+@pytest.mark.compiled
 def test_a_gap_costs_accuracy_and_hammers():
     robot, errors, jumps = wheel(), {}, {}
     for gap in (0.0, 0.1):

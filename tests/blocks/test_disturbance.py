@@ -98,6 +98,7 @@ def test_a_sine_begins_with_phase_zero():
     np.testing.assert_allclose(got, np.where(inside, 3.0 * np.sin(2 * np.pi * 5.0 * (middle - 0.1)), 0.0), atol=1e-12)
 
 
+@pytest.mark.compiled
 def test_noise_has_its_deviation_is_held_over_a_period_and_follows_the_seed():
     duration = 0.1 if config.DISABLE_JIT else 2.0
     event = Push(on="w", shape="noise", force=4.0)

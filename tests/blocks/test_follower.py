@@ -130,6 +130,7 @@ def test_a_sample_that_does_not_come_is_made_from_the_last():
 # -- motions handed in while it runs -----------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @settings(**SMALL)
 @given(st.floats(-0.8, 0.8), st.floats(-1, 1), st.floats(-1.0, 1.0), st.floats(-1.0, 1.0))
 def test_a_motion_takes_over_without_a_jump_and_is_then_the_motion_itself(v, w, q, qdot):

@@ -278,6 +278,7 @@ def test_negative_weights_and_unknown_frames_are_one_line() -> None:
 # -- made ahead --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_motion_follows_its_path_within_a_millimetre(name: str) -> None:
     body, by = begun(name, 1), 0.3 if robot_of(name).dimensions.base else 0.05
@@ -297,6 +298,7 @@ def test_a_motion_follows_its_path_within_a_millimetre(name: str) -> None:
     assert motion.misses == 0 and len(samples.nu) == len(motion.targets)
 
 
+@pytest.mark.compiled
 def test_the_robot_drives_there_first() -> None:
     body = begun("platform_arm", 2)
     body.bounds.wheel_speed[:] = 30.0
@@ -312,6 +314,7 @@ def test_the_robot_drives_there_first() -> None:
     check_followable(t, driven.pose, driven.velocity, 5e-3)
 
 
+@pytest.mark.compiled
 def test_a_path_out_of_reach_says_where_and_by_how_much() -> None:
     body = begun("two_axis_arm", 1)
     with pytest.raises(TrajectoryError, match=r"'arm_tip' cannot follow its path: .* mm from \(.*\) at t = "):
@@ -347,6 +350,7 @@ def test_the_distance_of_capsules_is_coals(seed: int, flat: str) -> None:
         assert nearest(a, b, c, d, np.zeros(2)) == pytest.approx(theirs, abs=1e-4)
 
 
+@pytest.mark.compiled
 def test_a_hand_stops_before_it_hits_the_robot() -> None:
     """Without capsules the hand passes through the mast; with them it stays outside of their radii."""
     robot, least = robot_of("platform_arm"), []
@@ -379,6 +383,7 @@ def test_a_camera_looks_at_a_point() -> None:
     assert np.linalg.norm(np.cross(axis, way / np.linalg.norm(way))) < 1e-3 and axis @ way > 0
 
 
+@pytest.mark.compiled
 def test_the_base_turns_towards_the_goal_where_that_is_wished_for() -> None:
     """A goal to the side that the arm reaches by itself: only the wish turns the base, and the hand stays in place."""
     turned = []
@@ -499,6 +504,7 @@ def two_armed() -> Robot:
     return built(f'<robot name="two_armed">{text}</robot>')
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["two_armed", "tiago_dual"])
 def test_two_arms_follow_a_path_each_while_the_base_drives(name: str) -> None:
     robot = two_armed() if name == "two_armed" else robot_of(name)

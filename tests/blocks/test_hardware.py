@@ -137,6 +137,7 @@ def require_equal(one, other, rtol=1e-9, atol=1e-9):
         np.testing.assert_allclose(one[name], other[name], rtol=rtol, atol=atol * scale, err_msg=name)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", CASES)
 def test_both_engines_do_the_same(name):
     ordinary, compiled = (loop_of(CASES[name], engine=engine).run() for engine in ("ordinary", "compiled"))
@@ -150,6 +151,7 @@ def test_both_engines_do_the_same(name):
         )  # it did something
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("controller", [PD(WEAK), Neural(OneLayer(), WEAK), ComputedTorque(WEAK)], ids=str)
 @pytest.mark.parametrize("integrator", ["rk4", "stick"])
 def test_both_engines_do_the_same_with_every_controller(controller, integrator):
@@ -159,6 +161,7 @@ def test_both_engines_do_the_same_with_every_controller(controller, integrator):
     require_equal(*(replace(loop, engine=engine).run() for engine in ("ordinary", "compiled")))
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("make", [lambda: mobile_arm(3, 2), lambda: fixed_arm(3, 1)], ids=["mobile", "fixed"])
 def test_both_engines_do_the_same_on_robots_that_feel_gravity(make):
     robot = make()
@@ -178,6 +181,7 @@ def test_both_engines_do_the_same_on_robots_that_feel_gravity(make):
 # --- Resumed runs and batches -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("engine", ["ordinary", "compiled"])
 @pytest.mark.parametrize(
     "name",

@@ -175,6 +175,7 @@ def test_energy_balance_closes_at_the_order_of_the_method():
     assert residuals[-1] < 1e-6 * Dynamics(ROBOT).energy(START, NU)
 
 
+@pytest.mark.compiled
 def test_work_is_that_of_the_torque_less_that_of_friction():
     rubbing, free = run_held(0.001, "rk4"), run_held(0.001, "rk4", robot=ROBOT.with_friction(0.0))
     assert rubbing.y[-1] == pytest.approx(by_hand(held, HELD_TIME)[-1], abs=1e-8)

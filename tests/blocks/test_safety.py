@@ -372,6 +372,7 @@ def test_a_stop_holds_the_arm_against_gravity():
     assert run.time[-1] == pytest.approx(run.outcome.time + 8.0, abs=1e-9)
 
 
+@pytest.mark.compiled
 def test_a_stop_brakes_the_base():
     pushed = Push(on="w", force=300.0, start=0.02, end=0.08)
     run = run_of(Safety(yaw_rate=0.2, stop_time=1.0), 1.5, controller=PD(THESIS), disturbances=(pushed,))
@@ -396,6 +397,7 @@ def test_a_stop_after_a_holonomic_base_was_too_fast_counts_both_directions():
         assert supervisor.state[0] == tripped
 
 
+@pytest.mark.compiled
 def test_a_stop_works_under_a_controller_whose_gains_are_not_known():
     controller = Given(lambda t: [50.0, 0.0, 1.0, 0.0])
     run = run_of(Safety(speed=0.32, stop_time=1.0), 1.2, controller=controller)
@@ -404,6 +406,7 @@ def test_a_stop_works_under_a_controller_whose_gains_are_not_known():
     assert np.abs(run["nu"][-1]).max() < 0.05 * np.abs(run["nu"][k]).max()
 
 
+@pytest.mark.compiled
 def test_a_stop_that_does_not_bring_the_robot_to_rest_shorts_the_windings():
     """Somebody keeps pushing: after `settle` the torque ramps to zero and only the windings brake, where they do."""
     pushed = Push(on="w", force=300.0, start=0.02)
@@ -421,6 +424,7 @@ def test_a_stop_that_does_not_bring_the_robot_to_rest_shorts_the_windings():
     assert abs(without["nu"][-1, 1]) < abs(run["nu"][-1, 1])
 
 
+@pytest.mark.compiled
 def test_shorted_windings_brake_the_base_at_once_and_the_arm_is_held():
     """Where the drive motors have a brake, the base needs no feedback: `applied` is -brake times the wheels' speed."""
     pushed = Push(on="w", force=300.0, start=0.02, end=0.08)

@@ -269,6 +269,7 @@ def loop_of(sensor, controller=None, **changes):
     return Loop(ROBOT, TRAJECTORY, controller, timing=timing, sensor=sensor, seed=3, weights_interval=0.02, **changes)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("velocity", ["true", "difference", "filtered", "observer"])
 @pytest.mark.parametrize("sensor_period", [0.001, 0.002, 0.004])
 def test_both_engines_measure_the_same(velocity, sensor_period):
@@ -316,6 +317,7 @@ def test_true_errors_are_those_of_the_state_and_equal_the_measured_ones_of_exact
     np.testing.assert_array_equal(rough["true_z"], rough["alpha"] - rough["nu"][:, :2])
 
 
+@pytest.mark.compiled
 def test_runs_are_judged_by_the_true_errors():
     """An encoder that is 10 mrad off tracks its reading; the joint itself is 10 mrad off."""
     sensor = Sensor(offset=(0.01, 0.0))

@@ -122,6 +122,7 @@ def test_friction_only_takes_energy():
     assert np.diff(energy).max() < 1e-6 * energy[0]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("make", [lambda: AXES, mobile_arm], ids=["axes", "mobile"])
 def test_both_engines_stick_alike(make):
     robot = make().with_joint_friction(viscous=0.05, coulomb=0.3, breakaway=1.3)

@@ -93,6 +93,7 @@ def errors_under_held_torque(loop):
     return worst
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ROBOTS)
 def test_under_a_held_torque_the_error_is_of_second_order_in_the_period_with_the_lead_and_of_first_without(name):
     late, led = ([errors_under_held_torque(loop_of(name, h, lead)) for h in (0.008, 0.004)] for lead in (False, True))
@@ -160,6 +161,7 @@ def test_a_measurement_that_is_brought_up_has_the_errors_of_its_own_time(name, t
     np.testing.assert_allclose(measured - parts(now), off, atol=1e-12 + 40 * age**3)
 
 
+@pytest.mark.compiled
 def test_known_age_of_measurements_no_longer_drives_a_robot_off_its_reference():
     """On the reference `q_ref(t) - q(t - age)` asks for a motion by age times the speed, 4 mrad and more."""
     late = {one: loop_of("two_axis_arm", latency=Latency(sensing=0.006, predict=one)).run() for one in (False, True)}
@@ -170,6 +172,7 @@ def test_known_age_of_measurements_no_longer_drives_a_robot_off_its_reference():
         replace(loop_of("two_axis_arm", latency=Latency(sensing=0.004, predict=True)), timing=slow).plan()
 
 
+@pytest.mark.compiled
 def test_a_stepper_brings_its_measurements_up_by_their_age_as_a_loop_does():
     """From the simulated robot's true state 6 ms ago, with its time, to the torques of the loop."""
     h, old = 0.002, 0.006
@@ -206,6 +209,7 @@ def test_a_base_that_is_led_has_no_pose_error_and_an_age_counts_up_to_the_latenc
                 assert stepper.measured.velocity == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", LEARNERS)
 def test_to_look_ahead_changes_nothing_that_a_controller_remembers(name):
     loop = replace(made(name, "lead=true", "learning.leakage=true", duration=0.02), engine="ordinary")
@@ -229,6 +233,7 @@ def test_to_look_ahead_changes_nothing_that_a_controller_remembers(name):
     assert np.isfinite(plan.lead.ahead.row).all()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["two_layer_composite", "adaptive"])  # one learns before it speaks, one after
 def test_looking_no_way_ahead_sends_what_is_said_of_the_sample(name):
     """So both are said with the same weights, also while they move most: by tens of newtons a sample at the start."""
@@ -274,6 +279,7 @@ def test_the_lead_neither_amplifies_noise_nor_changes_the_feedback_inside_psi(na
     assert np.abs(own[-1, -2:]).max() > 0.1  # K edot is in it
 
 
+@pytest.mark.compiled
 def test_what_is_sent_is_within_the_motors_limits_and_the_estimate_stays_that_of_the_sample():
     loop = made("kalman_regressor", "lead=true", "actuator.lag=[0.0,0.0,0.004,0.002]", duration=0.05)
     plan, run = loop.plan(), replace(loop, engine="ordinary").run()
@@ -307,6 +313,7 @@ def test_what_does_not_lead():
         made("two_layer", "lead=true", "learning.update=before_output").plan()
 
 
+@pytest.mark.compiled
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler: apt-get install gcc")
 def test_the_c_source_leads_as_the_stepper_does(tmp_path):
     """Its self-test compares every signal of the stepper's rows, `psi_applied` among them."""
@@ -317,6 +324,7 @@ def test_the_c_source_leads_as_the_stepper_does(tmp_path):
     )
 
 
+@pytest.mark.compiled
 def test_on_velocity_interfaces_nothing_is_sent_of_psi():
     wheels = dict.fromkeys(load("platform_arm").actuator_names[:2], "velocity")
     run = loop_of("platform_arm", interfaces=wheels).run()
@@ -330,6 +338,7 @@ def compiled():
     return loop, loop.run()
 
 
+@pytest.mark.compiled
 @one_more_compiled_loop
 def test_engines_agree_and_a_run_that_leads_resumes(compiled):
     loop, run = compiled
@@ -339,6 +348,7 @@ def test_engines_agree_and_a_run_that_leads_resumes(compiled):
     assert_it_resumes(loop, loop.timing.duration / 2)
 
 
+@pytest.mark.compiled
 @one_more_compiled_loop
 def test_a_proof_takes_the_lead_out_of_the_feedback(compiled):
     loop, run = compiled
@@ -352,6 +362,7 @@ def test_a_proof_takes_the_lead_out_of_the_feedback(compiled):
     assert np.abs(found["lead"]).max() > 0
 
 
+@pytest.mark.compiled
 def test_a_file_tells_how_far_a_run_led_and_what_was_sent(tmp_path):
     loop = replace(made("adaptive", "lead=true", duration=0.01), engine="ordinary")
     loop.run(tmp_path / "run.h5")

@@ -321,6 +321,7 @@ def test_latencies_without_sense_are_one_line(name: str, value: float) -> None:
         late(0.1, Latency(**{name: value})).run()
 
 
+@pytest.mark.compiled
 def test_commands_arrive_late_in_order_and_a_resumed_run_is_the_same() -> None:
     """What the motors give is what was commanded that much earlier; with jitter no command overtakes another."""
     loop = late(0.2, Latency(command=0.004))

@@ -142,6 +142,7 @@ def test_a_base_on_velocity_follows_with_its_arm_on_effort_and_a_stepper_does_th
         assert not command.velocity[:2].any()
 
 
+@pytest.mark.compiled
 def test_both_engines_and_a_batch_give_the_same_bits():
     """Wheels by velocity, a joint by position, a jittery way, and a supervisor that trips in between."""
     interfaces, way = WHEELS | {ROBOT.joint_names[1]: "position"}, Latency(sensing=H, command=H, jitter=H)
@@ -195,6 +196,7 @@ def test_a_weak_servo_saturates_and_a_slow_one_is_late():
         np.testing.assert_allclose(wire.torque, [*wheels, 0.0, 0.0])
 
 
+@pytest.mark.compiled
 def test_a_resumed_run_is_the_same():
     loop, half = made(duration=0.2), made(duration=0.1)
     first = half.run()

@@ -68,6 +68,7 @@ def test_threads_may_share_a_regressor():
             np.testing.assert_array_equal(list(pool.map(lambda one: regressor.matrix(*one), at)), alone)
 
 
+@pytest.mark.compiled
 @pytest.mark.skipif(not extra(), reason="example-robot-data is not installed")
 def test_the_regressor_of_every_example_robot_that_loads():
     done = []

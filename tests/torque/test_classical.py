@@ -52,6 +52,7 @@ def test_gravity_is_that_of_pinocchio_and_of_nothing_else(name):
         np.testing.assert_allclose(row[layout.where("psi_hat")], expected, rtol=1e-10, atol=1e-9)
 
 
+@pytest.mark.compiled
 def test_gravity_is_that_of_the_file_not_of_the_true_robot():
     """Masses of the experiment are not in the file."""
     experiment = load_experiment("track", ["robot=so101", "masses=1.7"])
@@ -143,6 +144,7 @@ def test_at_rest_pd_errs_by_gravity_pid_learns_it_and_pd_gravity_has_it():
     np.testing.assert_allclose(runs["pid"]["psi_hat"][-1], g, atol=0.02 * np.abs(g).max())
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["pid", "pd_gravity"])
 def test_engines_batch_resumption_and_freezing(name):
     loop = made(name)

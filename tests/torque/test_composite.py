@@ -100,6 +100,7 @@ def test_gamma_is_the_natural_metric():
     np.testing.assert_allclose((S @ S.T @ g)[first:], bench.bodies.rates * g[first:], atol=1e-12)
 
 
+@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(-3, 6))
 def test_a_step_is_implicit_euler(seed, size):
@@ -115,6 +116,7 @@ def test_a_step_is_implicit_euler(seed, size):
     np.testing.assert_allclose(bench.S() @ found, S @ np.linalg.solve(A, g), atol=1e-2 * np.linalg.norm(S @ found))
 
 
+@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(-3, 6))
 def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
@@ -130,6 +132,7 @@ def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
         assert bench.distance(truth) <= before * (1 + 1e-12)
 
 
+@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds)
 def test_v_falls_by_the_square_of_the_prediction_error(seed):
@@ -144,6 +147,7 @@ def test_v_falls_by_the_square_of_the_prediction_error(seed):
     assert before - bench.distance(truth) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(0, 9))
 def test_the_estimate_stays_physical_and_bounded_whatever_was_filtered(seed, size):
@@ -159,6 +163,7 @@ def test_the_estimate_stays_physical_and_bounded_whatever_was_filtered(seed, siz
         assert (bench.theta[REGRESSOR.inertial :] >= 0).all()
 
 
+@pytest.mark.compiled
 def test_engines_batch_resumption_and_freezing():
     loop = made("adaptive_composite")
     assert_engines_agree(loop)

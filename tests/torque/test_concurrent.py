@@ -122,6 +122,7 @@ def test_the_ball(numbers, radius):
         np.testing.assert_array_equal(w, numbers)
 
 
+@pytest.mark.compiled
 @settings(max_examples=3 if config.DISABLE_JIT else 10, deadline=None)
 @given(seeds, st.floats(0, 8))
 def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
@@ -140,6 +141,7 @@ def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
         assert (np.abs(motors) <= 20.0 * (1 + 1e-9)).all()
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("tracking", [1e-3, 1e3])
 def test_a_sample_is_the_law(tracking):
     """By numpy: Psi_hat, and w after the tracking term, below its share of the feedback and cut to it."""
@@ -164,6 +166,7 @@ def test_a_sample_is_the_law(tracking):
     np.testing.assert_allclose(state["w"], w + eta * step, rtol=1e-9)
 
 
+@pytest.mark.compiled
 def test_engines_batch_resumption_and_freezing():
     loop = made("concurrent", "concurrent.entries=5")
     assert_engines_agree(loop)
@@ -171,6 +174,7 @@ def test_engines_batch_resumption_and_freezing():
     assert_frozen(loop)
 
 
+@pytest.mark.compiled
 def test_the_basis_leaves_nothing_out():
     learner = made("concurrent").controller
     rng, regressor = np.random.default_rng(5), learner.regressor

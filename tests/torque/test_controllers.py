@@ -451,6 +451,7 @@ def scheduled() -> ScheduledPD:
     return ScheduledPD(np.linspace(1, 2, N)[:, None] * [500.0, 500.0, 30.0, 30.0])
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("engine", ["ordinary", "compiled"])
 @pytest.mark.parametrize(
     "controller",
@@ -654,6 +655,7 @@ def known(edges: dict[str, set[str]], module: str) -> set[str]:
     return seen
 
 
+@pytest.mark.compiled
 def test_an_adaptive_controller_knows_how_the_robot_moves_and_not_what_it_weighs() -> None:
     edges = graph()
     for arithmetic in ("torque.pseudo_inertia",):

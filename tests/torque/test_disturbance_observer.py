@@ -46,6 +46,7 @@ def test_it_stays_within_its_bounds_whatever_s_is():
         assert (np.abs(state["d"]) <= 0.5 * K.vector(LAYOUT)).all()
 
 
+@pytest.mark.compiled
 def test_engines_batch_resumption_and_freezing():
     loop = made("disturbance_observer")
     assert_engines_agree(loop)

@@ -80,12 +80,14 @@ def misfit(h, pole, state_pole, duration=2.0):
     return worst / largest
 
 
+@pytest.mark.compiled
 def test_the_equation_holds_up_to_second_order_in_the_period():
     errors = [misfit(h, 5.0, 0.0) for h in (8e-3, 4e-3)]
     assert errors[0] < 1e-3
     assert errors[1] < 0.3 * errors[0]
 
 
+@pytest.mark.compiled
 def test_a_filter_ahead_of_the_features_bends_what_is_not_linear_and_a_fast_one_less():
     slow, fast = misfit(4e-3, 5.0, 20.0), misfit(4e-3, 5.0, 80.0)
     assert 1e-4 < fast < 0.35 * slow < 0.05

@@ -181,6 +181,7 @@ def test_pairs_do_not_repeat(units, terms):
     assert units <= found and len({(c % found, c % terms) for c in range(found * terms)}) == found * terms
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_the_prior_is_what_its_docstring_says(kind):
     """Mean variance of Psi / K over random motion: prior^2, where gravity has no more than its part of it."""
@@ -220,6 +221,7 @@ def test_a_robot_with_many_joints_gets_no_more_features_than_allowed():
 # --- the law
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_learning_from_a_run_is_batch_least_squares(kind):
     """Means, filters, features and Kalman gain against one ridge regression over the recorded signals, by scipy."""
@@ -310,6 +312,7 @@ def test_a_nominal_model_is_pinocchios(nudge):
         np.testing.assert_allclose(bench.step(), expected, rtol=1e-10, atol=1e-8)
 
 
+@pytest.mark.compiled
 @settings(max_examples=20, deadline=None)
 @given(seeds, kinds)
 def test_what_the_weights_lose_by_tracking_is_the_work_of_their_error(seed, kind):
@@ -361,6 +364,7 @@ def test_s_is_answered_at_the_rate_that_is_set(kind):
     np.testing.assert_allclose(bench.step() - before, 0.3 * bench.h * expected, rtol=1e-6)
 
 
+@pytest.mark.compiled
 @settings(max_examples=40, deadline=None)
 @given(seeds, kinds, st.floats(1.01, 1e3))
 def test_the_projection_comes_closer_to_every_point_of_the_ball(seed, kind, beyond):
@@ -392,6 +396,7 @@ def test_the_projection_comes_closer_to_every_point_of_the_ball(seed, kind, beyo
         np.testing.assert_allclose(bench.state["W"][c, used], expected, atol=1e-7 * np.abs(w).max())
 
 
+@pytest.mark.compiled
 @settings(max_examples=40, deadline=None)
 @given(seeds, kinds, st.sampled_from([1e-300, 1e-3, 1.0, 1e3, 1e8, 1e100, 1e300, np.inf, np.nan]), st.data())
 def test_everything_stays_bounded_whatever_comes(seed, kind, size, data):
@@ -441,11 +446,13 @@ def test_a_sample_that_is_no_number_teaches_nothing(kind, signal):
 # --- in closed loops
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_both_engines_and_a_batch_agree(kind):
     assert_engines_agree(loop_of(small(kind), 0.2))
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("safety", [None, Safety(torque=(60.0, 60.0, 30.0, 5.0))])
 @pytest.mark.parametrize("kind", ["regressor", "features"])
 def test_a_resumed_run_equals_the_uninterrupted_one(kind, safety):
@@ -464,6 +471,7 @@ def test_a_warm_start_elsewhere_takes_no_period_over_the_gap():
     assert state["clock"][1] == round(loop.timing.duration / 0.002)
 
 
+@pytest.mark.compiled
 def test_frozen_weights_stay_and_features_come_from_the_memory():
     controller = small("bilinear")
     learned = loop_of(controller, 0.3, seed=1)
@@ -566,6 +574,7 @@ def test_a_payload_is_learned_anew(kind):
     assert anew < 0.5 * late_rms(runs[1], 12.0)[3:].sum()
 
 
+@pytest.mark.compiled
 def test_a_cycle_learns_too():
     controller = small("regressor")
     loop = loop_of(controller, 0.02, safety=Safety(), sensor=Sensor())
@@ -583,6 +592,7 @@ def test_a_cycle_learns_too():
     )
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("name", first_of(("fixed", "mobile", "tiago"), "fixed", "mobile"))
 def test_other_robots(name, kind):
@@ -605,6 +615,7 @@ def test_other_robots(name, kind):
         assert np.median(errors[1] / errors[0]) < 0.9
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_it_is_built_again_from_what_it_told(kind):
     controller = small(kind, noise=0.05)
@@ -656,6 +667,7 @@ def test_an_experiment_makes_it(kind):
         load_experiment("track", [f"kalman.{kind}.noise=-1"])
 
 
+@pytest.mark.compiled
 def test_a_nominal_robot_that_moves_otherwise_is_refused():
     experiment = load_experiment("track", ["nominal.robot=two_axis_arm"])
     with pytest.raises(ConfigError, match="does not move as platform_arm") as error:
@@ -685,6 +697,7 @@ def test_the_factors_of_a_covariance_are_its_own(seed, rank):
     assert (D >= 0).all() and not np.triu(U).any()
 
 
+@pytest.mark.compiled
 def test_it_begins_with_parameters_and_covariance_within_its_prior():
     wide, silent = covariance_of(1), REGRESSOR.size - 1
     wide[0] *= 1e9
@@ -711,6 +724,7 @@ class Truth:
     motion, machine, parameters = REGRESSOR, machine_of(ROBOT), THETA0
 
 
+@pytest.mark.compiled
 def test_a_fit_is_worth_its_covariance():
     """Begun with the truth it says it at once; what a measurement moves is what the covariance leaves open."""
     run = loop_of(begun(TRUE, covariance_of(2)), 0.02, sensor=Sensor(), engine="ordinary").run()
@@ -723,6 +737,7 @@ def test_a_fit_is_worth_its_covariance():
         np.testing.assert_allclose(b[matters], (P @ phi)[matters], rtol=1e-6, atol=1e-9 * np.abs(P @ phi).max())
 
 
+@pytest.mark.compiled
 def test_only_a_report_of_the_same_robot_is_a_start(tmp_path):
     file, order = tmp_path / "r.identified.json", np.random.default_rng(0).permutation(REGRESSOR.size)
     labels, C = [*REGRESSOR.labels, "arm_1_joint.offset"], covariance_of(3)

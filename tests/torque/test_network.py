@@ -244,6 +244,7 @@ def test_leakage_pulls_by_kappa_times_the_error_and_bounds_the_weights() -> None
     assert norms[0.0] > 10 * norms[1.0]
 
 
+@pytest.mark.compiled
 @patient
 @given(seeds, st.floats(0.01, 10.0), st.floats(0.0, 10.0))
 def test_the_projection_comes_closer_to_every_point_of_the_ball(seed: int, radius: float, size: float) -> None:

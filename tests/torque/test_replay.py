@@ -123,6 +123,7 @@ def test_the_weights_stay_bounded_whatever_the_sensors_say(seed, size):
     assert state["counts"][1] > 0
 
 
+@pytest.mark.compiled
 def test_engines_batch_resumption_and_freezing():
     loop = made("two_layer_composite", "two_layer_composite.entries=7")
     assert_engines_agree(loop)

@@ -60,6 +60,7 @@ def test_a_nominal_model_that_is_right_makes_an_oracle():
     np.testing.assert_array_equal(told.run()["torque"], same["torque"])
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["two_layer_residual", "nominal"])
 def test_both_engines_and_a_batch_agree(name):
     loop = made(name)
@@ -77,6 +78,7 @@ def test_without_learning_the_weights_stay():
     assert run.meta["controller_settings"]["model"]["robot"]
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("name", ["two_layer_residual", "two_layer", "one_layer"])
 def test_a_projection_bounds_the_weights_at_every_sample(name):
     """Rates a hundred times too large and no leakage; both engines, and a run that never gets there as it was."""
@@ -109,6 +111,7 @@ def test_a_network_on_a_model_has_a_bound_unless_told():
         assert error.value.key == "learning.projection"
 
 
+@pytest.mark.compiled
 def test_a_bound_needs_one_gain_of_a_network_that_learns():
     """A joint without a gain has the bound of its network; where nothing is learned, nothing is bounded."""
     zero = ["feedback.arm=0.0", "learning.robust_term=false"]

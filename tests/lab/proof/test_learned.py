@@ -125,6 +125,7 @@ def test_excitation_is_the_spectrum_of_the_gram_matrix(seed: int) -> None:
 # -- the learner of a recording --
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("which", ["two_layer", "one_layer"])
 def test_a_learner_is_built_again_and_says_what_its_networks_say(kind: str, which: str) -> None:
