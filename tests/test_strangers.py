@@ -22,6 +22,7 @@ from mmnn_pin.errors import ConfigError, MmnnError, StudyError
 from mmnn_pin.lab.show.replay.page import Page
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.store import NAME
+from mmnn_pin.lab.study.verdict import verdict
 from mmnn_pin.settings import Settings, Timing
 
 WRONG = [None, True, -1, 0, 3, 10**20, 0.5, float("nan"), "x", "", b"a", [], [1], [1, "a"], (), {}, {"a": 1}, 1j, int]
@@ -110,6 +111,7 @@ ROWS = {
     "UPDATE meta SET value = '3' WHERE key = 'controllers'": "the fact 'controllers' cannot be read: this is a whole",
     "UPDATE meta SET value = '[[[' WHERE key = 'units'": "the fact 'units' cannot be read",
     "DELETE FROM meta WHERE key = 'units'": "it does not hold the fact 'units'",
+    "DELETE FROM meta WHERE key = 'file'": "it does not hold the fact 'file'",
     "UPDATE meta SET value = '{\"factors\": 3}' WHERE key = 'settings'": "its settings cannot be read",
     "CREATE VIEW more AS SELECT 1": "the view 'more' cannot be read",
     "CREATE TRIGGER more AFTER INSERT ON rows BEGIN SELECT 1; END": "the trigger 'more' cannot be read",
@@ -131,6 +133,16 @@ def test_a_database_that_we_did_not_write_is_one_line(change, sound, tmp_path):
     with redirect_stdout(StringIO()):
         assert main(["export", str(file), "--to", "csv", "--out", str(tmp_path / "out")]) == 2
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("point", [2**63 - 1, -(2**63), 10**12])
+def test_numbers_of_points_are_names_and_no_places(point, sound, tmp_path):
+    (file := tmp_path / NAME).write_bytes(sound)
+    with closing(sqlite3.connect(file)) as db, db:
+        db.execute(f"UPDATE rows SET point = {point} WHERE point = 1")
+    (tmp_path / "sound.sqlite").write_bytes(sound)
+    found, expected = (verdict(load_results(one)) for one in (file, tmp_path / "sound.sqlite"))
+    assert (found.controller, found.success) == (expected.controller, expected.success)
 
 
 def test_a_text_of_a_gigabyte_is_not_read(sound, tmp_path):

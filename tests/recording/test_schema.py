@@ -12,6 +12,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from builders import loop
 from sound_files import old_recording
 from test_recording import LAYOUT, META, record, rows_of
 
@@ -20,6 +21,7 @@ from mmnn_pin.errors import ConfigError, InputError, RecordingError
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import UNSEEN, Recording, recorded_robot
+from mmnn_pin.torque.neural import Neural
 
 Change = Callable[[h5py.File], object]
 
@@ -310,6 +312,18 @@ def test_a_learner_without_its_settings_is_refused_before_anything_is_fitted(tmp
     recording = Recording.open(tmp_path / "run.h5")
     with pytest.raises(RecordingError, match="the recording does not tell the settings of adaptive"):
         controller_of(recording, recorded_robot(recording))
+
+
+def test_weights_whose_squares_overflow_have_no_ideal(tmp_path):
+    from mmnn_pin.lab.proof.proof import proof_of
+
+    run = loop(Neural(), duration=0.6).run(tmp_path / "run.h5")
+    assert proof_of(run).ideal is not None
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        file["weights/V1"][0] = 1e300
+    with pytest.raises(RecordingError, match="no ideal weights: weights of network 1"):
+        assert proof_of(Recording.open(tmp_path / "run.h5")).ideal
+    assert main(["prove", str(tmp_path / "run.h5")]) == 0
 
 
 def test_a_report_of_a_recording_that_knows_no_limits_is_made(tmp_path, monkeypatch):

@@ -35,6 +35,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit
 
+from ...errors import RecordingError
 from ...settings import finite
 from ...signals import Array, IntArray
 from ...torque.controller import ControllerState
@@ -46,6 +47,7 @@ from .weights_part import Progress, WeightsPart, step_again
 
 MOST = 2000  # rows that the fit sees, evenly spread
 ITERATIONS = 300
+LARGEST = 1e100  # of a number whose square is summed
 Weights = dict[int, tuple[Array, Array]]
 
 
@@ -98,13 +100,20 @@ class Ideal:
 
 
 def ideal_weights(subject: Subject, learner: Networks) -> dict[int, Ideal]:
-    """Ideal weights of every network on the rows of a run, network (1 the base's, 2 the arm's) to weights."""
+    """Ideal weights of every network on the rows of a run, network (1 the base's, 2 the arm's) to weights.
+
+    Raises:
+        RecordingError: Numbers too large to compute with.
+    """
     samples, psi = seen(learner, learner.start, subject.rows), subject.signal("psi")
     some = slice(None, None, -(-len(psi) // MOST))
     scale, result = learner.own.network_scales(subject.layout)[1], {}
     for i, part in learner.networks:
         nominal = samples.psi_hat[:, part] - scale[part] * (samples.activations[i] @ learner.start[f"W{i}"])
         target, V = (psi[:, part] - nominal) / scale[part], np.array(learner.start[f"V{i}"])
+        if not all(np.abs(one).max(initial=0.0) < LARGEST for one in (target, V, samples.inputs)):
+            why = f"weights of network {i}, what it sees or what it has to learn are not below {LARGEST:g}"
+            raise RecordingError("no ideal weights", why=why, file=subject.recording.path)
         if learner.own.network.hidden_learns:
             V = hidden_weights(samples.inputs[some], target[some], spread(V))
             hidden = expit(samples.inputs @ V)

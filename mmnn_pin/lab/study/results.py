@@ -30,6 +30,8 @@ from .store import AGAIN, NAME, Stored, reading
 
 DEFAULT = ("pose_error.[xy].peak", "pose_error.phi.peak", "e.*.peak", "effort")
 
+NEEDED = ("name", "file", "rows", "metrics", "units", "controllers", "versions")  # facts beside the settings
+
 
 @dataclass(frozen=True, eq=False)
 class Results:
@@ -132,7 +134,7 @@ def load_results(path: Path) -> Results:
     except (msgspec.ValidationError, InputError) as error:
         why = " ".join(str(error).removeprefix("error: ").split())
         raise StudyError("its settings cannot be read", why=why, fix=AGAIN, file=path) from error
-    if missing := [key for key in ("name", "rows", "metrics", "units", "controllers", "versions") if key not in meta]:
+    if missing := [key for key in NEEDED if key not in meta]:
         raise StudyError(f"it does not hold the fact '{missing[0]}'", fix=AGAIN, file=path)
     for row in rows:
         require_of(row, settings, meta["controllers"], path)

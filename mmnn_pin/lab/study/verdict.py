@@ -253,7 +253,7 @@ def verdict(results: Results) -> Verdict:
         medians = {name: float(np.median(results.metric(name, deciding))) for name in (best, *alike)}
         best = min(medians, key=lambda name: medians[name] if medians[name] < np.inf else np.inf)  # NaN is none
         alike = [name for name in rates if name != best and chance(results, best, name) > CHANCE / len(others)]
-    points = np.array([row.point for row in results.of[best]])
+    points = np.unique([row.point for row in results.of[best]], return_inverse=True)[1]
     half = (np.random.default_rng(0).random(points.max() + 1) < 0.5)[points]  # finds the region; the others judge it
     values = {name: results.values(best, name) for name in results.factors}
     region = region_of(values, results.factors, good[best], half, wanted)
