@@ -149,7 +149,7 @@ def metrics(recording: Recording, windows: Windows) -> dict[str, float]:
     recording.require_whole()
     labels = {name: recording.labels(name) for name in TRACKED if name in recording}
     rows = np.hstack([as_columns(recording[judged(recording, name)]) for name in ("time", *labels)])
-    reducer = Reducer(labels, windows, float(recording.meta["control_period"]), np.arange(1, rows.shape[1]))
+    reducer = Reducer(labels, windows, recording.fact("control_period", float), np.arange(1, rows.shape[1]))
     reducer.append_block(rows)
     return reducer.result()
 

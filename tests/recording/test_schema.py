@@ -314,6 +314,19 @@ def test_a_learner_without_its_settings_is_refused_before_anything_is_fitted(tmp
         controller_of(recording, recorded_robot(recording))
 
 
+def test_facts_that_are_missing_are_told_where_they_are_needed(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with h5py.File(old_recording(tmp_path / "run.h5"), "r+") as file:
+        del file.attrs["urdf_sha256"]
+    assert main(["report", "run.h5", "--html", "r.html", "--no-replay"]) == 0
+    assert "not recorded" in (tmp_path / "r.html").read_text()
+    with h5py.File(tmp_path / "run.h5", "r+") as file:
+        del file.attrs["control_period"]
+    assert main(["prove", "run.h5"]) == 0
+    told = capsys.readouterr()
+    assert "does not hold its 'control_period'" in told.out and "internal error" not in told.err
+
+
 def test_weights_whose_squares_overflow_have_no_ideal(tmp_path):
     from mmnn_pin.lab.proof.proof import proof_of
 

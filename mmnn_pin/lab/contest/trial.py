@@ -380,7 +380,7 @@ def tracking(recording: Recording | None, status: str) -> Tracking:
 def training_numbers(task: Task, recording: Recording) -> dict[str, Any]:
     """What a result says of its training run."""
     time, (axes, errors), contest = recording.time, errors_of(recording), task.contest
-    window, period = task.experiment.windows[-1], float(recording.meta["control_period"])
+    window, period = task.experiment.windows[-1], recording.fact("control_period", float)
     late = (time >= window[0] - 1e-9) & (time < window[1] - 1e-9) & (recording.outcome.status == "completed")
     motors, limits = as_columns(recording["motor_torque"]), np.array(task.robot.facts()["effort_limits"], float)
     share = (np.abs(motors) / limits).max(axis=1)

@@ -179,7 +179,7 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
     if controller is None:
         return None
     seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
-    period = float(recording.meta["control_period"])
+    period = recording.fact("control_period", float)
     kept, rng = recording.meta.get("within_limits"), np.random.default_rng(seed)
     context = context_of(controller, robot, period, len(recording), rng, kept)
     with recording.using("what it tells of its controller"):

@@ -155,7 +155,7 @@ def wheel_rows(result: Result) -> Iterator[Row]:
 def slipping(recording: Recording) -> float:
     """Time in which a wheel's contact point moved faster than it can creep [s]."""
     fast = as_columns(recording["slip"]) > SLIPPING
-    return float(np.count_nonzero(fast.any(axis=1)) * recording.meta["control_period"])
+    return float(np.count_nonzero(fast.any(axis=1)) * recording.fact("control_period", float))
 
 
 def limited(result: Result) -> list[dict[str, Any]]:

@@ -181,7 +181,7 @@ def experiment_of(recording: Recording) -> Experiment:
     """The experiment of a recording; without a config one that says as much as the recording does."""
     if (experiment := recorded_experiment(recording)) is not None:
         return experiment
-    period = float(recording.meta["control_period"])
+    period = recording.fact("control_period", float)
     duration = len(recording) * period
     facts: dict[str, Any] = {"robot": str(recording.meta.get("robot", "")), "seed": int(recording.meta.get("seed", 0))}
     return Experiment(
