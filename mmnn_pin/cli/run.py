@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -138,6 +139,8 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
+    from ..lab.show.report.verdict import headline
+    from ..lab.show.table import WIDTH
 
     with progress_bar() as show, interruptible(show) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress)
@@ -146,7 +149,8 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     def text() -> str:
         remarks = [f"note: {note}" for note in notes(result)]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        return "\n".join([render(result, **look()), "", *remarks, wrote([*files, *pictures.values()])])
+        verdict = textwrap.fill(headline(result), look().get("width", WIDTH))
+        return "\n".join([render(result, **look()), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):

@@ -76,6 +76,8 @@ def alone(result: Result, name: str) -> str:
     for signal in (name for name in ("pose_error", "e") if name in recording):
         for column, unit in zip(recording.labels(signal), column_units(recording, signal), strict=True):
             value = 1e3 * result.metrics[name][f"{signal}.{column}{window(result)}"]
+            if not math.isfinite(value):
+                return "No run lasts until the window in which it would be judged."
             rms.append(f"{column} {number(value)} {milli(unit)}")
     return f"{name}: RMS errors in {when(result)} are {', '.join(rms)}."
 
