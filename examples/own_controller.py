@@ -27,12 +27,11 @@ class PID(TorqueController):
 
 
 if __name__ == "__main__":
-    if __name__ == "__main__":
-        robot = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])  # [N s/m, N m s, N m s, N m s]
-        trajectory = Trajectory(Line(speed=0.3), (Sine(amplitude=0.8, period=4.0), Hold(0.8)))
-        feedback = Feedback(base=500.0, arm=30.0)
-        for controller in (PD(feedback), PID(feedback, ki=4.0)):
-            run = Loop(robot, trajectory, controller, timing=Timing(duration=2.0), start=Start(moving=True)).run()
-            x, y, _ = 1e3 * np.sqrt(np.mean(run["pose_error"] ** 2, axis=0))
-            arm = np.degrees(np.sqrt(np.mean(run["e"] ** 2, axis=0)))
-            print(f"{controller.name:4} rms: x {x:.3f} mm, y {y:.3f} mm, joints {arm[0]:.3f} deg, {arm[1]:.3f} deg")
+    robot = load("platform_arm").with_friction([30.0, 5.0, 0.5, 0.5])  # [N s/m, N m s, N m s, N m s]
+    trajectory = Trajectory(Line(speed=0.3), (Sine(amplitude=0.8, period=4.0), Hold(0.8)))
+    feedback = Feedback(base=500.0, arm=30.0)
+    for controller in (PD(feedback), PID(feedback, ki=4.0)):
+        run = Loop(robot, trajectory, controller, timing=Timing(duration=2.0), start=Start(moving=True)).run()
+        x, y, _ = 1e3 * np.sqrt(np.mean(run["pose_error"] ** 2, axis=0))
+        arm = np.degrees(np.sqrt(np.mean(run["e"] ** 2, axis=0)))
+        print(f"{controller.name:4} rms: x {x:.3f} mm, y {y:.3f} mm, joints {arm[0]:.3f} deg, {arm[1]:.3f} deg")

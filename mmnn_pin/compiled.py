@@ -110,9 +110,18 @@ def compiled(function: F, **options: Any) -> F:
     config.CACHE_DIR = "" if folder is None else str(folder)
     try:
         given: dict[str, Any] = LEAN | options
-        return cast(F, numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **given)(function))
+        made: Any = numba.njit(cache=folder is not None, nogil=True, error_model="numpy", **given)(function)
     finally:
         config.CACHE_DIR = before
+    if hasattr(made, "add_overload"):
+        made.add_overload = partial(remember, made)
+    return cast(F, made)
+
+
+def remember(dispatcher: Any, compilation: Any) -> None:
+    """Enter a compilation; from the cache it no longer says what is made ready before it, which its callers have to."""
+    compilation.library._reload_init.update(compilation.reload_init)
+    type(dispatcher).add_overload(dispatcher, compilation)
 
 
 def inlined(function: F) -> F:
@@ -176,7 +185,7 @@ class Load:
 
 def publish(dispatcher: Any, compilation: Any) -> None:
     """Enter what numba has compiled for some types under a name of its own, by which compiled callers find it."""
-    type(dispatcher).add_overload(dispatcher, compilation)
+    remember(dispatcher, compilation)
     target, types, library = dispatcher.targetctx, compilation.signature.args, compilation.library
     fndesc = copy(compilation.fndesc)
     load = Load(fndesc.modname, fndesc.qualname, types)

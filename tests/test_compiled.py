@@ -266,6 +266,10 @@ def middle(x):
 @compiled
 def high(x):
     return middle(x) + low(x)
+
+@compiled
+def highest(x):
+    return 2.0 * high(x)
 """
 SCRIPT = """
 import part
@@ -279,9 +283,9 @@ def test_code_from_the_cache_finds_what_it_is_linked_with(tmp_path: Path, monkey
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.syspath_prepend(tmp_path)
 
-    def run() -> str:
+    def run(script: str = SCRIPT) -> str:
         path = {"PYTHONPATH": f"{tmp_path}:{Path(__file__).parents[1]}"}
-        command = [sys.executable, "-c", SCRIPT]
+        command = [sys.executable, "-c", script]
         done = subprocess.run(command, capture_output=True, text=True, env=os.environ | path, check=False)
         assert done.returncode == 0, done.stderr
         return done.stdout.strip()
@@ -294,3 +298,6 @@ def test_code_from_the_cache_finds_what_it_is_linked_with(tmp_path: Path, monkey
     for path in gone:
         path.unlink()
     assert run() == "22.0 [0, 0, 1]"
+    # compiled on top of what came from the cache, it asks for what that needs when it comes from there itself
+    top = "import part; print(part.highest(1.0), sum(part.highest.stats.cache_misses.values()))"
+    assert [run(top), run(top)] == ["44.0 1", "44.0 0"]

@@ -52,19 +52,20 @@ class Commands(click.Group):
     invoke_without_command=True,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=examples(
-        "mmnn run chapter4                           the thesis's main comparison",
-        "mmnn run chapter4 --set time.duration=2     the same, 2 s long",
-        "mmnn plot runs/chapter4 --what psi          what was to be learned, and what was",
-        "mmnn model platform_arm --json              mass matrix and all that, at rest",
-        "mmnn list                                   what there is to run",
+        "mmnn inspect my_robot.urdf                      what the file says, and what is wrong with it",
+        "mmnn run track --robot my_robot.urdf            drive it along an eight, with six controllers",
+        "mmnn run track --robot my_robot.urdf --set time.duration=2     the same, 2 s long",
+        "mmnn replay runs/track                          watch the runs in the browser",
+        "mmnn report runs/track --html track.html        one page: verdict, numbers, plots",
+        "mmnn list                                       all experiments, robots and controllers",
     ),
 )
 @click.version_option(__version__, prog_name="mmnn")
 @click.pass_context
 def mmnn(context: click.Context) -> None:
-    """Controllers that learn the dynamics of mobile manipulators, checked against Pinocchio.
+    """Torque control for mobile manipulators: read a URDF, compare controllers in simulation, take one to the robot.
 
-    A shell completes names and keys after: eval "$(_MMNN_COMPLETE=bash_source mmnn)" (or zsh_source, fish_source).
+    To let the shell complete names and keys: eval "$(_MMNN_COMPLETE=bash_source mmnn)" (or zsh_source, fish_source).
 
     Every command takes --json, --debug and --help. Exit codes: 0 done, 1 a run failed or diverged, 2 bad input,
     130 stopped by Ctrl-C.

@@ -93,10 +93,12 @@ def identify(
 
     LOG is a CSV file (`time`, `position.JOINT`, `velocity.JOINT`, `effort.JOINT`, `base.v`, `base.w`, or headers with a
     joint's name and such a word), a bag (rosbag2 with sqlite3 or MCAP) with sensor_msgs/JointState, or a recording of
-    this package. Tables with the same times are one motion. What the motion does not tell stays at the URDF and is
-    named.
-    Written are NAME.urdf, NAME.identified.toml (rotors, constants), NAME.identified.json (all numbers, covariances),
-    NAME.mmnn.toml, unless the fit predicts the motion held out no better than the URDF or friction alone: exit code 1.
+    this package. Tables with the same times are one motion. What the motion does not tell keeps the URDF's value and
+    is named.
+
+    It writes NAME.urdf, NAME.identified.toml (rotors, constants), NAME.identified.json (all numbers, covariances) and
+    NAME.mmnn.toml. Where the fit predicts the held-out motion no better than the URDF or friction alone it writes
+    nothing, and the exit code is 1.
     """
     from ..deploy.identify import corrected, identification
     from ..deploy.identify.reading import read_columns, read_logs
@@ -150,7 +152,7 @@ def carried(
 
 
 @click.command(
-    short_help="Find a motion that tells most of a robot's inertias and friction, within its limits.",
+    short_help="Find the motion from which a robot's inertias and friction are identified best.",
     epilog=examples(
         "mmnn excite platform_arm --out motion.csv",
         "mmnn excite ur10 --duration 60 --share 0.5 --out motion.csv     half of all limits",
@@ -158,11 +160,28 @@ def carried(
     ),
 )
 @click.argument("robot", shell_complete=robots)
-@click.option("--out", type=click.Path(path_type=Path), default=Path("excitation.csv"), show_default=True, help="CSV.")
-@click.option("--duration", type=float, default=40.0, show_default=True, metavar="S", help="Of the motion.")
-@click.option("--space", type=float, default=1.0, show_default=True, metavar="M", help="The base's way, either side.")
-@click.option("--share", type=float, default=0.8, show_default=True, help="Of the limits of position, speed, torque.")
-@click.option("--clearance", type=float, default=0.06, show_default=True, metavar="M", help="Radius around the links.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), default=Path("excitation.csv"), show_default=True, help="The CSV file."
+)
+@click.option("--duration", type=float, default=40.0, show_default=True, metavar="S", help="Length of the motion.")
+@click.option(
+    "--space", type=float, default=1.0, show_default=True, metavar="M", help="How far the base may go to either side."
+)
+@click.option(
+    "--share",
+    type=float,
+    default=0.8,
+    show_default=True,
+    help="Share of the limits of position, speed and torque that it may use.",
+)
+@click.option(
+    "--clearance",
+    type=float,
+    default=0.06,
+    show_default=True,
+    metavar="M",
+    help="Radius of the spheres along the links that are kept apart.",
+)
 @click.option("--seconds", type=float, default=20.0, show_default=True, metavar="S", help="Time to look for it.")
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Of the search.")
 @FORCE
@@ -181,11 +200,11 @@ def excite(
     overrides: dict[str, Any],
     as_json: bool,
 ) -> int:
-    """Find a motion of ROBOT within its limits that tells most of its inertias and friction, and write it as CSV.
+    """Find the motion of ROBOT from which inertias and friction are identified best, and write it as CSV.
 
-    It starts and ends at rest. The table has t, for a base x, y, phi, v, w, and position.JOINT, velocity.JOINT,
-    acceleration.JOINT at 100 rows per second. What it would determine is printed first: predicted standard
-    deviations of the base parameters, for noise of 2 % of each motor's limit.
+    It keeps the robot's limits, and starts and ends at rest. The table has t, for a base x, y, phi, v, w, and
+    position.JOINT, velocity.JOINT, acceleration.JOINT at 100 rows per second. Printed is what it would determine:
+    predicted standard deviations of the base parameters, for noise of 2 % of each motor's limit.
     """
     from ..deploy.identify import excitation
     from ..lab.show.identified import excitation_text

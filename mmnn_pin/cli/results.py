@@ -201,14 +201,14 @@ def prove(
     force: bool,
     as_json: bool,
 ) -> int:
-    """Judge one recording: Psi_hat against the truth, the Lyapunov function, the equality behind it.
+    """Tell from one recording whether it learned Psi, whether its Lyapunov function falls, and what is guaranteed.
 
-    Psi: fraction of variance unexplained (FVU) online and with the final weights held fixed, on the run's own
-    trajectory, on one held out, and with a payload; shares of the torque; ranks and excitation of the networks; ideal
-    weights by an offline fit. Lyapunov function: V, its derivative term by term, when and why it grows. Equality: the
-    energy of the errors over every control period. Certificate: a region that the loop provably never leaves, the bound
-    that it ends up in, conditions and constants, a condition on the learning rates (docs/explanation/theory.md). Exit
-    code 1 when the equality or the certificate is violated.
+    Psi: the fraction of its variance that the estimate leaves unexplained (FVU), online and with the final weights held
+    fixed, on the run's own trajectory, on another one and with a payload; and why. Lyapunov function: V, its derivative
+    term by term, when and why it grows. Equality: whether the energy of the errors changes as the model says. These
+    are explained in docs/explanation/proof.md. Certificate: a region that the loop provably never leaves, the bound it
+    ends up in, and how fast it may learn (docs/explanation/theory.md). Exit code 1 when the equality or the certificate
+    is violated.
     """
     from ..lab.proof.balance import BUDGET
     from ..lab.proof.certified_run import prove as judge
@@ -258,7 +258,7 @@ def one_run(path: Path) -> Recording:
 
 
 @click.command(
-    short_help="Play recordings in the browser.",
+    short_help="Watch recordings in the browser.",
     epilog=examples(
         "mmnn replay runs/chapter4/two_layer.h5",
         "mmnn replay runs/chapter4/two_layer.h5 runs/chapter4/pd.h5       both in one scene",
@@ -286,7 +286,7 @@ def replay(
     package_dirs: tuple[str, ...],
     as_json: bool,
 ) -> int:
-    """Play recordings in the browser, several in one scene.
+    """Watch recordings in the browser; several play in one scene.
 
     RUN is a recording, or a folder with recordings. Without --html the page is served on this machine only, until
     Ctrl-C.

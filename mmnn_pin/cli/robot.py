@@ -27,10 +27,13 @@ from .output import BAD_INPUT, DONE, FAILED, answer, progress_bar
 @understanding
 @shared
 def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_json: bool) -> int:
-    """Check ROBOT: M, properties 1-5, A S = 0, passivity, bounds of M and C, and whether its base is nonholonomic.
+    """Check that ROBOT's model has the properties that the controllers' proofs assume.
 
-    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. Every property is a scale-free
-    residual, its worst value over random states held against a tolerance; exit code 1 when one fails.
+    Checked are the mass matrix, properties 1 to 5 of the thesis, A S = 0, passivity, the bounds of M and C, and whether
+    the base is nonholonomic (docs/reference/checks.md).
+
+    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. Every property is a number
+    without a unit; its worst value over random states is compared with a tolerance. Exit code 1 when one fails.
     """
     from ..lab.show.robots import properties_dict, properties_text
     from ..model.checks.properties import check as judge
@@ -58,8 +61,8 @@ def check(robot: str, samples: int, seed: int, overrides: dict[str, Any], as_jso
 def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
     """Show what the loader understood of ROBOT: base, wheels, arm with limits, locked joints, mass, and all findings.
 
-    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. What the options state can
-    stand in NAME.mmnn.toml beside NAME.urdf too. Exit code 2 when the robot cannot be used or its base is undecided.
+    ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. The options can also
+    stand in NAME.mmnn.toml beside NAME.urdf. Exit code 2 when the robot cannot be used or its base is undecided.
     """
     from ..lab.show.robots import inspection_text, refusal_text
     from ..model.base.overrides import Overrides
@@ -90,7 +93,9 @@ def inspect(robot: str, overrides: dict[str, Any], as_json: bool) -> int:
     ),
 )
 @click.argument("robot", shell_complete=robots)
-@click.option("--at", "state", metavar="STATE.json", type=click.Path(path_type=Path), help="The state; else at rest.")
+@click.option(
+    "--at", "state", metavar="STATE.json", type=click.Path(path_type=Path), help="The state.  [default: at rest]"
+)
 @understanding
 @shared
 def model(robot: str, state: Path | None, overrides: dict[str, Any], as_json: bool) -> int:
@@ -98,7 +103,7 @@ def model(robot: str, state: Path | None, overrides: dict[str, Any], as_json: bo
 
     ROBOT is a bundled name, a name of example-robot-data, or the path of a URDF file. STATE.json has the keys
     pose [x, y, phi], base_velocity [v, w], joints {name: rad or m}, joint_velocities {name: rad/s or m/s}; what is left
-    out is at rest and zero.
+    out is zero.
     """
     from ..lab.show.robots import model_text
     from ..model.inspection import NamedState, model_at, read_state

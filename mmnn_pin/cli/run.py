@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,15 +36,15 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.command(
     short_help="Run an experiment and compare its controllers.",
     epilog=examples(
-        "mmnn run chapter4",
-        "mmnn run chapter4 --variant figures",
-        "mmnn run chapter4 --controller pd --controller two_layer --out runs/short --set time.duration=2",
-        "mmnn run chapter4 --robot my_robot.urdf --set feedback.base=300 --set 'two_layer.F=[0.5, 0.1]'",
-        "mmnn run chapter4 --set 'reference.base={type = \"circle\", radius = 1.0, speed = 0.3}'",
+        "mmnn run track --robot my_robot.urdf",
+        "mmnn run track --robot my_robot.urdf --controller pd_gravity --controller two_layer",
         "mmnn run track --robot my_robot.urdf --wheels left_joint,right_joint --lock head_joint=0.2",
-        "mmnn run track --plant contact              wheels that may slip, in MuJoCo",
-        "mmnn run faults                            what sensors, motors and the world can do to a run",
-        "mmnn run contest                           who tracks, who learns, who knows; minutes",
+        "mmnn run track --robot my_robot.urdf --set feedback.base=300 --set reference.file=motion.csv",
+        "mmnn run track --set 'reference.base={type = \"circle\", radius = 1.0, speed = 0.3}'",
+        "mmnn run track --plant contact                     wheels that may slip, in MuJoCo",
+        "mmnn run faults                                    noise, delays, weak motors, pushes, lost messages",
+        "mmnn run chapter4 --variant figures                the thesis's simulation, one of its variants",
+        "mmnn run contest                                   all controllers on all tasks; takes minutes",
         "mmnn run contest --case eight --controller adaptive --set contest.seeds=2",
         "mmnn run contest --case eight --controller my_law.py:MyLaw     a law of your own beside the others",
         "mmnn run my_experiment.toml --json > result.json",
@@ -71,7 +72,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 )
 @CHANGES
 @click.option("--plant", metavar="NAME", help="ideal, or contact: wheels that may slip, in MuJoCo.")
-@click.option("--seed", type=int, help="The seed, short for --set seed=N.")
+@click.option("--seed", type=int, help="The seed; short for --set seed=N.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -104,8 +105,9 @@ def run(
 
     A contest (a file with a table [contest], such as the bundled one) runs all controllers on several tasks, each with
     several seeds, and then on trajectories that none of them was trained on, with what was learned held fixed and
-    learning on. It prints a table per task and the targets, draws figures, and goes on where it was stopped; what its
-    numbers mean is in docs/explanation/contest.md. --controller leaves those in by which the others are measured.
+    learning on. It prints a table per task and whether the targets are met, draws figures, and goes on where it was
+    stopped; docs/explanation/contest.md explains its numbers. With --controller the controllers that the others are
+    measured by still run.
     """
     from ..lab.experiments.cases import chosen_cases
     from ..lab.experiments.config import load_experiment
@@ -137,6 +139,8 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
+    from ..lab.show.report.verdict import headline
+    from ..lab.show.table import WIDTH
 
     with progress_bar() as show, interruptible(show) as progress:
         result = run_experiment(asked, name, out=folder, force=force, progress=progress)
@@ -145,7 +149,8 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     def text() -> str:
         remarks = [f"note: {note}" for note in notes(result)]
         files = [recording.path for recording in result.recordings.values() if recording.path]
-        return "\n".join([render(result, **look()), "", *remarks, wrote([*files, *pictures.values()])])
+        verdict = textwrap.fill(headline(result), look().get("width", WIDTH))
+        return "\n".join([render(result, **look()), "", verdict, *remarks, wrote([*files, *pictures.values()])])
 
     answer(as_json, lambda: result.to_dict() | {"plots": named(pictures)}, text)
     if any(recording.outcome.status == "interrupted" for recording in result.recordings.values()):
@@ -271,7 +276,7 @@ def list_text(there_is: dict[str, dict[str, Any]]) -> str:
 @CHANGES
 @shared
 def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as_json: bool) -> int:
-    """Run both learners of EXPERIMENT as it is, then with one reading changed at a time, and print what that changes.
+    """Run both networks of EXPERIMENT as it is, then with one reading of the thesis changed at a time, and compare.
 
     The readings: learning rates per sample or per second, weights from zero or random, Appendix B's order and its
     wd = 5, the frame of the pose error in the networks' input, the input with and without absolute position. Nothing
@@ -290,6 +295,6 @@ def readings(experiment: str, variant: str | None, settings: tuple[str, ...], as
     answer(
         as_json,
         lambda: {"experiment": name, "variant": asked.variant, "readings": rows},
-        lambda: render_readings(f"{asked.title or name}{words}, each switch turned alone", rows),
+        lambda: render_readings(f"{asked.title or name}{words}, one reading changed at a time", rows),
     )
     return DONE

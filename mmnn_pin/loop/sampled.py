@@ -204,7 +204,7 @@ def require_stable(verdict: SampledLoop, gains: Array, names: tuple[str, ...], h
         f"the sampled PD loop is unstable: spectral radius {verdict.radius:.4g} > 1, the torque held for {h:g} s",
         why="gains near or above their limit, 2 / (h (M^-1)_ii) without friction: "
         + ("; ".join(over) or "none, the kinematic gains"),
-        fix="lower the gains, or shorten the control or sensor period",
+        fix="lower the gains, leave them out and let suitable ones be chosen, or shorten the control or sensor period",
         key="feedback",
     )
 

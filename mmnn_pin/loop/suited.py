@@ -16,7 +16,8 @@ of some, where they are loaded least.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from copy import copy
+from dataclasses import is_dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -108,7 +109,11 @@ def suited(controller: Any, robot: Robot, given: Callable[[], Given]) -> Any:
         changed["inertia"] = tuple(inertia.tolist())
     if isinstance(controller, Neural) and controller.robust == Robust():
         changed["robust"] = SCALED.scaled(robot.dimensions, share * inertia)
-    return replace(controller, **changed)
+    if is_dataclass(controller) and not isinstance(controller, type):
+        return replace(controller, **changed)
+    made = copy(controller)  # a plain class of a user's
+    made.feedback = changed["feedback"]
+    return made
 
 
 SCALED = Robust(1.0, 1.0)  # a robust term that was not given, beside gains from bandwidths

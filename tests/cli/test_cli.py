@@ -132,6 +132,7 @@ def test_run_writes_recordings_and_plot_and_prints_a_table(call: Call) -> None:
     for words in ("pose x [mm]", "pose phi [mrad]", "velocity v [mm/s]", "velocity w [mrad/s]", "RMS 0-1 s", "effort"):
         assert words in head
     assert head.count("done") == 6 and "effective gain" in head and "learned share" in head
+    assert "No run lasts until the window in which it would be judged." in head
     assert rest.count("errors.png") == 1
 
 

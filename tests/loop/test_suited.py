@@ -25,9 +25,22 @@ from mmnn_pin.model.robot import Robot
 from mmnn_pin.model.robots import extra
 from mmnn_pin.signals import Setpoint
 from mmnn_pin.torque.classical import PID
-from mmnn_pin.torque.controller import BANDWIDTHS
+from mmnn_pin.torque.controller import BANDWIDTHS, TorqueController
 from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.neural import Neural, Robust
+
+
+class PDAlone(TorqueController):
+    """PD in plain Python."""
+
+    name = "own"
+
+    def init(self, context):
+        return self.feedback.vector(context.layout)
+
+    def step(self, time, reference, measurement, command, state):
+        return state * np.concatenate((command.z, command.r))
+
 
 ROBOTS = ["platform_arm", "two_axis_arm", *(name for name in ("tiago_no_hand", "so101", "kinova") if name in extra())]
 H = 0.002
@@ -101,6 +114,17 @@ def test_gains_that_are_given_stay() -> None:
     assert bandwidths.robust is None and np.array(bandwidths.inertia).shape == (2,)
     with pytest.raises(ConfigError, match="no gains"):
         Feedback(1.0).vector(robot.dimensions)
+
+
+def test_a_plain_class_of_ones_own_gets_gains_and_keeps_itself_as_it_was() -> None:
+    class Own(PDAlone):
+        def __init__(self) -> None:
+            self.feedback = Feedback()
+
+    own, robot = Own(), load("so101" if "so101" in extra() else "two_axis_arm")
+    made = loop_of(robot, own).controller
+    assert made.feedback == loop_of(robot, PD()).controller.feedback and made.feedback.complete(robot.dimensions)
+    assert isinstance(made, Own) and own.feedback == Feedback()
 
 
 def test_a_gain_that_is_too_much_leaves_the_others_as_they_are() -> None:

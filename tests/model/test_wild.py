@@ -341,6 +341,19 @@ def workspace(folder: Path, more: str = "", parts: str = PARTS, name: str = "che
     return own / "robot.urdf.xacro"
 
 
+def test_a_urdf_that_xacro_made_is_read_as_it_is(tmp_path, monkeypatch):
+    """What xacro writes keeps its namespace, and macros in comments: it loads without the extra `xacro`, too."""
+    monkeypatch.setattr("mmnn_pin.model.urdf.expansion.find_spec", lambda name: None)
+    rest = '<!-- <xacro:wheel rpy="${90 * deg_to_rad} 0 0"/> -->'
+    made = drive_of(SPHERE.format(r=0.1), 0.2, 0.1).replace(">", f' xmlns:xacro="http://ros.org/wiki/xacro">{rest}', 1)
+    file = tmp_path / "robot.urdf"
+    file.write_text(made)
+    assert "expanded" not in codes(load(file))
+    file.write_text(made.replace("<!-- ", "").replace(" -->", ""))
+    with pytest.raises(RobotError, match=r"not yet a URDF.*pip install"):
+        load(file)
+
+
 def test_xacro_is_expanded_with_packages_by_their_names_and_arguments(tmp_path):
     file = workspace(tmp_path)
     robot = load(file, xacro=("length:=3",))

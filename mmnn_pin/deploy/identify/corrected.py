@@ -20,6 +20,7 @@ from lxml import etree
 
 from ...errors import RecordingError
 from ...files import whole_folder
+from ...model.arm import WHY
 from ...model.base.overrides import Overrides
 from ...model.loading import load_with
 from ...model.robot import Robot
@@ -223,6 +224,9 @@ def said_of(of: Identification) -> Overrides:
     robot = of.robot
     known: dict[str, Any] = {"base": robot.base.kind, "controllers_file": None, "xacro": ()}
     known["package_dirs"] = tuple(str(Path(folder).resolve()) for folder in robot.overrides.package_dirs)
+    reasons, locks = robot.arm.reasons, robot.overrides.lock
+    chosen = (WHY["tip"], WHY["short"], WHY["button"], WHY["rigid"])  # by bodies that are other ones there
+    known["lock"] = (*locks, *(name for name, why in reasons.items() if why in chosen))
     if robot.base.wheels:
         known |= {"wheels": tuple(wheel.joint for wheel in robot.base.wheels), "track": robot.base.track}
         radii = {wheel.radius for wheel in robot.base.wheels}
@@ -297,6 +301,8 @@ def require_same(of: Identification, urdf: Path, said: Overrides) -> None:
     as_fitted = msgspec.structs.replace(said, radius=None, track=None) if of.wheels is not None else said
     read, meant = parameters(load_with(urdf, as_fitted)), of.in_urdf[: of.unknowns.regressor.size]
     kept = np.setdiff1d(np.arange(meant.size), of.unknowns.columns("rotor"))
+    if read.size != meant.size:
+        raise RecordingError("the written URDF loads with other moving joints", fix="please report it", file=urdf)
     scale = np.abs(of.prior.B).max(axis=1)[: meant.size]
     inertial = of.unknowns.regressor.inertial
     off = np.abs(read - meant)[kept[kept < inertial]] / np.maximum(scale, 1e-12)[kept[kept < inertial]]

@@ -292,7 +292,7 @@ SWITCHES = (
 def readings(
     experiment: Experiment, name: str, progress: Callable[[str, float], None] | None = None
 ) -> dict[str, Result]:
-    """All learners with the experiment as it is, then with each switch turned alone, in memory.
+    """All learners with the experiment as it is, then with one reading changed at a time, in memory.
 
     Args:
         experiment: Where to start from.

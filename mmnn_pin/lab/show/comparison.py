@@ -186,7 +186,8 @@ def other_rows(result: Result) -> Iterator[Row]:
         shares = {c: number(m[f"learned_share.{part}"]) for c, m in metrics.items()}
         yield row_of("learned share", part, *(f"({s})" if c in ORACLES else s for c, s in shares.items()))
     for part in halves(recording):
-        yield row_of("mean effective gain", part, *(number(m[f"effective_gain.{part}"]) for m in metrics.values()))
+        gains = (m[f"effective_gain.{part}"] for m in metrics.values())  # 0: a controller that does not tell its gain
+        yield row_of("mean effective gain", part, *(number(gain) if gain else "-" for gain in gains))
     if any("delay_margin" in run.meta for run in result.recordings.values()):
         yield row_of("delay margin [ms]", "", *(margin_cell(run) for run in result.recordings.values()))
     yield row_of("outcome", "", *map(outcome_cell, result.recordings.values()))

@@ -261,7 +261,8 @@ def robots_of(recordings: Mapping[str, Recording]) -> list[RobotShown]:
 def about_robot(recording: Recording, samples: int = CHECK_SAMPLES) -> RobotShown:
     """The robot of a run."""
     robot = recorded_robot(recording)
-    content = inspection_of(robot) | {"file": robot.path.name, "sha256": recording.meta.get("urdf_sha256", "not recorded")}
+    sha256 = recording.meta.get("urdf_sha256", "not recorded")
+    content = inspection_of(robot) | {"file": robot.path.name, "sha256": sha256}
     report = check(robot, samples, CHECK_SEED)
     findings = tuple(f | {"text": f["text"].replace(str(robot.path), robot.path.name)} for f in content["findings"])
     return RobotShown(robot.name, understood_text(content), findings, properties_text(report), report.passed)

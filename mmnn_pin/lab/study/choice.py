@@ -101,7 +101,8 @@ def advice(results: Results, controller: str, factor: str) -> str:
     found = levels(results, controller, factor)
     best = best_of(found)
     if best is None:
-        return f"{controller}: no {factor} that was tried succeeds in any run."
+        text = f"{controller}: no {factor} that was tried succeeds in any run"
+        return next((f"{text}; the first: {row.message}" for row in results.of[controller] if row.message), f"{text}.")
     others = sorted({level.words for level in found} - {best.words}, key=[level.words for level in found].index)
     text = f"{controller}: take {factor} = {best.words}"
     text += f" (tried beside it: {', '.join(others)})" if others else ""

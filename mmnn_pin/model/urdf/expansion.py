@@ -82,8 +82,10 @@ class Expansion(NamedTuple):
 
 
 def is_xacro(path: Path, data: bytes) -> bool:
-    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro."""
-    return path.suffix == ".xacro" or bool(XACRO.search(data))
+    """Whether a file needs expanding: it is called so, or has elements or expressions of xacro outside of comments."""
+    first, *others = data.split(b"<!--")
+    text = first + b"".join(part.partition(b"-->")[2] for part in others)
+    return path.suffix == ".xacro" or bool(XACRO.search(text))
 
 
 def arguments_of(given: Sequence[str]) -> dict[str, str]:

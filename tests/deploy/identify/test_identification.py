@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from lxml import etree
@@ -18,7 +19,7 @@ from mmnn_pin import identify, load
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify import programme
 from mmnn_pin.deploy.identify.constants import constants_of
-from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, transport, write
+from mmnn_pin.deploy.identify.corrected import new_links, pseudo_inertia_of, said_of, transport, write
 from mmnn_pin.deploy.identify.equations import Equations
 from mmnn_pin.deploy.identify.identification import Identification
 from mmnn_pin.deploy.identify.least_squares import Base
@@ -26,7 +27,9 @@ from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.report import inertia_of, links_of, report_of
 from mmnn_pin.errors import ConfigError, InputError, MmnnError, RecordingError, UnknownName
 from mmnn_pin.model.inspection import inspection_of
+from mmnn_pin.model.loading import load_with
 from mmnn_pin.model.robot import Robot
+from mmnn_pin.model.robots import extra
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.torque.pseudo_inertia import pseudo_inertias
 
@@ -265,6 +268,19 @@ def test_a_motion_too_still_and_a_solver_without_answer_are_one_line(
     with pytest.raises(MmnnError, match="the solver says infeasible") as error:
         identify(urdf, log)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.skipif("tiago" not in extra(), reason="needs example-robot-data")
+def test_what_is_said_beside_a_file_keeps_the_joints_that_stand_still(found: Identification, tmp_path: Path) -> None:
+    """Which branches are short is seen by their bodies: with another centre of mass a head would be an arm."""
+    robot = load("tiago")
+    tree = etree.parse(robot.path)
+    (head,) = tree.xpath("//link[@name='head_2_link']/inertial/origin")
+    head.set("xyz", "2 0 0")
+    tree.write(file := tmp_path / "tiago.urdf")
+    said = said_of(replace(found, robot=robot))
+    assert load_with(file, said).joint_names == robot.joint_names
+    assert load_with(file, msgspec.structs.replace(said, lock=())).joint_names != robot.joint_names
 
 
 def test_stribeck_friction_is_found(urdf: Robot) -> None:

@@ -23,7 +23,7 @@ from mmnn_pin.errors import RecordingError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.show.figure import STYLES
-from mmnn_pin.lab.show.report import MOST, Report, command_of, kept_rows, report, result_of
+from mmnn_pin.lab.show.report import MOST, Report, command_of, in_the_dark, kept_rows, report, result_of
 from mmnn_pin.lab.show.report.verdict import verdict
 from mmnn_pin.model.loading import build
 from mmnn_pin.model.robot import Robot
@@ -325,3 +325,19 @@ def test_the_notebook_shows_a_recording_and_a_report(tmp_path: Path) -> None:
     assert len(shown) == 2 and "two_layer on platform_arm" in shown[0]
     assert shown[0].count("<img") == 3 and all("<iframe" in part for part in shown)
     assert {"report.html", "two_layer.csv"} <= {file.name for file in tmp_path.iterdir()}
+
+
+def light(color: str) -> float:
+    """Relative luminance of a colour by WCAG 2.1."""
+    parts = [int(color[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+    linear = [part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts]
+    return sum(weight * part for weight, part in zip((0.2126, 0.7152, 0.0722), linear, strict=True))
+
+
+@pytest.mark.parametrize("name", STYLES)
+def test_every_curve_is_seen_on_the_dark_page(name: str) -> None:
+    """A contrast of 3 is what WCAG 2.1 asks of graphics."""
+    dark = (ROOT / "mmnn_pin/lab/show/web/page.css").read_text().partition("prefers-color-scheme: dark")[2]
+    found = re.search(r"--ground: (#[0-9a-f]{6})", dark)
+    assert found
+    assert (light(in_the_dark(STYLES[name].color)) + 0.05) / (light(found[1]) + 0.05) >= 3.0

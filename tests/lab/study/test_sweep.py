@@ -120,6 +120,14 @@ def test_wrong_arguments_are_refused_before_a_run(change, words, robot):
         sweep(robot, path, **arguments)
 
 
+def test_a_sweep_in_which_nothing_runs_says_why(robot):
+    path = Trajectory.of(robot, base=Line(speed=0.3), arm={"arm_1_joint": Sine(0.5, 4.0)})
+    found = sweep(robot, path, "feedback.arm", [1e5, 1e6], ["pd"], runs=1, duration=0.5)
+    (first, _) = found.results.rows
+    assert found.best == {"pd": None} and first.message
+    assert f"succeeds in any run; the first: {first.message}" in " ".join(str(found).split())
+
+
 def test_a_sweep_of_something_without_numbers_has_no_picture(robot):
     path = Trajectory.of(robot, base=Line(speed=0.3))
     found = sweep(robot, path, "learning.leakage", [True, False], ["two_layer"], runs=1, duration=0.02)

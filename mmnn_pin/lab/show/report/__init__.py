@@ -139,7 +139,7 @@ def subject(result: Result) -> str:
 def runs_of(result: Result) -> list[dict[str, str]]:
     """Every run: its name, what its controller is, its colour and dashes as in the pictures.
 
-    Black gives way to white in the dark.
+    Dark colours give way to light ones in the dark.
     """
     runs = []
     for name, style in styles_of(result.recordings).items():
@@ -148,10 +148,20 @@ def runs_of(result: Result) -> list[dict[str, str]]:
         look = {
             "dash": dash(style.dash[1]),
             "color": style.color,
-            "dark": "#ffffff" if style.color == "#000000" else style.color,
+            "dark": in_the_dark(style.color),
         }
         runs.append({"name": run_label(name, recording), "about": about, **look})
     return runs
+
+
+def in_the_dark(color: str) -> str:
+    """A colour as it is seen on a dark ground: dark greys are turned round, other dark colours have white in them."""
+    parts = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    if max(parts) == min(parts) < 128:
+        parts = [255 - part for part in parts]
+    while 0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2] < 0.36 * 255:
+        parts = [part + (255 - part) // 10 for part in parts]
+    return f"#{bytes(parts).hex()}"
 
 
 # -- the result of recordings ------------------------------------------------------------------------------------------

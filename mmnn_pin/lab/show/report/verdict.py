@@ -76,6 +76,8 @@ def alone(result: Result, name: str) -> str:
     for signal in (name for name in ("pose_error", "e") if name in recording):
         for column, unit in zip(recording.labels(signal), column_units(recording, signal), strict=True):
             value = 1e3 * result.metrics[name][f"{signal}.{column}{window(result)}"]
+            if not math.isfinite(value):
+                return "No run lasts until the window in which it would be judged."
             rms.append(f"{column} {number(value)} {milli(unit)}")
     return f"{name}: RMS errors in {when(result)} are {', '.join(rms)}."
 
@@ -147,7 +149,7 @@ def points(result: Result) -> Iterator[str]:
     for name, recording in result.recordings.items():
         if controller_of(name, recording) in ORACLES and len(judged) and math.isfinite(scores[name]):
             left = percent(scores[name] / scores[judged[0]])
-            yield f"{name} knows the true model; its errors are {left} of those of {judged[0]}: so much is left to win."
+            yield f"{name} knows the true model; its errors are {left} of those of {judged[0]}: more cannot be learned."
     for name, recording in result.recordings.items():
         if (kind := controller_of(name, recording)) in (*LEARNERS, "adaptive"):
             shares = {part: percent(result.metrics[name][f"learned_share.{part}"]) for part in halves(recording)}
