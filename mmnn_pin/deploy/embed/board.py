@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...compiled import copy_to
 from ...loop.sample import Control
 from ...loop.servo import Split
 from ...loop.stepper import Stepper
@@ -128,13 +129,10 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
     follow(b, time, wish)
     advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
     if clock[STEPPED] == 0.0:
-        for i in range(b.before.size):
-            b.before[i] = b.guide.now[i]
+        copy_to(b.guide.now, b.before)
     b.control.step(time, b.guide.now, 0, b.before)
-    for i in range(b.before.size):
-        b.before[i] = b.guide.now[i]
-    for j in range(b.motor_torque.size):
-        b.motor_torque[j] = b.command[j]
+    copy_to(b.guide.now, b.before)
+    copy_to(b.command, b.motor_torque)
     if b.split is not None:
         for j in range(b.motor_velocity.size):
             speed = 0.0
@@ -167,8 +165,8 @@ def take(b: Board, time: float, measured: float) -> None:
     if state[GOOD] > 0.0 and measured < state[HEARD]:
         return
     fine = not math.isnan(measured)
+    copy_to(b.incoming, b.received)
     for i in range(b.received.size):
-        b.received[i] = b.incoming[i]
         fine = fine and abs(b.incoming[i]) < LARGEST
     if not fine:
         b.received[0] = math.nan
@@ -182,8 +180,7 @@ def follow(b: Board, time: float, wish: int) -> None:
     nb = guide.base.shape[1]
     pose = 3 if nb else 0
     if wish == FOLLOW_SAMPLE:
-        for i in range(b.asked.size):
-            guide.wanted[i] = b.asked[i]
+        copy_to(b.asked, guide.wanted)
         guide.kind[:] = SAMPLE
         guide.fresh[:] = 1
         guide.clock[:] = 0.0
@@ -209,8 +206,7 @@ def leave(b: Board, part: int) -> None:
     nb = b.guide.base.shape[1]
     q = (3 if nb else 0) + 2 * nb
     first, last = (0, q) if part == BASE else (q, b.guide.aim.size)
-    for i in range(first, last):
-        b.guide.aim[i] = b.guide.now[i]
+    copy_to(b.guide.now[first:last], b.guide.aim[first:last])
     b.guide.kind[part] = HOLD
 
 

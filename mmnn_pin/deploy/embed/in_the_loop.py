@@ -100,6 +100,7 @@ class Linked(Fresh):
         if result == BAD_SETPOINT:
             raise ConfigError("a setpoint that is not finite", fix="give finite numbers", key="setpoint")
         self.hardware.way.totals.command[:] = self.motor_torque
+        self.hardware.way.sent[:] = self.row[self.setup.layout.where("torque")]
         self._command()
         self.time, self.k = float(time), self.k + 1
         return self.command
