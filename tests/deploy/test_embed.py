@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from builders import first_of
 from deploy.boards import STRICT, on_target, require
+from deploy.fuzzing import loop_of, write_fuzzed
 from hypothesis import example, given
 from hypothesis import strategies as st
 from lxml import etree
@@ -86,6 +87,22 @@ def test_another_compiler_and_an_emulated_board_have_the_same_bits(exported, tmp
     shutil.copytree(folder, tmp_path / "c")
     status, said = on_target(tmp_path / "c", target)
     assert status == 0 and f"{STEPS} samples, 0 differ" in said
+
+
+@needs_gcc
+def test_fuzzed_samples_have_the_same_bits(tmp_path):
+    """A part of what `test_embed_boards` does with every controller."""
+    found = write_fuzzed(loop_of("platform_arm", "two_layer"), tmp_path, 600, 7)
+    assert found.distinct > 300 and found.trips >= 2 and found.refused > 5, found
+    status, said = on_target(tmp_path, "gcc")
+    assert status == 0 and "600 samples, 0 differ" in said, said
+
+
+def test_the_two_layer_network_fits_into_twelve_kilobytes(exported):
+    """Code and constants on a Cortex-M7, and RAM; what the weights begin with lies beside."""
+    require("cortex-m7")
+    _, told = exported("two_layer")
+    assert told["initial_bytes"] < told["code_bytes"] <= 12_000 + told["initial_bytes"] and told["ram_bytes"] <= 12_000
 
 
 @needs_gcc
