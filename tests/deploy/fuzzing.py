@@ -11,7 +11,7 @@ from mmnn_pin import load_experiment
 from mmnn_pin.deploy.embed.board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND, Fresh
 from mmnn_pin.deploy.embed.export import supervised
 from mmnn_pin.deploy.embed.files import files_of, selftest, translated
-from mmnn_pin.deploy.embed.golden import RESET, STOP, Event, answers, as_measured
+from mmnn_pin.deploy.embed.golden import PAUSE, RESET, RESUME, STOP, Event, answers, as_measured
 
 
 def loop_of(robot, controller, **changes):
@@ -37,7 +37,7 @@ def fuzzed(loop, period, steps, seed):
                 numbers[int(rng.integers(numbers.size))] = rng.choice(strange)
         wishes = [FOLLOW_SAMPLE, GO_ON, STAND, FOLLOW_VELOCITY]
         wish = int(rng.choice(wishes[: 4 if d.base else 3], p=[0.8, 0.1, 0.05, 0.05] if d.base else [0.8, 0.1, 0.1]))
-        action = int(rng.choice([0, STOP, RESET], p=[0.96, 0.005, 0.035]))
+        action = int(rng.choice([0, STOP, RESET, PAUSE, RESUME], p=[0.94, 0.005, 0.035, 0.005, 0.015]))
         measured = time + period * rng.choice([0.0, -1.0, 5.0, -900.0, np.nan], p=[0.9, 0.06, 0.02, 0.01, 0.01])
         is_lost = rng.random() < 0.05
         events.append(Event(now, None if is_lost else received, float(measured), wish, sent, action))

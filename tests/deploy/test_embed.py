@@ -25,16 +25,22 @@ from hypothesis import strategies as st
 from lxml import etree
 from places import ROOT
 
-from mmnn_pin import Recording, load_experiment
+from mmnn_pin import Recording, Stepper, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed.board import Fresh
 from mmnn_pin.deploy.embed.body import write
-from mmnn_pin.deploy.embed.export import supervised
+from mmnn_pin.deploy.embed.export import embed, supervised
 from mmnn_pin.deploy.embed.files import files_of, plain, quoted, translated
+from mmnn_pin.deploy.embed.golden import as_measured
+from mmnn_pin.deploy.embed.in_the_loop import HOST, Linked, build
 from mmnn_pin.deploy.embed.program import Program
 from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
 from mmnn_pin.elementary import angles, exponentials, two_doubles
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.reference.wishes import HOLD, BaseVelocity
+from mmnn_pin.signals import Measurement, Setpoint
 
 STEPS = 80
 HAS_GCC = shutil.which("gcc") is not None
@@ -177,6 +183,66 @@ def test_a_run_with_the_exported_controller_is_pythons(exported):
     assert told["in_the_loop"] == {"where": "host", "samples": STEPS, "status": "completed", "differences": []}
     run = Recording.open(folder / "run.h5")
     assert np.abs(run["torque"]).max() > 0 and np.ptp(run["weight_norm"][:, 0]) > 0
+
+
+@needs_gcc
+def test_what_is_asked_in_flight_is_done_as_by_the_stepper(tmp_path):
+    """Wheels that take velocities; samples, velocities, a pause, a stop and a reset, through the functions of C."""
+    wheels = {"wheel_left_joint": "velocity", "wheel_right_joint": "velocity"}
+    loop = loop_of("platform_arm", "pd", interfaces=wheels)
+    made, stepper, d = embed(loop, tmp_path / "c", steps=5, compiler=None), Stepper.of(loop), loop.robot.dimensions
+    sources = [tmp_path / "c" / f"{name}.c" for name in ("controller", "robot_law", "mmnn_math")]
+    subprocess.run(["gcc", *STRICT, "-O2", "-shared", "-fPIC", *sources, "-o", tmp_path / "lib.so"], check=True)
+    c, memory = ctypes.CDLL(str(tmp_path / "lib.so")), ctypes.create_string_buffer(made.ram_bytes)
+    c.mmnn_motor_torque.restype = c.mmnn_motor_velocity.restype = ctypes.POINTER(ctypes.c_double)
+    c.mmnn_is_over.restype = c.mmnn_reset.restype = ctypes.c_bool
+    c.mmnn_step.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p]
+
+    class Wanted(ctypes.Structure):
+        _fields_ = (("wish", ctypes.c_int), ("sample", ctypes.c_double * 13))
+
+    c.mmnn_init(memory)
+    table, torques = loop.trajectory.table(np.arange(400) * 0.001, d), []
+    wishes = {0: 1, 60: 2, 120: 3, 150: 1, 260: 2}  # the first sample of each: FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND
+    actions = {90: "pause", 110: "resume", 300: "stop", 340: "reset", 350: "pause", 380: "resume"}
+    for k, asked in enumerate(table):
+        wish = wishes[max(first for first in wishes if first <= k)]
+        sample, measured = Setpoint.side_by_side(asked, d), np.ascontiguousarray(as_measured(asked, d) + 0.001)
+        if k in actions:
+            getattr(stepper, actions[k])()
+            getattr(c, f"mmnn_{actions[k]}")(memory)
+        parts = np.split(measured, np.cumsum((d.pose, d.base, d.arm)))
+        said = stepper.step(
+            k * 0.001, Measurement(*parts), {1: sample, 2: BaseVelocity(sample.velocity), 3: HOLD}[wish]
+        )
+        wanted = Wanted(wish, (ctypes.c_double * 13)(*asked))
+        assert c.mmnn_step(memory, k * 0.001, measured.ctypes.data, k * 0.001, ctypes.byref(wanted)) == 0
+        torque = np.array(c.mmnn_motor_torque(memory)[:4])
+        assert torque.tobytes() == stepper.motor_torque.tobytes(), k
+        assert torque[2:].tobytes() == said.motor_effort[2:].tobytes() and np.isnan(said.motor_effort[:2]).all(), k
+        assert np.array(c.mmnn_motor_velocity(memory)[:2]).tobytes() == said.motor_velocity[:2].tobytes(), k
+        assert bool(c.mmnn_is_over(memory)) == stepper.is_over
+        torques.append(torque)
+    assert all(np.ptp(torques[first : first + 40]) > 0 for first in (0, 90, 150, 300))
+
+
+@needs_gcc
+def test_a_linked_controller_pauses_as_the_stepper_and_refuses_other_gains(tmp_path):
+    loop = loop_of("platform_arm", "pd")
+    embed(loop, tmp_path / "c", steps=5, compiler=None)
+    linked, stepper, d = Linked.of(loop), Stepper.of(loop), loop.robot.dimensions
+    linked.link(translated(linked, ""), build(tmp_path / "c", HOST, ["gcc"], tmp_path / "link"))
+    with linked:
+        for k, asked in enumerate(loop.trajectory.table(np.arange(60) * 0.001, d)):
+            for one in (linked, stepper):
+                if k in (20, 40):
+                    one.pause() if k == 20 else one.resume()
+                one.step(k * 0.001, Measurement(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2)),
+                         Setpoint.side_by_side(asked, d))  # fmt: skip
+            assert linked.row.tobytes() == stepper.row.tobytes(), k
+        assert np.abs(stepper.torque).max() > 0
+        with pytest.raises(ConfigError, match="export it anew"):
+            linked.change(kinematic=Kinematic())
 
 
 # -- what the files hold -----------------------------------------------------------------------------------------------

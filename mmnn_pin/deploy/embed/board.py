@@ -27,8 +27,8 @@ from ...signals import Array, IntArray
 GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND = range(4)
 # What a step answers: done; a time not after the last one; a setpoint that is not finite or does not exist.
 DONE, BAD_TIME, BAD_SETPOINT = range(3)
-LAST, RENEWED, STANDS, STEPPED = 0, 1, 3, 4  # of the clock
-CLOCK = 5
+LAST, RENEWED, STANDS, STEPPED, PAUSED = 0, 1, 3, 4, 5  # of the clock
+CLOCK = 6
 
 
 class Board(NamedTuple):
@@ -43,7 +43,8 @@ class Board(NamedTuple):
         control: Kinematic layer, torque law and supervisor.
         guide: What makes the reference.
         supervisor: The supervisor.
-        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped.
+        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped,
+            waits in a pause.
         losses: (1,) how often a setpoint was not renewed.
         timeout: Age of a setpoint that has to be renewed at which it holds [s].
         command: (motors,) torques that reach the motors.
@@ -126,7 +127,8 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
     if clock[STANDS] == 0.0 and b.supervisor.state[GOOD] > 0.0:
         stand(b.received, b.guide)
         clock[STANDS] = 1.0
-    follow(b, time, wish)
+    if clock[PAUSED] == 0.0:
+        follow(b, time, wish)
     advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
     if clock[STEPPED] == 0.0:
         copy_to(b.guide.now, b.before)
@@ -208,6 +210,19 @@ def leave(b: Board, part: int) -> None:
     first, last = (0, q) if part == BASE else (q, b.guide.aim.size)
     copy_to(b.guide.now[first:last], b.guide.aim[first:last])
     b.guide.kind[part] = HOLD
+
+
+def pause(b: Board) -> None:
+    """Brake and hold; setpoints are not followed until `resume`; `Stepper.pause`."""
+    if b.clock[PAUSED] == 0.0:
+        leave(b, BASE)
+        leave(b, ARM)
+        b.clock[PAUSED] = 1.0
+
+
+def resume(b: Board) -> None:
+    """Follow setpoints again; `Stepper.resume`."""
+    b.clock[PAUSED] = 0.0
 
 
 def stop(b: Board) -> None:

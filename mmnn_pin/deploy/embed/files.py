@@ -22,7 +22,7 @@ from .values import Number, Root, Static, spelled
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("mmnn_pin.deploy.embed"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
 )
-ENTRIES = (board.step, board.stop, board.reset, board.is_over)
+ENTRIES = (board.step, board.pause, board.resume, board.stop, board.reset, board.is_over)
 LARGE = 128  # numbers, more than which stand at the end of the struct
 FEW = 8  # numbers that are set one by one at the start
 KEPT = frozenset(ascii_letters + digits + " _-+.,:()/")  # signs of names that mean nothing in C, printf, XML, Markdown
@@ -91,6 +91,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     for name in ("incoming", "asked"):
         program.memory(getattr(b, name), name)
         program.written.add(name)
+    program.memory(b.motor_velocity, "motor_velocity")
     way = stepper.hardware.way
     program.dropped.add(program.memory(b.guide.clock, "guide_clock").name)  # nothing fades without motions
     program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
