@@ -508,11 +508,21 @@ def test_what_cannot_be_embedded_is_refused_in_one_line(tmp_path, capsys):
     own = f"{ROOT / 'examples' / 'own_law.py'}:LeastSquares"
     out = ["--out", str(tmp_path / "c")]
     pd = ["track", "--controller", "pd"]
+    (tmp_path / "file").touch()
     cases = {
+        "is a file": [*pd, "--out", str(tmp_path / "file"), "--force"],
         "exists": [*pd, "--out", str(tmp_path / "exists")],
         "no compiler 'nocc'": [*pd, *out, "--cc", "nocc"],
         "motors that nothing limits": [*pd, *out, "--robot", str(tmp_path / "free.urdf"), "--no-check"],
         "an experiment with the plant 'contact'": [*pd, *out, "--set", "plant=contact"],
+        "measurements that are brought up to now": [
+            *pd,
+            *out,
+            "--set",
+            "latency.sensing=0.004",
+            "--set",
+            "latency.predict=true",
+        ],
         "cannot be written as C": ["track", "--controller", own, *out, "--no-check"],
         "unknown controller": ["track", "--controller", "pdd", *out],
     }
