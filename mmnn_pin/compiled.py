@@ -201,7 +201,7 @@ def copy_to(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
 
 @compiled
 def entry(A: NDArray[np.float64], j: int, x: NDArray[np.float64]) -> float:
-    """Entry j of `A x`; one copy of it is enough for all motors' torques in C."""
+    """Entry j of `A x`: the torque of one motor, or on one velocity."""
     total = 0.0
     for i in range(x.size):
         total += A[j, i] * x[i]
