@@ -80,8 +80,10 @@ def test_code_memory_and_instructions_keep_within_what_a_cortex_m7_has(tmp_path,
     assert most_stack is None or stack <= 1000 * most_stack
 
 
-@pytest.mark.parametrize("robot", ["platform_arm", "tiago"])
-@pytest.mark.parametrize("controller", CONTROLLERS)
+@pytest.mark.parametrize(
+    ("controller", "robot"),
+    [*((name, "platform_arm") for name in CONTROLLERS), ("computed_torque", "tiago"), ("two_layer", "two_axis_arm")],
+)
 def test_ten_thousand_fuzzed_samples_have_the_same_bits(tmp_path, robot, controller):
     """Five runs of 2,000 samples: numbers, times, setpoints and messages go wrong, and the supervisor trips."""
     for target in FUZZED_ON:
