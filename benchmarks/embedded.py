@@ -22,7 +22,8 @@ from mmnn_pin.deploy.embed.export import supervised
 from mmnn_pin.deploy.embed.in_the_loop import BOARD, M7
 
 CONTROLLERS = (
-    "pd", "computed_torque", "one_layer", "two_layer", "adaptive", "adaptive_composite", "kalman_regressor",
+    "pd", "computed_torque", "one_layer", "two_layer", "adaptive", "adaptive --no-diagnostics", "adaptive_composite",
+    "kalman_regressor",
 )  # fmt: skip
 ROBOTS = ("platform_arm", "two_axis_arm", "tiago")
 FLAGS = ["-std=c99", "-O2", "-ffp-contract=off", "-ffunction-sections", "-fdata-sections", "-DMMNN_COUNT"]
@@ -49,18 +50,17 @@ def main() -> None:
     parser.add_argument("--controllers", nargs="+", default=CONTROLLERS)
     parser.add_argument("--steps", type=int, default=300)
     given = parser.parse_args()
-    print(
-        "| robot | controller | code and constants [kB] | initial values [kB] | RAM [kB] | stack [kB] | instructions |"
-    )
+    print("| robot | controller | code, constants | initial values | RAM | stack | instructions, mean / worst |")
     print("|---|---|---|---|---|---|---|")
     for robot in given.robots:
         experiment = msgspec.structs.replace(load_experiment("track"), robot=robot)
         loaded = experiment.load_robot()
         for name in given.controllers:
-            loop = supervised(experiment.loop(loaded, experiment.controller(name, robot=loaded)))
+            controller, _, option = name.partition(" ")
+            loop = supervised(experiment.loop(loaded, experiment.controller(controller, robot=loaded)))
             with tempfile.TemporaryDirectory() as made:
                 folder = Path(made) / "c"
-                told = embed(loop, folder, steps=given.steps)
+                told = embed(loop, folder, steps=given.steps, diagnostics=not option)
                 mean, worst, stack, ram = measured(folder)
             code = ((told.code_bytes or 0) - told.initial_bytes) / 1000
             sizes = f"{code:.1f} | {told.initial_bytes / 1000:.1f} | {ram / 1000:.1f} | {stack / 1000:.1f}"

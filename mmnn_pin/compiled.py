@@ -208,6 +208,15 @@ def copy_to(source: NDArray[np.float64], target: NDArray[np.float64]) -> None:
         target[i] = source[i]
 
 
+@compiled
+def entry(A: NDArray[np.float64], j: int, x: NDArray[np.float64]) -> float:
+    """Entry j of `A x`: the torque of one motor, or on one velocity."""
+    total = 0.0
+    for i in range(x.size):
+        total += A[j, i] * x[i]
+    return total
+
+
 @spliced
 def view(row: NDArray[np.float64], at: NDArray[np.int64], signal: int) -> NDArray[np.float64]:
     """The part of a row that holds a signal, by the offsets of all signals and its place in `signals.INDEX`."""

@@ -77,6 +77,7 @@ def embed(
     """
     from ..deploy.embed import embed as export
     from ..deploy.embed.export import MEMORY, supervised
+    from ..deploy.embed.files import TOLERANCE
     from ..deploy.embed.in_the_loop import compared, require_tools
     from ..lab.experiments.config import load_experiment
 
@@ -91,16 +92,17 @@ def embed(
         compiler=None if no_check else cc, memory=memory or MEMORY,
     )  # fmt: skip
     run = None if plant is None else compared(supervised(loop), out, plant, cc.split(), steps, out / "run.h5")
+    bits = f"within {TOLERANCE:g} of the largest torque of Python" if single else "with the bits of Python"
+    said = "" if no_check else f"self-test passed: {made.selftest_steps} samples {bits}\n"
     more = {} if run is None else {"in_the_loop": asdict(run)}
-    answer(as_json, lambda: made.to_dict() | more, lambda: told(made, run))
+    answer(as_json, lambda: made.to_dict() | more, lambda: told(made, run, said))
     return DONE if run is None or not run.differences else FAILED
 
 
-def told(made: Embedded, run: Comparison | None) -> str:
+def told(made: Embedded, run: Comparison | None, checked: str) -> str:
     """What was written, for people, and what came of a run in the loop."""
     size = "" if made.code_bytes is None else f", {made.code_bytes / 1000:.1f} kB of code and constants"
     of = f" ({made.initial_bytes / 1000:.1f} kB of them initial values; {made.compiler})" if size else ""
-    checked = f"self-test passed: {made.selftest_steps} samples with the bits of Python\n" if size else ""
     loop = ""
     if run is not None:
         same = f"differs in {', '.join(run.differences)}" if run.differences else "equals Python's, bit for bit"

@@ -186,11 +186,9 @@ def cos_sin(x: float) -> tuple[float, float]:
         return NAN, NAN
     n, y0, y1 = reduced(x)
     c, s = cos_near(y0, y1), sin_near(y0, y1)
-    if n == 0:
-        return c, s
-    if n == 1:
-        return -s, c
-    return (-c, -s) if n == 2 else (s, -c)
+    if n & 1:
+        c, s = -s, c
+    return (-c, -s) if n & 2 else (c, s)
 
 
 @compiled

@@ -22,7 +22,7 @@ from .. import actuator as motor
 from .. import safety
 from ..actuator import Motors
 from ..by_address import by_address
-from ..compiled import compiled, copy_to, internal, linked
+from ..compiled import compiled, copy_to, entry, internal, linked
 from ..disturbance import Forces
 from ..safety import Supervisor
 from ..sensing import Sensors, exact
@@ -284,9 +284,7 @@ def send(k: int, time: float, row: Array, at: IntArray, weights: Array, way: Way
     expect(row, at, way.expected)
     command, states = way.totals.command, way.totals.states
     for j in range(command.size):
-        command[j] = 0.0
-        for i in range(tau.size):
-            command[j] += way.E_inv[j, i] * tau[i]
+        command[j] = entry(way.E_inv, j, tau)
         states[j, motor.SUM] = 0.0
     way.totals.force[:] = 0.0
 

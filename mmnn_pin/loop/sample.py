@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .. import kinematic
-from ..compiled import compiled, copy_to, linked, view
+from ..compiled import compiled, copy_to, entry, linked, view
 from ..elementary.matrices import pseudo_inverse
 from ..model.robot import Robot
 from ..plant.contact.feet import Contact
@@ -84,9 +84,7 @@ def after_torque(
     true_errors(row, at, position, nu, arm)
     torque, motors = view(row, at, TORQUE), view(row, at, MOTOR_TORQUE)
     for i in range(motors.size):
-        motors[i] = 0.0
-        for j in range(torque.size):
-            motors[i] += E_inv[i, j] * torque[j]
+        motors[i] = entry(E_inv, i, torque)
     energy = potential
     for i in range(nu.size):
         for j in range(nu.size):

@@ -305,12 +305,12 @@ def advance(measured: Array, dt: float, guide: Guide) -> None:
             copy_to(wanted[:q], aim[:q])
             faded(BASE, dt, guide)
         else:
+            if kind != VELOCITY:
+                wanted[pose : pose + nb] = 0.0
+            ramp(velocity, wanted[pose : pose + nb], guide.base[1], dt, acceleration)
             if kind == VELOCITY:
-                ramp(velocity, wanted[pose : pose + nb], guide.base[1], dt, acceleration)
                 copy_to(measured[:3], aim[:3])
             else:
-                wanted[pose : pose + nb] = 0.0
-                ramp(velocity, wanted[pose : pose + nb], guide.base[1], dt, acceleration)
                 roll(aim[:3], velocity, dt)
     if guide.kind[ARM] >= SAMPLE:
         copy_to(wanted[q:], aim[q:])

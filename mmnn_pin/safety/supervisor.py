@@ -6,7 +6,7 @@ import math
 from typing import NamedTuple
 
 from ..by_address import by_address
-from ..compiled import compiled, copy_to, internal, linked
+from ..compiled import compiled, copy_to, entry, internal, linked
 from ..elementary import hypot
 from ..model.base.holonomic import moves_sideways
 from ..signals import EARLY, INDEX, Array, IntArray
@@ -183,16 +183,25 @@ def bound_weights(time: float, weights: Array, supervisor: Supervisor) -> bool:
     """Scale weights back onto their bound; true if some were beyond it."""
     beyond, places, most = False, supervisor.weights, supervisor.numbers[WEIGHTS]
     for k in range(places.shape[0]):
-        W, squares = weights[places[k, 0] : places[k, 1]], 0.0
-        for i in range(W.size):
-            squares += W[i] * W[i]
-        if not math.isfinite(squares):
-            trip(time, BAD_WEIGHTS, k, squares, most, supervisor.state)
-        elif squares > most * most:
-            beyond, scale = True, most / math.sqrt(squares)
-            for i in range(W.size):
-                W[i] *= scale
+        beyond = bound(weights[places[k, 0] : places[k, 1]], most, time, k, supervisor.state) or beyond
     return beyond
+
+
+@internal
+def bound(W: Array, most: float, time: float, k: int, state: Array) -> bool:
+    """Scale the weights of one network onto their bound, or trip where they are no numbers; true if beyond it."""
+    squares = 0.0
+    for i in range(W.size):
+        squares += W[i] * W[i]
+    if not math.isfinite(squares):
+        trip(time, BAD_WEIGHTS, k, squares, most, state)
+        return False
+    if not squares > most * most:
+        return False
+    scale = most / math.sqrt(squares)
+    for i in range(W.size):
+        W[i] *= scale
+    return True
 
 
 @internal
@@ -264,9 +273,7 @@ def clip(time: float, tau: Array, supervisor: Supervisor) -> bool:
     """Clip the motor torques, and trip when a motor has asked for too much for too long."""
     clipped, numbers, above = False, supervisor.numbers, supervisor.above
     for j in range(above.size):
-        u, limit = 0.0, supervisor.torque[j]
-        for i in range(tau.size):
-            u += supervisor.E_inv[j, i] * tau[i]
+        u, limit = entry(supervisor.E_inv, j, tau), supervisor.torque[j]
         over = abs(u) > limit
         clipped = clipped or over
         above[j] = above[j] + numbers[H] if over else 0.0
@@ -282,9 +289,7 @@ def within(tau: Array, E: Array, E_inv: Array, limits: Array) -> None:
     """Tau (p,) with every motor within its limit (motors,); more motors than velocities are all scaled alike."""
     p, motors, scale = E.shape[0], E.shape[1], 1.0
     for j in range(motors):
-        u, limit = 0.0, limits[j]
-        for i in range(p):
-            u += E_inv[j, i] * tau[i]
+        u, limit = entry(E_inv, j, tau), limits[j]
         if abs(u) > limit:
             scale = min(scale, limit / abs(u))
             if motors == p:

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, by_type, compiled, copy_to, internal, layout_of, linked, views
+from ..compiled import Matrix, Vector, by_type, compiled, copy_to, entry, internal, layout_of, linked, views
 from ..elementary.matrices import pseudo_inverse
 from ..signals import INDEX, Array, IntArray
 from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
@@ -49,7 +49,7 @@ class Numbers(NamedTuple):
         dt: (1,) what rates are multiplied with: 1 for rates per sample, the control period for rates per second.
         gains: (4, p) or (1, p): K, Kz, and what the networks' s and torque are multiplied with.
         networks: (2, 6) of base and arm: rate of W, rate of V or width, leakage, ZB, bounds on |W| and |V|.
-        inputs: (2, nx) scale and offset of the inputs.
+        inputs: (2, nx) scale and offset of the inputs; (2, 0) for inputs as they are.
     """
 
     kind: Vector
@@ -63,15 +63,17 @@ class Numbers(NamedTuple):
 
 
 class Packed(NamedTuple):
-    """`Numbers` as two flat arrays, which cost less to hand over from Python.
+    """`Numbers` as flat arrays, which cost less to hand over from Python.
 
     Attributes:
-        sizes: Where the parts of `settings` stand, where those of the state do, and (nx,) the inputs in a row.
+        sizes: Where the parts of `settings` stand, and where those of the state do.
         settings: `Numbers`.
+        rows: (nx,) where the inputs of networks stand in a row.
     """
 
     sizes: IntArray
     settings: Array
+    rows: IntArray
 
 
 @by_address
@@ -128,7 +130,6 @@ class Kernels(NamedTuple):
 KERNELS: dict[type, Kernels] = {}  # every module of a learner enters its own
 numbers_of, networks_of, schedule_of = views(Numbers), views(Networks), views(Schedule)
 STATE = layout_of(Numbers, {}).size  # where in `Packed.sizes` the layout of the state begins
-ROWS = STATE + layout_of(Networks, {}).size  # and where the inputs do
 
 
 def packed(
@@ -147,13 +148,10 @@ def packed(
     absent |= dict.fromkeys(("networks", "inputs"), np.zeros((2, 0)))
     parts = {name: np.atleast_1d(np.asarray(part, float)) for name, part in (absent | more).items()}
     parts |= {"kind": np.full(1, float(kind)), "gains": gains}
-    sizes = np.zeros(ROWS + (0 if rows is None else rows.size), np.int64)
-    sizes[:STATE] = layout_of(Numbers, {name: part.shape for name, part in parts.items()})
-    if layout is not None:
-        sizes[STATE : STATE + layout.size] = layout
-    if rows is not None:
-        sizes[ROWS:] = rows
-    return Packed(sizes, np.concatenate([part.ravel() for part in parts.values()]))
+    sizes = layout_of(Numbers, {name: part.shape for name, part in parts.items()})
+    sizes = np.concatenate((sizes, np.zeros(0, np.int64) if layout is None else layout))
+    settings = np.concatenate([part.ravel() for part in parts.values()])
+    return Packed(sizes, settings, np.zeros(0, np.int64) if rows is None else rows.astype(np.int64))
 
 
 def constant_gain(K: Array) -> Packed:
@@ -217,7 +215,7 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
     else:
         if adds_model:
             copy_to(psi_hat, torque)
-        networks(row, at, n, law.sizes[ROWS:], networks_of(state, layout))
+        networks(row, at, n, law.rows, networks_of(state, layout))
         for i in range(torque.size if adds_model else 0):
             psi_hat[i] += torque[i]
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
@@ -256,7 +254,9 @@ def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) 
     first = 0
     gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
     for i in range(o.x.size):
-        o.x[i] = n.inputs[0, i] * row[rows[i]] + n.inputs[1, i]
+        o.x[i] = row[rows[i]]
+        if n.inputs.shape[1] > 0:
+            o.x[i] = n.inputs[0, i] * o.x[i] + n.inputs[1, i]
     for which in range(2):
         error = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
         if error.size == 0:
@@ -353,10 +353,7 @@ def share_left(feedback: Array, more: Array, limits: MotorLimits) -> float:
     """Largest share, from 0 to 1, of `more` (p,) that a feedback (p,) leaves room for on every motor [N, N m]."""
     share = 1.0
     for j in range(limits.motors.size):
-        u, fed, top = 0.0, 0.0, limits.effort[j]
-        for i in range(more.size):
-            u += limits.E_inv[j, i] * more[i]
-            fed += limits.E_inv[j, i] * feedback[i]
+        u, fed, top = entry(limits.E_inv, j, more), entry(limits.E_inv, j, feedback), limits.effort[j]
         left = max(0.0, top - fed if u > 0.0 else top + fed)
         if abs(u) > left:
             share = min(share, left / abs(u))
@@ -375,16 +372,11 @@ def limit(psi_hat: Array, feedback: Array, limits: MotorLimits) -> None:
     motors, clipped = limits.motors, False
     copy_to(psi_hat, limits.asked)
     for j in range(motors.size):
-        u, fed, top = 0.0, 0.0, limits.effort[j]
-        for i in range(psi_hat.size):
-            u += limits.E_inv[j, i] * psi_hat[i]
-            fed += limits.E_inv[j, i] * feedback[i]
+        u, fed, top = entry(limits.E_inv, j, psi_hat), entry(limits.E_inv, j, feedback), limits.effort[j]
         low, high = -min(top, max(0.0, top + fed)), min(top, max(0.0, top - fed))
         if math.isnan(u):
             return
         motors[j] = min(max(u, low), high)
         clipped = clipped or motors[j] != u
     for i in range(psi_hat.size if clipped else 0):
-        psi_hat[i] = 0.0
-        for j in range(motors.size):
-            psi_hat[i] += limits.E[i, j] * motors[j]
+        psi_hat[i] = entry(limits.E, i, motors)

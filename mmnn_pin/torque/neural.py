@@ -204,6 +204,8 @@ class Neural(CompiledController):
         robust = self.robust or Robust(0.0, 0.0, (0.0, 0.0))
         bounds, Kz = self.radii(layout), per_velocity(robust.base, robust.arm, layout, "robust")
         networks = [(*self.network.rates(i, self.leakage), robust.ZB[i], *bounds[i + 1]) for i in range(2)]
+        scale, offset = self.inputs.affine(layout)
+        as_they_are = (scale == 1.0).all() and not offset.any()
         numbers = law.packed(
             kind=self.network.kind,
             gains=np.array((self.feedback.vector(layout), Kz, *self.network_scales(layout))),
@@ -213,7 +215,7 @@ class Neural(CompiledController):
             dt=1.0 if self.rates == "per_sample" else float(context.control_period),
             networks=np.array(networks, float),
             rows=self.inputs.rows(layout),
-            inputs=np.array(self.inputs.affine(layout)),
+            inputs=np.zeros((2, 0)) if as_they_are else np.array((scale, offset)),
             layout=layout_of(law.Networks, self.shapes(context)),
         )
         return Law(numbers)

@@ -19,21 +19,28 @@ import numpy as np
 import pytest
 from builders import first_of
 from deploy.boards import STRICT, on_target, require
+from deploy.fuzzing import loop_of, write_fuzzed
 from hypothesis import example, given
 from hypothesis import strategies as st
 from lxml import etree
 from places import ROOT
 
-from mmnn_pin import Recording, load_experiment
+from mmnn_pin import Recording, Stepper, load_experiment
 from mmnn_pin.cli import main
 from mmnn_pin.deploy.embed.board import Fresh
 from mmnn_pin.deploy.embed.body import write
-from mmnn_pin.deploy.embed.export import supervised
+from mmnn_pin.deploy.embed.export import embed, supervised
 from mmnn_pin.deploy.embed.files import files_of, plain, quoted, translated
+from mmnn_pin.deploy.embed.golden import as_measured
+from mmnn_pin.deploy.embed.in_the_loop import HOST, Linked, build
 from mmnn_pin.deploy.embed.program import Program
 from mmnn_pin.deploy.embed.source import Untranslatable
 from mmnn_pin.deploy.embed.values import Number
 from mmnn_pin.elementary import angles, exponentials, two_doubles
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.kinematic import Kinematic
+from mmnn_pin.reference.wishes import HOLD, BaseVelocity
+from mmnn_pin.signals import Measurement, Setpoint
 
 STEPS = 80
 HAS_GCC = shutil.which("gcc") is not None
@@ -86,6 +93,22 @@ def test_another_compiler_and_an_emulated_board_have_the_same_bits(exported, tmp
     shutil.copytree(folder, tmp_path / "c")
     status, said = on_target(tmp_path / "c", target)
     assert status == 0 and f"{STEPS} samples, 0 differ" in said
+
+
+@needs_gcc
+def test_fuzzed_samples_have_the_same_bits(tmp_path):
+    """A part of what `test_embed_boards` does with every controller."""
+    found = write_fuzzed(loop_of("platform_arm", "two_layer"), tmp_path, 600, 7)
+    assert found.distinct > 300 and found.trips >= 2 and found.refused > 5, found
+    status, said = on_target(tmp_path, "gcc")
+    assert status == 0 and "600 samples, 0 differ" in said, said
+
+
+def test_the_two_layer_network_fits_into_twelve_kilobytes(exported):
+    """Code and constants on a Cortex-M7, and RAM; what the weights begin with lies beside."""
+    require("cortex-m7")
+    _, told = exported("two_layer")
+    assert told["initial_bytes"] < told["code_bytes"] <= 12_000 + told["initial_bytes"] and told["ram_bytes"] <= 12_000
 
 
 @needs_gcc
@@ -160,6 +183,66 @@ def test_a_run_with_the_exported_controller_is_pythons(exported):
     assert told["in_the_loop"] == {"where": "host", "samples": STEPS, "status": "completed", "differences": []}
     run = Recording.open(folder / "run.h5")
     assert np.abs(run["torque"]).max() > 0 and np.ptp(run["weight_norm"][:, 0]) > 0
+
+
+@needs_gcc
+def test_what_is_asked_in_flight_is_done_as_by_the_stepper(tmp_path):
+    """Wheels that take velocities; samples, velocities, a pause, a stop and a reset, through the functions of C."""
+    wheels = {"wheel_left_joint": "velocity", "wheel_right_joint": "velocity"}
+    loop = loop_of("platform_arm", "pd", interfaces=wheels)
+    made, stepper, d = embed(loop, tmp_path / "c", steps=5, compiler=None), Stepper.of(loop), loop.robot.dimensions
+    sources = [tmp_path / "c" / f"{name}.c" for name in ("controller", "robot_law", "mmnn_math")]
+    subprocess.run(["gcc", *STRICT, "-O2", "-shared", "-fPIC", *sources, "-o", tmp_path / "lib.so"], check=True)
+    c, memory = ctypes.CDLL(str(tmp_path / "lib.so")), ctypes.create_string_buffer(made.ram_bytes)
+    c.mmnn_motor_torque.restype = c.mmnn_motor_velocity.restype = ctypes.POINTER(ctypes.c_double)
+    c.mmnn_is_over.restype = c.mmnn_reset.restype = ctypes.c_bool
+    c.mmnn_step.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.c_void_p]
+
+    class Wanted(ctypes.Structure):
+        _fields_ = (("wish", ctypes.c_int), ("sample", ctypes.c_double * 13))
+
+    c.mmnn_init(memory)
+    table, torques = loop.trajectory.table(np.arange(400) * 0.001, d), []
+    wishes = {0: 1, 60: 2, 120: 3, 150: 1, 260: 2}  # the first sample of each: FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND
+    actions = {90: "pause", 110: "resume", 300: "stop", 340: "reset", 350: "pause", 380: "resume"}
+    for k, asked in enumerate(table):
+        wish = wishes[max(first for first in wishes if first <= k)]
+        sample, measured = Setpoint.side_by_side(asked, d), np.ascontiguousarray(as_measured(asked, d) + 0.001)
+        if k in actions:
+            getattr(stepper, actions[k])()
+            getattr(c, f"mmnn_{actions[k]}")(memory)
+        parts = np.split(measured, np.cumsum((d.pose, d.base, d.arm)))
+        said = stepper.step(
+            k * 0.001, Measurement(*parts), {1: sample, 2: BaseVelocity(sample.velocity), 3: HOLD}[wish]
+        )
+        wanted = Wanted(wish, (ctypes.c_double * 13)(*asked))
+        assert c.mmnn_step(memory, k * 0.001, measured.ctypes.data, k * 0.001, ctypes.byref(wanted)) == 0
+        torque = np.array(c.mmnn_motor_torque(memory)[:4])
+        assert torque.tobytes() == stepper.motor_torque.tobytes(), k
+        assert torque[2:].tobytes() == said.motor_effort[2:].tobytes() and np.isnan(said.motor_effort[:2]).all(), k
+        assert np.array(c.mmnn_motor_velocity(memory)[:2]).tobytes() == said.motor_velocity[:2].tobytes(), k
+        assert bool(c.mmnn_is_over(memory)) == stepper.is_over
+        torques.append(torque)
+    assert all(np.ptp(torques[first : first + 40]) > 0 for first in (0, 90, 150, 300))
+
+
+@needs_gcc
+def test_a_linked_controller_pauses_as_the_stepper_and_refuses_other_gains(tmp_path):
+    loop = loop_of("platform_arm", "pd")
+    embed(loop, tmp_path / "c", steps=5, compiler=None)
+    linked, stepper, d = Linked.of(loop), Stepper.of(loop), loop.robot.dimensions
+    linked.link(translated(linked, ""), build(tmp_path / "c", HOST, ["gcc"], tmp_path / "link"))
+    with linked:
+        for k, asked in enumerate(loop.trajectory.table(np.arange(60) * 0.001, d)):
+            for one in (linked, stepper):
+                if k in (20, 40):
+                    one.pause() if k == 20 else one.resume()
+                one.step(k * 0.001, Measurement(np.zeros(3), np.zeros(2), np.zeros(2), np.zeros(2)),
+                         Setpoint.side_by_side(asked, d))  # fmt: skip
+            assert linked.row.tobytes() == stepper.row.tobytes(), k
+        assert np.abs(stepper.torque).max() > 0
+        with pytest.raises(ConfigError, match="export it anew"):
+            linked.change(kinematic=Kinematic())
 
 
 # -- what the files hold -----------------------------------------------------------------------------------------------
@@ -279,7 +362,8 @@ def library(exported, tmp_path_factory):
     folder, _ = exported("adaptive_composite")
     made = tmp_path_factory.mktemp("library")
     (made / "parts.c").write_text(
-        '#include "mmnn_math.h"\n'
+        '#include "mmnn_math.c"\n'  # some of its functions are static
+        "double exponential(double x) { return mmnn_exp(x); }\n"
         "double smaller(double a, double b) { return mmnn_min(a, b); }\n"
         "double larger(double a, double b) { return mmnn_max(a, b); }\n"
         "int64_t rest(int64_t a, int64_t b) { return mmnn_rest_long(a, b); }\n"
@@ -293,14 +377,13 @@ def library(exported, tmp_path_factory):
         "-shared",
         "-fPIC",
         f"-I{folder}",
-        folder / "mmnn_math.c",
         made / "parts.c",
     ]
     subprocess.run([*command, "-o", made / "lib.so"], check=True)
     found = ctypes.CDLL(str(made / "lib.so"))
-    for name in ("mmnn_portable_sqrt", "mmnn_modulo", "mmnn_exp", "mmnn_tanh", "mmnn_hypot", "smaller", "larger"):
+    for name in ("mmnn_portable_sqrt", "mmnn_modulo", "exponential", "mmnn_tanh", "mmnn_hypot", "smaller", "larger"):
         getattr(found, name).restype = ctypes.c_double
-        one = name in ("mmnn_portable_sqrt", "mmnn_exp", "mmnn_tanh")
+        one = name in ("mmnn_portable_sqrt", "exponential", "mmnn_tanh")
         getattr(found, name).argtypes = [ctypes.c_double] * (1 if one else 2)
     for name in ("rest", "quotient"):
         getattr(found, name).restype, getattr(found, name).argtypes = ctypes.c_int64, [ctypes.c_int64] * 2
@@ -352,7 +435,7 @@ def test_the_elementary_functions_have_the_bits_of_python(library):
     rng = np.random.default_rng(4)
     points = [*TINY, *(rng.standard_normal(300) * 10.0 ** rng.uniform(-12, 12, 300)), *rng.uniform(-700, 700, 100)]
     for x in map(float, points):
-        assert same(library.mmnn_exp(x), exponentials.exp(x)), x
+        assert same(library.exponential(x), exponentials.exp(x)), x
         assert same(library.mmnn_tanh(x), exponentials.tanh(x)), x
         assert same(library.mmnn_hypot(x, points[3]), two_doubles.hypot(x, float(points[3]))), x
         pair, (c, s) = library.mmnn_cos_sin(x), angles.cos_sin(x)
@@ -425,11 +508,21 @@ def test_what_cannot_be_embedded_is_refused_in_one_line(tmp_path, capsys):
     own = f"{ROOT / 'examples' / 'own_law.py'}:LeastSquares"
     out = ["--out", str(tmp_path / "c")]
     pd = ["track", "--controller", "pd"]
+    (tmp_path / "file").touch()
     cases = {
+        "is a file": [*pd, "--out", str(tmp_path / "file"), "--force"],
         "exists": [*pd, "--out", str(tmp_path / "exists")],
         "no compiler 'nocc'": [*pd, *out, "--cc", "nocc"],
         "motors that nothing limits": [*pd, *out, "--robot", str(tmp_path / "free.urdf"), "--no-check"],
         "an experiment with the plant 'contact'": [*pd, *out, "--set", "plant=contact"],
+        "measurements that are brought up to now": [
+            *pd,
+            *out,
+            "--set",
+            "latency.sensing=0.004",
+            "--set",
+            "latency.predict=true",
+        ],
         "cannot be written as C": ["track", "--controller", own, *out, "--no-check"],
         "unknown controller": ["track", "--controller", "pdd", *out],
     }

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...compiled import copy_to
 from ...loop.sample import Control
 from ...loop.servo import Split
 from ...loop.stepper import Stepper
@@ -26,8 +27,8 @@ from ...signals import Array, IntArray
 GO_ON, FOLLOW_SAMPLE, FOLLOW_VELOCITY, STAND = range(4)
 # What a step answers: done; a time not after the last one; a setpoint that is not finite or does not exist.
 DONE, BAD_TIME, BAD_SETPOINT = range(3)
-LAST, RENEWED, STANDS, STEPPED = 0, 1, 3, 4  # of the clock
-CLOCK = 5
+LAST, RENEWED, STANDS, STEPPED, PAUSED = 0, 1, 3, 4, 5  # of the clock
+CLOCK = 6
 
 
 class Board(NamedTuple):
@@ -42,7 +43,8 @@ class Board(NamedTuple):
         control: Kinematic layer, torque law and supervisor.
         guide: What makes the reference.
         supervisor: The supervisor.
-        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped.
+        clock: (CLOCK,) time of the last sample, when base and arm were renewed [s], whether it stands, has stepped,
+            waits in a pause.
         losses: (1,) how often a setpoint was not renewed.
         timeout: Age of a setpoint that has to be renewed at which it holds [s].
         command: (motors,) torques that reach the motors.
@@ -125,16 +127,14 @@ def step(b: Board, time: float, is_measured: bool, measured: float, wish: int) -
     if clock[STANDS] == 0.0 and b.supervisor.state[GOOD] > 0.0:
         stand(b.received, b.guide)
         clock[STANDS] = 1.0
-    follow(b, time, wish)
+    if clock[PAUSED] == 0.0:
+        follow(b, time, wish)
     advance(b.received, time - clock[LAST] if clock[STEPPED] > 0.0 else 0.0, b.guide)
     if clock[STEPPED] == 0.0:
-        for i in range(b.before.size):
-            b.before[i] = b.guide.now[i]
+        copy_to(b.guide.now, b.before)
     b.control.step(time, b.guide.now, 0, b.before)
-    for i in range(b.before.size):
-        b.before[i] = b.guide.now[i]
-    for j in range(b.motor_torque.size):
-        b.motor_torque[j] = b.command[j]
+    copy_to(b.guide.now, b.before)
+    copy_to(b.command, b.motor_torque)
     if b.split is not None:
         for j in range(b.motor_velocity.size):
             speed = 0.0
@@ -167,8 +167,8 @@ def take(b: Board, time: float, measured: float) -> None:
     if state[GOOD] > 0.0 and measured < state[HEARD]:
         return
     fine = not math.isnan(measured)
+    copy_to(b.incoming, b.received)
     for i in range(b.received.size):
-        b.received[i] = b.incoming[i]
         fine = fine and abs(b.incoming[i]) < LARGEST
     if not fine:
         b.received[0] = math.nan
@@ -182,8 +182,7 @@ def follow(b: Board, time: float, wish: int) -> None:
     nb = guide.base.shape[1]
     pose = 3 if nb else 0
     if wish == FOLLOW_SAMPLE:
-        for i in range(b.asked.size):
-            guide.wanted[i] = b.asked[i]
+        copy_to(b.asked, guide.wanted)
         guide.kind[:] = SAMPLE
         guide.fresh[:] = 1
         guide.clock[:] = 0.0
@@ -209,9 +208,21 @@ def leave(b: Board, part: int) -> None:
     nb = b.guide.base.shape[1]
     q = (3 if nb else 0) + 2 * nb
     first, last = (0, q) if part == BASE else (q, b.guide.aim.size)
-    for i in range(first, last):
-        b.guide.aim[i] = b.guide.now[i]
+    copy_to(b.guide.now[first:last], b.guide.aim[first:last])
     b.guide.kind[part] = HOLD
+
+
+def pause(b: Board) -> None:
+    """Brake and hold; setpoints are not followed until `resume`; `Stepper.pause`."""
+    if b.clock[PAUSED] == 0.0:
+        leave(b, BASE)
+        leave(b, ARM)
+        b.clock[PAUSED] = 1.0
+
+
+def resume(b: Board) -> None:
+    """Follow setpoints again; `Stepper.resume`."""
+    b.clock[PAUSED] = 0.0
 
 
 def stop(b: Board) -> None:

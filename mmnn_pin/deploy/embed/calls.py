@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 from .expressions import MATH, Expressions
+from .program import Function
 from .source import Source
 from .values import (
     SUM,
@@ -141,6 +142,8 @@ class Calls(Expressions):
         record = self.program.function(source, arguments)
         texts = ["self"] if record.uses_self else []
         parts = [leaf for name, value in arguments.items() for leaf in leaves(value, name)]
+        if record.result is None and not record.uses_self and self._is_lost(record, parts):
+            return Static(None)
         for name, part, array in parts:
             parameter = record.parameters.get(name)
             if parameter is None:
@@ -163,6 +166,12 @@ class Calls(Expressions):
         if not record.is_empty:
             self.lines.append(f"{text};")
         return Static(None)
+
+    def _is_lost(self, record: Function, parts: list[Any]) -> bool:
+        """Whether a call writes, and only what is left out."""
+        given = [(record.parameters.get(name), array) for name, _, array in parts]
+        into = [array for p, array in given if p is not None and p.pointer is not None and p.pointer.is_written]
+        return bool(into) and all(self.program.is_dropped(array.base) for array in into)
 
     def _record(self, text: str, kinds: tuple[str, ...]) -> Tuple:
         """Numbers of several kinds that a function returns."""

@@ -135,7 +135,7 @@ def require_embeddable(loop: Loop) -> None:
     """Refuse what has no C.
 
     Raises:
-        ConfigError: A controller in plain Python, a plant with contacts.
+        ConfigError: A controller in plain Python, a plant with contacts, measurements that are brought up to now.
         RobotError: A joint that cannot be flattened.
     """
     if not isinstance(loop.controller, CompiledController):
@@ -146,6 +146,9 @@ def require_embeddable(loop: Loop) -> None:
         raise ConfigError(
             f"an experiment with the plant '{loop.plant}'", why=why, fix="use plant = 'ideal'", key="plant"
         )
+    if loop.latency.predict and loop.latency.total > 0.0:
+        why, fix = "the references of the past are kept in Python", "use --set latency.predict=false"
+        raise ConfigError("measurements that are brought up to now", why=why, fix=fix, key="latency.predict")
     body_of(loop.robot)
 
 
@@ -153,8 +156,10 @@ def require_new(folder: Path, force: bool) -> None:
     """Refuse a folder that exists.
 
     Raises:
-        ConfigError: It does, and may not be written into.
+        ConfigError: It does, and may not be written into, or is a file.
     """
+    if folder.exists() and not folder.is_dir():
+        raise ConfigError(f"{folder} is a file", fix="give a folder", key="out")
     if folder.exists() and not force:
         raise ConfigError(f"{folder} exists", fix="give another one, or --force to write into it", key="out")
 

@@ -22,6 +22,8 @@ from .values import Number, Root, Static, spelled
 TEMPLATES = jinja2.Environment(
     loader=jinja2.PackageLoader("mmnn_pin.deploy.embed"), undefined=jinja2.StrictUndefined, keep_trailing_newline=True
 )
+ENTRIES = (board.step, board.pause, board.resume, board.stop, board.reset, board.is_over)
+LARGE = 128  # numbers, more than which stand at the end of the struct
 FEW = 8  # numbers that are set one by one at the start
 KEPT = frozenset(ascii_letters + digits + " _-+.,:()/")  # signs of names that mean nothing in C, printf, XML, Markdown
 TOLERANCE = 1e-3  # of torques in single precision, over the largest
@@ -43,9 +45,10 @@ class Export:
 
     @property
     def members(self) -> list[Root]:
-        """What the controller remembers, in the order of the struct."""
+        """What the controller remembers, in the order of the struct: the large last, for short offsets of the rest."""
         roots = [*self.program.roots.values(), *self.program.pieces.values()]
-        return [root for root in roots if root.name in self.program.written and not root.parts]
+        members = [root for root in roots if root.name in self.program.written and not root.parts]
+        return sorted(members, key=lambda root: root.data.size > LARGE)
 
     @property
     def remembered(self) -> list[Root]:
@@ -63,8 +66,15 @@ class Export:
 
     @property
     def functions(self) -> list[Function]:
-        """All functions that do something, callees first."""
-        return [function for function in self.program.functions.values() if not function.is_empty]
+        """All functions that do something and are called, callees first."""
+        found = [function for function in self.program.functions.values() if not function.is_empty]
+        entries = {f"board_{function.__name__}" for function in ENTRIES}
+        while True:
+            text = "\n".join(function.text for function in found)
+            called = [f for f in found if f.name in entries or re.search(rf"\b{f.name}\(", text)]
+            if len(called) == len(found):
+                return found
+            found = called
 
 
 def translated(stepper: board.Fresh, title: str, real: str = "double", diagnostics: bool = True) -> Export:
@@ -81,7 +91,13 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     for name in ("incoming", "asked"):
         program.memory(getattr(b, name), name)
         program.written.add(name)
+    program.memory(b.motor_velocity, "motor_velocity")
+    way = stepper.hardware.way
     program.dropped.add(program.memory(b.guide.clock, "guide_clock").name)  # nothing fades without motions
+    program.dropped |= {"motor_states", "sent"}  # what only simulated motors and lines read
+    program.dropped |= {program.memory(part, "unread").name for part in (way.totals.force, way.shorted)}
+    if b.control.torque.lead is None:
+        program.dropped.add(program.memory(b.before, "before").name)
     learned = stepper.state
     if getattr(learned, "values", None) is not None and learned.values.size:
         sizes = {name: int(np.prod(shape)) for name, shape in learned.shapes.items()}
@@ -93,7 +109,7 @@ def translated(stepper: board.Fresh, title: str, real: str = "double", diagnosti
     is_measured, wish = Number("bool", "is_measured"), Number("int", "wish")
     calls: list[tuple[Any, dict[str, Any]]] = [
         (board.step, {"time": time, "is_measured": is_measured, "measured": measured, "wish": wish}),
-        *((function, {}) for function in (board.stop, board.reset, board.is_over)),
+        *((function, {}) for function in ENTRIES[1:]),
     ]
 
     def call_all() -> None:
@@ -137,15 +153,16 @@ def numbers(values: Array, kind: str, single: bool, per_line: int = 6) -> str:
     return ",\n".join(f"    {line}" for line in lines)
 
 
-def definitions(functions: list[Function], is_static: bool) -> list[str]:
+def definitions(functions: list[Function], public: Iterable[Function] = ()) -> list[str]:
     """Functions with their comments; compilers are kept from copying what is called from several places into each.
 
-    Those that give a result are algebra, and faster where they are copied.
+    Those of controllers that make a number of numbers, without a loop, are algebra, and faster where they are copied.
     """
     text, made = "\n".join(function.text for function in functions), []
     for function in functions:
-        is_one = function.result is None and len(re.findall(rf"\b{function.name}\(", text)) > 1
-        head = f"{'static ' if is_static else ''}{'MMNN_ONCE ' if is_one else ''}{function.head}"
+        is_algebra = not (function.result is None or function.uses_self or function.is_math or "for (" in function.text)
+        is_one = not is_algebra and len(re.findall(rf"\b{function.name}\(", text)) > 1
+        head = f"{'' if function in public else 'static '}{'MMNN_ONCE ' if is_one else ''}{function.head}"
         made.append(f"{function.comment}\n{head}\n{{\n{function.text}\n}}\n")
     return made
 
@@ -171,6 +188,7 @@ def files_of(export: Export) -> dict[str, str]:
     math_text, text = "\n".join(f.text for f in maths), "\n".join(f.text for f in ours)
     tables = [t for t in export.tables if re.search(rf"\blaw_{t.name}\b", text)]
     own_tables = [t for t in export.tables if t not in tables]
+    public = [f for f in maths if re.search(rf"\b{f.name}\(", text)]
     about = {"title": export.title, "version": __version__, "real": real, "has_split": has_split(export)}
     init = initial(export)
     double = Program(body.write)
@@ -178,7 +196,7 @@ def files_of(export: Export) -> dict[str, str]:
     return {
         "controller.h": render("controller.h", **about, **interface(export)),
         "controller.c": render(
-            "controller.c", **about, **interface(export), functions=definitions(ours, True), init=init,
+            "controller.c", **about, **interface(export), functions=definitions(ours), init=init,
             constants=constants_in(program, text),
         ),
         "robot_law.h": render("robot_law", is_header=True, **about, tables="\n".join(
@@ -188,10 +206,10 @@ def files_of(export: Export) -> dict[str, str]:
             table(program, t) for t in [*tables, *starts(export)]
         )),
         "mmnn_math.h": render("mmnn_math.h", types=types(program), prototypes="\n".join(
-            f"{f.comment}\n{f.head};\n" for f in maths
+            f"{f.comment}\n{f.head};\n" for f in public
         )),
         "mmnn_math.c": render(
-            "mmnn_math.c", functions=definitions(maths, False), constants=constants_in(double, math_text),
+            "mmnn_math.c", functions=definitions(maths, public), constants=constants_in(double, math_text),
             tables="\n\n".join("static " + table(double, t) for t in own_tables),
         ),
         "CMakeLists.txt": render("CMakeLists.txt"),

@@ -20,7 +20,7 @@ from ...reference.wishes import HOLD, BaseVelocity, Wish
 from ...signals import Array, Dimensions, Measurement, Setpoint
 from .board import FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND
 
-STOP, RESET = 1, 2
+STOP, RESET, PAUSE, RESUME = 1, 2, 3, 4
 PRIME = np.uint64(0x9E3779B97F4A7C15)
 
 
@@ -34,7 +34,7 @@ class Event:
         measured: When it was taken [s].
         wish: Of `board`.
         asked: (w,) the setpoint.
-        action: `STOP`, `RESET`, or 0.
+        action: `STOP`, `RESET`, `PAUSE`, `RESUME`, or 0.
     """
 
     time: float
@@ -74,6 +74,8 @@ def usual_events(loop: Loop, period: float, steps: int, seed: int = 0) -> list[E
             wish = FOLLOW_VELOCITY
         elif 0.35 <= k / steps < 0.37:
             wish = STAND if chance < 0.5 else GO_ON
+        if k in (int(0.4 * steps), int(0.42 * steps)):
+            action = PAUSE if k == int(0.4 * steps) else RESUME
         if last and received is not None:
             received[-1] += 100.0 * (k == int(0.86 * steps))
             action = RESET if k == int(0.93 * steps) else STOP if k == int(0.97 * steps) else 0
@@ -103,10 +105,8 @@ def answers(stepper: Stepper, events: list[Event], remembered: Iterable[Array]) 
         wishes: dict[int, Wish] = {FOLLOW_SAMPLE: setpoint, STAND: HOLD}
         wishes[FOLLOW_VELOCITY] = BaseVelocity(setpoint.velocity)
         with suppress(ConfigError):  # refused, and nothing has changed
-            if event.action == STOP:
-                stepper.stop()
-            elif event.action == RESET:
-                stepper.reset()
+            if event.action:
+                {STOP: stepper.stop, RESET: stepper.reset, PAUSE: stepper.pause, RESUME: stepper.resume}[event.action]()
         with suppress(ConfigError):
             stepper.step(event.time, measurement, wishes.get(event.wish), measured=event.measured)
         found.append(Answer(stepper.motor_torque.copy(), checksum(np.concatenate(arrays), powers)))

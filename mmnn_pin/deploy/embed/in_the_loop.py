@@ -11,12 +11,13 @@ import subprocess
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NoReturn, Self
 
 import numpy as np
 
 from ...elementary.matrices import product
 from ...errors import ConfigError, MmnnError
+from ...kinematic import Kinematic
 from ...loop.loop import Loop
 from ...loop.servo import Command
 from ...loop.stepper import Stepper
@@ -24,10 +25,12 @@ from ...plant.ideal import IdealPlant
 from ...recording.recording import Recording
 from ...reference.wishes import BaseVelocity, Stand, Wish
 from ...signals import Array, Measurement, Setpoint
+from ...torque.controller import CompiledController, TorqueController
 from .board import BAD_SETPOINT, BAD_TIME, FOLLOW_SAMPLE, FOLLOW_VELOCITY, GO_ON, STAND, Fresh
 from .files import Export, translated
+from .golden import PAUSE, RESET, RESUME, STOP
 
-SAMPLE, STOP, RESET = 0.0, 1.0, 2.0  # kinds of frames
+SAMPLE = 0.0  # kinds of frames: else an action of `golden`
 HOST, QEMU = "host", "qemu"
 BOARD = (
     "qemu-system-arm -M mps2-an500 -nographic -monitor none -serial none -semihosting-config enable=on,target=native"
@@ -100,6 +103,7 @@ class Linked(Fresh):
         if result == BAD_SETPOINT:
             raise ConfigError("a setpoint that is not finite", fix="give finite numbers", key="setpoint")
         self.hardware.way.totals.command[:] = self.motor_torque
+        self.hardware.way.sent[:] = self.row[self.setup.layout.where("torque")]
         self._command()
         self.time, self.k = float(time), self.k + 1
         return self.command
@@ -107,17 +111,42 @@ class Linked(Fresh):
     def stop(self, why: str = "") -> None:
         """See `Stepper.stop`."""
         super().stop(why)
-        self._exchange(np.concatenate(([STOP], np.zeros(self._width() - 1))))
+        self._act(STOP)
 
     def reset(self) -> None:
         """See `Stepper.reset`."""
         super().reset()
-        self._exchange(np.concatenate(([RESET], np.zeros(self._width() - 1))))
+        self._act(RESET)
+
+    def pause(self) -> None:
+        """See `Stepper.pause`."""
+        super().pause()
+        self._act(PAUSE)
+
+    def resume(self) -> None:
+        """See `Stepper.resume`."""
+        super().resume()
+        self._act(RESUME)
+
+    def change(
+        self, controller: CompiledController | TorqueController | None = None, kinematic: Kinematic | None = None
+    ) -> NoReturn:
+        """Refused: gains are constant tables of the exported controller.
+
+        Raises:
+            ConfigError: Always.
+        """
+        why, fix = "they are constant tables in C", "export it anew with --set"
+        raise ConfigError("other gains for an exported controller", why=why, fix=fix, key="gains")
 
     def __exit__(self, *given: Any) -> None:
         """Close the recording, and end the process."""
         super().__exit__(*given)
         self.process.communicate()
+
+    def _act(self, action: int) -> None:
+        """Send an action alone."""
+        self._exchange(np.concatenate(([float(action)], np.zeros(self._width() - 1))))
 
     def _width(self) -> int:
         return 5 + self.received.size + self.follower.guide.wanted.size

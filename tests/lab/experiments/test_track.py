@@ -29,7 +29,7 @@ from mmnn_pin.reference import Hold
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque import law
 from mmnn_pin.torque.controller import Context, Feedback
-from mmnn_pin.torque.neural import Neural, Robust
+from mmnn_pin.torque.neural import Inputs, Neural, Robust
 from mmnn_pin.torque.two_layer import TwoLayer
 
 DURATION = 0.02 if config.DISABLE_JIT else 1.5
@@ -139,11 +139,10 @@ def test_scaling_is_a_change_of_coordinates():
     m = np.array([2.0, 8.0, 0.5, 4.5])
     c = np.array([5.0, 5.0, 2.5, 2.5])
     context = Context(layout, 0.001, 10)
-    network = TwoLayer(hidden=5, initial="random")
-    given = Neural(
-        network, Feedback(3.0, 4.0, "inertia").scaled(layout, m), Robust(1.0, 2.0).scaled(layout, m), inertia=tuple(m)
-    )
-    plain = Neural(network, Feedback(3.0, 4.0), Robust(1.0, 2.0))
+    network, inputs = TwoLayer(hidden=5, initial="random"), Inputs(scale=0.9)
+    feedback, robust = Feedback(3.0, 4.0, "inertia").scaled(layout, m), Robust(1.0, 2.0).scaled(layout, m)
+    given = Neural(network, feedback, robust, inputs, inertia=tuple(m))
+    plain = Neural(network, Feedback(3.0, 4.0), Robust(1.0, 2.0), inputs)
     rng, s = np.random.default_rng(0), np.zeros(4)
     rows = [layout.new_row(), layout.new_row()]
     memories = [given.init(Context(layout, 0.001, 10)), plain.init(Context(layout, 0.001, 10))]
