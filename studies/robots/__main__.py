@@ -129,6 +129,8 @@ def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
         for value in values[:1] if name in entry else ():
             if abs(value / entry[name] - 1) > TOLERANCE and f"{entry[name]:.4g}" not in told:
                 found.append(f"{name} {value:.4g} m for {entry[name]:.4g} m")
+    if robot.dimensions.arm != entry.get("arm", robot.dimensions.arm):
+        found.append(f"{robot.dimensions.arm} joints of the arm for {entry['arm']}: {', '.join(robot.arm_names)}")
     return found
 
 
