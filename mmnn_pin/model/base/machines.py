@@ -1,7 +1,8 @@
 """Machines that are none of our bases, by their shape: legged, humanoid, drone, on tracks, or on wheels that steer.
 
 A leg is a chain of joints from the root's body down to the lowest place of the robot, with no other support under the
-root; two or more make a legged machine, two with arms above them, or under a waist, a humanoid. A drone has rotors: three or more equal
+root; two or more make a legged machine, two with arms above them
+or under a waist a humanoid. A drone has rotors: three or more equal
 bodies that turn, or are welded, about vertical axes around its middle. Where a machine hides its rotors in a mesh
 only its names are left; they make the loader ask, never accept.
 """
@@ -149,7 +150,7 @@ def legs(rest: AtRest, joints: Sequence[Joint]) -> list[Joint]:
 
 
 def legs_of_a_waist(rest: AtRest) -> list[Joint]:
-    """First joints of two legs that hang on a waist of one or more joints, under a body with two arms; empty without."""
+    """First joints of two legs on a waist of one or more joints, under a body with two arms; empty without."""
     limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
     for waist in limbs if len(limbs) > 2 else ():
         joints = rest.document.moving_children(waist.child)
