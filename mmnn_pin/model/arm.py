@@ -190,7 +190,7 @@ def short_branches(rest: AtRest, own: set[str], slaves: dict[str, Slave]) -> lis
     tree = tree_of(rest)
     longest = max((tree[name].reach for name in own), default=0.0)
     found: set[str] = set()
-    for name in own:
+    for name in own | slaves.keys():
         branch = tree[name]
         led = {slave for slave, its in slaves.items() if its.master in branch.carried}
         siblings = [other for other in branch.beside if other in own or other in led]

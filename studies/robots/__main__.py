@@ -73,6 +73,8 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
             wrong = faults(entry, robot)
             options = told_by(entry, robot) if wrong and not followed else {}
             told = "; ".join(wrong) or words(robot)
+            if wrong and not options and "without" in said:  # left out as a package is missing, and missed
+                return Outcome("refused", told, " ".join(followed), took)
             if not options:
                 right = "right after the command" if followed else "right"
                 return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took, said)
@@ -129,6 +131,8 @@ def faults(entry: dict[str, Any], robot: Robot) -> list[str]:
         for value in values[:1] if name in entry else ():
             if abs(value / entry[name] - 1) > TOLERANCE and f"{entry[name]:.4g}" not in told:
                 found.append(f"{name} {value:.4g} m for {entry[name]:.4g} m")
+    if robot.dimensions.arm != entry.get("arm", robot.dimensions.arm):
+        found.append(f"{robot.dimensions.arm} joints of the arm for {entry['arm']}: {', '.join(robot.joint_names)}")
     return found
 
 

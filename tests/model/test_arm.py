@@ -59,6 +59,15 @@ def test_heads_and_fingers_stand_still_and_second_arms_move():
     assert rest["a_joint"] == 0.01  # 0 clipped into its limits
 
 
+def test_what_a_following_finger_carries_stands_still_too():
+    tip = link("tip", 0.01, 1e-6) + joint("tip_joint", "revolute", "b", "tip", p=(0, 0, 0.05), more=LIMIT.format(-1, 1))
+    follows = finger("b", -1.0, '<mimic joint="a_joint"/>')
+    torso = link("torso") + joint("lift", "prismatic", "base", "torso", axis=(0, 0, 1), more=LIMIT.format(0, 0.3))
+    text = torso + chain("arm", 6, "torso", (0, 0.2, 0.2)) + finger("a", 1.0) + follows + tip
+    robot = robot_of(Drive().urdf(text))
+    assert robot.joint_names == ("lift", *(f"arm_joint_{i}" for i in range(6)))
+
+
 def test_what_the_user_says_counts_more():
     assert not robot_of(two_armed(), free=("all",)).arm.locked
     assert set(robot_of(two_armed(), free=("a_joint", "b_joint")).arm.locked) == {"head_joint_0", "head_joint_1"}

@@ -221,6 +221,22 @@ def legged(hips, torso="") -> str:
     return f'<robot name="r">{text}{torso}</robot>'
 
 
+def with_waist(below: int) -> str:
+    """A trunk with two arms of three joints, and a waist that carries so many more limbs, which hang to the ground."""
+    text, limit = link("base", 5.0) + link("pelvis", 2.0), LIMIT.format(-1, 1)
+    text += joint("waist", "revolute", "base", "pelvis", p=(0, 0, -0.2), axis=(0, 0, 1), more=limit)
+    limbs = [("arm", "base", side, 0.2) for side in (1, -1)] + [("leg", "pelvis", side, 0.0) for side in (1, -1)][
+        :below
+    ]
+    for name, parent, side, z in limbs:
+        at = (0, 0.1 * side, z)
+        for part in "abc":
+            child = f"{name}{side}{part}"
+            text += link(child) + joint(f"{child}_joint", "revolute", parent, child, p=at, more=limit)
+            parent, at = child, (0, 0, -0.1 if name == "arm" else -0.3)
+    return f'<robot name="r">{text}</robot>'
+
+
 def along_y(limbs) -> str:
     """A body with limbs of three joints that go up or down y, as body models are drawn: name to direction."""
     text = link("base", 5.0)
@@ -252,6 +268,7 @@ UPPER = ARM + link("hand") + joint("wrist", "continuous", "fore", "hand", p=(0.3
     (legged(FOUR_HIPS[:2]), "legged machine"),
     (legged([(0, 0.1), (0, -0.1)], UPPER), "humanoid"),
     (along_y({"left": -1, "right": -1, "spine": 1}), "humanoid"),
+    (with_waist(2), "humanoid"),
     (drone(), "drone"),
     (f'<robot name="r">{link("quadrotor_base")}</robot>', "drone"),
     (f'<robot name="r">{link("base")}</robot>', "single rigid body"),
@@ -265,6 +282,10 @@ def test_machines_of_other_kinds_are_refused_by_name(text, name):
 @pytest.mark.parametrize("limbs", [{"left": -1, "right": 1}, {"left": -1, "right": -1}, {"arm": 1}])
 def test_arms_along_y_are_no_legs(limbs):
     assert robot_of(along_y(limbs)).base.kind == "fixed"
+
+
+def test_what_hangs_alone_on_a_waist_is_no_leg():
+    assert robot_of(with_waist(1)).base.kind == "fixed"
 
 
 # --- Overrides --------------------------------------------------------------------------------------------------------

@@ -277,6 +277,16 @@ def test_a_robot_on_its_head_is_not_driven_by_wheels_in_the_air():
     assert "m below the floor" in codes(robot_of(text, wheels=("right", "left")))["base-floor"]
 
 
+def test_wheels_a_little_over_what_reaches_deepest_of_a_flat_base_have_a_way_out():
+    keel = link("keel", shape='<box size="0.1 0.1 0.02"/>') + joint("under", "fixed", "base", "keel", p=(0, 0, -0.04))
+    text = f'<robot name="r">{link("base", 20.0, 0.8)}{pair()}{keel}</robot>'
+    with pytest.raises(Undecided, match="above the robot's lowest point") as error:
+        robot_of(text)
+    assert "upper half" not in error.value.why
+    names = error.value.fix.partition("--wheels ")[2].split()[0].split(",")
+    assert robot_of(text, wheels=names).base.kind == "differential_drive"
+
+
 # --- Plugins that name other joints -----------------------------------------------------------------------------------
 
 

@@ -93,7 +93,7 @@ BAD = {
     "bad radius": ('radius="0.02"', 'radius="thin"', 10, "number", "radius of <cylinder>"),
     "bad scale": (SHAPE, '<mesh filename="a.stl" scale="1 1 x"/>', 10, "number", "scale of <mesh>"),
     "bad multiplier": (DYNAMICS, '<mimic joint="hinge" multiplier="2x"/>', 17, "number", "multiplier of <mimic>"),
-    "commas in a vector": ('"0 0 -0.5"', '"0, 0, -0.5"', 6, "number", "decimal comma"),
+    "commas in a vector": ('"0 0 -0.5"', '"0, 0, -0.5"', 6, "number", "commas between numbers"),
     "short origin": ('"0 0 -0.5"', '"0 0"', 6, "vector-length", "xyz of <origin> is '0 0': 2 number"),
     "long origin": ('"0 0 -0.5"', '"0 0 0 0"', 6, "vector-length", "4 number"),
     "empty origin": ('"0 0 -0.5"', '""', 6, "vector-length", "0 number"),

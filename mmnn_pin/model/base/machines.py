@@ -1,7 +1,8 @@
 """Machines that are none of our bases, by their shape: legged, humanoid, drone, on tracks, or on wheels that steer.
 
 A leg is a chain of joints from the root's body down to the lowest place of the robot, with no other support under the
-root; two or more make a legged machine, two with arms above them a humanoid. A drone has rotors: three or more equal
+root; two or more make a legged machine, two with arms above them
+or under a waist a humanoid. A drone has rotors: three or more equal
 bodies that turn, or are welded, about vertical axes around its middle. Where a machine hides its rotors in a mesh
 only its names are left; they make the loader ask, never accept.
 """
@@ -50,7 +51,7 @@ DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])p
 
 def machine(rest: AtRest) -> tuple[str, str] | None:
     """Name of the machine and what tells; None for what may stand on a table."""
-    if feet := legs(rest):
+    if feet := legs(rest, trunk_joints(rest)) or legs_of_a_waist(rest):
         names = ", ".join(f"'{joint.name}'" for joint in feet)
         above = [j for j in trunk_joints(rest) if j not in feet and len(chain(rest, j)) >= LEG_JOINTS]
         if len(feet) == 2 and any(len(chain(rest, j)) > 2 for j in above):
@@ -131,9 +132,9 @@ def lowest(rest: AtRest, link: str) -> float:
     return min((shape.lowest for shape in rest.primitives[link]), default=math.inf)
 
 
-def legs(rest: AtRest) -> list[Joint]:
-    """First joints of the legs, empty when there are fewer than two."""
-    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) >= LEG_JOINTS]
+def legs(rest: AtRest, joints: Sequence[Joint]) -> list[Joint]:
+    """Those of these joints that are the first of a leg, empty when there are fewer than two."""
+    limbs = [j for j in joints if len(chain(rest, j)) >= LEG_JOINTS]
     feet = {j.name: height(rest, j) for j in limbs}
     ground = min(feet.values(), default=math.inf)
     hips = {j.name: float(rest.hub(j)[2]) for j in limbs}
@@ -146,6 +147,19 @@ def legs(rest: AtRest) -> list[Joint]:
         if drop > 0 and on_ground and root - feet[joint.name] > 0.1 * drop:
             found.append(joint)
     return found if len(found) >= 2 else []
+
+
+def legs_of_a_waist(rest: AtRest) -> list[Joint]:
+    """First joints of two legs on a waist of one or more joints, under a body with two arms; empty without."""
+    limbs = [j for j in trunk_joints(rest) if len(chain(rest, j)) > LEG_JOINTS]
+    for waist in limbs if len(limbs) > 2 else ():
+        joints = rest.document.moving_children(waist.child)
+        while len(joints) == 1:
+            joints = rest.document.moving_children(joints[0].child)
+        feet = legs(rest, [j for j in joints if len(chain(rest, j)) > LEG_JOINTS])
+        if len(feet) == 2:
+            return feet
+    return []
 
 
 def upright_along_y(rest: AtRest) -> list[Joint]:

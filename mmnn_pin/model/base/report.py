@@ -308,7 +308,8 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
         candidates.near_misses,
         "--base holonomic drives it by forces on its frame; --base fixed parks it",
     )
-    ends = f"end {min(c.bottom for c in near_misses) - candidates.floor:.3g} m above the robot's lowest point"
+    gap = min(c.bottom for c in near_misses) - candidates.floor
+    ends = f"end {gap:.3g} m above the robot's lowest point"
     if any(abs(c.axis[2]) > VERTICAL for c in near_misses):
         why = "their axle is vertical"
         fix = "turn the robot so that z points up (a file with y up?); --base fixed parks them"
@@ -322,13 +323,13 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
         if any(c.shape == PARTIAL for c in near_misses):
             why = "meshes are missing, none is measured from what is left, and nothing tells where the floor is"
             fix = "give --radius METRES, or --package-dir FOLDER where their meshes are; --base fixed parks them"
-    elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5):
+    elif min(c.centre[2] for c in near_misses) > height_at(rest, 0.5) and gap > min(c.radius for c in near_misses):
         why, fix = f"they {ends}, in its upper half", "turn it over if it stands on its head; --base fixed parks them"
     else:
         why, names = f"they {ends}", ",".join(c.joint.name for c in near_misses)
-        fix = f"--wheels {names} if the floor is where these touch it, with --radius METRES if they are larger; {fix}"
-        if len(near_misses) < 2:
-            fix = fix.partition("; ")[2]
+        if len(near_misses) > 1:
+            larger = "with --radius METRES if they are larger"
+            fix = f"--wheels {names} if the floor is where these touch it, {larger}; {fix}"
     return undecided(rest, near_misses, [Reading("differential_drive", ("coaxial wheels",), (why,))], why, fix)
 
 

@@ -333,7 +333,10 @@ def number_problem(text: str, count: int) -> str:
         if math.isnan(value) and NUMBER.fullmatch(word):
             return f"is '{text}': '{word}' is beyond what a double holds"
         if math.isnan(value):
-            hint = " (decimal comma?)" if "," in word else ""
+            between = word.endswith(",") or text.count(",") == count - 1 > 0
+            hint = (
+                (" (commas between numbers? write blanks)" if between else " (decimal comma?)") if "," in word else ""
+            )
             return f"is '{text}': '{word}' is not a finite number{hint}"
     return "" if len(values) == count else f"is '{text}': {len(values)} number(s) where {count} are needed"
 
