@@ -100,7 +100,6 @@ def test_gamma_is_the_natural_metric():
     np.testing.assert_allclose((S @ S.T @ g)[first:], bench.bodies.rates * g[first:], atol=1e-12)
 
 
-@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(-3, 6))
 def test_a_step_is_implicit_euler(seed, size):
@@ -132,7 +131,6 @@ def test_no_step_goes_away_from_the_truth_whatever_its_weight(seed, size):
         assert bench.distance(truth) <= before * (1 + 1e-12)
 
 
-@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds)
 def test_v_falls_by_the_square_of_the_prediction_error(seed):
@@ -147,7 +145,6 @@ def test_v_falls_by_the_square_of_the_prediction_error(seed):
     assert before - bench.distance(truth) == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.compiled
 @settings(max_examples=EXAMPLES, deadline=None)
 @given(seeds, st.floats(0, 9))
 def test_the_estimate_stays_physical_and_bounded_whatever_was_filtered(seed, size):

@@ -141,7 +141,6 @@ def test_it_stays_bounded_whatever_the_sensors_say(seed, size):
         assert (np.abs(motors) <= 20.0 * (1 + 1e-9)).all()
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("tracking", [1e-3, 1e3])
 def test_a_sample_is_the_law(tracking):
     """By numpy: Psi_hat, and w after the tracking term, below its share of the feedback and cut to it."""
@@ -174,7 +173,6 @@ def test_engines_batch_resumption_and_freezing():
     assert_frozen(loop)
 
 
-@pytest.mark.compiled
 def test_the_basis_leaves_nothing_out():
     learner = made("concurrent").controller
     rng, regressor = np.random.default_rng(5), learner.regressor

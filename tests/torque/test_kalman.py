@@ -221,7 +221,6 @@ def test_a_robot_with_many_joints_gets_no_more_features_than_allowed():
 # --- the law
 
 
-@pytest.mark.compiled
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_learning_from_a_run_is_batch_least_squares(kind):
     """Means, filters, features and Kalman gain against one ridge regression over the recorded signals, by scipy."""
@@ -697,7 +696,6 @@ def test_the_factors_of_a_covariance_are_its_own(seed, rank):
     assert (D >= 0).all() and not np.triu(U).any()
 
 
-@pytest.mark.compiled
 def test_it_begins_with_parameters_and_covariance_within_its_prior():
     wide, silent = covariance_of(1), REGRESSOR.size - 1
     wide[0] *= 1e9
