@@ -33,6 +33,7 @@ class Entry:
         gain_of: The learner whose effective gain it takes; empty for all others.
         oracle: Whether it knows the true model.
         thesis: Whether it is a learner of the thesis.
+        baseline: Whether an engineer has it without learning Psi: what a learner is compared with.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Entry:
     gain_of: str = ""
     oracle: bool = False
     thesis: bool = False
+    baseline: bool = False
 
     @property
     def key(self) -> str:
@@ -80,11 +82,11 @@ ENTRIES = (
           "#CC79A7", (9, 1.5), 1.6, table="two_layer", thesis=True),
     Entry("one_layer", "neural:Neural", "one_layer:OneLayer",
           "one-layer Gaussian network of reference [9], its law reconstructed", "#D55E00", (5, 1.6), thesis=True),
-    Entry("pd", "model_based:PD", "", "the feedback alone", "#000000", (1, 1.4)),
+    Entry("pd", "model_based:PD", "", "the feedback alone", "#000000", (1, 1.4), baseline=True),
     Entry("pd_gravity", "classical:PDGravity", "", "PD and the gravity of the URDF, at the measured joints",
-          "#4D4D4D", (4, 1.2, 1, 1.2), told=(MOTION, DESCRIBED)),
+          "#4D4D4D", (4, 1.2, 1, 1.2), told=(MOTION, DESCRIBED), baseline=True),
     Entry("pid", "classical:PID", "classical:PIDSettings",
-          "PD and its integral, which stops where a motor is at its limit", "#999999", (2, 1.2)),
+          "PD and its integral, which stops where a motor is at its limit", "#999999", (2, 1.2), baseline=True),
     Entry("pd_effective", "model_based:ScheduledPD", "",
           "PD at the effective gain of two_layer (or two_layer_zero): its gain without its network",
           "#56B4E9", (6, 1.5, 1, 1.5), 1.6, gain_of="two_layer"),
@@ -108,7 +110,7 @@ ENTRIES = (
           "#5DADE2", (4, 1), told=(NOMINAL,), table="two_layer"),
     Entry("nominal", "model_based:ComputedTorque", "",
           "feedback and that nominal model, nothing learned: what two_layer_residual has to beat",
-          "#7F8C8D", (1, 1), told=(NOMINAL,)),
+          "#7F8C8D", (1, 1), told=(NOMINAL,), baseline=True),
     Entry("kalman_regressor", "kalman:Kalman", "kalman:KalmanRegressorSettings",
           "knows the kinematics; least squares with a covariance on filtered torque",
           "#C0392B", (2, 1), told=(MACHINE, MOTION), table="kalman.regressor"),
@@ -123,7 +125,8 @@ ENTRIES = (
           "#FF7F50", (6, 1.5, 2, 1.5), told=(MACHINE, MOTION, PARAMETERS), table="kalman.residual"),
     Entry("disturbance_observer", "disturbance_observer:DisturbanceObserver",
           "disturbance_observer:DisturbanceObserverSettings",
-          "knows nothing: one constant per velocity, learned as an integral action", "#16A085", (6, 1, 1, 1, 1, 1)),
+          "knows nothing: one constant per velocity, learned as an integral action", "#16A085", (6, 1, 1, 1, 1, 1),
+          baseline=True),
     Entry("computed_torque", "model_based:ComputedTorque", "", "feedback and the true model: the oracle",
           "#009E73", (10, 2.5), oracle=True),
 )

@@ -11,6 +11,7 @@ from statistics import median
 from typing import Any
 
 from ...settings import finite
+from ...torque import ENTRIES
 from ..experiments.contest import Contest
 from ..experiments.controllers import ORACLES
 from ..experiments.experiment import Experiment
@@ -19,7 +20,7 @@ from .trial import Number, Trial, TrialResult, arm_of, as_json, base_of, middle,
 
 BASELINE = "pd"
 GRAVITY = "pd_gravity"
-FIXED = (BASELINE, GRAVITY, "pid", "disturbance_observer", "nominal")  # what an engineer has without learning Psi
+FIXED = tuple(entry.name for entry in ENTRIES if entry.baseline)
 WAYS = ("learning", "frozen")
 THESIS, ORACLE = "two_layer", "computed_torque"
 PRIOR = {
