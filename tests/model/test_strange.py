@@ -395,6 +395,7 @@ def test_a_macro_of_a_package_that_is_missing_can_be_left_out(tmp_path):
         load(file)
     robot = load(file, without=("cam",))
     assert robot.base.kind == "differential_drive" and "left out: cam" in str(robot.findings)
+    assert "the robot lacks what these macros make, and what hangs on it: lens_joint" in str(robot.findings)
     assert "lens" not in robot.urdf  # it hung on what was left out
     with pytest.raises(ConfigError, match="no <xacro:dog> to leave out"):
         load(file, without=("cam", "dog"))

@@ -54,11 +54,13 @@ class Expansion(NamedTuple):
         data: The URDF.
         absent: Packages, and files of packages, that it names, that are not there, and that it could do without.
         calls: Macros that it calls without their prefix.
+        hanging: Joints that hang on a macro which is left out.
     """
 
     data: bytes
     absent: list[str]
     calls: list[str]
+    hanging: list[str]
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
         """What there is to say of the file, with the macros that the user leaves out."""
@@ -77,7 +79,9 @@ class Expansion(NamedTuple):
             )
             notes.append(finding("xacro-prefix", 1, what, why, "write them with 'xacro:'"))
         if without:
-            notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", "you said --without"))
+            why = "you said --without; the robot lacks what these macros make"
+            why += f", and what hangs on it: {', '.join(self.hanging)}" if self.hanging else ""
+            notes.append(finding("xacro-package", 1, f"left out: {', '.join(without)}", why))
         return notes
 
 
@@ -140,21 +144,23 @@ def expand(
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
     if b"<link" not in data:
         raise macros_only(path, data)
-    return Expansion(pruned(data) if without else data, told["absent"], job["calls"])
+    data, hanging = pruned(data) if without else (data, [])
+    return Expansion(data, told["absent"], job["calls"], hanging)
 
 
 def leads_on(path: Path, job: dict[str, Any], macro: str) -> bool:
     """Whether something is left of a robot without the calls of a macro, as far as that can be seen now."""
     told, data = run(path, job | {"without": [*job["without"], macro]})
-    return "error" in told or b"<link" in pruned(data)
+    return "error" in told or b"<link" in pruned(data)[0]
 
 
-def pruned(data: bytes) -> bytes:
-    """A URDF without the joints of which a link was left out, and all that they carry."""
+def pruned(data: bytes) -> tuple[bytes, list[str]]:
+    """A URDF without the joints of which a link was left out, and without all that they carry; names of the joints."""
     try:
         root = etree.fromstring(data)
     except etree.XMLSyntaxError:
-        return data
+        return data, []
+    names: list[str] = []
     links = {link.get("name"): link for link in root.iterchildren("link")}
     ends = [(joint, joint.find("parent"), joint.find("child")) for joint in root.iterchildren("joint")]
     hanging = [
@@ -163,10 +169,11 @@ def pruned(data: bytes) -> bytes:
     while lost := [entry for entry in hanging if entry[1] not in links or entry[2] not in links]:
         for joint, _, child in lost:
             root.remove(joint)
+            names.append(joint.get("name") or "")
             if child in links:
                 root.remove(links.pop(child))
         hanging = [entry for entry in hanging if entry not in lost]
-    return bytes(etree.tostring(root))
+    return bytes(etree.tostring(root)), names
 
 
 def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
