@@ -13,6 +13,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ DENSEST, ROOM = 64, 1 << 24
 MOST_MEMBERS, MOST_NAMES = 1000, 10_000
 END = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
 NOT_FACTS = ("format", "format_version", "complete", *END)
+HEAP = b"GCOL\x01"  # where a heap of texts begins
 AGAIN = "take it from a copy, or run it again"
 
 
@@ -73,6 +75,8 @@ def open_run(path: Path) -> Iterator[h5py.File]:
     """
     if not path.is_file():
         raise RecordingError("no such recording", fix="name a file that `mmnn run` wrote", file=path)
+    if endless_heap(path):
+        raise RecordingError("cannot read the recording", why="its texts are damaged", fix=AGAIN, file=path)
     try:
         file = h5py.File(path, "r", locking=False)
     except Exception as error:  # whatever a damaged file makes HDF5 raise
@@ -82,6 +86,30 @@ def open_run(path: Path) -> Iterator[h5py.File]:
         with hdf5_errors(path):
             require_ours(file, path)
         yield file
+
+
+def endless_heap(path: Path) -> bool:
+    """Whether HDF5 would go round for ever in a heap of texts: at an object that says that it takes no room.
+
+    A heap has a head of 16 bytes, its size in the last 8, and objects one after the other, each with its number in the
+    first 2 of 16 bytes and its size in the last 8; of number 0, the free room, the size counts the 16 bytes (HDF5 File
+    Format Specification, III.E).
+    """
+    if not path.stat().st_size:
+        return False
+    with open(path, "rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as data:
+        heap = data.find(HEAP)
+        while heap >= 0:
+            place, end = heap + 16, min(heap + int.from_bytes(data[heap + 8 : heap + 16], "little"), len(data))
+            while place + 16 <= end:
+                number = int.from_bytes(data[place : place + 2], "little")
+                size = int.from_bytes(data[place + 8 : place + 16], "little")
+                taken = (16 + (size + 7) // 8 * 8 if number else size) % 2**64
+                if taken == 0:
+                    return True
+                place += taken
+            heap = data.find(HEAP, heap + 1)
+    return False
 
 
 def is_hdf5(path: Path) -> bool:

@@ -191,6 +191,24 @@ def test_a_damaged_part_is_named_and_leaves_the_others(kind, file, tmp_path, cap
     assert code == 2 or "e.joint1 [rad]" in (tmp_path / "x.csv").read_text()
 
 
+def test_a_heap_in_which_hdf5_would_go_round_for_ever_is_refused(file):
+    """Without the check the first text is never read; its free room says that it takes none."""
+    assert len(Recording.open(file)) == 50
+    data = bytearray(file.read_bytes())
+    found = 0
+    for heap in (place for place in range(len(data)) if data.startswith(b"GCOL", place)):
+        size, place = int.from_bytes(data[heap + 8 : heap + 16], "little"), heap + 16
+        while place + 16 <= heap + size and data[place : place + 2] != b"\0\0":
+            place += 16 + (int.from_bytes(data[place + 8 : place + 16], "little") + 7) // 8 * 8
+        if place + 16 <= heap + size:
+            data[place + 8 : place + 16] = bytes(8)
+            found += 1
+    assert found
+    file.write_bytes(data)
+    with pytest.raises(RecordingError, match="cannot read the recording: its texts are damaged"):
+        Recording.open(file)
+
+
 def test_a_flipped_byte_anywhere_is_a_recording_or_one_line(file):
     """Thirty bytes all over the file's structure; the fuzzer goes on from here."""
     data = file.read_bytes()
