@@ -209,6 +209,12 @@ def test_a_heap_in_which_hdf5_would_go_round_for_ever_is_refused(file):
         Recording.open(file)
 
 
+def test_heaps_upon_heaps_take_no_time(file):
+    file.write_bytes(file.read_bytes() + 2_000_000 * b"GCOL\x01\0\0\0\0\0\x10\0\0\0\0\0")
+    with pytest.raises(RecordingError, match="its texts are damaged"):
+        Recording.open(file)
+
+
 def test_a_flipped_byte_anywhere_is_a_recording_or_one_line(file):
     """Thirty bytes all over the file's structure; the fuzzer goes on from here."""
     data = file.read_bytes()
