@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -23,7 +21,7 @@ import h5py
 from ..errors import RecordingError
 from ..files import reason
 from ..settings.arguments import shortly
-from .run_file import FORMAT, FORMAT_VERSION, Arrays, Columns, decode
+from .run_file import FORMAT, FORMAT_VERSION, Arrays, Columns, decode, endless_heap
 from .schema import Damaged, facts_problem, require_plain, signal_problem, time_problem
 
 FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, h5py.h5z.FILTER_LZF}
@@ -32,8 +30,6 @@ DENSEST, ROOM = 64, 1 << 24
 MOST_MEMBERS, MOST_NAMES = 1000, 10_000
 END = ("outcome", "outcome_time", "outcome_signal", "outcome_message")
 NOT_FACTS = ("format", "format_version", "complete", *END)
-HEAP, SMALLEST_HEAP = b"GCOL\x01", 4096  # where a heap of texts begins; bytes
-PIECE = 1 << 24  # bytes of a file that are searched at a time
 AGAIN = "take it from a copy, or run it again"
 
 
@@ -92,43 +88,6 @@ def open_run(path: Path) -> Iterator[h5py.File]:
         with hdf5_errors(path):
             require_ours(file, path)
         yield file
-
-
-def endless_heap(path: Path) -> bool:
-    """Whether HDF5 would go round for ever in a heap of texts, or heaps say that they take more than the file has.
-
-    A heap has a head of 16 bytes, its size in the last 8, and objects one after the other, each with its number in the
-    first 2 of 16 bytes and its size in the last 8; of number 0, the free room, the size counts the 16 bytes (HDF5 File
-    Format Specification, III.E). HDF5 does not leave an object that takes no room.
-
-    Raises:
-        OSError: The file cannot be read.
-    """
-    start, left = 0, path.stat().st_size + PIECE  # what bounds the work: heaps do not overlap
-    with open(path, "rb") as file:
-        while piece := os.pread(file.fileno(), PIECE, start):
-            for found in re.finditer(HEAP, piece):
-                place = start + found.start()
-                size = int.from_bytes(os.pread(file.fileno(), 16, place)[8:], "little")
-                heap = os.pread(file.fileno(), min(size, PIECE), place)
-                left -= max(len(heap), SMALLEST_HEAP)
-                if left < 0 or stands_still(heap):
-                    return True
-            start += PIECE - len(HEAP) + 1
-    return False
-
-
-def stands_still(heap: bytes) -> bool:
-    """Whether an object of a heap takes no room, in the arithmetic of 64 bits that HDF5 does."""
-    place = 16
-    while place + 16 <= len(heap):
-        number = int.from_bytes(heap[place : place + 2], "little")
-        size = int.from_bytes(heap[place + 8 : place + 16], "little")
-        taken = (16 + (size + 7) // 8 * 8 if number else size) % 2**64
-        if taken == 0:
-            return True
-        place += taken
-    return False
 
 
 def is_hdf5(path: Path) -> bool:

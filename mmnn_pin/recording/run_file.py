@@ -19,6 +19,7 @@ import errno
 import fcntl
 import json
 import os
+import re
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -40,6 +41,8 @@ FORMAT = "mmnn_pin recording"
 FORMAT_VERSION = 1
 CHUNK_ROWS, MOST_CHUNK_ROWS = 1024, 8192  # of tables whose length is not known; at most
 SLACK_BYTES = 1 << 16  # what HDF5 keeps beside the numbers themselves
+HEAP, SMALLEST_HEAP = b"GCOL\x01", 4096  # where a heap of texts begins; bytes
+PIECE = 1 << 24  # bytes of a file that are searched at a time
 
 ALL = h5py.h5s.ALL
 NUMBERS = count()
@@ -243,6 +246,43 @@ def decode(value: Any) -> Any:
     return json.loads(value[5:]) if isinstance(value, str) and value.startswith("json:") else value
 
 
+def endless_heap(path: Path) -> bool:
+    """Whether HDF5 would go round for ever in a heap of texts, or heaps say that they take more than the file has.
+
+    A heap has a head of 16 bytes, its size in the last 8, and objects one after the other, each with its number in the
+    first 2 of 16 bytes and its size in the last 8; of number 0, the free room, the size counts the 16 bytes (HDF5 File
+    Format Specification, III.E). HDF5 does not leave an object that takes no room.
+
+    Raises:
+        OSError: The file cannot be read.
+    """
+    start, left = 0, path.stat().st_size + PIECE  # what bounds the work: heaps do not overlap
+    with open(path, "rb") as file:
+        while piece := os.pread(file.fileno(), PIECE, start):
+            for found in re.finditer(HEAP, piece):
+                place = start + found.start()
+                size = int.from_bytes(os.pread(file.fileno(), 16, place)[8:], "little")
+                heap = os.pread(file.fileno(), min(size, PIECE), place)
+                left -= max(len(heap), SMALLEST_HEAP)
+                if left < 0 or stands_still(heap):
+                    return True
+            start += PIECE - len(HEAP) + 1
+    return False
+
+
+def stands_still(heap: bytes) -> bool:
+    """Whether an object of a heap takes no room, in the arithmetic of 64 bits that HDF5 does."""
+    place = 16
+    while place + 16 <= len(heap):
+        number = int.from_bytes(heap[place : place + 2], "little")
+        size = int.from_bytes(heap[place + 8 : place + 16], "little")
+        taken = (16 + (size + 7) // 8 * 8 if number else size) % 2**64
+        if taken == 0:
+            return True
+        place += taken
+    return False
+
+
 def _create(path: Path, before: Path | None, image: bytes) -> int:
     """Make the file, whole or not at all; its open and locked descriptor.
 
@@ -323,6 +363,8 @@ def _image(file: h5py.File) -> bytes:
 def _is_complete(path: Path) -> bool:
     """Whether there is a recording whose run closed it."""
     try:
+        if endless_heap(path):
+            return False
         with h5py.File(path, "r", locking=False) as file:
             return file.attrs["format"] == FORMAT and bool(file.attrs["complete"])
     except Exception:  # whatever HDF5 raises of another file

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from builders import loop
 from sound_files import old_recording
-from test_recording import LAYOUT, META, record, rows_of
+from test_recording import DONE, LAYOUT, META, record, rows_of
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, RecordingError
@@ -207,6 +207,9 @@ def test_a_heap_in_which_hdf5_would_go_round_for_ever_is_refused(file):
     file.write_bytes(data)
     with pytest.raises(RecordingError, match="cannot read the recording: its texts are damaged"):
         Recording.open(file)
+    with Recorder(LAYOUT, META, file, force=True) as recorder:  # nor is it looked into where a run replaces it
+        recorder.finish(DONE)
+    assert len(Recording.open(file)) == 0
 
 
 def test_heaps_upon_heaps_take_no_time(file):
