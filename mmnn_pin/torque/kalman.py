@@ -12,7 +12,6 @@ from typing import Any, ClassVar, Self
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from ..compiled import layout_of
 from ..elementary.matrices import product
@@ -24,10 +23,11 @@ from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
 from .filtered import new_filter, parts
+from .friction_features import columns, friction
 from .law import constant_gain
-from .linear import Linear, Parts, left
+from .linear import Linear, Parts, factors, left
 from .prior import identified
-from .random_features import BILINEAR, GENERIC, Random, fill, paired, size, terms
+from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_random, paired, size
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
@@ -90,6 +90,24 @@ class KalmanRegressorSettings(KalmanSettings, frozen=True):
     section: ClassVar[str] = "kalman.regressor"
     excited: ClassVar[float] = 0.1  # the velocities share what is learned: a little excitation tells them much
     needs_regressor: ClassVar[bool] = True
+
+
+class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
+    """`kalman_friction`: the regressor, friction features learned offline, and a constant per velocity that changes.
+
+    Args:
+        friction: Standard deviation of what the features say before anything is learned, over K [m/s, rad/s].
+        constant: Standard deviation of the constants, likewise.
+        change: Part of a constant's prior variance that comes back in a second [1/s].
+    """
+
+    noise: float = 0.3
+    friction: float = 1.0
+    constant: float = 0.1
+    change: float = 0.1
+
+    section: ClassVar[str] = "kalman.friction"
+    positive: ClassVar[tuple[str, ...]] = (*KalmanRegressorSettings.positive, "friction", "constant", "change")
 
 
 class RandomFeatures(KalmanSettings, frozen=True):
@@ -160,10 +178,9 @@ class KalmanResidualSettings(KalmanBilinearSettings, frozen=True):
     needs_nominal: ClassVar[bool] = True
 
 
-SETTINGS = {
-    f"kalman_{kind.section.partition('.')[2]}": kind
-    for kind in (KalmanRegressorSettings, KalmanBilinearSettings, KalmanFeaturesSettings, KalmanResidualSettings)
-}
+OF_REGRESSORS = (KalmanRegressorSettings, KalmanFrictionSettings)
+OF_FEATURES = (KalmanBilinearSettings, KalmanFeaturesSettings, KalmanResidualSettings)
+SETTINGS = {f"kalman_{kind.section.partition('.')[2]}": kind for kind in (*OF_REGRESSORS, *OF_FEATURES)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,8 +257,13 @@ class Kalman(CompiledController):
         p, random = len(self.machine.velocities), self.random()
         if random is None:
             assert self.regressor is not None
-            return p, self.regressor.size, 1
+            return p, self.regressor.size + p * self.beside, 1
         return 1, size(random.kind, p, random.number), p
+
+    @property
+    def beside(self) -> int:
+        """Columns of Phi beside the regressor, per velocity: friction features and a constant."""
+        return len(friction().W2) + 1 if isinstance(self.settings, KalmanFrictionSettings) else 0
 
     @property
     def notes(self) -> list[str]:
@@ -258,23 +280,10 @@ class Kalman(CompiledController):
         generic = isinstance(own, KalmanFeaturesSettings)
         kind = GENERIC if generic else BILINEAR
         pairs = paired(kind, p, own.hidden, own.largest if isinstance(own, KalmanBilinearSettings) else own.hidden)
-        units = int(pairs[:, 0].max()) + 1
         scale = np.ones(n)
         if isinstance(own, KalmanFeaturesSettings):
             scale = np.concatenate((scale, np.full(2 * p, 1 / own.speed), np.full(p, 1 / own.acceleration)))
-        return Random(
-            kind=kind,
-            number=len(pairs),
-            units=units,
-            pairs=pairs,
-            inputs=scale.size,
-            eps=float(own.eps),
-            centre=np.mean(self.machine.ranges, axis=0),
-            scale=scale,
-            x=np.zeros(scale.size),
-            g=np.zeros(units),
-            t=np.zeros(terms(kind, p)),
-        )
+        return new_random(kind, p, pairs, float(own.eps), np.mean(self.machine.ranges, axis=0), scale)
 
     def law(self, context: Context) -> Law:
         """The numbers of the law, with room of its own to work in.
@@ -288,6 +297,7 @@ class Kalman(CompiledController):
         linear = Linear(
             known=None if self.regressor is None else self.regressor.workspace(),
             random=self.random(),
+            friction=friction() if self.beside else None,
             filter=new_filter(context.layout, h, own.pole, own.state_pole),
             gain=K,
             learning=self.learning,
@@ -297,6 +307,7 @@ class Kalman(CompiledController):
             answer=own.tracking / (own.prior * own.prior) * (K if m > 1 else np.array([1 / K.max()])),
             share=SHARE,
             drift=float(own.drift) * every * h,
+            change=float(getattr(own, "change", 0.0)) * every * h,
             radius=own.bound * np.sqrt(k) * (K if m > 1 else np.ones(1)),
             theta0=np.zeros(0) if self.theta0 is None else self.theta0.copy(),
             Phi=np.zeros((rows, k)),
@@ -310,8 +321,9 @@ class Kalman(CompiledController):
         """Weights and covariance, what the filter remembers, what was drawn."""
         (rows, k, m), random = self.shape, self.random()
         drawn = (0, 0) if random is None else (random.units, random.inputs)
+        moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
         own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (2,)}
-        return {**own, **parts(context.layout, rows, k), "a": drawn, "b": drawn[:1]}
+        return {**own, **parts(context.layout, rows, k), "a": drawn, "b": drawn[:1], "moved": moved}
 
     def init(self, context: Context) -> ControllerState:
         """No weights yet, the prior, and the random functions, drawn from the run's seed."""
@@ -328,6 +340,10 @@ class Kalman(CompiledController):
             share[: random.t.size] *= self.drawn.linear
             share[random.t.size + random.number :] *= self.drawn.linear
         share /= share.sum()
+        if isinstance(self.settings, KalmanFrictionSettings):
+            own, p, d = self.settings, len(K), self.beside - 1
+            share[-p * self.beside :] = (own.friction / own.prior) ** 2 / d
+            share[-p:] = (own.constant / own.prior) ** 2
         if random is not None and self.drawn is not None:
             rest = at_rest(random, k)
             wide = self.drawn.gravity * self.machine.strength(K) / self.settings.prior
@@ -340,11 +356,13 @@ class Kalman(CompiledController):
 
     def _begin(self, state: ControllerState, theta: Array, covariance: Array) -> None:
         """Begin with parameters and covariance; what that says nothing of keeps the prior, which bounds the rest."""
-        said, prior = np.diag(covariance), state["prior"]
+        prior, k = state["prior"], len(theta)
+        covariance = np.pad(covariance, (0, prior.size - k))
+        said = np.diag(covariance)
         share = np.sqrt(np.minimum(1.0, prior / np.where(said > 0.0, said, 1.0)))
         P = covariance * np.outer(share, share)
         P[np.diag_indices_from(P)] = np.where(said > 0.0, np.diag(P), prior)
-        state["W"] = theta[None]
+        state["W"][0, :k] = theta
         state["U"], state["D"] = factors(P)
 
     def typical(self, state: ControllerState, seed: int = 0) -> Array:
@@ -352,7 +370,7 @@ class Kalman(CompiledController):
         rng, random, p = np.random.default_rng(seed), self.random(), len(self.machine.velocities)
         (lower, upper), n = self.machine.ranges, self.machine.lower.size
         rows, k, _ = self.shape
-        Phi = np.zeros((SAMPLES, rows, k))
+        Phi, learned = np.zeros((SAMPLES, rows, k)), friction()
         for one in Phi:
             q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), standard_normal(rng, (3, p))
             if random is not None:
@@ -360,7 +378,10 @@ class Kalman(CompiledController):
             elif self.regressor is not None:
                 known = self.regressor.massless
                 position = known.offset + product(known.arm, q)
-                one[:] = self.regressor.matrix(position, nu, nu_ref, nudot_ref)
+                one[:, : self.regressor.size] = self.regressor.matrix(position, nu, nu_ref, nudot_ref)
+                if self.beside:
+                    for i in range(p):
+                        columns(learned, i, nu_ref[i], nudot_ref[i], one)
         return Phi
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
@@ -417,29 +438,8 @@ class Kalman(CompiledController):
 
     def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
         """Of all parameters that say the same Psi on every motion those nearest to the start, measured by the prior."""
-        if self.regressor is None or self.drawn is not None:
+        if self.regressor is None or self.drawn is not None or self.beside:
             return None
         matters, first = self.regressor.identifiable(), start["W"][0]
         spread = start["prior"][:, None] * matters
         return np.asarray(first + spread @ np.linalg.solve(matters.T @ spread, matters.T @ (theta - first)))
-
-
-def factors(P: Array) -> tuple[Array, Array]:
-    """U (k, k) and D (k,) of `P = U D U'`, U as `torque.linear` keeps it; P is positive semidefinite."""
-    rest, k = P.copy(), len(P)
-    U, D = np.zeros((k, k)), np.zeros(k)
-    for j in range(k - 1, -1, -1):
-        if rest[j, j] <= NEGLIGIBLE * P[j, j]:
-            continue
-        D[j] = rest[j, j]
-        U[j, :j] = rest[:j, j] / D[j]
-        rest[:j, :j] -= D[j] * np.outer(U[j, :j], U[j, :j])
-    return U, D
-
-
-def at_rest(random: Random, k: int) -> NDArray[np.bool_]:
-    """Which of k random features are there when nothing moves: the constant, and random functions that stand alone."""
-    last, rest = random.t.size - 1, np.zeros(k, bool)
-    rest[last] = True
-    rest[last + 1 : last + 1 + random.number] = np.isin(random.pairs[:, 1], (-1, last))
-    return rest

@@ -31,11 +31,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from ..by_address import by_address
 from ..compiled import Matrix, Vector, compiled, copy_to, internal, linked, views
 from ..model.regressor import Massless, measured, regress
 from ..signals import INDEX, Array, IntArray
 from .filtered import Filter, Filtered, low_pass, period, remember
+from .friction_features import Friction, beside, follow
 from .law import KERNELS, Kernels
 from .random_features import Random, fill
 
@@ -43,6 +46,7 @@ POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["q
 Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
+NEGLIGIBLE = 1e-24  # of a variance, below which it is none
 CERTAIN = 1e12  # an equation that would lower its own variance by more than this is not taken: the data are no data
 
 
@@ -52,7 +56,8 @@ class Linear(NamedTuple):
 
     Attributes:
         known: The robot without its masses, or None.
-        random: Random features, or None: then Phi is the regressor of `known`.
+        random: Random features, or None: then Phi begins with the regressor of `known`.
+        friction: Friction features that follow it, and then a constant per velocity; None for none of both.
         filter: Of torque and features.
         gain: (p,) K.
         learning: Off keeps the weights.
@@ -62,6 +67,7 @@ class Linear(NamedTuple):
         answer: (m,) tau_i, of every column of W.
         share: Largest answer of an update to s, as a share of the feedback.
         drift: Part of the prior variance that one update adds at its place.
+        change: Part of a constant's prior variance that every update adds; 0 where there are none.
         radius: (m,) bound on every column of W, in the metric of P_0.
         theta0: (k0,) parameters of a nominal robot, Psi_0 = Y theta0; of size 0 for none.
         Phi: (rows, k) room to work in.
@@ -72,6 +78,7 @@ class Linear(NamedTuple):
 
     known: Massless | None
     random: Random | None
+    friction: Friction | None
     filter: Filter
     gain: Array
     learning: bool
@@ -81,6 +88,7 @@ class Linear(NamedTuple):
     answer: Array
     share: float
     drift: float
+    change: float
     radius: Array
     theta0: Array
     Phi: Array
@@ -99,6 +107,7 @@ class Parts(NamedTuple):
         counts: (2,) samples, and updates.
         filtered: What the filter remembers.
         a, b: (units, inputs), (units,) what the random features drew.
+        moved: (2, p d) friction features of the last sample, and behind the filter of states and torque.
     """
 
     W: Matrix
@@ -109,6 +118,7 @@ class Parts(NamedTuple):
     filtered: Filtered
     a: Matrix
     b: Vector
+    moved: Matrix
 
 
 parts_of = views(Parts)
@@ -117,7 +127,7 @@ parts_of = views(Parts)
 @linked
 def estimate(row: Array, at: IntArray, a: Linear, state: Array) -> None:
     """Psi_hat and gain of one sample, then the update of the weights."""
-    learn(row, at, a, a.known, a.random, parts_of(state, a.layout))
+    learn(row, at, a, a.known, a.random, a.friction, parts_of(state, a.layout))
 
 
 @linked
@@ -127,7 +137,10 @@ def settle(row: Array, at: IntArray, a: Linear, state: Array) -> None:
 
 
 @internal
-def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, o: Parts) -> None:
+def learn(
+    row: Array, at: IntArray, a: Linear, known: Massless | None, random: Random | None, friction: Friction | None,
+    o: Parts,
+) -> None:  # fmt: skip
     """Psi_hat and gain of one sample, then the update of the weights.
 
     Args:
@@ -136,6 +149,7 @@ def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: R
         a: The numbers of the law.
         known: `a.known`, as an argument: what a run does not have is not compiled for it.
         random: `a.random`, likewise.
+        friction: `a.friction`, likewise.
         o: What it remembers.
     """
     p = a.gain.size
@@ -143,6 +157,8 @@ def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: R
     velocity, qdot = row[at[VELOCITY] : at[Q]], row[at[QDOT] : at[QDOT + 1]]
     features(a, known, random, o, row[at[POSE] : at[VELOCITY]], row[at[Q] : at[QDOT]], velocity, qdot, nu_ref,
              nudot_ref)  # fmt: skip
+    if friction is not None:
+        beside(row, at, friction, a.Phi)
     say(row, at, a, o)
     if not a.learning:
         return
@@ -150,7 +166,10 @@ def learn(row: Array, at: IntArray, a: Linear, known: Massless | None, random: R
     o.counts[0] += 1.0
     if now:
         track(row, at, a, o)
-    if period(row, at, f, o.filtered):
+    counts = period(row, at, f, o.filtered)
+    if friction is not None:
+        follow(f, o.filtered, o.moved, a.Phi)
+    if counts:
         nb = p - f.q.size
         features(a, known, random, o, f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot)
         for i in range(p):
@@ -173,7 +192,7 @@ def features(
         regress(known, nu_ref, nudot_ref)
         if random is None:
             for i in range(a.Phi.shape[0]):
-                copy_to(known.Y[i], a.Phi[i])
+                copy_to(known.Y[i], a.Phi[i, : known.Y.shape[1]])
         else:
             for i in range(a.psi0.size):
                 a.psi0[i] = dot(known.Y[i], a.theta0, a.theta0.size)
@@ -243,8 +262,16 @@ def predict(a: Linear, o: Parts) -> None:
                 o.W[c, j] += e * b[j]
     place = int(o.counts[1]) % k
     o.counts[1] += 1.0
+    drift(a, o, place, a.drift * k)
+    for c in range(k - a.gain.size if a.change > 0.0 else k, k):
+        drift(a, o, c, a.change)
+
+
+@internal
+def drift(a: Linear, o: Parts, place: int, part: float) -> None:
+    """Add a part of the prior variance at a place, as far as there is room below the prior."""
     room = o.prior[place] - variance(o.U, o.D, place)
-    added = min(a.drift * k * o.prior[place], room)
+    added = min(part * o.prior[place], room)
     if added > 0.0:
         add(o.U, o.D, place, added, a.work[3])
 
@@ -382,6 +409,19 @@ def quadratic(a: Array, scale: Array) -> float:
     for j in range(a.size):
         total += a[j] * a[j] * scale[j]
     return total if not math.isnan(total) else math.inf
+
+
+def factors(P: Array) -> tuple[Array, Array]:
+    """U (k, k) and D (k,) of `P = U D U'`, U as `torque.linear` keeps it; P is positive semidefinite."""
+    rest, k = P.copy(), len(P)
+    U, D = np.zeros((k, k)), np.zeros(k)
+    for j in range(k - 1, -1, -1):
+        if rest[j, j] <= NEGLIGIBLE * P[j, j]:
+            continue
+        D[j] = rest[j, j]
+        U[j, :j] = rest[:j, j] / D[j]
+        rest[:j, :j] -= D[j] * np.outer(U[j, :j], U[j, :j])
+    return U, D
 
 
 KERNELS[Linear] = Kernels(estimate, settle)

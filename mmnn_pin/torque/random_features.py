@@ -19,6 +19,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiled import compiled
 from ..elementary import tanh
@@ -104,6 +105,13 @@ def paired(kind: int, p: int, hidden: int, largest: int) -> IntArray:
     return np.vstack(pairs)
 
 
+def new_random(kind: int, p: int, pairs: IntArray, eps: float, centre: Array, scale: Array) -> Random:
+    """Random features of a robot with p velocities, with room of their own to work in; the rest as in `Random`."""
+    units = int(pairs[:, 0].max()) + 1
+    room = (np.zeros(scale.size), np.zeros(units), np.zeros(terms(kind, p)))
+    return Random(kind, len(pairs), units, pairs, scale.size, eps, centre, scale, *room)
+
+
 @compiled
 def fill(
     r: Random, a: Array, b: Array, q: Array, velocity: Array, qdot: Array, nu_ref: Array, nudot_ref: Array, phi: Array
@@ -157,3 +165,11 @@ def fill(
     for c in range(r.number):
         term = r.pairs[c, 1]
         phi[last + 1 + c] = r.g[r.pairs[c, 0]] * (t[term] if term >= 0 else 1.0)
+
+
+def at_rest(random: Random, k: int) -> NDArray[np.bool_]:
+    """Which of k random features are there when nothing moves: the constant, and random functions that stand alone."""
+    last, rest = random.t.size - 1, np.zeros(k, bool)
+    rest[last] = True
+    rest[last + 1 : last + 1 + random.number] = np.isin(random.pairs[:, 1], (-1, last))
+    return rest
