@@ -99,12 +99,16 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
         friction: Standard deviation of what the features say before anything is learned, over K [m/s, rad/s].
         constant: Standard deviation of the constants, likewise.
         change: Part of a constant's prior variance that comes back in a second [1/s].
+        alarm: Where the square of its errors, of late, is so many times that of the last seconds, the robot has
+            changed: the past counts less. 0 for never.
     """
 
-    noise: float = 0.3
+    noise: float = 0.2
+    pole: float = 7.0
     friction: float = 1.0
     constant: float = 0.1
     change: float = 0.1
+    alarm: float = 5.0
 
     section: ClassVar[str] = "kalman.friction"
     positive: ClassVar[tuple[str, ...]] = (*KalmanRegressorSettings.positive, "friction", "constant", "change")
@@ -307,7 +311,8 @@ class Kalman(CompiledController):
             answer=own.tracking / (own.prior * own.prior) * (K if m > 1 else np.array([1 / K.max()])),
             share=SHARE,
             drift=float(own.drift) * every * h,
-            change=float(getattr(own, "change", 0.0)) * every * h,
+            change=getattr(own, "change", 0.0) * every * h,
+            alarm=getattr(own, "alarm", 0.0),
             radius=own.bound * np.sqrt(k) * (K if m > 1 else np.ones(1)),
             theta0=np.zeros(0) if self.theta0 is None else self.theta0.copy(),
             Phi=np.zeros((rows, k)),
@@ -322,7 +327,7 @@ class Kalman(CompiledController):
         (rows, k, m), random = self.shape, self.random()
         drawn = (0, 0) if random is None else (random.units, random.inputs)
         moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
-        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (2,)}
+        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (4,)}
         return {**own, **parts(context.layout, rows, k), "a": drawn, "b": drawn[:1], "moved": moved}
 
     def init(self, context: Context) -> ControllerState:

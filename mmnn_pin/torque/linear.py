@@ -47,6 +47,9 @@ Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 NEGLIGIBLE = 1e-24  # of a variance, below which it is none
+SOON, LONG = 0.1, 3.0  # times over which surprise is averaged [s]
+SURPRISE = 100.0  # largest square of an error over its variance that one equation counts for
+AT_ONCE, RENEWED = 8, 0.01  # places that get variance in an update when alarmed; part of their prior variance
 CERTAIN = 1e12  # an equation that would lower its own variance by more than this is not taken: the data are no data
 
 
@@ -68,6 +71,7 @@ class Linear(NamedTuple):
         share: Largest answer of an update to s, as a share of the feedback.
         drift: Part of the prior variance that one update adds at its place.
         change: Part of a constant's prior variance that every update adds; 0 where there are none.
+        alarm: How many times larger than for long errors have to be of late for the past to count less; 0 for never.
         radius: (m,) bound on every column of W, in the metric of P_0.
         theta0: (k0,) parameters of a nominal robot, Psi_0 = Y theta0; of size 0 for none.
         Phi: (rows, k) room to work in.
@@ -89,6 +93,7 @@ class Linear(NamedTuple):
     share: float
     drift: float
     change: float
+    alarm: float
     radius: Array
     theta0: Array
     Phi: Array
@@ -104,7 +109,7 @@ class Parts(NamedTuple):
         W: (m, k) weights, transposed: a column of W is a row here.
         U, D: (k, k), (k,) factors of P.
         prior: (k,) diagonal of P_0.
-        counts: (2,) samples, and updates.
+        counts: (4,) samples, updates, and the mean square of errors over their variances, of late and for long.
         filtered: What the filter remembers.
         a, b: (units, inputs), (units,) what the random features drew.
         moved: (2, p d) friction features of the last sample, and behind the filter of states and torque.
@@ -248,7 +253,7 @@ def predict(a: Linear, o: Parts) -> None:
     """The equations that filtered torque gives, one Kalman update each; then the drift."""
     m, k, rows = o.W.shape[0], o.D.size, a.Phi.shape[0]
     Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
-    phi, f, b = a.work[0], a.work[1], a.work[2]
+    phi, f, b, surprise = a.work[0], a.work[1], a.work[2], 0.0
     for i in range(rows):
         for j in range(k):
             phi[j] = Phi_f[i, j] / a.gain[i] if m == 1 else Phi_f[i, j]
@@ -258,11 +263,17 @@ def predict(a: Linear, o: Parts) -> None:
         for c in range(m):
             e = Y_f[i] / a.gain[i] if m == 1 else Y_f[c]
             e = (e - dot(o.W[c], phi, k)) / alpha
+            surprise += min(e * e * alpha, SURPRISE)
             for j in range(k):
                 o.W[c, j] += e * b[j]
-    place = int(o.counts[1]) % k
-    o.counts[1] += 1.0
-    drift(a, o, place, a.drift * k)
+    surprise /= rows
+    o.counts[2] += a.interval / SOON * (surprise - o.counts[2])
+    alarmed = a.alarm > 0.0 and o.counts[1] * a.interval > LONG and o.counts[2] > a.alarm * o.counts[3]
+    o.counts[3] += a.interval / LONG * (surprise - o.counts[3])
+    for more in range(AT_ONCE if alarmed else 1):
+        place = int(o.counts[1] + more) % k
+        drift(a, o, place, max(a.drift * k, RENEWED if alarmed else 0.0))
+    o.counts[1] += AT_ONCE if alarmed else 1.0
     for c in range(k - a.gain.size if a.change > 0.0 else k, k):
         drift(a, o, c, a.change)
 

@@ -1,0 +1,142 @@
+"""Friction features: that they say friction of joints that nobody fitted them on, and that a learner takes it in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from mmnn_pin.lab.experiments.config import load_experiment
+from mmnn_pin.signals import Layout
+from mmnn_pin.torque.filtered import Filtered, new_filter, parts
+from mmnn_pin.torque.friction_features import beside, features, follow, friction, weights
+from mmnn_pin.torque.linear import Linear, Parts, drift, predict
+from studies import friction_features as study
+
+motions = st.floats(-20.0, 20.0)
+
+
+@given(nu=motions, a=motions)
+def test_features_are_the_two_layers_and_turn_round_with_the_motion(nu: float, a: float) -> None:
+    f, there, back = friction(), np.zeros(4), np.zeros(4)
+    features(f, nu, a, there)
+    features(f, -nu, -a, back)
+    W1, W2 = weights()
+    assert there == pytest.approx(W2 @ np.tanh(W1 @ study.inputs(np.array(nu), np.array(a))), rel=1e-12, abs=1e-12)
+    assert (there == -back).all()
+
+
+def test_they_say_the_friction_of_joints_that_they_were_not_fitted_on() -> None:
+    """Another seed than the fit's and its judge's; the combination from the first half of a motion."""
+    others = study.joints(40, seed=77)
+    W1, W2 = weights()
+    without, found = (study.judged((first, W2), others) for first in (np.zeros_like(W1), W1))
+    assert np.median(found) < 0.1 * np.median(without)
+    assert found.mean() < 0.4 * without.mean()
+
+
+def test_random_features_of_the_same_size_say_less() -> None:
+    others, rng = study.joints(40, seed=78), np.random.default_rng(0)
+    random = [
+        np.median(study.judged((rng.normal(0, 0.5, (12, 11)), rng.normal(0, 0.5, (4, 12))), others)) for _ in range(3)
+    ]
+    assert np.median(study.judged(weights(), others)) < 0.5 * min(random)
+
+
+def test_a_few_steps_of_the_fit_already_say_more() -> None:
+    joints, others = study.joints(40, seed=5), study.joints(20, seed=6)
+    before, after = (np.median(study.judged(study.fitted(joints, steps), others)) for steps in (0, 60))
+    assert after < 0.8 * before
+
+
+def test_the_friction_they_are_fitted_on_is_lugres() -> None:
+    """Against an adaptive solver along a speed that changes smoothly."""
+    time = study.STEP * np.arange(500)
+    static, stribeck, bristle = 1.6, 0.05, 3e-3
+
+    def slope(t: float, f: np.ndarray) -> np.ndarray:
+        nu = 0.3 * np.sin(3.0 * t)
+        return (nu - abs(nu) * f / (1.0 + (static - 1.0) * np.exp(-((nu / stribeck) ** 2)))) / bristle
+
+    exact = solve_ivp(slope, (0.0, 2.0), [0.0], method="Radau", rtol=1e-9, atol=1e-10, t_eval=time[1:])
+    nu = 0.3 * np.sin(3.0 * (time + 0.5 * study.STEP))
+    ours = study.lugre(nu[None], np.array([static]), np.array([stribeck]), np.array([bristle]))[0]
+    assert np.abs(ours[:-1] - exact.y[0]).max() < 0.02
+
+
+def test_features_pass_the_filter_of_the_torque() -> None:
+    """Their means behind `x' = pole (u - x)`, u the mean of two samples, against many small steps of it."""
+    layout, h, pole = Layout(0, 1, 0, 1), 0.01, 60.0
+    filter, f = new_filter(layout, h, 5.0, pole), friction()
+    k = 3 + len(weights()[1]) + 1
+    seen = Filtered(**{name: np.zeros(shape) for name, shape in parts(layout, 1, k).items()})
+    moved, rng, x, last = np.zeros((2, 4)), np.random.default_rng(1), np.zeros(4), np.zeros(4)
+    at = layout.offsets
+    for n in range(30):
+        row, Phi = layout.new_row(), np.zeros((1, k))
+        row[layout.where("qdot_ref")], row[layout.where("qddot_ref")] = rng.normal(size=2)
+        beside(row, at, f, Phi)
+        now = Phi[0, 3:7].copy()
+        assert Phi[0, :3].tolist() == [0, 0, 0] and Phi[0, 7] == 1.0
+        seen.clock[1] = n + 1.0
+        follow(filter, seen, moved, Phi)
+        if n:
+            u, fine, means = 0.5 * (last + now), 2000, np.zeros(4)
+            for _ in range(fine):
+                half = x + 0.5 * h / fine * pole * (u - x)
+                means += half / fine
+                x = x + h / fine * pole * (u - half)
+            assert Phi[0, 3:7] == pytest.approx(means, abs=1e-6)
+        last = now
+    seen.clock[1] = 1.0  # a period that follows no other begins anew
+    follow(filter, seen, moved, Phi)
+    assert (moved[1] == 0.0).all()
+
+
+def relearned(alarm: float) -> float:
+    """Updates until a parameter that has jumped is known again."""
+    k, rng = 3, np.random.default_rng(0)
+    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.full(k, 100.0), np.full(k, 100.0), np.zeros(4), *[None] * 4)  # type: ignore[arg-type]
+    room = dict.fromkeys(Linear._fields)
+    sizes = {"noise": 0.01, "interval": 0.01, "drift": 1e-9, "change": 0.0, "alarm": alarm, "gain": np.ones(1)}
+    a = Linear(**room | sizes | {"work": np.zeros((4, k)), "Phi": np.zeros((1, k))})  # type: ignore[arg-type]
+    true = np.array([1.0, -2.0, 0.5])
+    for n in range(4000):
+        true[1] = -2.0 if n < 1000 else 3.0
+        phi = rng.normal(size=(1, k))
+        y = phi @ true + 0.1 * rng.normal(size=1)
+        predict(a, o._replace(filtered=Filtered(*[None] * 4, phi, y)))  # type: ignore[arg-type]
+        if n >= 1000 and abs(o.W[0, 1] - 3.0) < 0.3:
+            return n - 1000
+    return 3000.0
+
+
+def test_a_change_of_the_robot_makes_the_past_count_less() -> None:
+    assert relearned(alarm=5.0) < 100 < 500 < relearned(alarm=0.0)
+
+
+def test_variance_that_comes_back_stops_at_the_prior() -> None:
+    k = 2
+    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.array([1.0, 4.0]), np.full(k, 4.0), np.zeros(4), *[None] * 4)  # type: ignore[arg-type]
+    a = Linear(**dict.fromkeys(Linear._fields) | {"work": np.zeros((4, k))})  # type: ignore[arg-type]
+    for _ in range(5):
+        drift(a, o, 0, 0.5)
+        drift(a, o, 1, 0.5)
+    assert pytest.approx([4.0, 4.0]) == o.D
+
+
+@pytest.mark.compiled
+def test_friction_that_no_regressor_has_is_learned() -> None:
+    """Stribeck friction with presliding in the arm, which moves on as it was not trained: half of the error at most."""
+    friction = "friction={base=[30.0,5.0],arm=0.5,coulomb=1.0,breakaway=1.6,stribeck=0.04}"
+    settings = (friction, 'time.integrator="stick"', "time.duration=12.0", "windows=[[0.0,2.0],[6.0,12.0]]")
+    experiment = load_experiment("track", (*settings, "reference.arm.period=3.0", "lead=true"))
+    robot = experiment.load_robot()
+    error = {}
+    for name in ("kalman_regressor", "kalman_friction"):
+        run = experiment.loop(robot, experiment.controller(name, robot=robot)).run()
+        late = run["time"].ravel() > 6.0
+        error[name] = np.sqrt((run["e"][late] ** 2).mean())
+    assert error["kalman_friction"] < 0.5 * error["kalman_regressor"]
