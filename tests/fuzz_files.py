@@ -222,7 +222,7 @@ def fact(file: h5py.File, rng: random.Random) -> None:
 def dataset_of(file: h5py.File, rng: random.Random) -> str:
     """A dataset by name; a quarter are not signals."""
     group = rng.choice(("signals", "signals", "signals", "weights", "final", "timing"))
-    if group not in file or not len(file[group]):
+    if not isinstance(file.get(group), h5py.Group) or not len(file[group]):
         group = "signals"
     return f"{group}/{rng.choice(list(file[group]))}"
 

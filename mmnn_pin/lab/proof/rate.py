@@ -30,6 +30,7 @@ from .subject import Subject
 PLACES = 12
 TOLERANCE = 1e-9
 SCAN = np.geomspace(1e-2, 1e4, 61)  # factors on the rates
+LARGEST = 1e100  # of an update per s, in SI units; a loop that has more is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +107,17 @@ def learned_at(subject: Subject, learner: Networks, places: int) -> list[tuple[A
 def judged(
     subject: Subject, learner: Networks, row: Array, state: ControllerState
 ) -> tuple[float, float, Array, float]:
-    """Radius with and without the learner, shares of the gain, factor left; at a row (width,) and its weights."""
+    """Radius with and without the learner, shares of the gain, factor left; at a row (width,) and its weights.
+
+    Raises:
+        RecordingError: Weights, inputs or gains that are too large to be those of a loop.
+    """
     where, layout = subject.layout.where, subject.layout
-    L = kernel(learner, row, state)
+    with np.errstate(over="ignore", invalid="ignore"):
+        L = kernel(learner, row, state)
+    if not (np.abs(L) < LARGEST).all() or not (np.abs(row[where("effective_gain")]) < LARGEST).all():
+        why = "weights, inputs or gains are too large to be those of a loop"
+        raise RecordingError("no condition on the rates", why=why, file=subject.recording.path)
     gain = np.array(row[where("effective_gain")])
     gain = np.where(gain > 0, gain, learner.own.feedback_gain(layout))
     M = subject.dynamics(float(row[where("time")][0])).mass_matrix(row[where("position")])

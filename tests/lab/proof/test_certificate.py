@@ -18,6 +18,7 @@ from scipy.optimize import differential_evolution
 from mmnn_pin import PD, Feedback, Hold, Line, Loop, Neural, Timing, TorqueController, Trajectory, load
 from mmnn_pin.cli import main
 from mmnn_pin.disturbance import Push
+from mmnn_pin.errors import RecordingError
 from mmnn_pin.kinematic import Kinematic
 from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, Faces, certify
 from mmnn_pin.lab.proof.certified_loop import certified_loop, refusal
@@ -308,6 +309,9 @@ def test_other_bases_are_told_as_such(kind: str) -> None:
     subject = subject_of(kind, small_loop(kind, learner(kind), duration=0.02).run())
     assert {"holonomic": "holonomic", "fixed": "fixed base"}[kind] in refusal(subject)
     assert np.isfinite(rate_of(subject).radius).all()  # rates are judged for any base
+    subject.recording.weights["W2"][:] = 1e200  # as a damaged file has them
+    with pytest.raises(RecordingError, match="too large to be those of a loop"):
+        rate_of(subject)
 
 
 @pytest.mark.parametrize(
