@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from mmnn_pin.lab.contest.standing import THESIS, Standing, held_out
+from mmnn_pin.lab.contest.standing import ORACLE, THESIS, Standing, distances, held_out
 from mmnn_pin.lab.contest.task import held_out_torque, tasks_of
 from mmnn_pin.lab.show.contest import KNOWLEDGE, TRAINING
 from mmnn_pin.lab.show.table import number
@@ -62,6 +62,7 @@ def summed(standing: Standing) -> dict[str, Any]:
         "targets": [target.to_dict() for target in standing.targets()],
         "axes": best_axes(standing),
         "margins": margins(standing),
+        "far": far(standing),
         "seeds": standing.contest.seeds,
         "learned": standing.contest.learned,
         "window": standing.contest.window,
@@ -77,6 +78,17 @@ def best_axes(standing: Standing) -> dict[str, Any]:
     best = next((one.by for one in standing.targets() if one.about.startswith(THESIS) and "learning" in one.about), "")
     thesis, other = (held_out(standing.of(task, name), "learning") for name in (THESIS, best))
     return {"by": best, "ratios": {axis: thesis[axis] / other[axis] for axis in thesis if other.get(axis)}}
+
+
+def far(standing: Standing) -> dict[str, dict[str, float | str]]:
+    """Controller to task to its largest error over the least, "inf" for a run that was lost; without the oracle."""
+    names = [name for name in standing.controllers if name != ORACLE]
+    found, _ = distances(names, standing.tasks, standing.of)
+    return {
+        name: {task: value if math.isfinite(value) else "inf" for task, value in row.items()}
+        for name, row in found.items()
+        if row
+    }
 
 
 def margins(standing: Standing) -> dict[str, float]:

@@ -265,21 +265,34 @@ def everywhere(
     The error of a task is that of base and of arm in training and held out, and the largest of the four ratios counts;
     controllers that run in a task by themselves are not compared there.
     """
-    far, worse = dict.fromkeys(learners, 0.0), dict.fromkeys(learners, 0.0)
+    apart = distances(names, tasks, of)
+    far, worse = ({name: max(found[name].values(), default=0.0) for name in learners} for found in apart)
+    ran = {name: far[name] for name in far if far[name] > 0.0}
+    return [
+        best_of("one learner's error over the least of all without the truth, worst task", limit, ran),
+        best_of(f"one learner's error over {GRAVITY}'s, worst task", 1.0, {name: worse[name] for name in ran}),
+    ]
+
+
+def distances(names: Iterable[str], tasks: Iterable[str], of: Results) -> tuple[dict[str, dict[str, float]], ...]:
+    """How far every controller is from the least error of a task, and from PD with gravity, as in `everywhere`.
+
+    Returns:
+        Controller to task to the largest of the four ratios, to the least error and to that of PD with gravity; without
+        the tasks that a controller, or PD with gravity, did not run.
+    """
+    names = tuple(names)
+    far, worse = ({name: dict[str, float]() for name in names} for _ in range(2))
     for task in tasks:
         errors = {name: task_errors(of(task, name)) for name in names}
         errors = {name: found for name, found in errors.items() if found}
         if GRAVITY not in errors:
             continue
         least = [min(column) for column in zip(*errors.values(), strict=True)]
-        for name in [one for one in far if one in errors]:
-            far[name] = max(far[name], *ratios(errors[name], least))
-            worse[name] = max(worse[name], *ratios(errors[name], errors[GRAVITY]))
-    ran = {name: far[name] for name in far if far[name] > 0.0}
-    return [
-        best_of("one learner's error over the least of all without the truth, worst task", limit, ran),
-        best_of(f"one learner's error over {GRAVITY}'s, worst task", 1.0, {name: worse[name] for name in ran}),
-    ]
+        for name, found in errors.items():
+            far[name][task] = max(ratios(found, least))
+            worse[name][task] = max(ratios(found, errors[GRAVITY]))
+    return far, worse
 
 
 def task_errors(rows: list[TrialResult]) -> list[float]:
