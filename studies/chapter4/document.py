@@ -21,7 +21,6 @@ def render(summary: dict[str, Any]) -> str:
     """The document."""
     templates = environment(HERE)
     templates.filters |= {"percent": percent, "three": three, "within": within, "share": share, "median": median}
-    templates.filters |= {"exp": lambda value: three(math.exp(value)), "tiny": lambda value: f"{value:.0e}"}
     templates.filters |= {"wins": wins, "parts": parts, "changed": changed, "own": own, "listed": listed}
     templates.tests["search"] = lambda text, pattern: re.search(pattern, text) is not None
     templates.globals |= {"same_peaks": same_peaks, "same_fit": same_fit}
