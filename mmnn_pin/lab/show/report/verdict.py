@@ -188,7 +188,7 @@ def warnings(result: Result) -> Iterator[str]:
     yield from (f"{text}." for text in rivals_left_out(result))
     for pd, learner in effective(result.recordings).items():
         if learner in result.recordings and pd not in result.recordings:
-            yield f"{learner} has no {pd} beside it: what is gain and what is learning cannot be told apart."
+            yield f"{learner} ran without {pd}: its gain and its learning cannot be separated."
 
 
 def rivals_left_out(result: Result) -> Iterator[str]:
@@ -196,7 +196,7 @@ def rivals_left_out(result: Result) -> Iterator[str]:
     ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
     missing = [name for name in PLAIN if name != "pd" and name not in ran]
     if missing and ran - {*PLAIN, *ORACLES}:
-        yield f"{' and '.join(missing)} did not run: nothing is said of what is gained over plain controllers"
+        yield f"{' and '.join(missing)} did not run: this does not show whether a learner beats them"
 
 
 def torques(result: Result) -> Iterator[str]:
