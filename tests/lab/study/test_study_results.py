@@ -7,6 +7,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from study_files import SHORT, planned, run_here
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.show import study_figures as plots
+from mmnn_pin.lab.show.figure import axes_grid
 from mmnn_pin.lab.show.gallery import OF
 from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
@@ -294,6 +296,18 @@ def test_pictures_show_what_was_counted(done: Path) -> None:
     curves = [line for line in plots.distributions(results).axes[0].get_lines() if len(line.get_ydata()) > 2]
     assert max(float(np.max(line.get_ydata())) for line in curves) == pytest.approx(0.5), "half of the runs diverged"
     assert len(plots.success_maps(results).axes) == 4 and len(plots.sensitivity(results).axes) == 3
+
+
+@pytest.mark.parametrize("span", [6.0, 90.0, 110.0, 3e4])
+def test_numbers_of_a_panels_axis_do_not_touch(span: float) -> None:
+    picture, (axes, *_) = axes_grid(3, 3, 3.5, 2.7, 0.7)
+    axes.plot([0.013, 0.013 * span], [0.0, 1.0])
+    plots.log_axis(axes)
+    picture.canvas.draw()
+    shown = [label for label in axes.xaxis.get_ticklabels(which="both") if label.get_text()]
+    boxes = [label.get_window_extent() for label in shown]
+    inside = sorted((box.x0, box.x1) for box in boxes if axes.bbox.x0 <= (box.x0 + box.x1) / 2 <= axes.bbox.x1)
+    assert len(inside) >= 2 and all(left[1] < right[0] for left, right in pairwise(inside))
 
 
 def test_plot_draws_the_figures_of_a_study_and_no_others(done: Path, tmp_path: Path, capsys) -> None:
