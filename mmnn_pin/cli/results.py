@@ -37,10 +37,10 @@ TO = ("csv", "npz", "parquet", "mcap")
 
 
 def whats(of: str = "runs") -> tuple[str, ...]:
-    """Names of all figures of runs, or of a contest."""
-    from ..lab.show.gallery import CONTEST, PICTURES
+    """Names of all figures of runs, of a study, or of a contest."""
+    from ..lab.show.gallery import OF, PICTURES
 
-    return tuple(PICTURES if of == "runs" else CONTEST)
+    return tuple(PICTURES if of == "runs" else OF[of])
 
 
 class FigureName(click.Choice[str]):
@@ -54,7 +54,7 @@ class FigureName(click.Choice[str]):
     @cached_property
     def choices(self) -> tuple[str, ...]:  # type: ignore[override]
         """The names."""
-        return (*whats(), *whats("contest"))
+        return (*whats(), *whats("study"), *whats("contest"))
 
 
 @click.command(
@@ -64,6 +64,7 @@ class FigureName(click.Choice[str]):
         "mmnn plot runs/chapter4 --what psi --what torque --out plots",
         "mmnn plot runs/chapter4 --what figure-4.2 --what gains --out plots",
         "mmnn plot runs/chapter4/two_layer.h5 --what path --out path.svg",
+        "mmnn plot runs/robustness --what study-errors      errors against the factors of a study",
         "mmnn plot runs/contest --out plots                 the figures of a contest",
         "mmnn plot runs/contest/eight --what fvu            the runs of one of its tasks, first seed",
     ),
@@ -74,21 +75,22 @@ class FigureName(click.Choice[str]):
     "whats",
     type=FigureName(),
     multiple=True,
-    help="What to draw; repeatable; contest-... of a contest's folder.  [default: errors; of a contest all four]",
+    help="What to draw; repeatable; study-... and contest-... of their folders.  [default: errors; of a folder all]",
 )
 @click.option("--out", type=click.Path(path_type=Path), help="A .png, .svg or .pdf file, or a folder.  [default: .]")
 @FORCE
 @law
 @shared
 def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force: bool, as_json: bool) -> int:
-    """Plot recordings side by side. RUN is a recording, a folder with recordings, or the folder of one contest."""
+    """Plot recordings side by side. RUN is a recording, a folder of them, or the folder of one study or contest."""
     from ..lab.contest.contest import opened
     from ..lab.show.curves import require_comparable
     from ..lab.show.figure import save
-    from ..lab.show.gallery import CONTEST, PICTURES
+    from ..lab.show.gallery import OF, PICTURES
+    from ..lab.study.results import load_results
 
-    folder = found_in(runs, "contest")
-    require_whats(whats, folder)
+    kind, folder = next(((kind, path) for kind in OF if (path := found_in(runs, kind))), ("runs", None))
+    require_whats(whats, kind, folder)
     if folder is None:
         every = open_runs(runs)
         require_comparable(every)
@@ -96,8 +98,8 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
         about: dict[str, Any] = {"runs": [str(recording.path) for recording in recordings.values()]}
         make, wanted = (lambda what: PICTURES[what](recordings)), whats or ("errors",)
     else:
-        standing, about = opened(folder), {"contest": str(folder)}
-        make, wanted = (lambda what: CONTEST[what](standing)), whats or tuple(CONTEST)
+        content, about = (load_results if kind == "study" else opened)(folder), {kind: str(folder)}
+        make, wanted = (lambda what: OF[kind][what](content)), whats or tuple(OF[kind])
     files = pictures(out or Path("."), tuple(dict.fromkeys(wanted)))
     for file in files.values():
         require_free(file, force, "picture")
@@ -107,20 +109,23 @@ def plot(runs: tuple[Path, ...], whats: tuple[str, ...], out: Path | None, force
     return DONE
 
 
-def require_whats(chosen: tuple[str, ...], contest: Path | None) -> None:
-    """Refuse plots of runs for a contest, and the other way round.
+def require_whats(chosen: tuple[str, ...], kind: str, folder: Path | None) -> None:
+    """Refuse plots of runs for a study or a contest, and the other way round.
 
     Raises:
         ConfigError: With the name of the first.
     """
-    of_contest = whats("contest") if chosen else ()
     for what in chosen:
-        if contest is None and what in of_contest:
-            raise ConfigError(f"'{what}' is a figure of a contest", fix="name a contest's folder", key="--what")
-        if contest is not None and what not in of_contest:
-            folders = ", ".join(map(str, folders_of(contest)))
-            fix = f"name the folder of a task: {folders}" if folders else f"there is: {', '.join(of_contest)}"
-            raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=contest, key="--what")
+        if what in whats(kind):
+            continue
+        if folder is None:
+            other = next(each for each in ("study", "contest") if what in whats(each))
+            raise ConfigError(f"'{what}' is a figure of a {other}", fix=f"name a {other}'s folder", key="--what")
+        if kind == "contest" and (folders := ", ".join(map(str, folders_of(folder)))):
+            fix = f"name the folder of a task: {folders}"
+            raise ConfigError(f"'{what}' is a plot of the runs of one task", fix=fix, file=folder, key="--what")
+        fix = f"there is: {', '.join(whats(kind))}"
+        raise ConfigError(f"'{what}' is no figure of a {kind}", fix=fix, file=folder, key="--what")
 
 
 def by_name(recordings: list[Recording]) -> dict[str, Recording]:

@@ -20,8 +20,7 @@ SUMMARY = HERE / "summary.json"
 def render(summary: dict[str, Any]) -> str:
     """The document."""
     templates = environment(HERE)
-    templates.filters |= {"percent": percent, "three": three, "within": within, "share": share, "median": median}
-    templates.filters |= {"exp": lambda value: three(math.exp(value)), "tiny": lambda value: f"{value:.0e}"}
+    templates.filters |= {"percent": percent, "three": three, "share": share, "median": median}
     templates.filters |= {"wins": wins, "parts": parts, "changed": changed, "own": own, "listed": listed}
     templates.tests["search"] = lambda text, pattern: re.search(pattern, text) is not None
     templates.globals |= {"same_peaks": same_peaks, "same_fit": same_fit}
@@ -65,11 +64,6 @@ def median(entry: dict[str, Any]) -> str:
         return "-"
     low, high = entry["interval"]
     return f"{ratio(entry['median'])} ({ratio(low)} to {ratio(high)})"
-
-
-def within(entry: dict[str, Any]) -> str:
-    """Where the middle 90 % lie."""
-    return "-" if entry["middle_90"] is None else " to ".join(map(ratio, entry["middle_90"]))
 
 
 def ratio(value: float | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from ..chapter4.document import median, percent, ratio, share, three, within
+from ..chapter4.document import median, percent, ratio, share, three
 from ..document import Document, environment, filled
 
 HERE = Path(__file__).parent
@@ -15,7 +15,7 @@ SUMMARY = HERE / "summary.json"
 def render(summary: dict[str, Any]) -> str:
     """The document."""
     templates = environment(HERE)
-    templates.filters |= {"percent": percent, "three": three, "within": within, "share": share, "median": median}
+    templates.filters |= {"percent": percent, "three": three, "share": share, "median": median}
     templates.filters |= {
         "zip": zip,
         "missed": missed,

@@ -230,8 +230,8 @@ class Search:
         low = np.maximum(robot.lower[robot.arm_index], rest - REACH)
         high = np.minimum(robot.upper[robot.arm_index], rest + REACH)
         half = limits.share * (high - low) / 2
-        limit = np.abs(robot.E) @ np.where(np.isfinite(robot.effort_limits), robot.effort_limits, np.inf)
-        limit = np.where(np.isfinite(limit), limit, np.inf)
+        of_rows = np.where(robot.E != 0, robot.effort_limits, 0.0)  # a motor without a limit bounds no row but its own
+        limit = np.sum(np.abs(robot.E) * of_rows, axis=1)
         noise = np.where(np.isfinite(limit), NOISE * limit, 1.0)
         middle = (high + low) / 2
         moves = np.ones(p, bool)

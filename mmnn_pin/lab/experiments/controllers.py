@@ -26,7 +26,7 @@ from ...settings import Settings, require_numbers
 from ...settings.arguments import FORMERLY
 from ...signals import Array
 from ...torque import CONTROLLERS as ENTRIES
-from ...torque import Entry
+from ...torque import DESCRIBED, Entry
 from ...torque.controller import CompiledController, Feedback, Given, Machine, TorqueController
 from ...torque.neural import STARTS, Robust
 from .laws import own_controller
@@ -35,6 +35,8 @@ CONTROLLERS = {name: entry.about for name, entry in ENTRIES.items()}
 # PD at a learner's effective gain: the learner whose gain it takes, see also `effective`.
 EFFECTIVE = {name: entry.gain_of for name, entry in ENTRIES.items() if entry.gain_of}
 ORACLES = tuple(name for name, entry in ENTRIES.items() if entry.oracle)
+# Their Psi_hat is computed from a model, not learned.
+MODELS = (*ORACLES, *(name for name, entry in ENTRIES.items() if entry.baseline and DESCRIBED in entry.told))
 LEARNERS = tuple(name for name, entry in ENTRIES.items() if entry.thesis)
 # What an experiment runs unless it says.
 DEFAULT = ("two_layer", "one_layer", "pd", *EFFECTIVE, "computed_torque")

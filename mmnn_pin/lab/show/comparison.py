@@ -17,7 +17,7 @@ from ...plant.contact.plant import SLIPPING
 from ...recording.metrics import ERRORS, halves
 from ...recording.recording import Recording, as_columns, recorded_robot
 from ..experiments.cases import Matrix, Verdict
-from ..experiments.controllers import ORACLES
+from ..experiments.controllers import MODELS, ORACLES
 from ..experiments.hand import peak_speeds, speed_limit
 from ..experiments.result import Improvement, Result, unfair
 from .curves import column_units, milli
@@ -112,7 +112,9 @@ def notes_of(result: Result) -> tuple[str, ...]:
     if len(result.recordings) - len(oracles) > 1:
         notes.append(f"* best in its row; {oracles[0]} does not compete." if oracles else "* best in its row.")
     if oracles:
-        notes.append(f"{oracles[0]} knows the true model: its share in brackets.")
+        notes.append(f"{oracles[0]} knows the true model.")
+    if any(name in MODELS for name in result.recordings):
+        notes.append("(share) in brackets: from a model, not learned.")
     if any(map(exceeded, limited(result))):
         enforced = result.experiment.actuator.torque_limit is not None
         then = "all that it gives" if enforced else "which this plant does not enforce"
@@ -183,8 +185,8 @@ def other_rows(result: Result) -> Iterator[Row]:
     recording, metrics = next(iter(result.recordings.values())), result.metrics
     yield row_of("torque effort [N²m²s]", "", *(number(m["effort"]) for m in metrics.values()))
     for part in halves(recording):
-        shares = {c: number(m[f"learned_share.{part}"]) for c, m in metrics.items()}
-        yield row_of("learned share", part, *(f"({s})" if c in ORACLES else s for c, s in shares.items()))
+        shares = {c: number(round(m[f"learned_share.{part}"], 9)) for c, m in metrics.items()}
+        yield row_of("learned share", part, *(f"({s})" if c in MODELS else s for c, s in shares.items()))
     for part in halves(recording):
         gains = (m[f"effective_gain.{part}"] for m in metrics.values())  # 0: a controller that does not tell its gain
         yield row_of("mean effective gain", part, *(number(gain) if gain else "-" for gain in gains))

@@ -31,7 +31,8 @@ MODULES = (plots, thesis_figures, contest, figures)
 PICTURES: Mapping[str, Callable[[Mapping[str, Recording]], Figure]] = {
     name: entry.make for name, entry in (FIGURES["runs"] | FIGURES["proof"]).items()
 }
-CONTEST = {name: entry.make for name, entry in FIGURES["contest"].items()}
+# The same of a study's results and of a contest's standing.
+OF = {kind: {name: entry.make for name, entry in FIGURES[kind].items()} for kind in ("study", "contest")}
 NOTEBOOK = ("errors", "path", "torque")
 MOST = 5_000_000  # bytes of a replay that goes into a notebook
 

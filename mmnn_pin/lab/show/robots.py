@@ -52,10 +52,10 @@ def head(content: dict[str, Any]) -> str:
     lines = [("file", content["file"]), ("sha256", content["sha256"]), ("mass", f"{content['mass']:.4g} kg")]
     lines.append(("base", base["kind"].replace("_", " ")))
     if base["kind"] != "fixed":
-        x, y, heading = base["frame"]
+        x, y, heading, floor = (round(value, 9) + 0.0 for value in (*base["frame"], base["floor"]))  # no dust, no -0
         frame = f"x {x:.4g} m, y {y:.4g} m, heading {math.degrees(heading):.4g} deg in the root link"
         lines += [("track", f"{base['track']:.4g} m"), ("control frame", frame)]
-        lines.append(("floor", f"{base['floor']:.4g} m above the root link's origin"))
+        lines.append(("floor", f"{floor:.4g} m above the root link's origin"))
     for key in ("casters", "suspensions"):
         lines += [(key, ", ".join(base[key]))] if base[key] else []
     return "\n".join(f"{name:16}{value}" for name, value in lines)

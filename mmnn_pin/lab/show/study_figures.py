@@ -103,9 +103,10 @@ def draw_rates(axes: Axes, results: Results, name: str) -> None:
 
 
 def log_axis(axes: Axes) -> None:
-    """A logarithmic axis across, labelled at 1, 2 and 5 of every decade at most."""
+    """A logarithmic axis across, labelled at 1, 2 and 5 of every decade, over two decades at powers of ten alone."""
     axes.set_xscale("log")
-    log_ticks(axes.xaxis, (1.0, 2.0, 5.0))
+    low, high = axes.get_xlim()
+    log_ticks(axes.xaxis, (1.0, 2.0, 5.0) if high <= 100 * low else (1.0,))
 
 
 def centres(values: Sequence[Any], groups: IntArray, numeric: bool) -> tuple[Array, list[str]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -79,6 +80,14 @@ def test_the_predicted_deviations_are_those_of_least_squares(found: Excitation) 
 
 def test_it_tells_more_than_an_eight_with_sines(found: Excitation, robot: Robot) -> None:
     assert found.relative.max() < 0.5 * eight_with_sines(Search.of(robot, LIMITS)).relative.max()
+
+
+def test_wheels_without_a_limit_leave_the_arm_its_own(robot: Robot) -> None:
+    free = replace(robot, effort_limits=np.where(np.arange(len(robot.effort_limits)) < 2, np.inf, robot.effort_limits))
+    with warnings.catch_warnings(action="error"):
+        search = Search.of(free, LIMITS)
+    assert np.isinf(search.torque[:2]).all()
+    assert search.torque[2:].tolist() == Search.of(robot, LIMITS).torque[2:].tolist()
 
 
 def test_spheres_are_as_far_apart_as_the_joints_that_they_stand_on() -> None:

@@ -199,7 +199,7 @@ def test_warnings_come_with_their_reasons(chapter4: dict[str, Recording]) -> Non
     uneven = run_experiment(load_experiment("chapter4", settings), "chapter4").recordings
     told = "\n".join(verdict(result_of(uneven)).warnings)
     assert "Not a fair comparison: each learner has a robust term of its own" in told
-    assert "two_layer has no pd_effective beside it" in told
+    assert "two_layer ran without pd_effective" in told
     mixed = verdict(result_of({"two_layer": chapter4["two_layer"], "pd": uneven["pd"]}))
     assert any("different configs" in text for text in mixed.warnings)
     if not config.DISABLE_JIT:

@@ -7,6 +7,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ from study_files import SHORT, planned, run_here
 from mmnn_pin.cli import main
 from mmnn_pin.errors import StudyError
 from mmnn_pin.lab.show import study_figures as plots
+from mmnn_pin.lab.show.figure import axes_grid
+from mmnn_pin.lab.show.gallery import OF
 from mmnn_pin.lab.show.study import page, render
 from mmnn_pin.lab.study.factors import Factor
 from mmnn_pin.lab.study.results import Results, load_results, unit_of, value_of
@@ -293,6 +296,30 @@ def test_pictures_show_what_was_counted(done: Path) -> None:
     curves = [line for line in plots.distributions(results).axes[0].get_lines() if len(line.get_ydata()) > 2]
     assert max(float(np.max(line.get_ydata())) for line in curves) == pytest.approx(0.5), "half of the runs diverged"
     assert len(plots.success_maps(results).axes) == 4 and len(plots.sensitivity(results).axes) == 3
+
+
+@pytest.mark.parametrize("span", [6.0, 90.0, 110.0, 3e4])
+def test_numbers_of_a_panels_axis_do_not_touch(span: float) -> None:
+    picture, (axes, *_) = axes_grid(3, 3, 3.5, 2.7, 0.7)
+    axes.plot([0.013, 0.013 * span], [0.0, 1.0])
+    plots.log_axis(axes)
+    picture.canvas.draw()
+    shown = [label for label in axes.xaxis.get_ticklabels(which="both") if label.get_text()]
+    boxes = [label.get_window_extent() for label in shown]
+    inside = sorted((box.x0, box.x1) for box in boxes if axes.bbox.x0 <= (box.x0 + box.x1) / 2 <= axes.bbox.x1)
+    assert len(inside) >= 2 and all(left[1] < right[0] for left, right in pairwise(inside))
+
+
+def test_plot_draws_the_figures_of_a_study_and_no_others(done: Path, tmp_path: Path, capsys) -> None:
+    assert main(["plot", str(done), "--out", str(tmp_path / "all")]) == 0
+    assert {file.stem for file in (tmp_path / "all").iterdir()} == set(OF["study"])
+    assert main(["plot", str(done), "--what", "study-errors", "--out", str(tmp_path / "one.svg")]) == 0
+    assert "Errors against each factor" in (tmp_path / "one.svg").read_text()
+    capsys.readouterr()
+    assert main(["plot", str(done), "--what", "psi"]) == 2
+    assert "'psi' is no figure of a study: there is: study-distributions" in capsys.readouterr().err
+    assert main(["plot", str(tmp_path), "--what", "study-maps"]) == 2
+    assert "'study-maps' is a figure of a study: name a study's folder" in capsys.readouterr().err
 
 
 def test_rows_are_exported_with_their_bits(done: Path, tmp_path: Path) -> None:

@@ -185,12 +185,18 @@ def warnings(result: Result) -> Iterator[str]:
     yield from (f"{note}." for note in notes(result))
     yield from torques(result)
     yield from unlike(result)
-    ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
-    if "pd" in ran and (missing := [name for name in PLAIN if name not in ran]) and ran - {"pd", *ORACLES}:
-        yield f"{' and '.join(missing)} did not run: nothing is said of what is gained over plain controllers."
+    yield from (f"{text}." for text in rivals_left_out(result))
     for pd, learner in effective(result.recordings).items():
         if learner in result.recordings and pd not in result.recordings:
-            yield f"{learner} has no {pd} beside it: what is gain and what is learning cannot be told apart."
+            yield f"{learner} ran without {pd}: its gain and its learning cannot be separated."
+
+
+def rivals_left_out(result: Result) -> Iterator[str]:
+    """That a learner did not meet PD with gravity or PID, where it did not."""
+    ran = {controller_of(name, recording) for name, recording in result.recordings.items()}
+    missing = [name for name in PLAIN if name != "pd" and name not in ran]
+    if missing and ran - {*PLAIN, *ORACLES}:
+        yield f"{' and '.join(missing)} did not run: this does not show whether a learner beats them"
 
 
 def torques(result: Result) -> Iterator[str]:
