@@ -246,9 +246,19 @@ class Adaptive(ParameterLearner):
     def adaptation(self, context: Context, K: Array, tracking: float = 1.0) -> Adaptation:
         """What it learns with, the gradient of the tracking error times a factor."""
         own, start = self.settings, self.start()
-        scale, first, faster = scales(self.regressor, K), self.regressor.inertial, tempo(K, context.layout.base)
+        scale, first = scales(self.regressor, K), self.regressor.inertial
+        base, names = context.layout.base, self.regressor.joints
+        import os
+        alpha, every = float(os.environ.get("ALPHA", "1")), tempo(K, base)
+        arm = (self.regressor.massless.joints[:, :base] == 0).all(axis=1)
+        c = scale[: len(names)]
+        each = np.where(arm, every * (30.0 / every / c) ** alpha, every)
+        of = dict(zip(names, each, strict=True))
+        faster = np.array([of.get(b, every) for b in self.regressor.bodies])
+        nrest = len(scale) - 3 * len(names) - base
+        freely = np.concatenate((each, np.full(base, every), each, each, np.full(nrest, every)))
         roots = np.array([cholesky(P) for P in pseudo_inertias(start[:first])]).reshape(-1, 4, 4)
-        rates = faster * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
+        rates = freely * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         bodies = Bodies(
             h=float(context.control_period),
             gamma=faster * float(own.rate),
