@@ -285,7 +285,7 @@ def followable(robot: Robot, reference: Callable[[Limits], Trajectory], duration
         return given
     load, rng, half = Load(robot), np.random.default_rng(0), (upper - lower) / 2
     bounded, off, room = np.isfinite(half), np.zeros(len(half)), np.where(np.isfinite(half), half, np.pi)
-    centre = np.where(bounded, (lower + upper) / 2, np.clip(0.0, lower, upper))
+    centre = np.where(bounded, lower + np.where(bounded, half, 0.0), np.clip(0.0, lower, upper))
 
     def held(tried: Trajectory, enough: float = np.inf) -> Array:
         return load.along(replace(tried, slowness=SLOWEST), duration, enough)

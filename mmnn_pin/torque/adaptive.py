@@ -1,6 +1,6 @@
 """Slotine-Li adaptive control with estimates that stay physical: settings, compiled law, controller.
 
-    tau = Y theta_hat + K s,      V = s' M s / 2 + sum_b D(P_b || P_hat_b) / gamma + sum_j theta_tilde_j^2 / (2 gamma_j)
+    tau = Y theta_hat + K s,    V = s' M s / 2 + sum_b D(P_b || P_hat_b) / gamma_b + sum_j theta_tilde_j^2 / (2 gamma_j)
 
 The controller knows how the robot moves (`model.regressor`, Y), never what it weighs: it starts from a prior or from
 the parameters of a nominal robot that it is given as numbers. With P the pseudo-inertia of a body
@@ -9,8 +9,8 @@ symmetric matrix of `tr(dP L) = s' Y dtheta`, the natural law of Lee, Kwon, Park
 
     P_hat' = gamma P_hat L P_hat,       so that      d/dt D(P || P_hat) = -gamma s' Y (theta - theta_hat)
 
-and V' = -s' K s. One number gamma [1/J] suits bodies of grams and of tons, and it does not depend on frames or units.
-The rest, rotors and friction, follows the plain gradient `theta_hat_j' = gamma_j Y_j' s`.
+and V' = -s' K s. gamma [1/J] does not depend on frames or units; each body has its own, by the gains of what moves it
+(`prior.tempo`). The rest, rotors and friction, follows the plain gradient `theta_hat_j' = gamma_j Y_j' s`.
 
 Leakage (sigma-modification, Ioannou and Kokotovic 1984; times |s| the e-modification of Narendra and Annaswamy 1987)
 pulls the dual variable to its start, `d/dt P_hat^-1 = -gamma L + sigma (P_0^-1 - P_hat^-1)`: by the three-point
@@ -55,9 +55,9 @@ class AdaptiveSettings(Settings, frozen=True):
     """How an adaptive controller learns.
 
     The rates are in units of energy: a body's estimate moves by its own size where `rate` times the work that its error
-    does in a sample is one. They hold for an arm with gains of 30 N m s (the median of its joints) and are multiplied
-    with 30 N m s over its gains for another one: light arms have little energy. Friction is measured by
-    `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
+    does in a sample is one. They hold for gains of 500 N s/m (forward velocity of the base) and of 30 N m s (joints of
+    the arm) and are multiplied by what `prior.tempo` says for others: light arms, and light joints, have little energy.
+    Friction is measured by `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
 
     Args:
         rate: gamma of the pseudo-inertias [1/J].
@@ -247,16 +247,7 @@ class Adaptive(ParameterLearner):
         """What it learns with, the gradient of the tracking error times a factor."""
         own, start = self.settings, self.start()
         scale, first = scales(self.regressor, K), self.regressor.inertial
-        base, names = context.layout.base, self.regressor.joints
-        import os
-        alpha, every = float(os.environ.get("ALPHA", "1")), tempo(K, base)
-        arm = (self.regressor.massless.joints[:, :base] == 0).all(axis=1)
-        c = scale[: len(names)]
-        each = np.where(arm, every * (30.0 / every / c) ** alpha, every)
-        of = dict(zip(names, each, strict=True))
-        faster = np.array([of.get(b, every) for b in self.regressor.bodies])
-        nrest = len(scale) - 3 * len(names) - base
-        freely = np.concatenate((each, np.full(base, every), each, each, np.full(nrest, every)))
+        faster, freely = tempo(self.regressor, K)
         roots = np.array([cholesky(P) for P in pseudo_inertias(start[:first])]).reshape(-1, 4, 4)
         rates = freely * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         bodies = Bodies(
