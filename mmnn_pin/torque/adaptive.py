@@ -41,7 +41,7 @@ from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import Context, ControllerState, Law
 from .law import KERNELS, Kernels, constant_gain, nothing_to_keep
-from .prior import ParameterLearner, balls, gains_of, lightness, prior_of, scales, tempo
+from .prior import ParameterLearner, balls, gains_of, inertia_of_bodies, lightness, prior_of, scales, tempo
 from .pseudo_inertia import BODY, Bodies, directions, lifted, move, pseudo_inertias, vector_of
 
 POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
@@ -78,6 +78,8 @@ class AdaptiveSettings(Settings, frozen=True):
         size: Radii of gyration of the prior about each axis, likewise [m].
         slowest: The prior is made lighter where a velocity feels more inertia of it than this times its gain [s]; see
             `torque.prior`.
+        slowest_learned: No body is believed to be so heavy that a velocity feels more inertia of it than this times its
+            gain [s], where it starts from the prior: held for a control period, that feedback would not be stable.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -97,9 +99,10 @@ class AdaptiveSettings(Settings, frozen=True):
     mass: tuple[float, float] = (30.0, 2.0)
     size: tuple[float, float] = (0.3, 0.2)
     slowest: float = 0.3
+    slowest_learned: float = 1000.0
 
     def __post_init__(self) -> None:
-        require_numbers(self, "adaptive", ("mass", "size", "slowest"))
+        require_numbers(self, "adaptive", ("mass", "size", "slowest", "slowest_learned"))
         for name in ("bounds", "heaviest"):
             if not getattr(self, name) > 1:
                 raise ConfigError(f"{getattr(self, name)}", fix="use a finite ratio > 1", key=f"adaptive.{name}")
@@ -330,7 +333,11 @@ class Adaptive(ParameterLearner):
         if own.initial == "nominal":
             return np.full(len(self.regressor.bodies), float(own.bounds))
         share = lightness(self.regressor, balls(self.regressor, own.mass, own.size), K, own.slowest)
-        return np.minimum(own.bounds, own.heaviest / share)
+        prior = balls(self.regressor, own.mass, own.size)
+        prior[: self.regressor.inertial] *= np.repeat(share, BODY)
+        felt = inertia_of_bodies(self.regressor, prior)
+        bearable = np.where(felt > 0, own.slowest_learned * K / np.where(felt > 0, felt, 1.0), np.inf).min(axis=1)
+        return np.maximum(1.0, np.minimum(np.minimum(own.bounds, own.heaviest / share), bearable))
 
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""
