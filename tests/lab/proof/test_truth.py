@@ -32,7 +32,7 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Line
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings
 from mmnn_pin.torque.model_based import ComputedTorque
-from mmnn_pin.torque.prior import scales
+from mmnn_pin.torque.prior import scales, tempo
 from mmnn_pin.torque.pseudo_inertia import pseudo_inertias
 
 patient = settings(deadline=None, max_examples=25)
