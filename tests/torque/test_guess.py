@@ -121,7 +121,7 @@ def test_rates_follow_from_what_each_joint_feels():
         np.testing.assert_allclose(after, 100 * before)
     weak = meant.copy()
     weak[-1] = 30.0 / 16  # of two joints the median is 15.9375
-    at = known.bodies.index(known.joints[-1])
+    at = known.bodies.index("joint_1")
     np.testing.assert_allclose(tempo(known, weak)[0][at], 30.0 / np.sqrt(np.median(weak[base:]) * weak[-1]))
     strong = np.where(np.arange(len(meant)) < base, 4 * meant, meant)
     np.testing.assert_allclose(tempo(known, strong)[0][known.bodies.index("root")], 0.25)
