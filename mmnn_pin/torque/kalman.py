@@ -26,7 +26,7 @@ from .controller import CompiledController, Context, ControllerState, Feedback, 
 from .filtered import new_filter, parts
 from .law import constant_gain
 from .linear import Linear, Parts, left
-from .prior import identified
+from .prior import identified, within_prior
 from .random_features import BILINEAR, GENERIC, Random, fill, paired, size, terms
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
@@ -340,12 +340,8 @@ class Kalman(CompiledController):
 
     def _begin(self, state: ControllerState, theta: Array, covariance: Array) -> None:
         """Begin with parameters and covariance; what that says nothing of keeps the prior, which bounds the rest."""
-        said, prior = np.diag(covariance), state["prior"]
-        share = np.sqrt(np.minimum(1.0, prior / np.where(said > 0.0, said, 1.0)))
-        P = covariance * np.outer(share, share)
-        P[np.diag_indices_from(P)] = np.where(said > 0.0, np.diag(P), prior)
         state["W"] = theta[None]
-        state["U"], state["D"] = factors(P)
+        state["U"], state["D"] = factors(within_prior(covariance, state["prior"]))
 
     def typical(self, state: ControllerState, seed: int = 0) -> Array:
         """Features of random motion at 1 m/s, 1 rad/s, 1 m/s^2, 1 rad/s^2, (samples, rows, k)."""

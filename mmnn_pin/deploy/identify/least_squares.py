@@ -14,10 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr
+from scipy.signal import oaconvolve
 
 from ...signals import Array
 from .equations import ORDER, Bools, Equations, Unknowns
@@ -30,6 +33,7 @@ ROUNDS = 8  # of weights
 FINEST = 1e-5  # least deviation, of a row's RMS
 LAGS = 4.0  # reach of the taper over the correlation time of what residuals have beyond white noise
 LONGEST = 60  # lags that are looked at
+FEWEST = 20  # pairs of rows that a lag needs
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,13 +227,16 @@ def echo(cutoff: float, spacing: float, lags: int) -> Array:
 
 def toeplitz(covariance: Array, Z: Array, run: NDArray[np.int64]) -> Array:
     """`R Z` with R_ts = covariance[|t - s|] within a run, (M, b)."""
-    out = covariance[0] * Z
-    for lag in range(1, min(len(covariance), len(Z))):
-        if abs(covariance[lag]) > 1e-4 * covariance[0]:
-            pairs = (run[lag:] == run[:-lag])[:, None]
-            out[lag:] += covariance[lag] * (Z[:-lag] * pairs)
-            out[:-lag] += covariance[lag] * (Z[lag:] * pairs)
+    kernel, out = np.concatenate((covariance[:0:-1], covariance))[:, None], np.empty_like(Z)
+    for part in stretches(run):
+        out[part] = oaconvolve(Z[part], kernel, "full", axes=0)[len(covariance) - 1 : len(covariance) - 1 + len(Z[part])]
     return out
+
+
+def stretches(run: NDArray[np.int64]) -> list[slice]:
+    """Where every run stands among the rows, one after the other."""
+    edges = [0, *(np.flatnonzero(np.diff(run)) + 1), len(run)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def products(a: Array, b: Array, use: Bools, run: NDArray[np.int64], lags: int) -> tuple[Array, float]:
@@ -237,14 +244,22 @@ def products(a: Array, b: Array, use: Bools, run: NDArray[np.int64], lags: int) 
 
     a and b may have columns, whose products are summed.
     """
-    found = np.zeros(lags)
-    for lag in range(lags):
-        both = use[lag:] & use[: len(use) - lag] & (run[lag:] == run[: len(run) - lag])
-        if both.sum() < 20:
-            break
-        product = a[: len(a) - lag][both] * b[lag:][both]
-        found[lag] = product.sum() / both.sum()
-    return found, float(use.sum())
+    total, count = np.zeros(lags), np.zeros(lags)
+    mask = use.astype(float)[:, None]
+    for part in stretches(run):
+        m = mask[part]
+        total += correlated(a.reshape(len(a), -1)[part] * m, b.reshape(len(b), -1)[part] * m, lags)
+        count += np.round(correlated(m, m, lags))
+    few = np.flatnonzero(count < FEWEST)
+    count[few[0] if few.size else lags :] = np.inf
+    return total / count, float(use.sum())
+
+
+def correlated(a: Array, b: Array, lags: int) -> Array:
+    """Sum of `a_t' b_t+l` of columns (n, c), for every lag, (lags,)."""
+    size = next_fast_len(len(a) + lags, True)
+    spectrum = (np.conj(rfft(a, size, axis=0)) * rfft(b, size, axis=0)).sum(axis=1)
+    return np.asarray(irfft(spectrum, size)[:lags])
 
 
 def expected(

@@ -20,6 +20,7 @@ import numpy as np
 
 from ...errors import InputError, MmnnError
 from ...signals import Array
+from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY, pseudo_inertias, vector_of
 from .equations import Bools, Equations, Unknowns
 
@@ -29,7 +30,7 @@ TIE = 1.002  # error over the least one up to which a larger weight is taken
 THIN = 1e-3  # least eigenvalue of a prior body, relative to that of a ball of its mass
 BALL = 0.05  # its radius of gyration [m]
 LIGHT = 1e-3  # mass of a prior body without one [kg]
-DOUBT, WIDE = 0.5, 10.0  # standard deviation of a body, relative, and of friction, in its scale, that nothing has moved
+WIDE = 10.0  # standard deviation of friction, in its scale, that nothing has moved; of a body, relative, it is DOUBT
 BELIEVED = 0.05  # share of a body's doubt that the motion has to take away before the body leaves the URDF
 ROOT2 = np.sqrt(2.0)
 PLACES = tuple((i, j) for i in range(4) for j in range(i, 4))
