@@ -464,22 +464,22 @@ def test_the_gain_of_a_fit_is_its_covariance():
         assert values.max() < 1 + 1e-3 and values.min() < 0.5
 
 
-@settings(max_examples=10, deadline=None)
-@given(seeds)
-def test_what_an_estimate_begun_with_a_fit_loses_is_the_work_of_its_error(seed):
+def test_what_an_estimate_begun_with_a_fit_loses_is_the_work_of_its_error():
     """`V_theta + theta~' Lambda theta~ / 2` falls by s' Y theta~, and without its second part it does not."""
-    rng, bench = np.random.default_rng(seed), begun(covariance_of(0), rate=3.0, rotor=0.0)
-    known, error = bench.a.bodies.known, TRUE - bench.theta
-    error[REGRESSOR.inertial + np.flatnonzero(bench.a.bodies.rates == 0)] = 0.0
-    Y, s = rng.standard_normal((4, REGRESSOR.size)), 1e-4 * rng.standard_normal(4)
-    before, was = bench.distance(), bench.theta.copy()
-    bench.step(Y, s)
-    moved = bench.theta - was
-    natural = (bench.distance() - before) / bench.h
-    quadratic = (moved / 2 - error) @ known @ moved / bench.h
-    work = s @ Y @ error
-    assert natural + quadratic == pytest.approx(-work, rel=1e-2, abs=1e-2 * np.abs(s @ Y * error).max())
-    assert abs(quadratic) > 0.1 * abs(natural)
+    left, without = 0.0, 0.0
+    for seed in range(6):
+        rng, bench = np.random.default_rng(seed), begun(covariance_of(0), rate=3.0, rotor=0.0)
+        known, error = bench.a.bodies.known, TRUE - bench.theta
+        error[REGRESSOR.inertial + np.flatnonzero(bench.a.bodies.rates == 0)] = 0.0
+        Y, s = rng.standard_normal((4, REGRESSOR.size)), 1e-3 * rng.standard_normal(4)
+        before, was = bench.distance(), bench.theta.copy()
+        bench.step(Y, s)
+        moved = bench.a.bodies.column  # theta's own is rounded, in the directions that are sure too much
+        np.testing.assert_allclose(bench.theta - was, moved, atol=1e-5 * np.abs(moved).max())
+        natural, work = (bench.distance() - before) / bench.h, s @ Y @ error
+        left += abs(natural - error @ known @ moved / bench.h + work)
+        without += abs(natural + work)
+    assert left < 0.03 * without
 
 
 def test_a_fit_is_read_kept_and_refused_beside_another_start(tmp_path):
