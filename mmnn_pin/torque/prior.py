@@ -61,9 +61,7 @@ class ParameterLearner(CompiledController):
         require_types(self)
         section, k = self.name.partition("_")[0], self.regressor.size
         require_start("nominal" if self.covariance is not None else self.settings.initial, self.nominal, k, section)
-        if self.covariance is not None and not (
-            self.covariance.shape == (k, k) and np.isfinite(self.covariance).all()
-        ):
+        if self.covariance is not None and not (self.covariance.shape == (k, k) and np.isfinite(self.covariance).all()):
             raise ConfigError("no covariance of these parameters", fix=f"give {k} by {k}", key=f"{section}.start")
 
     @property

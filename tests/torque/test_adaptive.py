@@ -26,7 +26,16 @@ from mmnn_pin.signals import Layout
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt
 from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.prior import DOUBT
-from mmnn_pin.torque.pseudo_inertia import cholesky, clip, directions, exponential, lifted, pseudo_inertias, vector_of, within
+from mmnn_pin.torque.pseudo_inertia import (
+    cholesky,
+    clip,
+    directions,
+    exponential,
+    lifted,
+    pseudo_inertias,
+    vector_of,
+    within,
+)
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)

@@ -32,6 +32,10 @@ BALL = 0.05  # its radius of gyration [m]
 LIGHT = 1e-3  # mass of a prior body without one [kg]
 WIDE = 10.0  # standard deviation of friction, in its scale, that nothing has moved; of a body, relative, it is DOUBT
 BELIEVED = 0.05  # share of a body's doubt that the motion has to take away before the body leaves the URDF
+CAREFUL: tuple[dict[str, Any], ...] = (  # settings of the solver, one after the other, where the usual ones fail
+    {"max_step_fraction": 0.9, "static_regularization_constant": 1e-7},
+    {"max_step_fraction": 0.8, "static_regularization_constant": 1e-6, "equilibrate_max_iter": 50},
+)
 ROOT2 = np.sqrt(2.0)
 PLACES = tuple((i, j) for i in range(4) for j in range(i, 4))
 
@@ -314,11 +318,14 @@ def minimised(R: Array, z: Array, prior: Prior, weight: float, moved: Bools) -> 
     least = prior.positive[others - first]
     bounded = np.flatnonzero(np.isfinite(least))
     problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(left) + weight * distance), [u[bounded] >= least[bounded]])
-    try:
-        problem.solve(solver=cp.CLARABEL)
-        status = str(problem.status)
-    except cp.error.SolverError as failure:
-        status = " ".join(str(failure).split())
+    for careful in ({}, *CAREFUL):
+        try:
+            problem.solve(solver=cp.CLARABEL, **careful)
+            status = str(problem.status)
+        except cp.error.SolverError as failure:
+            status = " ".join(str(failure).split())
+        if status == "optimal":
+            break
     if status not in ("optimal", "optimal_inaccurate") or u.value is None:
         raise SolverError(
             f"no physically consistent fit: the solver says {status}; look at the signals, or raise --cutoff"
