@@ -369,6 +369,10 @@ class Concurrent(ParameterLearner):
         """The estimate as parameters of the robot, (k0,)."""
         return np.asarray(self.start() + self.basis @ state["w"])
 
+    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None]:
+        """The same and its covariance, (k0, k0), as the stack has it."""
+        return self.theta(state), np.asarray(self.basis @ state["P"] @ self.basis.T)
+
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The estimate, (k,)."""
         return {"w": state["w"]}

@@ -359,6 +359,13 @@ class Kalman(CompiledController):
                 one[:] = self.regressor.matrix(position, nu, nu_ref, nudot_ref)
         return Phi
 
+    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None] | None:
+        """With a regressor alone: the estimate (k,) and its covariance (k, k)."""
+        if self.drawn is not None:
+            return None
+        U = np.triu(state["U"].T, 1) + np.eye(state["D"].size)
+        return state["W"][0].copy(), np.asarray((U * state["D"]) @ U.T)
+
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The weights, transposed, (m, k)."""
         return {"W": state["W"]}

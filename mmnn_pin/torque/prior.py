@@ -23,7 +23,7 @@ from ..files import read_text
 from ..model.regressor import BODY, Regressor
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
-from .controller import CompiledController, Feedback, Given, Told, read_facts
+from .controller import CompiledController, ControllerState, Feedback, Given, Told, read_facts
 
 DOUBT = 0.5  # standard deviation of a body, relative, that `mmnn identify` knows nothing of
 GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
@@ -99,6 +99,10 @@ class ParameterLearner(CompiledController):
     def start(self) -> Array:
         """The parameters before anything is learned, (k,)."""
         return self._start.copy()
+
+    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None]:
+        """The estimate as parameters of the robot (k,), and its covariance (k, k) where it has one."""
+        return state["theta"].copy(), None
 
     @cached_property
     def _start(self) -> Array:

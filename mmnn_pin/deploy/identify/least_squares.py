@@ -148,7 +148,7 @@ def weighted_fit(equations: Equations, base: Base) -> Fit:
         deviation = np.where(there, np.maximum(deviation, FINEST * np.sqrt((y**2).mean(axis=0))), np.nan)
         middle = [1.4826 * np.median(np.abs(residual[use[:, i], i])) if there[i] else 1.0 for i in range(len(there))]
         far = np.abs(residual) / np.maximum(np.minimum(middle, np.where(there, deviation, 1.0)), 1e-300)
-        before, weights = weights, use * np.clip(2.0 - far / FAR, 0.0, 1.0)
+        before, weights = weights, np.asarray(use * np.clip(2.0 - far / FAR, 0.0, 1.0), float)
         for i in np.flatnonzero((weights != before).any(axis=0)):
             grams[i] = gram(rows[i], weights[:, i])
     inverse, seen, condition = inverted(A := summed(grams, deviation))

@@ -11,6 +11,7 @@ closed form; the programme itself is convex and solved by Clarabel through cvxpy
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -320,7 +321,9 @@ def minimised(R: Array, z: Array, prior: Prior, weight: float, moved: Bools) -> 
     problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(left) + weight * distance), [u[bounded] >= least[bounded]])
     for careful in ({}, *CAREFUL):
         try:
-            problem.solve(solver=cp.CLARABEL, **careful)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # cvxpy's, of an inaccurate solution: the next settings follow
+                problem.solve(solver=cp.CLARABEL, **careful)
             status = str(problem.status)
         except cp.error.SolverError as failure:
             status = " ".join(str(failure).split())
