@@ -18,6 +18,7 @@ from ...deploy.identify.reading import from_recording
 from ...deploy.identify.report import links_of
 from ...errors import InputError, RecordingError
 from ...model.robot import Robot
+from ...model.structure import bodies_of
 from ...model.tree.tree import carriers
 from ...settings import finite
 from ...signals import Array
