@@ -3,7 +3,7 @@
 A learner with a regressor knows the robot, with a covariance or without. The load is what the torques after it was
 picked up have beyond what the learner knew just before: `y = Y theta_hat + Y_b p + noise`, p the load's mass and first
 moments (`deploy.identify.payload`). Its covariance has the noise's part, from the residuals, and that of the doubt in
-theta_hat. A learner that does not know how sure it is leaves out the second, so its intervals are none.
+theta_hat. A learner that does not know how sure it is leaves out the second: it has estimates, and no intervals.
 """
 
 from __future__ import annotations
@@ -63,13 +63,14 @@ class Carried:
     def to_dict(self) -> dict[str, Any]:
         """Estimates with standard deviations, null for what the run did not determine, and the truth."""
         mass, centre = self.determined
+        sure = finite if self.sure else lambda sd: None
         table: dict[str, Any] = {"pick": self.pick, "seconds": self.seconds, "sure": self.sure, "why": self.why or None}
         table |= {"true_mass": self.mass, "true_com": self.centre.tolist(), "mass": None, "com": [None] * 3}
         if self.found is not None:
             pairs = zip(self.found.centre, self.found.centre_sd, centre, strict=True)
-            points = [{"value": float(x), "sd": finite(sd)} if there else None for x, sd, there in pairs]
+            points = [{"value": float(x), "sd": sure(sd)} if there else None for x, sd, there in pairs]
             table |= {"link": self.found.link, "com": points}
-            table["mass"] = {"value": self.found.mass, "sd": self.found.mass_sd} if mass else None
+            table["mass"] = {"value": self.found.mass, "sd": sure(self.found.mass_sd)} if mass else None
         return table
 
     def __str__(self) -> str:
@@ -77,10 +78,14 @@ class Carried:
         true = f"truth {self.mass:.3g} kg at ({', '.join(f'{1e3 * x:.0f}' for x in self.centre)}) mm"
         if self.found is None:
             return f"load picked up at {self.pick:g} s: not determined: {self.why} ({true})"
-        told = f"{self.found.mass:.3g} ± {1.96 * self.found.mass_sd:.2g} kg" if mass else "mass not determined"
+        mass_room, none = f" ± {1.96 * self.found.mass_sd:.2g}" if self.sure else "", "not determined"
+        told = f"{self.found.mass:.3g}{mass_room} kg" if mass else f"mass {none}"
         pairs = zip(self.found.centre, self.found.centre_sd, centre, strict=True)
-        at = ", ".join(f"{1e3 * x:.0f} ± {1.96e3 * sd:.0f}" if there else "not determined" for x, sd, there in pairs)
-        doubt = "95 %" if self.sure else "without the learner's own doubt, of which it knows nothing"
+        room = [f" ± {1.96e3 * sd:.0f}" if self.sure else "" for sd in self.found.centre_sd]
+        at = ", ".join(
+            f"{1e3 * x:.0f}{wide}" if there else none for (x, _, there), wide in zip(pairs, room, strict=True)
+        )
+        doubt = "95 %" if self.sure else "no intervals: it does not know how sure it is of the robot"
         return f"load picked up at {self.pick:g} s: {told} at ({at}) mm ({doubt}; {true})"
 
 
