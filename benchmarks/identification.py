@@ -4,6 +4,7 @@
     python benchmarks/identification.py ur10 INVERSE_DYNAMICS     # unisa-acg/inverse-dynamics-solver, BSD-3
     python benchmarks/identification.py panda INVERSE_DYNAMICS
     python benchmarks/identification.py other --robot R LOG...    # any log, read as it is
+    python benchmarks/identification.py coverage --robot panda    # do intervals cover the truth, in simulation?
 
 The path is a clone of the repository that the data lies in; nothing of it is kept here. With figaroh installed (`pip
 install --no-deps figaroh==1.0.2`) plain least squares in the base parameters that it chooses stands beside ours, on the
@@ -18,14 +19,34 @@ import json
 import resource
 import sys
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mmnn_pin import identify, load
-from mmnn_pin.deploy.identify.identification import MODELS, Identification, together
+from mmnn_pin.deploy.identify.equations import (
+    FINE,
+    KEPT,
+    Equations,
+    Unknowns,
+    chosen_cutoff,
+    equations,
+    low_pass,
+    still_speeds,
+)
+from mmnn_pin.deploy.identify.excitation import Limits, excite
+from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone, together
+from mmnn_pin.deploy.identify.least_squares import base_parameters, weighted_fit
+from mmnn_pin.deploy.identify.log import Log
+from mmnn_pin.deploy.identify.programme import Prior, consistent_fit
 from mmnn_pin.deploy.identify.reading import read_logs
+from mmnn_pin.model.regressor import Regressor
+from mmnn_pin.model.robot import Robot
+from mmnn_pin.signals import Array
+from mmnn_pin.torque.pseudo_inertia import BODY
 
 # Gear ratio times motor constant [N m / A], of the data's own script (examples/tiago/identification.py).
 TIAGO = {"arm_1_joint": 13.6, "arm_2_joint": 13.6, "arm_3_joint": -8.7, "arm_4_joint": -8.7}
@@ -88,15 +109,100 @@ def report(found: Identification) -> dict[str, Any]:
     return table
 
 
+# -- do intervals cover the truth? -------------------------------------------------------------------------------------
+
+
+def simulated(robot: Robot, seed: int = 0) -> tuple[Unknowns, Array, Log]:
+    """A robot unlike its URDF, its parameters (k,), and a minute of its motion as `excite` says, without noise.
+
+    Every body is heavier or lighter by up to 30 %, and joints have friction.
+    """
+    rng, unknowns = (
+        np.random.default_rng(seed),
+        Unknowns(robot, Regressor.of(robot), tuple(range(robot.dimensions.dof))),
+    )
+    motion, theta = excite(robot, Limits(duration=60.0, seconds=0.0, seed=seed)), unknowns.prior.copy()
+    bodies = unknowns.regressor.inertial // BODY
+    theta[: BODY * bodies] *= np.repeat(rng.uniform(0.7, 1.3, bodies), BODY)
+    alone = unknowns.matrix(motion.position, motion.nu, motion.nudot)
+    size = (alone @ theta).std(axis=0)
+    for kind, share in (("viscous", 0.1), ("coulomb", 0.2)):
+        theta[unknowns.columns(kind)[-len(unknowns.regressor.joints) :]] = (
+            share * size[-len(unknowns.regressor.joints) :]
+        )
+    u = alone @ theta @ np.linalg.pinv(robot.E).T
+    position = {name: motion.position[:, i] for i, name in enumerate(robot.joint_names)}
+    effort = {name: u[:, i] for i, name in enumerate(robot.actuator_names)}
+    return unknowns, theta, Log.of(motion.time, position, effort)
+
+
+def noises(log: Log, rows: Equations, size: Array, seed: int, number: int) -> Iterator[Array]:
+    """White noise of every effort, of a size (r,), as it comes through the filters of `equations`, (M, r) each."""
+    rate, rng = 1.0 / float(np.median(np.diff(log.time))), np.random.default_rng(seed)
+    even = np.arange(log.time[0], log.time[-1], 1.0 / rate)
+    first = max(1, int(rate / (FINE * rows.cutoff)))
+    second = max(1, int(rate / first / (KEPT * rows.cutoff)))
+    kept = np.searchsorted(even[::first][::second], rows.time - 1e-6)
+    for _ in range(number):
+        n = low_pass(size * rng.standard_normal((len(even), len(size))), rows.cutoff, rate)
+        yield low_pass(n[::first], rows.cutoff, rate / first)[::second][kept]
+
+
+def coverage(robot: Robot, draws: int, noise: float = 0.2, seed: int = 1) -> dict[str, Any]:
+    """How often intervals of 95 % cover the truth, of both fits, over draws of the torques' noise on one motion.
+
+    Args:
+        robot: A fixed arm.
+        draws: How many; a tenth of them also for the consistent fit.
+        noise: Of every torque, of its standard deviation.
+        seed: Of the noise.
+    """
+    unknowns, theta, log = simulated(robot)
+    cutoff = chosen_cutoff([log], robot)
+    rows = equations(log, unknowns, cutoff, still_speeds([log], unknowns, cutoff))
+    every = np.ones(len(unknowns.rows), bool)
+    base, prior = base_parameters(unknowns, every, every), Prior.of(unknowns, rows)
+    C, size = base.combination, noise * np.column_stack(list(log.effort.values())).std(axis=0)
+    found: dict[str, list[Array]] = {name: [] for name in ("value", "sd", "consistent", "consistent_sd")}
+    weight = following(rows, unknowns, prior, friction_alone(rows, unknowns))[2]
+    for n, one in enumerate(noises(log, rows, size, seed, draws)):
+        noisy = replace(rows, y=rows.y + one)
+        fit = weighted_fit(noisy, base)
+        found["value"].append(fit.value)
+        found["sd"].append(fit.sd)
+        if n % 10 == 0:
+            consistent = consistent_fit(noisy, prior, every, fit.deviation, weight, fit.inflation)
+            found["consistent"].append(C @ consistent.theta)
+            found["consistent_sd"].append(np.sqrt(np.diag(C @ consistent.covariance @ C.T)))
+    value, sd, ours, ours_sd = (np.array(part) for part in found.values())
+    truth = C @ theta
+    covered, ratio = (np.abs(value - truth) < 1.96 * sd).mean(axis=0), sd.mean(axis=0) / value.std(axis=0)
+    both = (np.abs(ours - truth) < 1.96 * ours_sd).mean(axis=0)
+    parts = {"covered": covered, "sd_over_scatter": ratio, "consistent_covered": both}
+    spread = {name: [float(f(part)) for f in (np.mean, np.min, np.max)] for name, part in parts.items()}
+    worst = int(np.argmax(np.abs(covered - 0.95)))
+    return spread | {
+        "parameters": len(truth), "draws": draws, "equations": len(rows), "worst": base.name(worst, unknowns.labels),
+        "of_worst": [float(covered[worst]), float(ratio[worst])],
+    }  # fmt: skip
+
+
 def main() -> None:
     """Print the errors as a table, or as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("case", choices=[*CASES, "other"])
-    parser.add_argument("paths", nargs="+", type=Path)
+    parser.add_argument("case", choices=[*CASES, "other", "coverage"])
+    parser.add_argument("paths", nargs="*", type=Path)
+    parser.add_argument("--draws", type=int, default=500)
+    parser.add_argument("--seed", type=int, default=1, help="of the noise")
     parser.add_argument("--robot")
     parser.add_argument("--cutoff", type=float)
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
+    if given.case == "coverage":
+        before = time.process_time()
+        table = coverage(load(given.robot or "panda"), given.draws, seed=given.seed)
+        print(json.dumps(table | {"processor_seconds": time.process_time() - before}, indent=1))
+        return
     case = CASES.get(given.case, {"robot": given.robot, "logs": given.paths})
     folder = given.paths[0] if given.case in CASES else Path()
     name = folder / case["robot"] if "/" in case["robot"] and given.case in CASES else case["robot"]

@@ -23,6 +23,7 @@ from mmnn_pin import Loop, Timing, Trajectory, identify, load, load_experiment
 from mmnn_pin.deploy.identify.corrected import write
 from mmnn_pin.deploy.identify.excitation import Limits, excite
 from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.show.table import Cell, Column, Table, number, row_of, terminal_text
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.robot import Robot
@@ -37,6 +38,8 @@ SHARE = 0.7  # of the true masses, in the maker's URDF
 TRUTH = ("friction.base=[20.0, 4.0]", "friction.arm=0.5", "friction.coulomb=0.4")
 NOISY = Sensor(noise=2e-5, velocity_noise=2e-4, pose_noise=(2e-5, 2e-5, 2e-5))
 PERIOD = 0.001
+ORDER = ("nominal", "adaptive", "adaptive_composite", "concurrent", "kalman_regressor")
+LEARNERS = ORDER[1:4]  # that also begin with parameters alone
 
 
 @dataclass(frozen=True)
@@ -83,15 +86,25 @@ def cases(files: Files) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     for start, urdf in (("the maker's URDF", files.maker), ("identified", files.urdf)):
         model = (f"nominal.robot='{urdf}'", "nominal.masses=1.0", "nominal.friction=true")
         yield "nominal", start, model
-        yield "adaptive", start, (*model, "adaptive.initial='nominal'")
+        for learner in LEARNERS:
+            key = "adaptive" if learner.startswith("adaptive") else learner
+            yield learner, start, (*model, f"{key}.initial='nominal'")
+    sure = "identified, with its covariance"
+    for learner in LEARNERS:
+        key = "adaptive" if learner.startswith("adaptive") else learner
+        yield learner, sure, (f"{key}.start='{files.report}'",)
     yield "kalman_regressor", "nothing", ()
-    yield "kalman_regressor", "identified, with its covariance", (f"kalman.regressor.start='{files.report}'",)
+    yield "kalman_regressor", sure, (f"kalman.regressor.start='{files.report}'",)
 
 
 def at_the_end(recording: Recording, controller: str, urdf: Path) -> Array:
     """Parameters (k,) that a controller ends with."""
     if controller == "nominal":
         return parameters(load(urdf))
+    if controller == "concurrent":
+        learner = Subject.of(recording).learner
+        assert learner is not None
+        return np.asarray(learner.controller.theta(learner.end))
     return np.ravel(recording.weights["W" if controller.startswith("kalman") else "theta"][-1])
 
 
@@ -116,7 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         base = (*TRUTH, f"time.duration={options.duration}", f"windows=[[0.0, {options.duration}]]", "plots=[]")
         true, rows = load_experiment("track", base).load_robot(), []
         files = prepared(true, folder, options.seconds)
-        for controller, start, settings in cases(files):
+        for controller, start, settings in sorted(cases(files), key=lambda case: ORDER.index(case[0])):
             experiment = load_experiment("track", [*base, f"controllers=['{controller}']", *settings])
             run = run_experiment(experiment, "track").recordings[controller]
             pose = np.linalg.norm(run["true_pose_error"][:, :2], axis=1)

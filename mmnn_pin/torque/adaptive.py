@@ -12,6 +12,17 @@ symmetric matrix of `tr(dP L) = s' Y dtheta`, the natural law of Lee, Kwon, Park
 and V' = -s' K s. gamma [1/J] does not depend on frames or units; each body has its own, by the gains of what moves it
 (`prior.tempo`). The rest, rotors and friction, follows the plain gradient `theta_hat_j' = gamma_j Y_j' s`.
 
+Begun with a fit (`start`), it moves by how sure the parameters are. With Sigma their covariance and Gamma the metric
+above at the start,
+
+    theta_hat' = (Gamma(theta_hat)^-1 + Lambda)^-1 Y' s, Lambda = (DOUBT^2 g^-1/2 Sigma^-1 g^-1/2 - Gamma(theta_0)^-1)_+
+
+with g the diagonal of `rate` times every parameter's tempo, so that the gain at the start is `g^1/2 Sigma g^1/2` over
+`DOUBT^2` where the fit tells something, and that of no fit where it does not (`DOUBT`, of a body: then D / gamma is
+`DOUBT^2 / gamma` times minus the logarithm of the fit's prior). It is the
+Hessian of the sum of the potentials of D / gamma and of `theta' Lambda theta / 2` (mirror descent: Wensing and Slotine
+2020, IEEE L-CSS 4(1)), so `V + theta_tilde' Lambda theta_tilde / 2` in the place of V has V' = -s' K s as before.
+
 Leakage (sigma-modification, Ioannou and Kokotovic 1984; times |s| the e-modification of Narendra and Annaswamy 1987)
 pulls the dual variable to its start, `d/dt P_hat^-1 = -gamma L + sigma (P_0^-1 - P_hat^-1)`: by the three-point
 identity V' gains exactly `-sigma / gamma (D(P || P_hat) + D(P_hat || P_0) - D(P || P_0))`.
@@ -34,15 +45,26 @@ import numpy as np
 
 from ..by_address import by_address
 from ..compiled import Matrix, Vector, compiled, internal, layout_of, linked, views
-from ..elementary.matrices import cholesky, inverse
+from ..elementary.matrices import cholesky, inverse, product, solve, svd
 from ..errors import ConfigError
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import Context, ControllerState, Law
 from .law import KERNELS, Kernels, constant_gain, nothing_to_keep
-from .prior import ParameterLearner, balls, gains_of, inertia_of_bodies, lightness, prior_of, scales, tempo
-from .pseudo_inertia import BODY, Bodies, directions, lifted, move, pseudo_inertias, vector_of
+from .prior import (
+    DOUBT,
+    ParameterLearner,
+    balls,
+    gains_of,
+    inertia_of_bodies,
+    lightness,
+    prior_of,
+    require_one_start,
+    scales,
+    tempo,
+)
+from .pseudo_inertia import BODY, Bodies, directions, lifted, move, natural, pseudo_inertias, vector_of
 
 POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
 NU_REF, NUDOT_REF, Z, R = (INDEX[name] for name in ("nu_ref", "nudot_ref", "z", "r"))
@@ -74,6 +96,8 @@ class AdaptiveSettings(Settings, frozen=True):
         friction_bound: Largest friction that is believed: viscous in c_j, dry in c_j times 1 rad/s or m/s.
         initial: "prior" for balls of `mass` and `size` at every joint without friction; "nominal" for a robot's (in an
             experiment the one of `[nominal]`).
+        start: A file `NAME.identified.json` of `mmnn identify` in place of both: it begins with the parameters found
+            there, and what their covariance says is sure moves less; without leakage.
         mass: Masses of the prior, (base, every other body) [kg].
         size: Radii of gyration of the prior about each axis, likewise [m].
         slowest: The prior is made lighter where a velocity feels more inertia of it than this times its gain [s]; see
@@ -96,6 +120,7 @@ class AdaptiveSettings(Settings, frozen=True):
     heaviest: float = 10.0
     friction_bound: float = 10.0
     initial: Literal["prior", "nominal"] = "prior"
+    start: str = ""
     mass: tuple[float, float] = (30.0, 2.0)
     size: tuple[float, float] = (0.3, 0.2)
     slowest: float = 0.3
@@ -106,6 +131,10 @@ class AdaptiveSettings(Settings, frozen=True):
         for name in ("bounds", "heaviest"):
             if not getattr(self, name) > 1:
                 raise ConfigError(f"{getattr(self, name)}", fix="use a finite ratio > 1", key=f"adaptive.{name}")
+        require_one_start(self, "adaptive")
+        if self.start and self.leakage:
+            why = "the covariance of `start` holds what is known"
+            raise ConfigError(f"{self.leakage:g}", why=why, fix="use 0", key="adaptive.leakage")
 
 
 @by_address
@@ -249,24 +278,25 @@ class Adaptive(ParameterLearner):
     def adaptation(self, context: Context, K: Array, tracking: float = 1.0) -> Adaptation:
         """What it learns with, the gradient of the tracking error times a factor."""
         own, start = self.settings, self.start()
-        scale, first = scales(self.regressor, K), self.regressor.inertial
-        faster, freely = tempo(self.regressor, K)
+        scale, first, every = scales(self.regressor, K), self.regressor.inertial, self._rates
         roots = np.array([cholesky(P) for P in pseudo_inertias(start[:first])]).reshape(-1, 4, 4)
-        rates = freely * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         bodies = Bodies(
             h=float(context.control_period),
-            gamma=faster * float(own.rate),
+            gamma=every[:first:BODY].copy(),
             least=1.0 / own.bounds,
             most=self._most.copy(),
             roots=roots,
             inverses=np.array([inverse(C) for C in roots]).reshape(roots.shape),
-            rates=rates,
+            rates=every[first:].copy(),
             start=start[first:].copy(),
             top=np.maximum(own.friction_bound * scale, start[first:]),
             steps=np.zeros(roots.shape),
-            rest=np.zeros(rates.size),
+            rest=np.zeros(scale.size),
             factors=np.zeros(roots.shape),
             work=np.zeros((3, 4, 4)),
+            known=self._information.copy(),
+            system=np.zeros_like(self._information),
+            column=np.zeros(start.size),
         )
         return Adaptation(
             known=self.regressor.workspace(),
@@ -281,6 +311,38 @@ class Adaptive(ParameterLearner):
             gradient=np.zeros(start.size),
             layout=layout_of(Estimate, self.shapes(context)),
         )
+
+    @cached_property
+    def _rates(self) -> Array:
+        """Rates of every number of a body, gamma, and gamma_j of the rest, (k,)."""
+        K, own = gains_of(self.regressor, self.feedback), self.settings
+        rest = np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scales(self.regressor, K) ** 2
+        return self._tempo * np.concatenate((np.full(self.regressor.inertial, float(own.rate)), rest))
+
+    @cached_property
+    def _tempo(self) -> Array:
+        """Factors on the rates of all parameters, (k,)."""
+        bodies, rest = tempo(self.regressor, gains_of(self.regressor, self.feedback))
+        return np.concatenate((np.repeat(bodies, BODY), rest))
+
+    @cached_property
+    def _information(self) -> Array:
+        """Lambda (k, k), see the module; (0, 0) where no covariance is known."""
+        rates, first = self._rates, self.regressor.inertial
+        if self.covariance is None or not rates[0] > 0.0:
+            return np.zeros((0, 0))
+        said = np.flatnonzero((np.diag(self.covariance) > 0.0) & (rates > 0.0))
+        Gamma = np.diag(rates)
+        for b, P in enumerate(pseudo_inertias(self.start()[:first])):
+            here = slice(BODY * b, BODY * b + BODY)
+            Gamma[here, here] = rates[BODY * b] * natural(P)
+        root, gamma = cholesky(Gamma[np.ix_(said, said)]), self.settings.rate * self._tempo[said]
+        sure = solve(cholesky(self.covariance[np.ix_(said, said)]), root * (DOUBT / np.sqrt(gamma))[:, None])
+        _, size, directions = svd(sure)
+        more = solve(root.T, directions) * np.sqrt(np.maximum(size * size - 1.0, 0.0))
+        known = np.zeros_like(Gamma)
+        known[np.ix_(said, said)] = product(more, more.T)
+        return known
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The estimate, and what excited it."""
@@ -319,7 +381,7 @@ class Adaptive(ParameterLearner):
         """The same, computed once: a prior looks at many positions."""
         first, own = self.regressor.inertial, self.settings
         prior = prior_of(self.regressor, gains_of(self.regressor, self.feedback), own.mass, own.size, own.slowest)
-        if own.initial == "prior" or self.nominal is None:
+        if not self.informed or self.nominal is None:
             return prior
         theta = np.maximum(self.nominal, 0.0)
         pairs = zip(pseudo_inertias(self.nominal[:first]), pseudo_inertias(prior[:first]), strict=True)
@@ -330,7 +392,7 @@ class Adaptive(ParameterLearner):
     def _most(self) -> Array:
         """Largest ratios of the bodies' estimates to their start, (bodies,)."""
         own, K = self.settings, gains_of(self.regressor, self.feedback)
-        if own.initial == "nominal":
+        if self.informed:
             return np.full(len(self.regressor.bodies), float(own.bounds))
         share = lightness(self.regressor, balls(self.regressor, own.mass, own.size), K, own.slowest)
         prior = balls(self.regressor, own.mass, own.size)

@@ -28,7 +28,7 @@ from .adaptive import Adaptation, Adaptive, Estimate, adapt, look
 from .controller import Context, ControllerState, Given, Law, Told
 from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, remember
 from .law import KERNELS, Kernels, constant_gain
-from .pseudo_inertia import LARGEST, Bodies, factor, move, sandwich, to_matrix, to_vector, transposed_sandwich
+from .pseudo_inertia import LARGEST, Bodies, factor, inform, move, sandwich, to_matrix, to_vector, transposed_sandwich
 
 ITERATIONS = 12  # of conjugate gradients in a step
 ENOUGH = 1e-8  # share of the residual's square at which they end
@@ -149,8 +149,21 @@ def follow(p: Prediction, o: Composite) -> None:
     a, theta = p.adaptation.bodies, o.estimate.theta
     for b in range(len(a.roots)):
         factor(theta[10 * b : 10 * b + 10], a, b)
-    descend(p, a, o)
-    move(theta, shortened(p.step, a), 0.0, a)
+    if a.known.size:
+        left(p, o)
+        inform(theta, p.gradient, p.weight, a, o.Q, p.weight)
+    else:
+        descend(p, a, o)
+        taken(p.step, a)
+    move(theta, shortened(a), 0.0, a)
+
+
+@internal
+def left(p: Prediction, o: Composite) -> None:
+    """What the estimate leaves of the integrals, `b - Q theta_hat`, into p.gradient."""
+    times(o.Q, o.estimate.theta, p.gradient)
+    for j in range(p.gradient.size):
+        p.gradient[j] = o.b[j] - p.gradient[j]
 
 
 @internal
@@ -161,12 +174,9 @@ def descend(p: Prediction, a: Bodies, o: Composite) -> None:
     last, `theta+ = theta + S y`, `(1 + c tau S' Q S) y = c tau S' (b - Q theta)`, by conjugate gradients from y = 0.
     It does not overshoot for any c tau, and excited directions of all sizes take their full part in it.
     """
-    k, n = p.gradient.size, p.step.size
+    n, Q = p.step.size, o.Q
     y, residual, direction, image = p.step, p.work[0], p.work[1], p.work[2]
-    Q, b = o.Q, o.b
-    times(Q, o.estimate.theta, p.gradient)
-    for j in range(k):
-        p.gradient[j] = b[j] - p.gradient[j]
+    left(p, o)
     pulled(p.gradient, a, residual)
     square = 0.0
     for i in range(n):
@@ -237,18 +247,27 @@ def pulled(gradient: Array, a: Bodies, y: Array) -> None:
 
 
 @compiled
-def shortened(y: Array, a: Bodies) -> float:
-    """The step y as `a.steps` and `a.rest`, and the factor that lets no body change by more than `LARGEST`."""
-    eta = 1.0
+def taken(y: Array, a: Bodies) -> None:
+    """The step y as `a.steps` and `a.rest`."""
     for b in range(len(a.roots)):
-        root, square = math.sqrt(a.gamma[b]), 0.0
+        root = math.sqrt(a.gamma[b])
         for i in range(4):
             for j in range(4):
                 a.steps[b, i, j] = root * y[16 * b + 4 * i + j]
-                square += a.steps[b, i, j] * a.steps[b, i, j]
-        eta = min(eta, LARGEST / math.sqrt(square) if square > 0.0 else 1.0)
     for j in range(a.rates.size):
         a.rest[j] = math.sqrt(a.rates[j]) * y[16 * len(a.roots) + j]
+
+
+@compiled
+def shortened(a: Bodies) -> float:
+    """The factor that lets no body change by more than `LARGEST` in a step `a.steps`."""
+    eta = 1.0
+    for b in range(len(a.roots)):
+        square = 0.0
+        for i in range(4):
+            for j in range(4):
+                square += a.steps[b, i, j] * a.steps[b, i, j]
+        eta = min(eta, LARGEST / math.sqrt(square) if square > 0.0 else 1.0)
     return eta
 
 

@@ -29,7 +29,7 @@ import numpy as np
 from ..by_address import by_address
 from ..compiled import Vector, internal, layout_of, linked, views
 from ..elementary import exp
-from ..elementary.matrices import svd, triangle
+from ..elementary.matrices import cholesky, product, solve, svd, triangle
 from ..elementary.normals import standard_normal
 from ..model.regressor import Massless, measured, regress
 from ..settings import Settings, require_at_most, require_numbers
@@ -40,7 +40,7 @@ from .filtered import Filter, Filtered, low_pass, new_filter, parts, period, rem
 from .history import Scratch, Stack, consider, estimate_of, scratch
 from .history import shapes as stack_shapes
 from .law import KERNELS, Kernels, constant_gain
-from .prior import ParameterLearner, prior_of, scales, sizes_of
+from .prior import ParameterLearner, prior_of, require_one_start, scales, sizes_of, within_prior
 
 TIME, POSE, VELOCITY, Q, QDOT = (INDEX[n] for n in ("time", "pose", "velocity", "q", "qdot"))
 Z, R, NU_REF, NUDOT_REF = INDEX["z"], INDEX["r"], INDEX["nu_ref"], INDEX["nudot_ref"]
@@ -70,6 +70,8 @@ class ConcurrentSettings(Settings, frozen=True):
         spread: Standard deviation of the prior, in sizes of the typical robot; of friction in `FRICTION` c_j.
         initial: "prior" starts from balls without friction, "nominal" from a nominal robot (in an experiment the one
             of `[nominal]`).
+        start: A file `NAME.identified.json` of `mmnn identify` in place of both: it begins with the parameters found
+            there, and their covariance is the prior where that is smaller.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -85,9 +87,11 @@ class ConcurrentSettings(Settings, frozen=True):
     every: float = 0.02
     spread: float = 1.0
     initial: Literal["prior", "nominal"] = "prior"
+    start: str = ""
 
     def __post_init__(self) -> None:
         require_numbers(self, "concurrent", ("entries", "noise", "growth", "every", "spread"))
+        require_one_start(self, "concurrent")
         require_at_most(self, "concurrent", {"entries": MOST})
 
 
@@ -345,18 +349,18 @@ class Concurrent(ParameterLearner):
     @property
     def basis(self) -> Array:
         """`theta = theta_0 + basis w`, (k0, k): the directions that matter, of the size of the prior."""
-        deviation, directions = self._typical
-        return np.ascontiguousarray(deviation[:, None] * directions)
+        root, directions = self._typical
+        return product(root, directions)
 
     @property
-    def deviation(self) -> Array:
-        """Standard deviations of the prior of theta, (k0,)."""
+    def root(self) -> Array:
+        """A root (k0, k0) of the prior covariance of theta."""
         return self._typical[0]
 
     @cached_property
     def _start(self) -> Array:
         """The same, computed once: a prior looks at many positions."""
-        if self.settings.initial == "nominal" and self.nominal is not None:
+        if self.informed and self.nominal is not None:
             return np.array(self.nominal)
         own = AdaptiveSettings()
         return prior_of(self.regressor, self._gains, own.mass, own.size, own.slowest)
@@ -364,6 +368,10 @@ class Concurrent(ParameterLearner):
     def theta(self, state: ControllerState) -> Array:
         """The estimate as parameters of the robot, (k0,)."""
         return np.asarray(self.start() + self.basis @ state["w"])
+
+    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None]:
+        """The same and its covariance, (k0, k0), as the stack has it."""
+        return self.theta(state), np.asarray(self.basis @ state["P"] @ self.basis.T)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The estimate, (k,)."""
@@ -400,11 +408,14 @@ class Concurrent(ParameterLearner):
 
     @cached_property
     def _typical(self) -> tuple[Array, Array]:
-        """Standard deviations of the prior (k0,), and orthonormal directions of the scaled parameters that matter."""
+        """A root of the prior covariance (k0, k0), and orthonormal directions of what it scales that matter."""
         deviation = self.settings.spread * self._sizes()
-        Y = self.random_motion().reshape(-1, self.regressor.size) * deviation
+        root = np.diag(deviation)
+        if self.covariance is not None:
+            root = cholesky(within_prior(self.covariance, deviation * deviation))
+        Y = product(self.random_motion().reshape(-1, self.regressor.size), root)
         _, singular, directions = svd(triangle(Y))
-        return deviation, np.ascontiguousarray(directions[:, singular > RANK * singular[0]])
+        return root, np.ascontiguousarray(directions[:, singular > RANK * singular[0]])
 
     def _sizes(self) -> Array:
         """Sizes of the parameters, (k0,): of a typical robot, and of friction some of the gain that the joint feels."""
@@ -420,5 +431,5 @@ class Concurrent(ParameterLearner):
 
     def true_weights(self, theta: Array, start: ControllerState) -> Array | None:
         """Where `theta - theta_0` lies in the directions that matter."""
-        scaled = (theta - self.start()) / self.deviation
-        return np.asarray((self.basis / self.deviation[:, None]).T @ scaled)
+        root, directions = self._typical
+        return product(directions.T, solve(root, theta - self.start()))

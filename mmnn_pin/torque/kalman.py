@@ -1,8 +1,8 @@
 """Linear learners with a covariance: a regressor, or random features, with or without a nominal model in front.
 
-`torque.linear` has the law, `torque.random_features` the features. A learner is told K, where its joints end and what
-their motors can give; the one with a regressor how the robot moves; the one with a nominal model also the numbers of
-that. Their settings are `[kalman.regressor]` of an experiment for `kalman_regressor`, and so on.
+`torque.linear` has the law. A learner is told K, where its joints end and what their motors can give; the one with a
+regressor how the robot moves; the one with a nominal model also the numbers of that. Their settings are
+`[kalman.regressor]` of an experiment for `kalman_regressor`, and so on.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from .filtered import new_filter, parts
 from .friction_features import columns, friction
 from .law import constant_gain
 from .linear import Linear, Parts, factors, left
-from .prior import identified
+from .prior import identified, within_prior
 from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_random, paired, size
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
@@ -182,9 +182,8 @@ class KalmanResidualSettings(KalmanBilinearSettings, frozen=True):
     needs_nominal: ClassVar[bool] = True
 
 
-OF_REGRESSORS = (KalmanRegressorSettings, KalmanFrictionSettings)
-OF_FEATURES = (KalmanBilinearSettings, KalmanFeaturesSettings, KalmanResidualSettings)
-SETTINGS = {f"kalman_{kind.section.partition('.')[2]}": kind for kind in (*OF_REGRESSORS, *OF_FEATURES)}
+KINDS = (KalmanRegressorSettings, KalmanFrictionSettings, KalmanBilinearSettings, KalmanFeaturesSettings)
+SETTINGS = {f"kalman_{kind.section.partition('.')[2]}": kind for kind in (*KINDS, KalmanResidualSettings)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +265,7 @@ class Kalman(CompiledController):
 
     @property
     def beside(self) -> int:
-        """Columns of Phi beside the regressor, per velocity: friction features and a constant."""
+        """Columns of Phi beside the regressor, per velocity."""
         return len(friction().W2) + 1 if isinstance(self.settings, KalmanFrictionSettings) else 0
 
     @property
@@ -361,21 +360,15 @@ class Kalman(CompiledController):
 
     def _begin(self, state: ControllerState, theta: Array, covariance: Array) -> None:
         """Begin with parameters and covariance; what that says nothing of keeps the prior, which bounds the rest."""
-        prior, k = state["prior"], len(theta)
-        covariance = np.pad(covariance, (0, prior.size - k))
-        said = np.diag(covariance)
-        share = np.sqrt(np.minimum(1.0, prior / np.where(said > 0.0, said, 1.0)))
-        P = covariance * np.outer(share, share)
-        P[np.diag_indices_from(P)] = np.where(said > 0.0, np.diag(P), prior)
-        state["W"][0, :k] = theta
-        state["U"], state["D"] = factors(P)
+        state["W"][0, : theta.size] = theta
+        covariance = np.pad(covariance, (0, state["D"].size - theta.size))
+        state["U"], state["D"] = factors(within_prior(covariance, state["prior"]))
 
     def typical(self, state: ControllerState, seed: int = 0) -> Array:
         """Features of random motion at 1 m/s, 1 rad/s, 1 m/s^2, 1 rad/s^2, (samples, rows, k)."""
         rng, random, p = np.random.default_rng(seed), self.random(), len(self.machine.velocities)
         (lower, upper), n = self.machine.ranges, self.machine.lower.size
-        rows, k, _ = self.shape
-        Phi, learned = np.zeros((SAMPLES, rows, k)), friction()
+        Phi, learned = np.zeros((SAMPLES, *self.shape[:2])), friction()
         for one in Phi:
             q, (nu, nu_ref, nudot_ref) = rng.uniform(lower, upper), standard_normal(rng, (3, p))
             if random is not None:
@@ -388,6 +381,13 @@ class Kalman(CompiledController):
                     for i in range(p):
                         columns(learned, i, nu_ref[i], nudot_ref[i], one)
         return Phi
+
+    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None] | None:
+        """With a regressor alone: the estimate (k,) and its covariance (k, k)."""
+        if self.drawn is not None or self.beside:
+            return None
+        U = np.triu(state["U"].T, 1) + np.eye(state["D"].size)
+        return state["W"][0].copy(), np.asarray((U * state["D"]) @ U.T)
 
     def weights(self, state: ControllerState) -> dict[str, Array]:
         """The weights, transposed, (m, k)."""

@@ -23,8 +23,9 @@ from ..files import read_text
 from ..model.regressor import BODY, Regressor
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
-from .controller import CompiledController, Feedback, Given, Told, read_facts
+from .controller import CompiledController, ControllerState, Feedback, Given, Told, read_facts
 
+DOUBT = 0.5  # standard deviation of a body, relative, that `mmnn identify` knows nothing of
 GAINS = 500.0, 30.0  # on a base's forward velocity and of an arm for which rates in 1/J are meant [N s/m, N m s]
 SAMPLES = 100  # of random positions
 LARGEST = 50_000_000  # bytes of a report of an identification
@@ -41,6 +42,7 @@ class ParameterLearner(CompiledController):
         settings: Its table, with `initial`.
         nominal: (k,) parameters to start from, needed for `initial = "nominal"`.
         learning: Off keeps the estimate as it starts.
+        covariance: (k, k) of them, where they are those of a fit (`start`).
 
     Raises:
         ConfigError: A start from nominal parameters without them, or with others than k finite ones.
@@ -51,18 +53,30 @@ class ParameterLearner(CompiledController):
     settings: Any = None
     nominal: Array | None = None
     learning: bool = True
+    covariance: Array | None = None
 
     within_limits: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         require_types(self)
-        require_start(self.settings.initial, self.nominal, self.regressor.size, self.name.partition("_")[0])
+        section, k = self.name.partition("_")[0], self.regressor.size
+        require_start("nominal" if self.covariance is not None else self.settings.initial, self.nominal, k, section)
+        if self.covariance is not None and not (self.covariance.shape == (k, k) and np.isfinite(self.covariance).all()):
+            raise ConfigError("no covariance of these parameters", fix=f"give {k} by {k}", key=f"{section}.start")
+
+    @property
+    def informed(self) -> bool:
+        """Whether it starts from parameters that it was given, not from a prior."""
+        return self.nominal is not None and (self.settings.initial == "nominal" or self.covariance is not None)
 
     @classmethod
     def build(cls, given: Given) -> Self:
         """With how the robot moves, and the nominal parameters where it starts from them."""
-        start = given.told.parameters if given.settings.initial == "nominal" else None
-        return cls(given.told.motion, given.feedback, given.settings, start, given.learning)
+        own, motion = given.settings, given.told.motion
+        start, covariance = given.told.parameters if own.initial == "nominal" else None, None
+        if own.start:
+            start, covariance = identified(own.start, motion.labels, f"{cls.name.partition('_')[0]}.start")
+        return cls(motion, given.feedback, own, start, given.learning, covariance)
 
     @classmethod
     def from_facts(cls, name: str, facts: dict[str, Any], told: Told) -> Self | None:
@@ -72,16 +86,23 @@ class ParameterLearner(CompiledController):
         own = dict(facts.get("settings") or facts["adapting"])
         own["initial"] = own["initial"].replace("guess", "prior")
         made = read_facts(cls, {**facts, "settings": own}, "feedback", "settings", "learning")
-        start = np.array(facts["start"], float) if own["initial"] == "nominal" else None
-        return cls(told.motion, nominal=start, **made)
+        covariance = np.array(facts["covariance"], float) if "covariance" in facts else None
+        given = own["initial"] == "nominal" or covariance is not None
+        start = np.array(facts["start"], float) if given else None
+        return cls(told.motion, nominal=start, covariance=covariance, **made)
 
     def facts(self) -> dict[str, Any]:
         """Gains, settings and start, with the names of the parameters."""
-        return super().facts() | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
+        known = {} if self.covariance is None else {"covariance": self.covariance.tolist()}
+        return super().facts() | known | {"labels": list(self.regressor.labels), "start": self.start().tolist()}
 
     def start(self) -> Array:
         """The parameters before anything is learned, (k,)."""
         return self._start.copy()
+
+    def knowledge(self, state: ControllerState) -> tuple[Array, Array | None]:
+        """The estimate as parameters of the robot (k,), and its covariance (k, k) where it has one."""
+        return state["theta"].copy(), None
 
     @cached_property
     def _start(self) -> Array:
@@ -100,6 +121,17 @@ def require_start(initial: str, nominal: Array | None, k: int, section: str) -> 
         raise ConfigError("no nominal parameters", fix=fix, key=f"{section}.initial")
     if nominal is not None and (nominal.shape != (k,) or not np.isfinite(nominal).all()):
         raise ConfigError(f"{nominal.size} parameters", fix=f"give {k} finite ones", key=f"{section}.nominal")
+
+
+def require_one_start(settings: Any, section: str) -> None:
+    """Refuse a start from a file beside one from a nominal robot.
+
+    Raises:
+        ConfigError: With the key.
+    """
+    if settings.start and settings.initial != "prior":
+        fix = "leave out one of the two"
+        raise ConfigError(f"'{settings.start}' beside initial = 'nominal'", fix=fix, key=f"{section}.start")
 
 
 def prior_of(
@@ -233,3 +265,12 @@ def identified(file: str, labels: Sequence[str], key: str) -> tuple[Array, Array
         raise ConfigError(f"'{file}' has no {missing[0]}", why="it is of another robot", fix=fix, key=key)
     at = [names.index(name) for name in labels]
     return theta[at], covariance[np.ix_(at, at)]
+
+
+def within_prior(covariance: Array, prior: Array) -> Array:
+    """A fit's covariance (k, k) with variances of at most a prior's (k,), and with those where it says nothing."""
+    said = np.diag(covariance)
+    share = np.sqrt(np.minimum(1.0, prior / np.where(said > 0.0, said, 1.0)))
+    P = covariance * np.outer(share, share)
+    P[np.diag_indices_from(P)] = np.where(said > 0.0, np.diag(P), prior)
+    return np.asarray(P)

@@ -7,6 +7,9 @@ constant matrix is needed, and no projection onto the cone. A step multiplies, i
 `B exp(X) B'` to second order in X. Bounds are `least P_0 <= P <= most P_0`: the eigenvalues of `P_0^-1/2 P P_0^-1/2`
 are clipped. Compiled, and it knows no robot; parameters that are of no body follow the plain gradient, clipped to
 `0 <= theta_j <= top_j`.
+
+With N, the inverse of this metric Gamma, and a constant information Lambda of the parameters, an estimate that begins
+with a fit moves along `(N + Lambda)^-1 gradient`: the metric of the sum of both potentials, see `torque.adaptive`.
 """
 
 from __future__ import annotations
@@ -23,6 +26,7 @@ from ..signals import Array
 BODY = 10  # numbers of a body
 SWEEPS = 12  # of Jacobi's eigenvalue iteration, of which a 4 x 4 matrix needs about 5
 LARGEST = 0.3  # by which an implicit step may change a body, relative to itself
+ROW, COLUMN = (3, 0, 1, 2, 0, 0, 0, 1, 1, 2), (3, 3, 3, 3, 0, 1, 2, 1, 2, 2)  # of a body's numbers in P
 FLOOR = 1e-4  # least share of the prior that a nominal body keeps: massless and flat ones have no density
 
 
@@ -43,6 +47,9 @@ class Bodies(NamedTuple):
         rest: (k - 10 bodies,) written: and the rest.
         factors: (bodies, 4, 4) written: B of every body, in the coordinates where P_0 is the identity.
         work: (3, 4, 4) room to work in.
+        known: (k, k) Lambda; (0, 0) where nothing is known of the start.
+        system: (k, k) room to work in, like known.
+        column: (k,) room to work in.
     """
 
     h: float
@@ -58,6 +65,9 @@ class Bodies(NamedTuple):
     rest: Array
     factors: Array
     work: Array
+    known: Array
+    system: Array
+    column: Array
 
 
 @internal
@@ -68,12 +78,89 @@ def directions(theta: Array, gradient: Array, a: Bodies) -> float:
         `h gradient' Gamma gradient`.
     """
     total, first = 0.0, BODY * len(a.roots)
+    if a.known.size:
+        for b in range(len(a.roots)):
+            factor(theta[BODY * b : BODY * b + BODY], a, b)
+        inform(theta, gradient, a.h, a, a.known, 0.0)
+        for j in range(theta.size):
+            total += gradient[j] * a.column[j]
+        return total
     for b in range(len(a.roots)):
         total += direction(theta[BODY * b : BODY * b + BODY], gradient[BODY * b : BODY * b + BODY], a, b)
     for j in range(a.rates.size):
         a.rest[j] = a.h * a.rates[j] * gradient[first + j]
         total += a.rest[j] * gradient[first + j]
     return total
+
+
+@internal
+def inform(theta: Array, gradient: Array, size: float, a: Bodies, Q: Array, weight: float) -> None:
+    """`(N + Lambda + weight Q)^-1 size gradient` into `a.column`, `a.steps` and `a.rest`; `a.factors` belong to theta.
+
+    Parameters with the rate 0 stay.
+    """
+    k, first, S = theta.size, BODY * len(a.roots), a.system
+    for i in range(k):
+        a.column[i] = size * gradient[i]
+        for j in range(k):
+            S[i, j] = a.known[i, j] + weight * Q[i, j]
+    for b in range(len(a.roots)):
+        P = a.work[0]
+        inward(a, b)
+        product(a.work[1].T, a.work[1], P)  # P^-1
+        for i in range(BODY):
+            for j in range(BODY):
+                one = P[ROW[i], COLUMN[j]] * P[COLUMN[i], ROW[j]] + P[ROW[i], ROW[j]] * P[COLUMN[i], COLUMN[j]]
+                half = (0.5 if ROW[i] == COLUMN[i] else 1.0) * (0.5 if ROW[j] == COLUMN[j] else 1.0)
+                S[BODY * b + i, BODY * b + j] += 2.0 * half * one / a.gamma[b]
+    for j in range(a.rates.size):
+        if a.rates[j] > 0.0:
+            S[first + j, first + j] += 1.0 / a.rates[j]
+        else:
+            a.column[first + j] = 0.0
+            for i in range(k):
+                S[first + j, i] = S[i, first + j] = 1.0 if i == first + j else 0.0
+    solved(S, a.column)
+    for b in range(len(a.roots)):
+        inward(a, b)
+        to_matrix(a.column[BODY * b : BODY * b + BODY], 1.0, a.work[0])
+        sandwich(a.work[1], a.work[0], a.work[2], a.steps[b])
+    for j in range(a.rates.size):
+        a.rest[j] = a.column[first + j]
+
+
+@compiled
+def inward(a: Bodies, b: int) -> None:
+    """`B^-1 C^-1` of body b, `P = C B B' C'`, into `a.work[1]`."""
+    M, B = a.work[1], a.factors[b]
+    for j in range(4):
+        for i in range(4):
+            total = a.inverses[b, i, j]
+            for c in range(i):
+                total -= B[i, c] * M[c, j]
+            M[i, j] = total / B[i, i]
+
+
+@compiled
+def solved(S: Array, x: Array) -> None:
+    """`S^-1 x` in place for a symmetric positive definite S (k, k), by Cholesky's factor, which is written into S."""
+    k = x.size
+    for j in range(k):
+        pivot = math.sqrt(S[j, j])
+        for c in range(j, k):
+            S[j, c] /= pivot
+        for i in range(j + 1, k):
+            share = S[j, i]
+            for c in range(i, k):
+                S[i, c] -= share * S[j, c]
+    for i in range(k):
+        x[i] /= S[i, i]
+        for c in range(i + 1, k):
+            x[c] -= S[i, c] * x[i]
+    for i in range(k - 1, -1, -1):
+        for c in range(i + 1, k):
+            x[i] -= S[i, c] * x[c]
+        x[i] /= S[i, i]
 
 
 @internal
@@ -272,6 +359,12 @@ def vector_of(P: Array) -> Array:
     theta = np.zeros(BODY)
     to_vector(P, theta)
     return theta
+
+
+def natural(P: Array) -> Array:
+    """The metric of a body at its pseudo-inertia, (10, 10): `P L P` of every gradient."""
+    r, c = ROW, COLUMN
+    return np.asarray(0.5 * (P[np.ix_(r, r)] * P[np.ix_(c, c)] + P[np.ix_(r, c)] * P[np.ix_(c, r)]))
 
 
 def lifted(P: Array, prior: Array) -> Array:

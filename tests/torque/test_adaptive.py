@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import runpy
@@ -24,7 +25,17 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt
 from mmnn_pin.torque.controller import Context, Feedback
-from mmnn_pin.torque.pseudo_inertia import cholesky, clip, exponential, lifted, pseudo_inertias, vector_of, within
+from mmnn_pin.torque.prior import DOUBT
+from mmnn_pin.torque.pseudo_inertia import (
+    cholesky,
+    clip,
+    directions,
+    exponential,
+    lifted,
+    pseudo_inertias,
+    vector_of,
+    within,
+)
 
 PLAIN = os.environ.get("NUMBA_DISABLE_JIT") == "1"  # plain Python: short runs only
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
@@ -400,3 +411,108 @@ def test_an_experiment_makes_it():
         other.controller("adaptive", robot=robot)
     with pytest.raises(ConfigError, match="rate"):
         load_experiment("track", ["adaptive.rate=-1"])
+
+
+# --- begun with a fit
+
+
+def covariance_of(seed):
+    """A covariance of all parameters, correlated, sure in some directions, of the size of the parameters."""
+    rng, k = np.random.default_rng(seed), REGRESSOR.size
+    A = rng.standard_normal((k, k)) * 10.0 ** rng.uniform(-2, 0, k)
+    size = 0.1 * np.abs(TRUE) + 1e-3
+    return size[:, None] * (A @ A.T / k + 1e-4 * np.eye(k)) * size
+
+
+def begun(covariance, **adapting):
+    """A bench that begins near the truth, with friction off its walls, and a covariance."""
+    bench = Bench(h=1e-5, **adapting)
+    start = TRUE * np.random.default_rng(1).uniform(0.9, 1.1, REGRESSOR.size)
+    start[REGRESSOR.inertial :] = TRUE[REGRESSOR.inertial :] + 0.1
+    bench.controller = replace(bench.controller, nominal=start, covariance=covariance)
+    context = Context(bench.layout, bench.h, 10)
+    bench.a, bench.state = bench.controller.law(context).learner, bench.controller.init(context)
+    bench.theta = bench.state["theta"]
+    return bench
+
+
+def natural_gain(bench):
+    """Gamma, (k, k), of no fit: `gamma P L P` of every body, the rates of the rest."""
+    columns, first = np.diag(np.concatenate((np.zeros(REGRESSOR.inertial), bench.a.bodies.rates))), REGRESSOR.inertial
+    for b, P in enumerate(pseudo_inertias(bench.theta[:first])):
+        here = slice(10 * b, 10 * b + 10)
+        columns[here, here] = np.array([vector_of(bench.adapting.rate * P @ dual(e) @ P) for e in np.eye(10)]).T
+    return columns
+
+
+def gain(bench):
+    """Gamma as the law computes it, column by column."""
+    columns, bodies = [], bench.a.bodies
+    for unit in np.eye(REGRESSOR.size):
+        directions(bench.theta, unit, bodies)
+        columns.append(bodies.column / bodies.h)
+    return np.array(columns).T
+
+
+@pytest.mark.compiled
+def test_the_gain_of_a_fit_is_its_covariance():
+    """`gamma / DOUBT^2 Sigma` where Sigma is small, the natural metric where it is large, never more than either."""
+    rate = 3.0
+    wide = begun(1e12 * covariance_of(0), rate=rate)
+    natural = natural_gain(wide)
+    np.testing.assert_allclose(gain(wide), natural, rtol=1e-6, atol=1e-9)
+    small = 1e-10 * covariance_of(0)
+    learned = np.diag(natural) > 0
+    wanted = (rate / DOUBT**2 * small)[np.ix_(learned, learned)]
+    found = gain(begun(small, rate=rate))[np.ix_(learned, learned)]
+    size = np.sqrt(np.diag(wanted))
+    np.testing.assert_allclose(found / np.outer(size, size), wanted / np.outer(size, size), atol=2e-3)
+    some = gain(begun(covariance_of(0), rate=rate))[np.ix_(learned, learned)]
+    for most in (natural[np.ix_(learned, learned)], rate / DOUBT**2 * covariance_of(0)[np.ix_(learned, learned)]):
+        values = np.linalg.eigvals(np.linalg.solve(most, some)).real
+        assert values.max() < 1 + 1e-3 and values.min() < 0.5
+
+
+def test_what_an_estimate_begun_with_a_fit_loses_is_the_work_of_its_error():
+    """`V_theta + theta~' Lambda theta~ / 2` falls by s' Y theta~, and without its second part it does not."""
+    left, without = 0.0, 0.0
+    for seed in range(6):
+        rng, bench = np.random.default_rng(seed), begun(covariance_of(0), rate=3.0, rotor=0.0)
+        known, error = bench.a.bodies.known, TRUE - bench.theta
+        error[REGRESSOR.inertial + np.flatnonzero(bench.a.bodies.rates == 0)] = 0.0
+        Y, s = rng.standard_normal((4, REGRESSOR.size)), 1e-3 * rng.standard_normal(4)
+        before, was = bench.distance(), bench.theta.copy()
+        bench.step(Y, s)
+        moved = bench.a.bodies.column  # theta's own is rounded, in the directions that are sure too much
+        np.testing.assert_allclose(bench.theta - was, moved, atol=1e-5 * np.abs(moved).max())
+        natural, work = (bench.distance() - before) / bench.h, s @ Y @ error
+        left += abs(natural - error @ known @ moved / bench.h + work)
+        without += abs(natural + work)
+    assert left < 0.03 * without
+
+
+def test_a_fit_is_read_kept_and_refused_beside_another_start(tmp_path):
+    file = tmp_path / "r.identified.json"
+    report = {"labels": list(REGRESSOR.labels), "theta": TRUE.tolist(), "covariance": covariance_of(2).tolist()}
+    file.write_text(json.dumps(report))
+    for name, key in (("adaptive", "adaptive"), ("adaptive_composite", "adaptive"), ("concurrent", "concurrent")):
+        made = load_experiment("track", [f"{key}.start='{file}'"]).controller(name, robot=ROBOT)
+        np.testing.assert_array_equal(made.covariance, covariance_of(2))
+        again = type(made).from_facts(name, json.loads(json.dumps(made.facts())), Truth)
+        np.testing.assert_array_equal(again.covariance, made.covariance)
+        np.testing.assert_allclose(again.start(), made.start(), rtol=1e-12, atol=1e-15)
+        with pytest.raises(ConfigError, match="beside initial"):
+            load_experiment("track", [f"{key}.start='{file}'", f"{key}.initial='nominal'"])
+        with pytest.raises(ConfigError, match="No such file") as error:
+            load_experiment("track", [f"{key}.start='{file}s'"]).controller(name, robot=ROBOT)
+        assert error.value.key == f"{key}.start"
+    with pytest.raises(ConfigError, match="covariance of `start`"):
+        AdaptiveSettings(start=str(file), leakage=0.1)
+    with pytest.raises(ConfigError, match="no covariance"):
+        Adaptive(REGRESSOR, K, AdaptiveSettings(), TRUE, True, np.eye(3))
+
+
+class Truth:
+    """What a learner may be told here."""
+
+    motion, parameters = REGRESSOR, TRUE

@@ -14,10 +14,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import qr
+from scipy.signal import oaconvolve
 
 from ...signals import Array
 from .equations import ORDER, Bools, Equations, Unknowns
@@ -30,6 +33,7 @@ ROUNDS = 8  # of weights
 FINEST = 1e-5  # least deviation, of a row's RMS
 LAGS = 4.0  # reach of the taper over the correlation time of what residuals have beyond white noise
 LONGEST = 60  # lags that are looked at
+FEWEST = 20  # pairs of rows that a lag needs
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,24 +130,28 @@ class Fit:
 def weighted_fit(equations: Equations, base: Base) -> Fit:
     """Least squares with weights by residual variance, and less weight on what is far off."""
     X, y, use = equations.Y[:, :, base.independent], equations.y, equations.use
+    rows = [np.ascontiguousarray(X[:, i]) for i in range(X.shape[1])]
     there: Bools = np.asarray(use.any(axis=0))
     deviation, weights = np.where(there, 1.0, np.nan), use.astype(float)
     value, seen = np.zeros(X.shape[2]), np.ones(X.shape[2], bool)
+    grams = np.array([gram(row, w) for row, w in zip(rows, weights.T, strict=True)])
     for _ in range(ROUNDS):
-        A, b = normal(X, y, weights, deviation)
-        inverse, seen, condition = inverted(A)
-        value = inverse @ b
-        residual = np.where(use, y - X @ value, 0.0)
-        used = np.array([np.sum(inverse * gram(X[:, i], weights[:, i])) for i in range(len(there))])
+        inverse, seen, condition = inverted(summed(grams, deviation))
+        value = inverse @ summed(
+            np.array([row.T @ (w * one) for row, w, one in zip(rows, weights.T, y.T, strict=True)]), deviation
+        )
+        residual = np.where(use, y - np.column_stack([row @ value for row in rows]), 0.0)
+        used = (inverse * grams).sum(axis=(1, 2))
         used = used / np.where(there, deviation, 1.0) ** 2
         free = np.maximum(weights.sum(axis=0) - used, 1.0)
         deviation = np.where(there, np.sqrt((weights * residual**2).sum(axis=0) / free), np.nan)
         deviation = np.where(there, np.maximum(deviation, FINEST * np.sqrt((y**2).mean(axis=0))), np.nan)
         middle = [1.4826 * np.median(np.abs(residual[use[:, i], i])) if there[i] else 1.0 for i in range(len(there))]
         far = np.abs(residual) / np.maximum(np.minimum(middle, np.where(there, deviation, 1.0)), 1e-300)
-        weights = use * np.clip(2.0 - far / FAR, 0.0, 1.0)
-    A, _ = normal(X, y, weights, deviation)
-    inverse, seen, condition = inverted(A)
+        before, weights = weights, np.asarray(use * np.clip(2.0 - far / FAR, 0.0, 1.0), float)
+        for i in np.flatnonzero((weights != before).any(axis=0)):
+            grams[i] = gram(rows[i], weights[:, i])
+    inverse, seen, condition = inverted(A := summed(grams, deviation))
     B = meat(X, residual, weights, deviation, equations, inverse)
     covariance = inverse @ B @ inverse
     inflation = float(np.trace(covariance @ A) / max(1, np.count_nonzero(seen)))
@@ -155,15 +163,10 @@ def gram(X: Array, weights: Array) -> Array:
     return np.asarray(X.T @ (weights[:, None] * X))
 
 
-def normal(X: Array, y: Array, weights: Array, deviation: Array) -> tuple[Array, Array]:
-    """Normal equations of all rows, each over its residual variance."""
-    size = X.shape[2]
-    A, b = np.zeros((size, size)), np.zeros(size)
-    for i in np.flatnonzero(np.isfinite(deviation)):
-        scale = weights[:, i] / deviation[i] ** 2
-        A += gram(X[:, i], scale)
-        b += X[:, i].T @ (scale * y[:, i])
-    return A, b
+def summed(parts: Array, deviation: Array) -> Array:
+    """Parts (r, ...) of all rows that count, each over its residual variance."""
+    there = np.isfinite(deviation)
+    return np.asarray(np.tensordot(deviation[there] ** -2, parts[there], (0, 0)))
 
 
 def inverted(A: Array) -> tuple[Array, Bools, float]:
@@ -223,13 +226,18 @@ def echo(cutoff: float, spacing: float, lags: int) -> Array:
 
 def toeplitz(covariance: Array, Z: Array, run: NDArray[np.int64]) -> Array:
     """`R Z` with R_ts = covariance[|t - s|] within a run, (M, b)."""
-    out = covariance[0] * Z
-    for lag in range(1, min(len(covariance), len(Z))):
-        if abs(covariance[lag]) > 1e-4 * covariance[0]:
-            pairs = (run[lag:] == run[:-lag])[:, None]
-            out[lag:] += covariance[lag] * (Z[:-lag] * pairs)
-            out[:-lag] += covariance[lag] * (Z[lag:] * pairs)
+    kernel, out = np.concatenate((covariance[:0:-1], covariance))[:, None], np.empty_like(Z)
+    for part in stretches(run):
+        out[part] = oaconvolve(Z[part], kernel, "full", axes=0)[
+            len(covariance) - 1 : len(covariance) - 1 + len(Z[part])
+        ]
     return out
+
+
+def stretches(run: NDArray[np.int64]) -> list[slice]:
+    """Where every run stands among the rows, one after the other."""
+    edges = [0, *(np.flatnonzero(np.diff(run)) + 1), len(run)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def products(a: Array, b: Array, use: Bools, run: NDArray[np.int64], lags: int) -> tuple[Array, float]:
@@ -237,14 +245,22 @@ def products(a: Array, b: Array, use: Bools, run: NDArray[np.int64], lags: int) 
 
     a and b may have columns, whose products are summed.
     """
-    found = np.zeros(lags)
-    for lag in range(lags):
-        both = use[lag:] & use[: len(use) - lag] & (run[lag:] == run[: len(run) - lag])
-        if both.sum() < 20:
-            break
-        product = a[: len(a) - lag][both] * b[lag:][both]
-        found[lag] = product.sum() / both.sum()
-    return found, float(use.sum())
+    total, count = np.zeros(lags), np.zeros(lags)
+    mask = use.astype(float)[:, None]
+    for part in stretches(run):
+        m = mask[part]
+        total += correlated(a.reshape(len(a), -1)[part] * m, b.reshape(len(b), -1)[part] * m, lags)
+        count += np.round(correlated(m, m, lags))
+    few = np.flatnonzero(count < FEWEST)
+    count[few[0] if few.size else lags :] = np.inf
+    return total / count, float(use.sum())
+
+
+def correlated(a: Array, b: Array, lags: int) -> Array:
+    """Sum of `a_t' b_t+l` of columns (n, c), for every lag, (lags,)."""
+    size = next_fast_len(len(a) + lags, True)
+    spectrum = (np.conj(rfft(a, size, axis=0)) * rfft(b, size, axis=0)).sum(axis=1)
+    return np.asarray(irfft(spectrum, size)[:lags])
 
 
 def expected(

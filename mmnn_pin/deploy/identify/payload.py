@@ -20,7 +20,7 @@ from ...model.robot import Robot
 from ...signals import Array
 from ...torque.pseudo_inertia import BODY
 from .equations import Equations, Unknowns, chosen_cutoff, equations, measured_rows, still_speeds
-from .least_squares import Base, weighted_fit
+from .least_squares import Base, Fit, inverted, weighted_fit
 from .log import Log
 from .quality import sound
 from .report import links_of
@@ -66,7 +66,13 @@ class Load:
         }
 
 
-def payload(robot: Robot, logs: Log | Sequence[Log], joint: str = "", cutoff: float | None = None) -> Load:
+def payload(
+    robot: Robot,
+    logs: Log | Sequence[Log],
+    joint: str = "",
+    cutoff: float | None = None,
+    believed: tuple[Array, Array] | None = None,
+) -> Load:
     """What a robot that is known carries.
 
     Args:
@@ -74,6 +80,8 @@ def payload(robot: Robot, logs: Log | Sequence[Log], joint: str = "", cutoff: fl
         logs: Motions with the load.
         joint: Joint whose body carries it; the last of the arm by default.
         cutoff: Of the low-pass [Hz]; by the motion by default.
+        believed: Parameters (k,) of the robot's regressor without the load, in place of the URDF's, and their
+            covariance (k, k), which the intervals contain.
 
     Raises:
         UnknownName: No such joint.
@@ -92,7 +100,10 @@ def payload(robot: Robot, logs: Log | Sequence[Log], joint: str = "", cutoff: fl
         raise RecordingError("too still a motion", fix="move the load", file=every[0].name)
     first = BODY * bodies.index(joint)
     places = np.array([*range(first, first + VISIBLE), *unknowns.columns("offset")])
-    left = replace(rows, y=rows.y - rows.Y @ unknowns.prior)
+    without_load = unknowns.prior.copy()
+    if believed is not None:
+        without_load[: unknowns.regressor.size] = believed[0]
+    left = replace(rows, y=rows.y - rows.Y @ without_load)
     fit, second = weighted_fit(left, Base(places, np.eye(unknowns.size)[places])), np.zeros(BODY - VISIBLE)
     for _ in range(ROUNDS):
         second = point_mass(fit.value[:VISIBLE])
@@ -106,13 +117,28 @@ def payload(robot: Robot, logs: Log | Sequence[Log], joint: str = "", cutoff: fl
     link, back = links_of(robot)[joint][0][0], np.linalg.inv(links_of(robot)[joint][0][1])
     mass, lever = float(fit.value[0]), fit.value[1:VISIBLE] / fit.value[0]
     slope = back[:3, :3] @ np.column_stack((-lever, np.eye(3))) / mass
-    covariance = fit.covariance[:VISIBLE, :VISIBLE] + np.diag(np.where(fit.seen[:VISIBLE], 0.0, UNSEEN))
+    covariance = fit.covariance + (0.0 if believed is None else inherited(left, fit, believed[1]))
+    mass_sd = float(np.sqrt(covariance[0, 0]))
+    covariance = covariance[:VISIBLE, :VISIBLE] + np.diag(np.where(fit.seen[:VISIBLE], 0.0, UNSEEN))
     sd = np.sqrt(np.diag(slope @ covariance @ slope.T))
     size = np.sqrt((np.where(rows.use, rows.y, 0.0) ** 2).sum())
     errors = [left.y, left.y - of_second - left.Y[:, :, places] @ fit.value]
     without, after = (float(np.sqrt((np.where(rows.use, e, 0.0) ** 2).sum()) / size) for e in errors)
     centre = back[:3, :3] @ lever + back[:3, 3]
-    return Load(link, mass, float(fit.sd[0]), centre, np.where(sd > FAR, np.inf, sd), (without, after))
+    return Load(link, mass, mass_sd, centre, np.where(sd > FAR, np.inf, sd), (without, after))
+
+
+def inherited(rows: Equations, fit: Fit, covariance: Array) -> Array:
+    """What the doubt of the robot's own parameters adds to the covariance of a fit of the rest, (b, b)."""
+    size = covariance.shape[0]
+    A, mixed = np.zeros((len(fit.value), len(fit.value))), np.zeros((len(fit.value), size))
+    for i in np.flatnonzero(np.isfinite(fit.deviation)):
+        X = rows.Y[:, i, fit.base.independent]
+        weighed = X * (fit.weights[:, i] / fit.deviation[i] ** 2)[:, None]
+        A += weighed.T @ X
+        mixed += weighed.T @ rows.Y[:, i, :size]
+    moved = inverted(A)[0] @ mixed
+    return np.asarray(moved @ covariance @ moved.T)
 
 
 def point_mass(first: Array) -> Array:

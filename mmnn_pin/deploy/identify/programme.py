@@ -11,6 +11,7 @@ closed form; the programme itself is convex and solved by Clarabel through cvxpy
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +21,7 @@ import numpy as np
 
 from ...errors import InputError, MmnnError
 from ...signals import Array
+from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY, pseudo_inertias, vector_of
 from .equations import Bools, Equations, Unknowns
 
@@ -29,8 +31,12 @@ TIE = 1.002  # error over the least one up to which a larger weight is taken
 THIN = 1e-3  # least eigenvalue of a prior body, relative to that of a ball of its mass
 BALL = 0.05  # its radius of gyration [m]
 LIGHT = 1e-3  # mass of a prior body without one [kg]
-DOUBT, WIDE = 0.5, 10.0  # standard deviation of a body, relative, and of friction, in its scale, that nothing has moved
+WIDE = 10.0  # standard deviation of friction, in its scale, that nothing has moved; of a body, relative, it is DOUBT
 BELIEVED = 0.05  # share of a body's doubt that the motion has to take away before the body leaves the URDF
+CAREFUL: tuple[dict[str, Any], ...] = (  # settings of the solver, one after the other, where the usual ones fail
+    {"max_step_fraction": 0.9, "static_regularization_constant": 1e-7},
+    {"max_step_fraction": 0.8, "static_regularization_constant": 1e-6, "equilibrate_max_iter": 50},
+)
 ROOT2 = np.sqrt(2.0)
 PLACES = tuple((i, j) for i in range(4) for j in range(i, 4))
 
@@ -313,11 +319,16 @@ def minimised(R: Array, z: Array, prior: Prior, weight: float, moved: Bools) -> 
     least = prior.positive[others - first]
     bounded = np.flatnonzero(np.isfinite(least))
     problem = cp.Problem(cp.Minimize(0.5 * cp.sum_squares(left) + weight * distance), [u[bounded] >= least[bounded]])
-    try:
-        problem.solve(solver=cp.CLARABEL)
-        status = str(problem.status)
-    except cp.error.SolverError as failure:
-        status = " ".join(str(failure).split())
+    for careful in ({}, *CAREFUL):
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # cvxpy's, of an inaccurate solution: the next settings follow
+                problem.solve(solver=cp.CLARABEL, **careful)
+            status = str(problem.status)
+        except cp.error.SolverError as failure:
+            status = " ".join(str(failure).split())
+        if status == "optimal":
+            break
     if status not in ("optimal", "optimal_inaccurate") or u.value is None:
         raise SolverError(
             f"no physically consistent fit: the solver says {status}; look at the signals, or raise --cutoff"

@@ -16,6 +16,7 @@ from ...torque.learning_law import LearningLaw
 from .balance import BUDGET, Balance, balance
 from .learner import NAMES, Networks
 from .linear import LinearFit, covariance_part, gain_part, linear_fit, stack_part
+from .load import Carried, carried
 from .lyapunov import MOST, Growth, Lyapunov, Part, growth, lyapunov
 from .networks import Ideal, ideal_weights, network_part
 from .psi import WINDOWS, Psi, how_to_know, psi_of
@@ -95,6 +96,11 @@ class Proof:
         return lyapunov(self.subject, progress=show)
 
     @cached_property
+    def load(self) -> Carried | None:
+        """What the learner knows of a load that was picked up, see `carried`."""
+        return carried(self.subject)
+
+    @cached_property
     def growth(self) -> Growth:
         """When and why V grows."""
         return growth(self.lyapunov)
@@ -153,6 +159,7 @@ class Proof:
             "robot": self.subject.robot.name,
             "outcome": recording.outcome.status,
             "psi": self.psi.to_dict() if self.has("psi") else None,
+            "load": self.load.to_dict() if self.has("load") and self.load is not None else None,
             "ideal": ideal_dict(self.ideal) if self.has("ideal") else None,
             "lyapunov": self.lyapunov.to_dict() | self.growth.to_dict() if self.has("lyapunov") else None,
             "equality": self.balance.to_dict() if self.has("balance") else None,

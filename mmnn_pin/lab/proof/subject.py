@@ -13,7 +13,7 @@ from functools import cached_property
 import msgspec
 import numpy as np
 
-from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Push, payload
+from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Payload, Push, payload
 from ...errors import RecordingError
 from ...kinematic import Kinematic, command
 from ...model.dynamics import Dynamics
@@ -209,6 +209,7 @@ class Hardware:
     Attributes:
         torque: (N, p) generalized torque of the motors [N, N m].
         push: (N, p) external force `f` of `M nudot + C nu + ... = tau + f`; d of the equality is `-f` [N, N m].
+        load: The payload; None without one.
         loaded: The robot once it carries its payload; None without one.
         pick, drop: When it picks it up and puts it down [s], inf for never.
         varies: Whether torque or push change within control periods.
@@ -218,6 +219,7 @@ class Hardware:
 
     torque: Array
     push: Array
+    load: Payload | None
     loaded: Robot | None
     pick: float
     drop: float
@@ -244,6 +246,7 @@ class Hardware:
         return cls(
             torque=torque,
             push=push,
+            load=load,
             loaded=None if load is None else carrying(robot, load.mass, load.joint, load.at),
             pick=np.inf if load is None else load.start,
             drop=np.inf if load is None else load.end,

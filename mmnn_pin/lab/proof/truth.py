@@ -2,7 +2,8 @@
 
     V_theta = sum over bodies of D(P || P_hat) / gamma_b + sum over the rest of theta_tilde_j^2 / (2 gamma_j)
 
-with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptive`). The other learners
+with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptive`), and
+`theta_tilde' Lambda theta_tilde / 2` where it began with a fit. The other learners
 that know how the robot moves have these parameters as the truth of their weights, too; of all weights that say the same
 Psi on every motion, those are the ones nearest to their start, measured by their prior.
 
@@ -179,7 +180,9 @@ def distances(a: Bodies, theta: Array, estimates: Array, part: slice = slice(Non
             total += divergence(matrix(theta[here]), matrices(estimates[:, here])) / gamma
     learned = (a.rates > 0) & wanted[first:]
     error = (theta[first:] - estimates[:, first:])[:, learned]
-    return np.asarray(total + (error**2 / (2 * a.rates[learned])).sum(axis=1))
+    total = total + (error**2 / (2 * a.rates[learned])).sum(axis=1)
+    every = theta - estimates
+    return np.asarray(total + ((every @ a.known) * every * wanted).sum(axis=1) / 2 if a.known.size else total)
 
 
 def divergence(P: Array, Q: Array) -> Array:
@@ -257,12 +260,15 @@ def prediction_step(
 
 
 def metric(a: Bodies, estimate: Array) -> Array:
-    """Gamma, (k, k): where a gradient takes the estimate, `gamma P L P` of a body and `gamma_j` of the rest."""
+    """Gamma, (k, k): where a gradient takes the estimate, `gamma P L P` of a body and `gamma_j` of the rest.
+
+    With information of the start it is `(Gamma^-1 + Lambda)^-1`.
+    """
     Gamma, L = np.diag(np.concatenate((np.zeros(BODY * len(a.roots)), a.rates))), matrices(np.eye(BODY), 0.5)
     for gamma, here in zip(a.gamma, bodies(a), strict=True):
         P = matrix(estimate[here])
         Gamma[here, here] = gamma * np.array([vector_of(one) for one in P @ L @ P]).T
-    return Gamma
+    return Gamma if not a.known.size else Gamma @ np.linalg.inv(np.eye(len(Gamma)) + a.known @ Gamma)
 
 
 def shortening(a: Bodies, estimate: Array, step: Array) -> float:
@@ -283,6 +289,10 @@ def bodies(a: Bodies) -> list[slice]:
 def shares_of_update(a: Adaptation, estimate: Array, g: Array, feedback: Array, h: float) -> Array:
     """Eta, (N,): with which factor each sample moves, for gradients `Y' s` (N, k) and `s' K s` (N,)."""
     m = a.bodies
+    if m.known.size:
+        answer = h * np.array([one @ metric(m, theta) @ one for one, theta in zip(g, estimate, strict=True)])
+        most = a.share * feedback
+        return np.where(a.tracking * answer > most, most / np.where(answer > 0, answer, 1.0), a.tracking)
     answer = (m.rates * g[:, BODY * len(m.roots) :] ** 2).sum(axis=1)
     for gamma, here in zip(m.gamma, bodies(m), strict=True):
         PL = matrices(estimate[:, here]) @ matrices(g[:, here], 0.5)

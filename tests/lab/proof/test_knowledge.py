@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import re
 import runpy
+from dataclasses import replace
 
+import numpy as np
 import pytest
 from numba import config
 from places import ROOT
+
+from mmnn_pin import load_experiment
+from mmnn_pin.lab.experiments.runner import run_experiment
+from mmnn_pin.lab.proof.load import carried
+from mmnn_pin.lab.proof.subject import Subject
 
 pytestmark = pytest.mark.lab
 
@@ -29,3 +36,28 @@ def test_the_study_of_knowledge_runs(capsys):
     assert frozen["pd, training"] > 0.9
     study["main"](["--time", "pd"])
     assert float(re.fullmatch(r"pd: ([0-9.]+) us a sample\n", capsys.readouterr().out)[1]) > 0
+
+
+# -- a load that was picked up --
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("name", ["concurrent", "adaptive_composite"])
+def test_what_a_learner_knows_of_a_load_is_told_with_what_the_run_determined(name: str) -> None:
+    """The truth within three deviations where it is determined, and coordinates that no torque tells are named."""
+    friction = ("friction.base=[30.0,5.0]", "friction.arm=0.5", "friction.coulomb=0.5")
+    load = "disturbances=[{type='payload', mass=1.5, start=7.0, at=[0.25, 0.05, 0.05]}]"
+    run = ("time.duration=12.0", "windows=[[0.0, 12.0]]", "plots=[]", f"controllers=['{name}']", load)
+    experiment = load_experiment("track", [*friction, *run, "sensor.noise=1e-4", "sensor.velocity_noise=2e-3"])
+    found = carried(Subject.of(run_experiment(experiment, "track").recordings[name]))
+    assert found is not None and found.found is not None and found.determined[0]
+    assert found.sure == (name == "concurrent")
+    room = 3.0 * found.found.mass_sd if found.sure else 0.75
+    assert abs(found.found.mass - 1.5) < room
+    assert found.determined[1][2] is False  # along the axis of the joint: no motion of it is felt
+    np.testing.assert_allclose(found.centre, (0.25, 0.05, 0.05), atol=1e-12)  # the link stands where its joint does
+    told = str(found)
+    assert "not determined) mm" in told and ("±" in told) == found.sure == ("no intervals" not in told)
+    assert (found.to_dict()["mass"]["sd"] is not None) == found.sure and found.to_dict()["com"][2] is None
+    short = replace(found, found=None, why="too short")
+    assert "not determined: too short" in str(short) and short.to_dict()["mass"] is None

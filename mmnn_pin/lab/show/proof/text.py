@@ -55,6 +55,8 @@ def parts(proof: Proof) -> Iterator[str | Line | Table]:
         yield from psi_tables(proof.psi)
         if proof.psi.networks:
             yield network_table(proof)
+    if proof.has("load") and proof.load is not None:
+        yield f"{str(proof.load)[0].upper()}{str(proof.load)[1:]}."
     if proof.has("lyapunov"):
         yield lyapunov_sentence(proof.lyapunov, proof.growth)
         yield terms_table(proof.growth)
