@@ -3,7 +3,8 @@
 A learner with a regressor knows the robot, with a covariance or without. The load is what the torques after it was
 picked up have beyond what the learner knew just before: `y = Y theta_hat + Y_b p + noise`, p the load's mass and first
 moments (`deploy.identify.payload`). Its covariance has the noise's part, from the residuals, and that of the doubt in
-theta_hat, both to first order: where little is seen the truth may lie outside. A learner that does not know how sure it is leaves out the second: it has estimates, and no intervals.
+theta_hat, both to first order: where little is seen the truth may lie outside. A learner that does not know how sure it
+is leaves out the second: it has estimates, and no intervals.
 """
 
 from __future__ import annotations
