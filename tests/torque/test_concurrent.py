@@ -179,7 +179,7 @@ def test_the_basis_leaves_nothing_out():
     B = learner.basis
     for _ in range(5):
         Y = regressor.matrix(regressor.random_position(rng), *rng.standard_normal((3, 4)))
-        scaled = learner.deviation
+        scaled = np.diag(learner.root)
         delta = scaled * rng.standard_normal(regressor.size)
         w = np.linalg.lstsq(Y @ B, Y @ delta, rcond=None)[0]
         np.testing.assert_allclose(Y @ B @ w, Y @ delta, rtol=1e-8, atol=1e-8)

@@ -3,7 +3,8 @@
 A learner with a regressor knows the robot, with a covariance or without. The load is what the torques after it was
 picked up have beyond what the learner knew just before: `y = Y theta_hat + Y_b p + noise`, p the load's mass and first
 moments (`deploy.identify.payload`). Its covariance has the noise's part, from the residuals, and that of the doubt in
-theta_hat. A learner that does not know how sure it is leaves out the second: it has estimates, and no intervals.
+theta_hat, both to first order: where little is seen the truth may lie outside. A learner that does not know how sure it
+is leaves out the second: it has estimates, and no intervals.
 """
 
 from __future__ import annotations
@@ -85,7 +86,11 @@ class Carried:
         at = ", ".join(
             f"{1e3 * x:.0f}{wide}" if there else none for (x, _, there), wide in zip(pairs, room, strict=True)
         )
-        doubt = "95 %" if self.sure else "no intervals: it does not know how sure it is of the robot"
+        doubt = (
+            "1.96 sd of the linear fit, at least"
+            if self.sure
+            else "no intervals: it does not know how sure it is of the robot"
+        )
         return f"load picked up at {self.pick:g} s: {told} at ({at}) mm ({doubt}; {true})"
 
 

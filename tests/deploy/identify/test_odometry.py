@@ -19,7 +19,6 @@ from mmnn_pin.deploy.identify.odometry import has_reference, path, wheels_of
 from mmnn_pin.deploy.identify.payload import payload
 from mmnn_pin.errors import RecordingError, UnknownName
 from mmnn_pin.model.robot import Robot, carrying
-from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Array
 
 TRUE = np.array([0.103, 0.0985, 0.52])
@@ -139,17 +138,3 @@ def test_no_load_and_no_joint_are_refused() -> None:
     lighter = robot.with_masses({"arm_2_joint": 0.5})
     with pytest.raises(RecordingError, match="no load is seen"):
         payload(robot, simulated(lighter, 12.0, 0.001))
-
-
-def test_intervals_of_a_load_contain_the_doubt_of_the_robot() -> None:
-    """Over draws of what is believed of the robot 95 % hold the truth; without its covariance most do not."""
-    robot, at = rubbing(load("two_axis_arm"), 0.2, 0.1), (0.1, 0.2, 0.0)
-    log, theta = simulated(carrying(robot, 0.8, "arm_2_joint", at), 12.0, 0.01), parameters(robot)
-    size, rng, held = 0.05 * np.abs(theta) + 1e-3, np.random.default_rng(0), []
-    for _ in range(30):
-        guess = theta + size * rng.standard_normal(theta.size)
-        for doubt in (np.diag(size**2), np.zeros((theta.size, theta.size))):
-            found = payload(robot, log, believed=(guess, doubt))
-            held.append(abs(found.mass - 0.8) < 1.96 * found.mass_sd)
-    with_doubt, without = np.array(held).reshape(-1, 2).mean(axis=0)
-    assert with_doubt >= 0.85 and without < 0.6
