@@ -205,7 +205,7 @@ def test_an_arm_too_weak_for_the_ends_of_its_swing_swings_less_far() -> None:
     robot = load("so101")
     experiment = load_experiment("track", ["robot=so101"])
     still = needed(robot, replace(experiment.trajectory_of(robot), slowness=SLOWEST))
-    weak = replace(robot, effort_limits=robot.effort_limits * still / 2.5)
+    weak = replace(robot, effort_limits=robot.effort_limits * still / 1.04)  # no posture of the whole swing helps
     swings = [
         max(np.ptp(p.sample(np.linspace(0, 6, 50)).q) for p in experiment.trajectory_of(r).arm) for r in (robot, weak)
     ]
