@@ -10,7 +10,7 @@ not given. Light enough anywhere is too light elsewhere: gains that suit any pos
 **Pace.** A reference is slowed until whoever follows it exactly needs of every motor no more than a share of its
 effort and speed limits: the rest is for errors. What gravity and dry friction alone ask for no slowness saves; so the
 arm swings about the middle of its range only where its motors hold it there within that share, else about the posture,
-of some, where they are loaded least.
+of some, where they are loaded least; and less far where they would not hold the ends of that swing within the share.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ POSTURES, JUDGED = 60, 6  # postures at which inertias are looked at, and those 
 PLACES = 41  # along a reference, likewise
 STIFF = 2.78  # rk4 multiplies what decays at a rate a by more than 1 in a step h where a h is above 2.785
 TRIALS = 100  # postures that are looked at where the middle is too heavy
+NARROWER = 0.8 ** np.arange(1, 9)  # of the room about a posture, for a swing whose ends are too heavy
 
 
 class Given(NamedTuple):
@@ -283,13 +284,25 @@ def followable(robot: Robot, reference: Callable[[Limits], Trajectory], duration
     if not share:
         return given
     load, rng, half = Load(robot), np.random.default_rng(0), (upper - lower) / 2
-    best, static = given, load.along(replace(given, slowness=SLOWEST), duration)
-    for _ in range(TRIALS if static.max(initial=0.0) > share and np.isfinite(half).any() else 0):
-        off = np.where(np.isfinite(half), rng.uniform(-0.5, 0.5, len(half)) * half, 0.0)
-        tried = reference((lower + np.maximum(2 * off, 0.0), upper + np.minimum(2 * off, 0.0)))
-        held = load.along(replace(tried, slowness=SLOWEST), duration, static.max(initial=0.0))
-        if held.max(initial=0.0) < static.max(initial=0.0):
-            best, static = tried, held
+    bounded, off, room = np.isfinite(half), np.zeros(len(half)), np.where(np.isfinite(half), half, np.pi)
+    centre = np.where(bounded, lower + np.where(bounded, half, 0.0), np.clip(0.0, lower, upper))
+
+    def held(tried: Trajectory, enough: float = np.inf) -> Array:
+        return load.along(replace(tried, slowness=SLOWEST), duration, enough)
+
+    best, static = given, held(given)
+    for _ in range(TRIALS if static.max(initial=0.0) > share and bounded.any() else 0):
+        other = np.where(bounded, rng.uniform(-0.5, 0.5, len(half)) * room, 0.0)
+        tried = reference((lower + np.maximum(2 * other, 0.0), upper + np.minimum(2 * other, 0.0)))
+        if (load_there := held(tried, static.max(initial=0.0))).max(initial=0.0) < static.max(initial=0.0):
+            best, static, off = tried, load_there, other
+    for width in NARROWER if static.max(initial=0.0) > share else ():
+        reach = width * (room - np.abs(off))
+        tried = reference((centre + off - reach, centre + off + reach))
+        if (load_there := held(tried)).max(initial=0.0) < static.max(initial=0.0):
+            best, static = tried, load_there
+        if static.max(initial=0.0) <= share:
+            break
     slowness, enough = 1.0, np.maximum(share, static + LEFT * np.maximum(1.0 - static, 0.1))
     while slowness < SLOWEST and (load.along(replace(best, slowness=slowness), duration, enough) > enough).any():
         slowness = min(SLOWER * slowness, SLOWEST)

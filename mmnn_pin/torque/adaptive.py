@@ -1,6 +1,6 @@
 """Slotine-Li adaptive control with estimates that stay physical: settings, compiled law, controller.
 
-    tau = Y theta_hat + K s,      V = s' M s / 2 + sum_b D(P_b || P_hat_b) / gamma + sum_j theta_tilde_j^2 / (2 gamma_j)
+    tau = Y theta_hat + K s,    V = s' M s / 2 + sum_b D(P_b || P_hat_b) / gamma_b + sum_j theta_tilde_j^2 / (2 gamma_j)
 
 The controller knows how the robot moves (`model.regressor`, Y), never what it weighs: it starts from a prior or from
 the parameters of a nominal robot that it is given as numbers. With P the pseudo-inertia of a body
@@ -9,8 +9,8 @@ symmetric matrix of `tr(dP L) = s' Y dtheta`, the natural law of Lee, Kwon, Park
 
     P_hat' = gamma P_hat L P_hat,       so that      d/dt D(P || P_hat) = -gamma s' Y (theta - theta_hat)
 
-and V' = -s' K s. One number gamma [1/J] suits bodies of grams and of tons, and it does not depend on frames or units.
-The rest, rotors and friction, follows the plain gradient `theta_hat_j' = gamma_j Y_j' s`.
+and V' = -s' K s. gamma [1/J] does not depend on frames or units; each body has its own, by the gains of what moves it
+(`prior.tempo`). The rest, rotors and friction, follows the plain gradient `theta_hat_j' = gamma_j Y_j' s`.
 
 Leakage (sigma-modification, Ioannou and Kokotovic 1984; times |s| the e-modification of Narendra and Annaswamy 1987)
 pulls the dual variable to its start, `d/dt P_hat^-1 = -gamma L + sigma (P_0^-1 - P_hat^-1)`: by the three-point
@@ -41,7 +41,7 @@ from ..settings import Settings, require_numbers
 from ..signals import INDEX, Array, IntArray
 from .controller import Context, ControllerState, Law
 from .law import KERNELS, Kernels, constant_gain, nothing_to_keep
-from .prior import ParameterLearner, balls, gains_of, lightness, prior_of, scales, tempo
+from .prior import ParameterLearner, balls, gains_of, inertia_of_bodies, lightness, prior_of, scales, tempo
 from .pseudo_inertia import BODY, Bodies, directions, lifted, move, pseudo_inertias, vector_of
 
 POSE, VELOCITY, Q, QDOT = (INDEX[name] for name in ("pose", "velocity", "q", "qdot"))
@@ -55,9 +55,9 @@ class AdaptiveSettings(Settings, frozen=True):
     """How an adaptive controller learns.
 
     The rates are in units of energy: a body's estimate moves by its own size where `rate` times the work that its error
-    does in a sample is one. They hold for an arm with gains of 30 N m s (the median of its joints) and are multiplied
-    with 30 N m s over its gains for another one: light arms have little energy. Friction is measured by
-    `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
+    does in a sample is one. They hold for gains of 500 N s/m (forward velocity of the base) and of 30 N m s (joints of
+    the arm) and are multiplied by what `prior.tempo` says for others: light arms, and light joints, have little energy.
+    Friction is measured by `c_j = 1 / (t_j K^-1 t_j')`, the feedback gain that joint j with the row t_j of T feels.
 
     Args:
         rate: gamma of the pseudo-inertias [1/J].
@@ -78,6 +78,8 @@ class AdaptiveSettings(Settings, frozen=True):
         size: Radii of gyration of the prior about each axis, likewise [m].
         slowest: The prior is made lighter where a velocity feels more inertia of it than this times its gain [s]; see
             `torque.prior`.
+        slowest_learned: No body is believed to be so heavy that a velocity feels more inertia of it than this times its
+            gain [s], where it starts from the prior: held for a control period, that feedback would not be stable.
 
     Raises:
         ConfigError: A number that is negative, not finite or 0 where it must not be.
@@ -97,9 +99,10 @@ class AdaptiveSettings(Settings, frozen=True):
     mass: tuple[float, float] = (30.0, 2.0)
     size: tuple[float, float] = (0.3, 0.2)
     slowest: float = 0.3
+    slowest_learned: float = 1000.0
 
     def __post_init__(self) -> None:
-        require_numbers(self, "adaptive", ("mass", "size", "slowest"))
+        require_numbers(self, "adaptive", ("mass", "size", "slowest", "slowest_learned"))
         for name in ("bounds", "heaviest"):
             if not getattr(self, name) > 1:
                 raise ConfigError(f"{getattr(self, name)}", fix="use a finite ratio > 1", key=f"adaptive.{name}")
@@ -246,9 +249,10 @@ class Adaptive(ParameterLearner):
     def adaptation(self, context: Context, K: Array, tracking: float = 1.0) -> Adaptation:
         """What it learns with, the gradient of the tracking error times a factor."""
         own, start = self.settings, self.start()
-        scale, first, faster = scales(self.regressor, K), self.regressor.inertial, tempo(K, context.layout.base)
+        scale, first = scales(self.regressor, K), self.regressor.inertial
+        faster, freely = tempo(self.regressor, K)
         roots = np.array([cholesky(P) for P in pseudo_inertias(start[:first])]).reshape(-1, 4, 4)
-        rates = faster * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
+        rates = freely * np.repeat([own.rotor, own.viscous, own.coulomb], self.counts()) * scale**2
         bodies = Bodies(
             h=float(context.control_period),
             gamma=faster * float(own.rate),
@@ -329,7 +333,11 @@ class Adaptive(ParameterLearner):
         if own.initial == "nominal":
             return np.full(len(self.regressor.bodies), float(own.bounds))
         share = lightness(self.regressor, balls(self.regressor, own.mass, own.size), K, own.slowest)
-        return np.minimum(own.bounds, own.heaviest / share)
+        prior = balls(self.regressor, own.mass, own.size)
+        prior[: self.regressor.inertial] *= np.repeat(share, BODY)
+        felt = inertia_of_bodies(self.regressor, prior)
+        bearable = np.where(felt > 0, own.slowest_learned * K / np.where(felt > 0, felt, 1.0), np.inf).min(axis=1)
+        return np.maximum(1.0, np.minimum(np.minimum(own.bounds, own.heaviest / share), bearable))
 
     def counts(self) -> tuple[int, int, int]:
         """How many parameters are rotors, viscous and dry friction."""

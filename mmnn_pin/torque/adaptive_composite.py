@@ -207,8 +207,9 @@ def times(Q: Array, x: Array, out: Array) -> None:
 @compiled
 def pushed(y: Array, a: Bodies, theta: Array) -> None:
     """`S y`: sixteen numbers of a symmetric matrix per body and one per parameter of the rest, to (k,)."""
-    half, X, root = a.work[0], a.work[1], math.sqrt(a.gamma)
+    half, X = a.work[0], a.work[1]
     for b in range(len(a.roots)):
+        root = math.sqrt(a.gamma[b])
         sandwich(a.factors[b], y[16 * b : 16 * b + 16].reshape((4, 4)), half, X)
         sandwich(a.roots[b], X, half, a.work[2])
         to_vector(a.work[2], theta[10 * b : 10 * b + 10])
@@ -221,8 +222,9 @@ def pushed(y: Array, a: Bodies, theta: Array) -> None:
 @compiled
 def pulled(gradient: Array, a: Bodies, y: Array) -> None:
     """`S' gradient`, of the shape that `pushed` takes."""
-    half, L, X, root = a.work[0], a.work[1], a.work[2], math.sqrt(a.gamma)
+    half, L, X = a.work[0], a.work[1], a.work[2]
     for b in range(len(a.roots)):
+        root = math.sqrt(a.gamma[b])
         to_matrix(gradient[10 * b : 10 * b + 10], 0.5, L)
         transposed_sandwich(a.roots[b], L, half, X)
         out = y[16 * b : 16 * b + 16].reshape((4, 4))
@@ -237,9 +239,9 @@ def pulled(gradient: Array, a: Bodies, y: Array) -> None:
 @compiled
 def shortened(y: Array, a: Bodies) -> float:
     """The step y as `a.steps` and `a.rest`, and the factor that lets no body change by more than `LARGEST`."""
-    eta, root = 1.0, math.sqrt(a.gamma)
+    eta = 1.0
     for b in range(len(a.roots)):
-        square = 0.0
+        root, square = math.sqrt(a.gamma[b]), 0.0
         for i in range(4):
             for j in range(4):
                 a.steps[b, i, j] = root * y[16 * b + 4 * i + j]

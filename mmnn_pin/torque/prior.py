@@ -25,7 +25,7 @@ from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Feedback, Given, Told, read_facts
 
-GAIN = 30.0  # of the arm for which rates in 1/J are meant [N m s]
+GAINS = 500.0, 30.0  # on a base's forward velocity and of an arm for which rates in 1/J are meant [N s/m, N m s]
 SAMPLES = 100  # of random positions
 LARGEST = 50_000_000  # bytes of a report of an identification
 POWERS = [0, 1, 1, 1, 2, 2, 2, 2, 2, 2]  # of the size in the ten numbers of a body
@@ -166,17 +166,29 @@ def inertia_of_bodies(regressor: Regressor, theta: Array, seed: int = 0) -> Arra
     return felt
 
 
-def tempo(K: Array, base: int) -> float:
-    """Factor on rates in 1/J: `GAIN` over the arm's gains, the median of the joints; 1 without an arm.
+def tempo(regressor: Regressor, K: Array) -> tuple[Array, Array]:
+    """Factors on rates in 1/J, of the bodies (bodies,) and of the other parameters (k - 10 bodies,).
 
-    A robot that is the same but for its masses and gains, all of them a hundredth, has a hundredth of the energy in its
-    errors; with this factor it learns as fast.
+    Errors of weak joints have little energy, so a rate in 1/J that suits a shoulder leaves a wrist without a lesson,
+    and one that suits the wrist lets the shoulder burst. A joint's factor is `GAINS[1]` over the geometric mean of the
+    gain that it feels and the median of the arm's: a robot that is the same but for its masses and gains, all of them
+    a hundredth, learns as fast, and within one arm weak joints do not wait for strong ones. What the base carries has
+    `GAINS[0]` over the gain on its forward velocity.
 
     Args:
+        regressor: How the robot moves.
         K: (p,) feedback gains.
-        base: How many of them are of the base.
     """
-    return GAIN / float(np.median(K[base:])) if K.size > base else 1.0
+    known = regressor.massless
+    base, count = known.base, len(known.joints)
+    of_base = GAINS[0] / K[0] if base else 1.0
+    middle = np.median(K[base:]) if K.size > base else 1.0
+    wheels = known.joints[:, :base].any(axis=1)
+    joints = np.where(wheels, of_base, GAINS[1] / np.sqrt(middle * scales(regressor, K)[:count]))
+    carried = dict(zip(regressor.joints, joints.tolist(), strict=True))
+    bodies = np.array([carried.get(body, of_base) for body in regressor.bodies])
+    alone = regressor.size - regressor.inertial - 3 * count - base
+    return bodies, np.concatenate((joints, np.full(base, of_base), joints, joints, np.full(alone, of_base)))
 
 
 def gains_of(regressor: Regressor, feedback: Feedback) -> Array:

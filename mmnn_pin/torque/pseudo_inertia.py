@@ -31,7 +31,7 @@ class Bodies(NamedTuple):
 
     Attributes:
         h: Control period [s].
-        gamma: Rate of the pseudo-inertias [1/J].
+        gamma: (bodies,) rates of the pseudo-inertias [1/J].
         least: Bound below on the ratio of P to P_0.
         most: (bodies,) and above.
         roots: (bodies, 4, 4) lower triangular `P_0 = C C'`.
@@ -46,7 +46,7 @@ class Bodies(NamedTuple):
     """
 
     h: float
-    gamma: float
+    gamma: Array
     least: float
     most: Array
     roots: Array
@@ -113,8 +113,8 @@ def direction(theta: Array, gradient: Array, a: Bodies, b: int) -> float:
     for i in range(4):
         for j in range(4):
             total += X[i, j] * X[i, j]
-            X[i, j] *= a.h * a.gamma
-    return a.h * a.gamma * total
+            X[i, j] *= a.h * a.gamma[b]
+    return a.h * a.gamma[b] * total
 
 
 @internal

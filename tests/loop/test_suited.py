@@ -201,6 +201,19 @@ def test_an_arm_too_weak_for_the_middle_of_its_range_swings_about_another_postur
 
 
 @pytest.mark.skipif("so101" not in extra(), reason="example-robot-data is not installed")
+def test_an_arm_too_weak_for_the_ends_of_its_swing_swings_less_far() -> None:
+    robot = load("so101")
+    experiment = load_experiment("track", ["robot=so101"])
+    still = needed(robot, replace(experiment.trajectory_of(robot), slowness=SLOWEST))
+    weak = replace(robot, effort_limits=robot.effort_limits * still / 1.04)  # no posture of the whole swing helps
+    swings = [
+        max(np.ptp(p.sample(np.linspace(0, 6, 50)).q) for p in experiment.trajectory_of(r).arm) for r in (robot, weak)
+    ]
+    assert swings[1] < 0.9 * swings[0]
+    assert needed(weak, replace(experiment.trajectory_of(weak), slowness=SLOWEST)) < 0.76
+
+
+@pytest.mark.skipif("so101" not in extra(), reason="example-robot-data is not installed")
 def test_a_hopeless_search_ends_early_with_the_answer_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     robot, looked, whole, of = load("so101"), [], Load.along, Start.state
     weak = replace(robot, effort_limits=1e-3 * robot.effort_limits)  # no posture helps

@@ -18,6 +18,7 @@ from test_wild import codes
 from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.loading import load
+from mmnn_pin.model.urdf import expansion
 
 # --- Wheels of which a mesh is missing --------------------------------------------------------------------------------
 
@@ -276,3 +277,21 @@ def test_a_simulators_include_is_no_call_of_xacro(tmp_path):
     sdf = "<gazebo><include><uri>model://sun</uri></include></gazebo>"
     robot = load(xacro(tmp_path, ROBOT + sdf + '<xacro:property name="a" value="1"/>'))
     assert "xacro-prefix" not in codes(robot)
+
+
+def test_a_file_is_expanded_again_just_when_something_that_it_reads_has_changed(tmp_path, monkeypatch):
+    part = tmp_path / "part.xacro"
+    part.write_text('<robot><link name="a"/></robot>')
+    (tmp_path / "sizes.yaml").write_text("name: b\n")
+    text = '<xacro:include filename="part.xacro"/><xacro:property name="t" value="${xacro.load_yaml(\'sizes.yaml\')}"/>'
+    name = "${t['name']}"
+    more = f'<link name="{name}"/>' + joint("to_a", "fixed", "base", "a") + joint("to_b", "fixed", "base", name)
+    file, runs, run = xacro(tmp_path, text + more + ROBOT), [], expansion.run
+    monkeypatch.setattr(expansion, "run", lambda *given: (runs.append(1), run(*given))[1])
+    first = expansion.expand(file).data
+    assert expansion.expand(file).data == first and len(runs) == 1 and b'"b"' in first
+    (tmp_path / "sizes.yaml").write_text("name: other\n")
+    assert b'"other"' in expansion.expand(file).data and len(runs) == 2
+    part.unlink()
+    with pytest.raises(RobotError, match="part"):
+        expansion.expand(file)

@@ -14,7 +14,9 @@ from robots import fixed_arm, mobile_arm, place, robot_of
 
 from mmnn_pin import load_experiment
 from mmnn_pin.model.regressor import Regressor
-from mmnn_pin.torque.prior import balls, prior_of, sizes_of
+from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings
+from mmnn_pin.torque.controller import Feedback
+from mmnn_pin.torque.prior import balls, prior_of, sizes_of, tempo
 from mmnn_pin.torque.random_features import BILINEAR, GENERIC, paired, terms
 
 PLAIN = bool(config.DISABLE_JIT)
@@ -106,3 +108,35 @@ def test_random_features_of_many_joints_are_shared_out(p, hidden, largest):
     if len(set(map(tuple, pairs.tolist()))) != (pairs[:, 0].max() + 1) * (constant + 1):
         assert len(gravity) == largest // 4 and np.sum(pairs[:, 1] < p) == largest // 2
     assert (paired(GENERIC, p, hidden, largest) == [[i, -1] for i in range(hidden)]).all()
+
+
+def test_rates_follow_from_what_each_joint_feels():
+    """A hundredth of all gains is a hundred times the rate; within an arm it is the geometric mean with the median."""
+    known = KNOWN["mobile"]
+    base, arm = known.massless.base, known.massless.nu.size - known.massless.base
+    meant = np.array([500.0] * base + [30.0] * arm)
+    bodies, rest = tempo(known, meant)
+    np.testing.assert_allclose(np.concatenate((bodies, rest)), 1.0)
+    for before, after in zip((bodies, rest), tempo(known, meant / 100), strict=True):
+        np.testing.assert_allclose(after, 100 * before)
+    weak = meant.copy()
+    weak[-1] = 30.0 / 16  # of two joints the median is 15.9375
+    at = known.bodies.index("joint_1")
+    np.testing.assert_allclose(tempo(known, weak)[0][at], 30.0 / np.sqrt(np.median(weak[base:]) * weak[-1]))
+    strong = np.where(np.arange(len(meant)) < base, 4 * meant, meant)
+    np.testing.assert_allclose(tempo(known, strong)[0][known.bodies.index("root")], 0.25)
+
+
+@pytest.mark.parametrize("name", sorted(KNOWN))
+def test_no_body_is_believed_to_be_heavier_than_the_held_feedback_bears(name):
+    robot, known = ROBOTS[name], KNOWN[name]
+    layout, rng = robot.dimensions, np.random.default_rng(3)
+    K = 10.0 ** rng.uniform(-2, 1, layout.dof)
+    gains = Feedback(tuple(K[: layout.base].tolist()) or None, tuple(K[layout.base :].tolist()))
+    learner = Adaptive(known, gains, AdaptiveSettings(slowest=0.1, slowest_learned=2.0))
+    most = learner._most
+    assert (most >= 1.0).all() and (most < Adaptive(known, gains, AdaptiveSettings(slowest=0.1))._most).any()
+    for b, ratio in enumerate(most):
+        theta = np.zeros(known.inertial)
+        theta[10 * b : 10 * b + 10] = ratio * learner.start()[10 * b : 10 * b + 10]
+        assert (heaviest(robot, known.bodies, theta) < 1.1 * 2.0 * K).all()

@@ -95,7 +95,13 @@ class Friction(LearningLaw):
         K, joints = self.feedback.vector(context.layout), regressor.massless.joints
         on_joints = 1 / np.array([t @ (t / K) for t in joints])
         rest = [0 * on_joints, K[: context.layout.base], self.viscous**0.5 * on_joints, self.coulomb**0.5 * on_joints]
-        state["rates"][regressor.inertial :] = np.concatenate(rest) ** 2
+        base = context.layout.base  # rates are meant for gains of 500 N s/m and 30 N m s
+        of_base = np.full(base, 500.0 / K[0])
+        arm = 30.0 / np.sqrt(np.median(K[base:]) * on_joints)
+        faster = np.where(joints[:, :base].any(axis=1), 500.0 / K[0], arm)
+        state["rates"][regressor.inertial :] = np.concatenate(rest) ** 2 * np.concatenate(
+            (faster, of_base, faster, faster)
+        )
         return state
 
     def estimate(self, now, state):
@@ -164,10 +170,7 @@ def test_friction_in_numpy_is_that_of_the_adaptive_law(kind: str) -> None:
     """With masses that are known (rate 0, no bodies' part) what is left of it is a gradient with clipping."""
     K, regressor = feedback(robot_of_kind(kind), 0.002), Regressor.of(robot_of_kind(kind))
     known = parameters(robot_of_kind(kind)) + np.where(np.arange(regressor.size) < regressor.inertial, 0.0, 0.1)
-    slower = float(np.median(K.arm)) / 30.0  # the rates of `Adapting` are those of an arm with gains of 30 N m s
-    adapting = AdaptiveSettings(
-        rate=0.0, viscous=slower, coulomb=10 * slower, share=1e9, friction_bound=1e9, initial="nominal"
-    )
+    adapting = AdaptiveSettings(rate=0.0, share=1e9, friction_bound=1e9, initial="nominal")
     theirs = Adaptive(regressor, K, adapting, known)
     masses = theirs.start().copy()
 

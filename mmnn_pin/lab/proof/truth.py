@@ -1,6 +1,6 @@
 """The truth that an adaptive controller estimates: the robot's parameters, and how far its estimate is from them.
 
-    V_theta = sum over bodies of D(P || P_hat) / gamma + sum over the rest of theta_tilde_j^2 / (2 gamma_j)
+    V_theta = sum over bodies of D(P || P_hat) / gamma_b + sum over the rest of theta_tilde_j^2 / (2 gamma_j)
 
 with `D(P || Q) = log |Q| / |P| + tr(Q^-1 P) - 4` of the pseudo-inertias (see `torque.adaptive`). The other learners
 that know how the robot moves have these parameters as the truth of their weights, too; of all weights that say the same
@@ -173,10 +173,10 @@ def distances(a: Bodies, theta: Array, estimates: Array, part: slice = slice(Non
     first, total = BODY * len(a.roots), np.zeros(len(estimates))
     wanted = np.zeros(len(theta), bool)
     wanted[part] = True
-    for b in range(len(a.roots) if a.gamma > 0 else 0):
-        if wanted[BODY * b]:
+    for b, gamma in enumerate(a.gamma):
+        if gamma > 0 and wanted[BODY * b]:
             here = slice(BODY * b, BODY * b + BODY)
-            total += divergence(matrix(theta[here]), matrices(estimates[:, here])) / a.gamma
+            total += divergence(matrix(theta[here]), matrices(estimates[:, here])) / gamma
     learned = (a.rates > 0) & wanted[first:]
     error = (theta[first:] - estimates[:, first:])[:, learned]
     return np.asarray(total + (error**2 / (2 * a.rates[learned])).sum(axis=1))
@@ -215,7 +215,7 @@ def estimate_part(
     if not a.tracking > 0:
         raise RecordingError(WITHOUT, why="the estimate does not follow s: tracking is 0")
     m = a.bodies
-    learned = np.concatenate((np.full(BODY * len(m.roots), m.gamma > 0), m.rates > 0)) & a.learning
+    learned = np.concatenate((np.repeat(m.gamma > 0, BODY), m.rates > 0)) & a.learning
     before, steps = learner.start["theta"].copy(), np.zeros((2, len(rows)))
 
     def visit(n: int, state: ControllerState) -> None:
@@ -259,9 +259,9 @@ def prediction_step(
 def metric(a: Bodies, estimate: Array) -> Array:
     """Gamma, (k, k): where a gradient takes the estimate, `gamma P L P` of a body and `gamma_j` of the rest."""
     Gamma, L = np.diag(np.concatenate((np.zeros(BODY * len(a.roots)), a.rates))), matrices(np.eye(BODY), 0.5)
-    for here in bodies(a):
+    for gamma, here in zip(a.gamma, bodies(a), strict=True):
         P = matrix(estimate[here])
-        Gamma[here, here] = a.gamma * np.array([vector_of(one) for one in P @ L @ P]).T
+        Gamma[here, here] = gamma * np.array([vector_of(one) for one in P @ L @ P]).T
     return Gamma
 
 
@@ -284,9 +284,9 @@ def shares_of_update(a: Adaptation, estimate: Array, g: Array, feedback: Array, 
     """Eta, (N,): with which factor each sample moves, for gradients `Y' s` (N, k) and `s' K s` (N,)."""
     m = a.bodies
     answer = (m.rates * g[:, BODY * len(m.roots) :] ** 2).sum(axis=1)
-    for here in bodies(m):
+    for gamma, here in zip(m.gamma, bodies(m), strict=True):
         PL = matrices(estimate[:, here]) @ matrices(g[:, here], 0.5)
-        answer += m.gamma * np.einsum("nij,nji->n", PL, PL)
+        answer += gamma * np.einsum("nij,nji->n", PL, PL)
     answer *= h
     most = a.share * feedback
     return np.where(a.tracking * answer > most, most / np.where(answer > 0, answer, 1.0), a.tracking)
@@ -299,8 +299,8 @@ def leakage_of(a: Adaptation, theta: Array, estimate: Array, s: Array) -> Array:
     learned = m.rates > 0
     error, moved = (theta - estimate)[:, first:], estimate[:, first:] - m.start
     found = (error * moved)[:, learned] @ (1 / m.rates[learned])
-    for b, here in enumerate(bodies(m) if m.gamma > 0 else ()):
+    for b, here in enumerate(bodies(m) if (m.gamma > 0).all() else ()):
         P, P0, Q = matrix(theta[here]), m.roots[b] @ m.roots[b].T, matrices(estimate[:, here])
         back = np.array([divergence(one, P0[None])[0] for one in Q])
-        found -= (divergence(P, Q) + back - divergence(P, P0[None])[0]) / m.gamma
+        found -= (divergence(P, Q) + back - divergence(P, P0[None])[0]) / m.gamma[b]
     return np.asarray(sigma * found)

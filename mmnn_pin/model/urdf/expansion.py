@@ -7,14 +7,13 @@ can be ended. Packages are found as `packages` finds them; what is left out for 
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import os
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,29 +21,21 @@ from typing import Any, NamedTuple
 from lxml import etree
 
 from ...errors import ConfigError, RobotError
+from .expanding import BYTES, INVALID, MACRO, SECONDS, giving
 from .finding import Finding, finding
-from .packages import FIND, package_of, packages
-from .xml import KNOWN
+from .packages import package_of, packages
 
 XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
-
-MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
-
-BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
-
-HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
-
-USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
-
-INVALID = r"Invalid parameter \"([^\"]+)\""
-
-SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
 
 PATIENCE = 30.0  # how long it may wait for anything else [s]
 
 FILES = 400  # looked at for one that calls a macro
 
-CHILD = "from mmnn_pin.model.urdf.expansion import child; child()"
+MOST_KEPT = 8  # expansions of this process
+
+KEPT: dict[str, tuple[dict[str, tuple[int, int] | None], tuple[dict[str, Any], bytes]]] = {}
+
+CHILD = "from mmnn_pin.model.urdf.expanding import child; child()"
 
 
 class Expansion(NamedTuple):
@@ -132,10 +123,8 @@ def expand(
         fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
         raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1)
     job["known"] = packages(path, package_dirs)
-    told, data = run(path, job)
-    while new := [name for name in told["bare"] if name not in job["calls"]]:
-        job["calls"] += new
-        told, data = run(path, job)
+    told, data = expanded(path, job)
+    job["calls"] = told["calls"]
     if "error" in told:
         raise refusal(
             Path(told["place"]), told["error"], told["absent"], told["needed"], lambda m: leads_on(path, job, m)
@@ -150,7 +139,7 @@ def expand(
 
 def leads_on(path: Path, job: dict[str, Any], macro: str) -> bool:
     """Whether something is left of a robot without the calls of a macro, as far as that can be seen now."""
-    told, data = run(path, job | {"without": [*job["without"], macro]})
+    told, data = expanded(path, job | {"without": [*job["without"], macro]})
     return "error" in told or b"<link" in pruned(data)[0]
 
 
@@ -174,6 +163,32 @@ def pruned(data: bytes) -> tuple[bytes, list[str]]:
                 root.remove(links.pop(child))
         hanging = [entry for entry in hanging if entry not in lost]
     return bytes(etree.tostring(root)), names
+
+
+def expanded(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+    """What `run` gives, kept while the files that it opened stay as they are and it missed none; errors as there."""
+    key = json.dumps([job, dict(os.environ)], sort_keys=True)
+    kept = KEPT.get(key)
+    if kept is None or kept[0] != stamps(kept[0]):
+        told, data = run(path, job)
+        kept = stamps(told.pop("opened")), (told, data)
+        KEPT.pop(key, None)
+        if not told["absent"] and "error" not in told:
+            while len(KEPT) >= MOST_KEPT:
+                KEPT.pop(next(iter(KEPT)))
+            KEPT[key] = kept
+    return kept[1]
+
+
+def stamps(files: Iterable[str]) -> dict[str, tuple[int, int] | None]:
+    """Time of change [ns] and size of files; None for one that is gone."""
+    found: dict[str, tuple[int, int] | None] = {}
+    for file in files:
+        with contextlib.suppress(OSError):
+            state = os.stat(file)
+            found[file] = state.st_mtime_ns, state.st_size
+        found.setdefault(file, None)
+    return found
 
 
 def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
@@ -202,151 +217,6 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         raise RobotError("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1)
     return json.loads(head), data
 
-
-def taken() -> int:
-    """Address space of this process [bytes]: libraries reserve some for every core; 0 where that is not known."""
-    with contextlib.suppress(OSError):
-        return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
-    return 0
-
-
-def child() -> None:
-    """Expand the file of a job on standard input; on standard output a line of JSON, then the URDF."""
-    job, out = json.load(sys.stdin), sys.stdout
-    import xacro
-    import xacrodoc
-
-    with contextlib.suppress(ImportError, ValueError, OSError):
-        import resource
-
-        most = taken() + BYTES
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 2))
-    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": []}
-    data = b""
-    with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
-        try:
-            document = xacro.process_file(job["path"], mappings=dict(job["arguments"]))
-            data, told["bare"] = (
-                bytes(document.toprettyxml(indent="  ", encoding="utf-8")),
-                bare_calls(document, [*texts.values()]),
-            )
-        except MemoryError:
-            raise
-        except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
-            if isinstance(getattr(error, "exc", None), MemoryError):
-                raise
-            told["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0]
-            told["place"] = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
-            if hit := re.search(INVALID, told["error"]):
-                told["place"] = next((file for file, text in texts.items() if giving(hit[1], text)), told["place"])
-            used, stated = (
-                {name for text in texts.values() for name in pattern.findall(text)} for pattern in (USED, STATED)
-            )
-            told["needed"] = sorted(used - stated - set(job["arguments"]))
-            told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
-    told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
-    out.write(json.dumps(told) + "\n")
-    out.flush()
-    out.buffer.write(data)
-
-
-def bare_calls(document: Any, texts: list[str]) -> list[str]:
-    """Calls that are left in an expanded document for want of `xacro:`.
-
-    Args:
-        document: What xacro made.
-        texts: What is in the files that it read.
-    """
-    calls = {*MACRO.findall("".join(texts).replace("<macro ", "<xacro:macro "))} - KNOWN.keys() | BARE
-    return sorted({name for name in calls for _ in robots_own(document, name)})
-
-
-def robots_own(document: Any, name: str) -> list[Any]:
-    """Elements of a name that belong to the robot itself: a simulator's blocks have others called alike."""
-    found = []
-    for element in document.getElementsByTagName(name):
-        above = element.parentNode
-        while above.parentNode is not None and above.tagName in HOLDERS | BARE:
-            above = above.parentNode
-        found += [element] if above.parentNode is None else []
-    return found
-
-
-@contextlib.contextmanager
-def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[dict[str, str]]:
-    """Have xacro find packages without ROS, and do without those that it does not need; gives what it reads.
-
-    A file that is not there is left out, or one of a package that is not: where a macro or property of it is used,
-    xacro refuses all the same. A file that a build would install elsewhere in its package is taken where it is, if
-    there is one alone.
-
-    Args:
-        xacro: The module.
-        xacrodoc: The module that finds packages where ROS is installed.
-        job: What to expand: `known`, folders of packages; `without`, macros to leave out; `calls`, macros that are
-            called without their prefix.
-        told: `absent` is filled with the packages that are not there, `omitted` with macros that are left out.
-    """
-    places: Any = sys.modules["xacro.substitution_args"]
-    parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
-    known, texts = job["known"], dict[str, str]()
-
-    def seek(package: str) -> str:
-        if package not in known:
-            try:
-                known[package] = xacrodoc.packages.get_path(package)
-            except xacrodoc.packages.PackageNotFoundError:
-                told["absent"].add(package)
-        return known.get(package, f"package://{package}")
-
-    def parsed(given: Any, filename: str | None = None) -> Any:
-        document = parse(given, filename)
-        with contextlib.suppress(OSError, TypeError):
-            texts[str(filename or given)] = Path(filename or given).read_text(errors="replace")
-        for name in job["calls"]:
-            for element in robots_own(document, name):
-                element.tagName = element.nodeName = f"xacro:{name}"
-        for element in document.getElementsByTagName("xacro:include"):
-            if hit := FIND.match(element.getAttribute("filename")):
-                folder = seek(hit[1])
-                gone = (
-                    "$" not in hit[2]
-                    and not set(hit[2]) & {*"*[?"}
-                    and not os.path.exists(elsewhere(os.path.join(folder, hit[2]), known))
-                )
-                if folder.startswith("package://") or gone:
-                    element.setAttribute("optional", "true")
-                    told["absent"] |= {hit[1] if folder.startswith("package://") else f"{hit[1]}/{hit[2]}"}
-        for name in job["without"]:
-            for element in (*document.getElementsByTagName(f"xacro:{name}"), *document.getElementsByTagName(name)):
-                element.parentNode.removeChild(element)
-                told["omitted"].add(name)
-        return document
-
-    def files(name: str, symbols: Any) -> Iterator[str]:
-        for file in include_files(name, symbols):
-            yield file if os.path.exists(file) else elsewhere(file, known)
-
-    xacro.parse, xacro.get_include_files, places._eval_find = parsed, files, seek
-    xacro.filestack = None
-    try:
-        yield texts
-    finally:
-        xacro.parse, xacro.get_include_files, places._eval_find = parse, include_files, find
-
-
-def elsewhere(file: str, known: dict[str, str]) -> str:
-    """The one file of the same package whose path ends like that of a missing one, else the missing one."""
-    root = next((folder for folder in known.values() if file.startswith(os.path.join(folder, ""))), None)
-    if root is None:
-        return file
-    tail = os.path.relpath(file, root)
-    found = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
-    return found[0] if len(found) == 1 else file
-
-
-# -- why it cannot be expanded -----------------------------------------------------------------------------------------
 
 # What xacro says where a file cannot be expanded, and the way out; the group is the word that its line has.
 WAYS_OUT = (
@@ -395,12 +265,6 @@ def refusal(place: Path, error: str, absent: list[str], needed: list[str], may_g
     if macro and (absent or called) and may_go(macro):
         fix += f", or leave it out: --without {macro}"
     return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
-
-
-def giving(parameter: str, text: str) -> str:
-    """The macro that a file calls with a parameter, empty where there is none."""
-    hit = re.search(rf"<xacro:([\w.-]+)\s[^<>]*?\b{re.escape(parameter)}=", text)
-    return hit[1] if hit else ""
 
 
 def line_of(path: Path, word: str) -> int:

@@ -32,7 +32,7 @@ from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.reference import Line
 from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings
 from mmnn_pin.torque.model_based import ComputedTorque
-from mmnn_pin.torque.prior import scales
+from mmnn_pin.torque.prior import scales, tempo
 from mmnn_pin.torque.pseudo_inertia import pseudo_inertias
 
 patient = settings(deadline=None, max_examples=25)
@@ -175,13 +175,13 @@ def test_the_distance_is_that_of_bodies_and_of_friction() -> None:
     np.testing.assert_array_equal(found.theta, theta)
     assert found.eps.max() < 1e-9 * np.abs(subject.signal("psi")).max()  # smooth friction, exact sensors
     start, K = own.start(), own.feedback.vector(subject.layout)
-    pace = 30.0 / np.median(K[subject.layout.base :])  # rates are those of an arm with gains of 30 N m s
+    pace, freely = tempo(own.regressor, K)
     bodies = sum(
-        (r - np.log(r) - 1).sum() / (pace * own.settings.rate)
-        for P, Q in zip(pseudo_inertias(theta[:first]), pseudo_inertias(start[:first]), strict=True)
+        (r - np.log(r) - 1).sum() / (each * own.settings.rate)
+        for each, P, Q in zip(pace, pseudo_inertias(theta[:first]), pseudo_inertias(start[:first]), strict=True)
         for r in [eigvals(P, Q).real]
     )
-    rates = pace * np.repeat([0.0, 0.01, 0.01], own.counts()) * scales(own.regressor, K) ** 2
+    rates = freely * np.repeat([0.0, 0.01, 0.01], own.counts()) * scales(own.regressor, K) ** 2
     error = (theta - start)[first:]
     friction = (error[rates > 0] ** 2 / (2 * rates[rates > 0])).sum()
     assert found.parts["bodies"][0] == pytest.approx(bodies) and found.parts["friction"][0] == pytest.approx(friction)

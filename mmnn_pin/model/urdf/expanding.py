@@ -1,0 +1,201 @@
+"""The process that expands a xacro file: xacro itself, made to find packages without ROS and to do without some.
+
+It is started by `expansion.run`, which says what it is asked and reads what it tells.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import os
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from .packages import FIND
+from .xml import KNOWN
+
+MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
+
+BARE = {"include", "macro", "property", "if", "unless", "insert_block"}  # elements of xacro that old files have bare
+
+HOLDERS = {"robot", "link", "joint", "inertial", "visual", "collision", "geometry"} | {f"xacro:{name}" for name in BARE}
+
+USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\s[^>]*?name=[\"']([^\"']+)[\"']")
+
+INVALID = r"Invalid parameter \"([^\"]+)\""
+
+SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
+
+
+def taken() -> int:
+    """Address space of this process [bytes]: libraries reserve some for every core; 0 where that is not known."""
+    with contextlib.suppress(OSError):
+        return int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
+    return 0
+
+
+def child() -> None:
+    """Expand the file of a job on standard input; on standard output a line of JSON, then the URDF."""
+    job, out = json.load(sys.stdin), sys.stdout
+    import xacro
+    import xacrodoc
+
+    with contextlib.suppress(ImportError, ValueError, OSError):
+        import resource
+
+        most = taken() + BYTES
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS + 2))
+    opened: set[str] = set()
+
+    def listen(event: str, given: tuple[Any, ...]) -> None:
+        if event == "open" and isinstance(given[0], str | bytes | os.PathLike):
+            opened.add(os.path.abspath(os.fsdecode(given[0])))
+
+    sys.addaudithook(listen)
+    told, data = attempt(xacro, xacrodoc, job)
+    while new := [name for name in told["bare"] if name not in job["calls"]]:
+        job["calls"] += new
+        told, data = attempt(xacro, xacrodoc, job)
+    code = tuple(os.path.abspath(place) for place in (sys.prefix, sys.base_prefix) if place)
+    told |= {"calls": job["calls"], "opened": sorted(file for file in opened if not file.startswith(code))}
+    out.write(json.dumps(told) + "\n")
+    out.flush()
+    out.buffer.write(data)
+
+
+def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
+    """What there is to tell of a job, and the URDF; empty where xacro refuses."""
+    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": []}
+    data = b""
+    with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
+        try:
+            document = xacro.process_file(job["path"], mappings=dict(job["arguments"]))
+            data, told["bare"] = (
+                bytes(document.toprettyxml(indent="  ", encoding="utf-8")),
+                bare_calls(document, [*texts.values()]),
+            )
+        except MemoryError:
+            raise
+        except Exception as error:  # whatever a file, and the Python expressions in it, make xacro raise
+            if isinstance(getattr(error, "exc", None), MemoryError):
+                raise
+            told["error"] = (str(error).strip().splitlines() or [type(error).__name__])[0]
+            told["place"] = next((file for file in reversed(xacro.filestack or ()) if file), job["path"])
+            if hit := re.search(INVALID, told["error"]):
+                told["place"] = next((file for file, text in texts.items() if giving(hit[1], text)), told["place"])
+            used, stated = (
+                {name for text in texts.values() for name in pattern.findall(text)} for pattern in (USED, STATED)
+            )
+            told["needed"] = sorted(used - stated - set(job["arguments"]))
+            told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
+    told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
+    return told, data
+
+
+def bare_calls(document: Any, texts: list[str]) -> list[str]:
+    """Calls that are left in an expanded document for want of `xacro:`.
+
+    Args:
+        document: What xacro made.
+        texts: What is in the files that it read.
+    """
+    calls = {*MACRO.findall("".join(texts).replace("<macro ", "<xacro:macro "))} - KNOWN.keys() | BARE
+    return sorted({name for name in calls for _ in robots_own(document, name)})
+
+
+def robots_own(document: Any, name: str) -> list[Any]:
+    """Elements of a name that belong to the robot itself: a simulator's blocks have others called alike."""
+    found = []
+    for element in document.getElementsByTagName(name):
+        above = element.parentNode
+        while above.parentNode is not None and above.tagName in HOLDERS | BARE:
+            above = above.parentNode
+        found += [element] if above.parentNode is None else []
+    return found
+
+
+@contextlib.contextmanager
+def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]) -> Iterator[dict[str, str]]:
+    """Have xacro find packages without ROS, and do without those that it does not need; gives what it reads.
+
+    A file that is not there is left out, or one of a package that is not: where a macro or property of it is used,
+    xacro refuses all the same. A file that a build would install elsewhere in its package is taken where it is, if
+    there is one alone.
+
+    Args:
+        xacro: The module.
+        xacrodoc: The module that finds packages where ROS is installed.
+        job: What to expand: `known`, folders of packages; `without`, macros to leave out; `calls`, macros that are
+            called without their prefix.
+        told: `absent` is filled with the packages that are not there, `omitted` with macros that are left out.
+    """
+    places: Any = sys.modules["xacro.substitution_args"]
+    parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
+    known, texts = job["known"], dict[str, str]()
+
+    def seek(package: str) -> str:
+        if package not in known:
+            try:
+                known[package] = xacrodoc.packages.get_path(package)
+            except xacrodoc.packages.PackageNotFoundError:
+                told["absent"].add(package)
+        return known.get(package, f"package://{package}")
+
+    def parsed(given: Any, filename: str | None = None) -> Any:
+        document = parse(given, filename)
+        with contextlib.suppress(OSError, TypeError):
+            texts[str(filename or given)] = Path(filename or given).read_text(errors="replace")
+        for name in job["calls"]:
+            for element in robots_own(document, name):
+                element.tagName = element.nodeName = f"xacro:{name}"
+        for element in document.getElementsByTagName("xacro:include"):
+            if hit := FIND.match(element.getAttribute("filename")):
+                folder = seek(hit[1])
+                gone = (
+                    "$" not in hit[2]
+                    and not set(hit[2]) & {*"*[?"}
+                    and not os.path.exists(elsewhere(os.path.join(folder, hit[2]), known))
+                )
+                if folder.startswith("package://") or gone:
+                    element.setAttribute("optional", "true")
+                    told["absent"] |= {hit[1] if folder.startswith("package://") else f"{hit[1]}/{hit[2]}"}
+        for name in job["without"]:
+            for element in (*document.getElementsByTagName(f"xacro:{name}"), *document.getElementsByTagName(name)):
+                element.parentNode.removeChild(element)
+                told["omitted"].add(name)
+        return document
+
+    def files(name: str, symbols: Any) -> Iterator[str]:
+        for file in include_files(name, symbols):
+            yield file if os.path.exists(file) else elsewhere(file, known)
+
+    xacro.parse, xacro.get_include_files, places._eval_find = parsed, files, seek
+    xacro.filestack = None
+    try:
+        yield texts
+    finally:
+        xacro.parse, xacro.get_include_files, places._eval_find = parse, include_files, find
+
+
+def elsewhere(file: str, known: dict[str, str]) -> str:
+    """The one file of the same package whose path ends like that of a missing one, else the missing one."""
+    root = next((folder for folder in known.values() if file.startswith(os.path.join(folder, ""))), None)
+    if root is None:
+        return file
+    tail = os.path.relpath(file, root)
+    found = [str(place) for place in Path(root).rglob(os.path.basename(file)) if str(place).endswith(os.sep + tail)]
+    return found[0] if len(found) == 1 else file
+
+
+# -- why it cannot be expanded -----------------------------------------------------------------------------------------
+
+
+def giving(parameter: str, text: str) -> str:
+    """The macro that a file calls with a parameter, empty where there is none."""
+    hit = re.search(rf"<xacro:([\w.-]+)\s[^<>]*?\b{re.escape(parameter)}=", text)
+    return hit[1] if hit else ""
