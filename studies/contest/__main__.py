@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from mmnn_pin.lab.show.contest import write_figures
 from mmnn_pin.loop.precompile import precompile
 
 from ..document import Clock
-from .document import DOCUMENT, summed
+from .document import DOCUMENT, DRAWN, summed
 from .search import SOON, TRIES, TUNINGS, Bench, Say, budget, keep, search, spaces, tuned
 
 QUICK = (
@@ -78,7 +79,8 @@ def tune(tuning: str, learners: Sequence[str], tries: int, out: Path, say: Say) 
 def study(out: Path, overrides: Sequence[str], cases: Sequence[str], force: bool, clock: Clock) -> dict[str, Any]:
     """Run all of it; rows and figures go to `out`, the numbers of the document are returned."""
     standing = made(out, overrides, cases, force, clock.say)
-    write_figures(standing, out / "figures")
+    drawn = {name: title for name, title in standing.tasks.items() if name in DRAWN}
+    write_figures(replace(standing, tasks=drawn), out / "figures")
     return {
         **summed(standing),
         "tuned": {tuning: {name: short(one) for name, one in tuned()[tuning].items()} for tuning in TUNINGS},

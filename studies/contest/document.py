@@ -16,6 +16,7 @@ from ..document import Document, environment, filled
 
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
+DRAWN = ("eight", "rig", "tiago", "friction", "encoders", "drop")  # in the figures of the page
 
 
 def render(summary: dict[str, Any]) -> str:
@@ -63,6 +64,7 @@ def summed(standing: Standing) -> dict[str, Any]:
         "axes": best_axes(standing),
         "margins": margins(standing),
         "far": far(standing),
+        "drawn": [task for task in DRAWN if task in standing.tasks],
         "seeds": standing.contest.seeds,
         "learned": standing.contest.learned,
         "window": standing.contest.window,
