@@ -405,6 +405,18 @@ def test_a_macro_of_a_package_that_is_missing_can_be_left_out(tmp_path):
         load(plain, without=("cam",))
 
 
+def test_all_macros_to_leave_out_are_named_at_once_and_that_leads_to_a_robot(tmp_path):
+    includes = "".join(f'<xacro:include filename="$(find {name}s)/{name}.xacro"/>' for name in ("cam", "lidar"))
+    file = xacro(
+        tmp_path, ROBOT + includes + '<xacro:cam parent="base"/><xacro:lidar/><xacro:cam parent="lens"/><xacro:imu/>'
+    )
+    with pytest.raises(RobotError, match="leave them out") as error:
+        load(file)
+    names = re.findall(r"--without (\S+)", str(error.value))
+    assert names == ["cam", "lidar", "imu"]
+    assert load(file, without=tuple(names)).base.kind == "differential_drive"
+
+
 def test_all_arguments_without_a_value_are_named(tmp_path):
     uses = "".join(f'<xacro:if value="$(arg {name})"/>' for name in "abc")
     file = xacro(tmp_path, '<xacro:arg name="c" default="1"/>' + uses + ROBOT)

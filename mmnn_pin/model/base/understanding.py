@@ -366,8 +366,9 @@ def undecided_limits(rest: AtRest, candidates: Candidates) -> Undecided:
     why = f"{names}: revolute with limits, and a wheel turns without end"
     two = Reading("differential_drive", ("coaxial round bodies on the floor",), (why,))
     still = Reading("fixed", ("no wheel can turn without end",), ("there are wheels under it",))
-    drives = ",".join(c.joint.name for c in plain(candidates.wheels)) or "LEFT,RIGHT"
-    fix = f'write type="continuous" for wheels, name the others with --wheels {drives}, or --base fixed to park them'
+    drives = ",".join(c.joint.name for c in plain(candidates.wheels))
+    others = f"name the others with --wheels {drives}, " if drives else ""
+    fix = f'write type="continuous" for wheels, {others}or --base fixed to park them'
     return undecided(rest, [*candidates.wheels, *candidates.limited], [two, still], why, fix)
 
 

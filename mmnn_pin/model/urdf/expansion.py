@@ -127,7 +127,7 @@ def expand(
     job["calls"] = told["calls"]
     if "error" in told:
         raise refusal(
-            Path(told["place"]), told["error"], told["absent"], told["needed"], lambda m: leads_on(path, job, m)
+            Path(told["place"]), told["error"], told["absent"], told["needed"], lambda m: to_leave_out(path, job, m)
         )
     if unused := [name for name in without if name not in told["omitted"]]:
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
@@ -137,10 +137,18 @@ def expand(
     return Expansion(data, told["absent"], job["calls"], hanging)
 
 
-def leads_on(path: Path, job: dict[str, Any], macro: str) -> bool:
-    """Whether something is left of a robot without the calls of a macro, as far as that can be seen now."""
-    told, data = expanded(path, job | {"without": [*job["without"], macro]})
-    return "error" in told or b"<link" in pruned(data)[0]
+def to_leave_out(path: Path, job: dict[str, Any], macro: str) -> list[str]:
+    """A macro, and those that xacro does not know either once its calls are left out; none where no robot is left."""
+    names = [macro]
+    while len(names) < MOST_LEFT_OUT:
+        told, data = expanded(path, job | {"without": [*job["without"], *names]})
+        if "error" not in told:
+            return names if b"<link" in pruned(data)[0] else []
+        more = UNKNOWN.search(told["error"])
+        if more is None or more[1] in names:
+            break  # what else is wrong is told when these are left out
+        names.append(more[1])
+    return names
 
 
 def pruned(data: bytes) -> tuple[bytes, list[str]]:
@@ -218,6 +226,9 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     return json.loads(head), data
 
 
+UNKNOWN = re.compile(r"unknown macro name: xacro:(\S+)")
+MOST_LEFT_OUT = 30  # macros at once
+
 # What xacro says where a file cannot be expanded, and the way out; the group is the word that its line has.
 WAYS_OUT = (
     (r"package://([^/'\" ]+)", "give the folder that holds package '{}' with --package-dir"),
@@ -235,13 +246,15 @@ WAYS_OUT = (
         r"name '([^']+)' is not defined",
         "define '{}': give a file that includes this one, or the package that defines it",
     ),
-    (r"unknown macro name: xacro:(\S+)", "is the file that defines '{}' included?"),
+    (UNKNOWN.pattern, "is the file that defines '{}' included?"),
     (r"(unbound prefix)", 'declare it: <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'),
     (r"(maximum recursion depth exceeded)", "files or macros include each other without end: open the circle"),
 )
 
 
-def refusal(place: Path, error: str, absent: list[str], needed: list[str], may_go: Callable[[str], bool]) -> RobotError:
+def refusal(
+    place: Path, error: str, absent: list[str], needed: list[str], along: Callable[[str], list[str]]
+) -> RobotError:
     """Why a file could not be expanded, at the line where the cause is named.
 
     Args:
@@ -249,7 +262,7 @@ def refusal(place: Path, error: str, absent: list[str], needed: list[str], may_g
         error: Its words.
         absent: Packages that are not found.
         needed: Arguments without a value.
-        may_go: Whether the calls of a macro can be left out.
+        along: The macros whose calls can be left out together with those of one; none where they cannot.
     """
     text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(error.split())), "", "mend the file"
     for pattern, way in WAYS_OUT:
@@ -262,8 +275,10 @@ def refusal(place: Path, error: str, absent: list[str], needed: list[str], may_g
     macro = word if "unknown macro" in text else called
     if absent and (fix == "mend the file" or "unknown macro" in text or "is not defined" in text):
         fix = f"is it in what is not found ({', '.join(absent)})? Give the folder of the package with --package-dir"
-    if macro and (absent or called) and may_go(macro):
-        fix += f", or leave it out: --without {macro}"
+    if macro and (absent or called) and (names := along(macro)):
+        fix += f", or leave {'it' if len(names) == 1 else 'them'} out: " + " ".join(
+            f"--without {name}" for name in names
+        )
     return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
 
 
