@@ -1,10 +1,10 @@
 """What a learner knows of a load that its robot picked up: mass and centre, and which of them the run determined.
 
-A learner with a regressor knows the robot, with a covariance or without. The load is what the torques after it was
-picked up have beyond what the learner knew just before: `y = Y theta_hat + Y_b p + noise`, p the load's mass and first
-moments (`deploy.identify.payload`). Its covariance has the noise's part, from the residuals, and that of the doubt in
-theta_hat, both to first order: where little is seen the truth may lie outside. A learner that does not know how sure it
-is leaves out the second: it has estimates, and no intervals.
+The load is what the torques after it was picked up have beyond what the learner knew just before:
+`y = Y theta_hat + Y_b p + noise`, p the load's mass and first moments (`deploy.identify.payload`). Its covariance has
+the noise's part, from the residuals, and that of the doubt in theta_hat, both to first order: where little is seen the
+truth may lie outside. A learner with a regressor but without a covariance does not know how sure it is of the robot:
+what it would say of a load has no interval, and was seen to be wrong by half. So nothing counts as determined.
 """
 
 from __future__ import annotations
@@ -41,7 +41,6 @@ class Carried:
         mass: The truth [kg].
         centre: (3,) the truth, in the link's frame [m].
         found: What the learner makes of it; None where nothing is determined.
-        sure: Whether the learner knows how sure it is of the robot, so that the intervals hold.
         why: Why nothing is determined.
     """
 
@@ -50,7 +49,6 @@ class Carried:
     mass: float
     centre: Array
     found: Load | None
-    sure: bool
     why: str = ""
 
     @property
@@ -64,14 +62,13 @@ class Carried:
     def to_dict(self) -> dict[str, Any]:
         """Estimates with standard deviations, null for what the run did not determine, and the truth."""
         mass, centre = self.determined
-        sure = finite if self.sure else lambda sd: None
-        table: dict[str, Any] = {"pick": self.pick, "seconds": self.seconds, "sure": self.sure, "why": self.why or None}
+        table: dict[str, Any] = {"pick": self.pick, "seconds": self.seconds, "why": self.why or None}
         table |= {"true_mass": self.mass, "true_com": self.centre.tolist(), "mass": None, "com": [None] * 3}
         if self.found is not None:
             pairs = zip(self.found.centre, self.found.centre_sd, centre, strict=True)
-            points = [{"value": float(x), "sd": sure(sd)} if there else None for x, sd, there in pairs]
+            points = [{"value": float(x), "sd": finite(sd)} if there else None for x, sd, there in pairs]
             table |= {"link": self.found.link, "com": points}
-            table["mass"] = {"value": self.found.mass, "sd": sure(self.found.mass_sd)} if mass else None
+            table["mass"] = {"value": self.found.mass, "sd": finite(self.found.mass_sd)} if mass else None
         return table
 
     def __str__(self) -> str:
@@ -79,18 +76,11 @@ class Carried:
         true = f"truth {self.mass:.3g} kg at ({', '.join(f'{1e3 * x:.0f}' for x in self.centre)}) mm"
         if self.found is None:
             return f"load picked up at {self.pick:g} s: not determined: {self.why} ({true})"
-        mass_room, none = f" ± {1.96 * self.found.mass_sd:.2g}" if self.sure else "", "not determined"
-        told = f"{self.found.mass:.3g}{mass_room} kg" if mass else f"mass {none}"
+        none = "not determined"
+        told = f"{self.found.mass:.3g} ± {1.96 * self.found.mass_sd:.2g} kg" if mass else f"mass {none}"
         pairs = zip(self.found.centre, self.found.centre_sd, centre, strict=True)
-        room = [f" ± {1.96e3 * sd:.0f}" if self.sure else "" for sd in self.found.centre_sd]
-        at = ", ".join(
-            f"{1e3 * x:.0f}{wide}" if there else none for (x, _, there), wide in zip(pairs, room, strict=True)
-        )
-        doubt = (
-            "1.96 sd of the linear fit, at least"
-            if self.sure
-            else "no intervals: it does not know how sure it is of the robot"
-        )
+        at = ", ".join(f"{1e3 * x:.0f} ± {1.96e3 * sd:.0f}" if there else none for x, sd, there in pairs)
+        doubt = "1.96 sd of the linear fit, at least"
         return f"load picked up at {self.pick:g} s: {told} at ({at}) mm ({doubt}; {true})"
 
 
@@ -118,13 +108,15 @@ def carried(subject: Subject) -> Carried | None:
     try:
         if end - hardware.pick < SHORTEST:
             raise RecordingError("too short", why=f"{end - hardware.pick:.2g} s with it, {SHORTEST:g} s are needed")
+        if covariance is None:
+            why = "it does not know how sure it is of the robot"
+            raise RecordingError("no covariance", why=why)
         log = from_recording(subject.recording, subject.robot)
         log = log.rows((log.time >= hardware.pick) & (log.time < end))
-        doubt = np.zeros((theta.size, theta.size)) if covariance is None else covariance
-        found = payload(subject.robot, log, joint, believed=(theta, doubt))
+        found = payload(subject.robot, log, joint, believed=(theta, covariance))
     except InputError as error:
         why = ", ".join(part for part in (error.what, error.why) if part)
-    return Carried(hardware.pick, end - hardware.pick, load.mass, centre, found, covariance is not None, why)
+    return Carried(hardware.pick, end - hardware.pick, load.mass, centre, found, why)
 
 
 def in_link(robot: Robot, joint: str, point: Array) -> Array:

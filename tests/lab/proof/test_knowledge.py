@@ -50,16 +50,15 @@ def test_what_a_learner_knows_of_a_load_is_told_with_what_the_run_determined(nam
     run = ("time.duration=12.0", "windows=[[0.0, 12.0]]", "plots=[]", f"controllers=['{name}']", load)
     experiment = load_experiment("track", [*friction, *run, "sensor.noise=1e-4", "sensor.velocity_noise=2e-3"])
     found = carried(Subject.of(run_experiment(experiment, "track").recordings[name]))
-    assert found is not None and found.found is not None
-    assert found.sure == (name == "concurrent") and found.determined[0] == (not found.sure)  # 1.6 kg with sd 0.9 kg
-    room = 3.0 * found.found.mass_sd if found.sure else 0.75
-    assert abs(found.found.mass - 1.5) < room
-    assert found.determined[1][2] is False  # along the axis of the joint: no motion of it is felt
+    assert found is not None
     np.testing.assert_allclose(found.centre, (0.25, 0.05, 0.05), atol=1e-12)  # the link stands where its joint does
-    told = str(found)
-    assert "not determined) mm" in told and ("mass not determined" in told) == found.sure == (
-        "no intervals" not in told
-    )
-    assert (found.to_dict()["mass"] is None) == found.sure and found.to_dict()["com"][2] is None
+    assert found.to_dict()["mass"] is None and found.to_dict()["com"][2] is None
+    if name == "adaptive_composite":  # it has estimates, and no intervals
+        assert found.found is None and "not determined: no covariance, it does not know how sure it is" in str(found)
+        return
+    assert found.found is not None and not found.determined[0]  # 1.6 kg with sd 0.9 kg
+    assert abs(found.found.mass - 1.5) < 3.0 * found.found.mass_sd
+    assert found.determined[1][2] is False  # along the axis of the joint: no motion of it is felt
+    assert "not determined) mm" in str(found) and "mass not determined" in str(found)
     short = replace(found, found=None, why="too short")
     assert "not determined: too short" in str(short) and short.to_dict()["mass"] is None

@@ -209,7 +209,7 @@ SETTINGS = {
     "plain": {},
     "sigma": {"leakage": 5.0},
     "e": {"leakage": 5.0, "modification": "e"},
-    "cut": {"share": 1e-3, "viscous": 0.1, "coulomb": 0.1, "rate": 5.0},
+    "cut": {"share": 1e-4, "viscous": 0.01, "coulomb": 0.01, "rate": 5.0},
     "rotors": {"rotor": 0.1},
     "bodies alone": {"viscous": 0.0, "coulomb": 0.0},
     "friction alone": {"rate": 0.0},
@@ -243,7 +243,7 @@ def test_v_changes_as_predicted_up_to_steps_of_second_order(what: str) -> None:
 @slow
 def test_the_share_of_an_update_is_the_one_that_was_made() -> None:
     """Eta by the formula against the move of a friction parameter that is neither clipped nor leaks."""
-    own = controller(share=1e-3)
+    own = controller(share=1e-4)
     subject = subject_of(own, duration=0.05)
     learner = subject.learner
     assert learner is not None
