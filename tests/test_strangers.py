@@ -182,6 +182,19 @@ def test_a_contest_with_a_squared_error_below_0_is_one_line(tmp_path, monkeypatc
     assert "the curve of two_layer has a squared error below 0" in line
 
 
+@pytest.mark.parametrize("value", [1e300, -1.0])
+def test_a_contest_with_an_error_that_is_none_is_one_line(value, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    contest(tmp_path / "contest")
+    rows = json.loads((tmp_path / "contest" / "rows.json").read_bytes())
+    first = rows["eight/two_layer"]["rows"][0]["rms"]
+    first[next(iter(first))] = value
+    (tmp_path / "contest" / "rows.json").write_text(json.dumps(rows))
+    assert main(["report", "contest", "--html", "out.html"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"an error of {value:g}" in line
+
+
 # -- the replay's server -----------------------------------------------------------------------------------------------
 
 

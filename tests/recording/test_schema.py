@@ -18,6 +18,7 @@ from test_recording import DONE, LAYOUT, META, record, rows_of
 
 from mmnn_pin.cli import main
 from mmnn_pin.errors import ConfigError, InputError, RecordingError
+from mmnn_pin.lab.experiments.config import recorded_experiment
 from mmnn_pin.recording.metrics import metrics
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import UNSEEN, Recording, recorded_robot
@@ -189,6 +190,18 @@ def test_a_damaged_part_is_named_and_leaves_the_others(kind, file, tmp_path, cap
     assert f"warning: {file}: {where} is damaged and left out: {why}" in capsys.readouterr().err
     assert code == (2 if where == "urdf" else 0)  # the URDF says which units a joint's columns have
     assert code == 2 or "e.joint1 [rad]" in (tmp_path / "x.csv").read_text()
+
+
+CONFIGS = ["5", "[]", '{"adaptive": 5}', '{"adaptive_composite": "memory"}', '{"adaptive": {"initial": []}}']
+
+
+@pytest.mark.parametrize("text", CONFIGS)
+def test_a_config_that_is_none_is_told(text, file):
+    with h5py.File(file, "r+") as opened:
+        opened.pop("config", None)
+        opened["config"] = text
+    with pytest.raises(RecordingError, match="its config cannot be read"):
+        recorded_experiment(Recording.open(file))
 
 
 def test_a_heap_in_which_hdf5_would_go_round_for_ever_is_refused(file):

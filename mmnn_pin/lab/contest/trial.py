@@ -36,8 +36,20 @@ from .task import Task, frozen
 ERRORS = ("true_pose_error", "true_e")
 KEPT = (*ERRORS, "psi", "psi_hat", "motor_torque")  # of a training run
 STEPS, REPEATS = 2000, 3  # control samples that are timed, and how often
+LARGEST = 1e150  # error [m or rad]
 Number = float | None
 Progress = Callable[[float], None]
+
+
+def require_errors(errors: dict[str, Number]) -> None:
+    """Check that errors per axis are those of a run.
+
+    Raises:
+        ValueError: One is below 0, or so large that its square is no number.
+    """
+    for axis, value in errors.items():
+        if value is not None and not 0.0 <= value < LARGEST:
+            raise ValueError(f"an error of {value:g} of {axis}")
 
 
 class Tracking(msgspec.Struct, frozen=True):
@@ -50,6 +62,9 @@ class Tracking(msgspec.Struct, frozen=True):
 
     outcome: str
     rms: dict[str, Number]
+
+    def __post_init__(self) -> None:
+        require_errors(self.rms)
 
 
 class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
@@ -101,6 +116,7 @@ class TrialResult(msgspec.Struct, frozen=True, kw_only=True):
     curve: list[list[float]]
 
     def __post_init__(self) -> None:
+        require_errors(self.rms)
         if any(len(window) != len(self.rms) for window in self.curve):
             raise ValueError(f"a window of the curve of {self.controller} has not {len(self.rms)} axes")
         if any(value < 0.0 for window in self.curve for value in window):

@@ -75,7 +75,8 @@ def recorded_experiment(recording: Recording) -> Experiment | None:
     if not recording.config_text:
         return None
     try:
-        return msgspec.convert(renamed(without_null(msgspec.json.decode(recording.config_text))), Experiment)
+        table = msgspec.json.decode(recording.config_text, type=dict[str, Any])
+        return msgspec.convert(renamed(without_null(table)), Experiment)
     except (msgspec.DecodeError, InputError) as error:
         raise RecordingError(
             "its config cannot be read",

@@ -93,13 +93,19 @@ def renamed(config: dict[str, Any]) -> dict[str, Any]:
     config = {RENAMED.get(key, key): value for key, value in config.items()}
     for path, name in RENAMED.items():
         table, _, key = path.rpartition(".")
-        if table and key in (own := config.get(table) or {}):
+        if table and key in (own := table_at(config, table)):
             config[table] = {k: v for k, v in own.items() if k != key} | {name: own[key]}
     for path, names in RENAMED_VALUES.items():
         table, _, key = path.rpartition(".")
-        if (own := config.get(table) or {}).get(key) in names:
-            config[table] = own | {key: names[own[key]]}
+        own = table_at(config, table)
+        if isinstance(value := own.get(key), str) and value in names:
+            config[table] = own | {key: names[value]}
     return config
+
+
+def table_at(config: dict[str, Any], name: str) -> dict[str, Any]:
+    """A table of a config; empty where something else stands, which is told when it is taken for a table."""
+    return own if isinstance(own := config.get(name), dict) else {}
 
 
 def new_name(key: str, value: Any = None) -> str:
