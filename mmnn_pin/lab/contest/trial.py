@@ -42,11 +42,7 @@ Progress = Callable[[float], None]
 
 
 def require_errors(errors: dict[str, Number]) -> None:
-    """Check that errors per axis are those of a run.
-
-    Raises:
-        ValueError: One is below 0, or so large that its square is no number.
-    """
+    """ValueError for an error that is below 0, or so large that its square is no number."""
     for axis, value in errors.items():
         if value is not None and not 0.0 <= value < LARGEST:
             raise ValueError(f"an error of {value:g} of {axis}")
