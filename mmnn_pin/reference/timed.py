@@ -42,7 +42,7 @@ from .path import (
 )
 
 AGAINST = -0.5  # cosine of a heading to the way below which it looks backwards
-POINTS, APART = 500, 0.02  # of the grid, at least; and how far apart they may be [m]
+POINTS, APART = 800, 0.02  # of the grid, at least; and how far apart they may be [m]
 HALVINGS = 35  # of an interval that a bound of x is looked for in
 
 

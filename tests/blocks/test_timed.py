@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from mmnn_pin import load
@@ -41,6 +41,9 @@ def used(path: Timed, count: int = 1001) -> dict[str, np.ndarray]:
     radius=st.floats(0.2, 0.6), speed=st.floats(0.2, 2.0), yaw_rate=st.floats(0.3, 3.0), acceleration=st.floats(0.2, 2),
     yaw_acceleration=st.floats(0.5, 4.0), lateral=st.floats(0.1, 2.0),
     rim=st.floats(0.3, 2.0), sign=st.sampled_from([1, -1]),
+)  # fmt: skip
+@example(
+    radius=0.21875, speed=1.0, sign=1, yaw_rate=1.0, acceleration=1.0, yaw_acceleration=1.0, lateral=1.0, rim=1.0
 )  # fmt: skip
 @settings(max_examples=5, deadline=None)
 def test_it_keeps_to_every_limit_and_is_always_at_one(radius, speed, sign, **limits):
