@@ -44,7 +44,7 @@ Progress = Callable[[float], None]
 def require_errors(errors: dict[str, Number]) -> None:
     """ValueError for an error that is below 0, or so large that its square is no number."""
     for axis, value in errors.items():
-        if value is not None and not 0.0 <= value < LARGEST:
+        if value is not None and (value < 0.0 or LARGEST <= value < math.inf):
             raise ValueError(f"an error of {value:g} of {axis}")
 
 
