@@ -66,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     others = joints(OTHERS, SEEDS[1])
     found = fitted(joints(JOINTS, SEEDS[0]), options.steps)
     nothing = (np.zeros((UNITS, others.u.shape[-1])), found[1])
-    for name, weights in (("without them", nothing), ("as shipped", friction_features.weights()), ("fitted", found)):
+    for name, weights in (("without them", nothing), ("as shipped", friction_features.shipped()), ("fitted", found)):
         left = judged(weights, others)
         print(f"FVU of friction on {OTHERS} other joints, {name}: median {np.median(left):.4f}, mean {left.mean():.4f}")
     if options.write:

@@ -19,9 +19,9 @@ above at the start,
 
 with g the diagonal of `rate` times every parameter's tempo, so that the gain at the start is `g^1/2 Sigma g^1/2` over
 `DOUBT^2` where the fit tells something, and that of no fit where it does not (`DOUBT`, of a body: then D / gamma is
-`DOUBT^2 / gamma` times minus the logarithm of the fit's prior). It is the
-Hessian of the sum of the potentials of D / gamma and of `theta' Lambda theta / 2` (mirror descent: Wensing and Slotine
-2020, IEEE L-CSS 4(1)), so `V + theta_tilde' Lambda theta_tilde / 2` in the place of V has V' = -s' K s as before.
+`DOUBT^2 / gamma` times minus the logarithm of the fit's prior). The gain's inverse is the Hessian of the sum of the
+potentials of D / gamma and of `theta' Lambda theta / 2` (mirror descent: Wensing and Slotine 2020, IEEE L-CSS 4(1)), so
+`V + theta_tilde' Lambda theta_tilde / 2` in the place of V has V' = -s' K s as before.
 
 Leakage (sigma-modification, Ioannou and Kokotovic 1984; times |s| the e-modification of Narendra and Annaswamy 1987)
 pulls the dual variable to its start, `d/dt P_hat^-1 = -gamma L + sigma (P_0^-1 - P_hat^-1)`: by the three-point

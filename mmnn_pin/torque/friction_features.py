@@ -56,7 +56,7 @@ class Friction(NamedTuple):
 
 
 @cache
-def weights() -> tuple[Array, Array]:
+def shipped() -> tuple[Array, Array]:
     """W1 (units, INPUTS) and W2 (d, units) that ship with the package."""
     found = json.loads((files(__package__) / WEIGHTS).read_text())
     return np.array(found["W1"]), np.array(found["W2"])
@@ -64,7 +64,7 @@ def weights() -> tuple[Array, Array]:
 
 def friction() -> Friction:
     """The learned functions with room of their own to work in."""
-    W1, W2 = weights()
+    W1, W2 = shipped()
     return Friction(W1.copy(), W2.copy(), np.zeros(W1.shape[1]), np.zeros(len(W1)))
 
 

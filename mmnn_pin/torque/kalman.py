@@ -23,15 +23,14 @@ from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
 from .filtered import new_filter, parts
-from .friction_features import columns, friction
+from .friction_features import columns, friction, shipped
 from .law import constant_gain
-from .linear import Linear, Parts, factors, left
+from .linear import NEGLIGIBLE, Linear, Parts, factors, left
 from .prior import identified, within_prior
 from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_random, paired, size
 
 SHARE = 0.2  # largest answer of one update to s, as a share of the feedback
 SAMPLES = 300  # of random motion
-NEGLIGIBLE = 1e-24  # mean square of a feature, relative to the largest, below which it has no weight
 MOST = 2000  # random features: the covariance holds their square
 
 
@@ -49,6 +48,8 @@ class KalmanSettings(Settings, frozen=True):
         pole: Low-pass on features and filtered torque [1/s].
         state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
         interval: Time from one update to the next [s], at least a control period.
+        alarm: Where the square of its errors, of late, is so many times that of the last seconds, the robot has
+            changed: the past counts less. 0 for never.
 
     Raises:
         ConfigError: A number that is negative, not finite, huge or 0 where it must not be.
@@ -62,6 +63,7 @@ class KalmanSettings(Settings, frozen=True):
     pole: float = 5.0
     state_pole: float = 60.0
     interval: float = 0.01
+    alarm: float = 0.0
 
     section: ClassVar[str] = ""
     excited: ClassVar[float] = 0.5  # share of the prior variance of Psi above which it says that it was not excited
@@ -99,8 +101,6 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
         friction: Standard deviation of what the features say before anything is learned, over K [m/s, rad/s].
         constant: Standard deviation of the constants, likewise.
         change: Part of a constant's prior variance that comes back in a second [1/s].
-        alarm: Where the square of its errors, of late, is so many times that of the last seconds, the robot has
-            changed: the past counts less. 0 for never.
     """
 
     noise: float = 0.2
@@ -266,7 +266,7 @@ class Kalman(CompiledController):
     @property
     def beside(self) -> int:
         """Columns of Phi beside the regressor, per velocity."""
-        return len(friction().W2) + 1 if isinstance(self.settings, KalmanFrictionSettings) else 0
+        return len(shipped()[1]) + 1 if isinstance(self.settings, KalmanFrictionSettings) else 0
 
     @property
     def notes(self) -> list[str]:
@@ -310,8 +310,8 @@ class Kalman(CompiledController):
             answer=own.tracking / (own.prior * own.prior) * (K if m > 1 else np.array([1 / K.max()])),
             share=SHARE,
             drift=float(own.drift) * every * h,
-            change=getattr(own, "change", 0.0) * every * h,
-            alarm=getattr(own, "alarm", 0.0),
+            change=own.change * every * h if isinstance(own, KalmanFrictionSettings) else 0.0,
+            alarm=float(own.alarm),
             radius=own.bound * np.sqrt(k) * (K if m > 1 else np.ones(1)),
             theta0=np.zeros(0) if self.theta0 is None else self.theta0.copy(),
             Phi=np.zeros((rows, k)),

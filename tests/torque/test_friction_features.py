@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.signals import Layout
 from mmnn_pin.torque.filtered import Filtered, new_filter, parts
-from mmnn_pin.torque.friction_features import beside, features, follow, friction, weights
+from mmnn_pin.torque.friction_features import beside, features, follow, friction, shipped
 from mmnn_pin.torque.linear import Linear, Parts, drift, predict
 from studies import friction_features as study
 
@@ -23,7 +23,7 @@ def test_features_are_the_two_layers_and_turn_round_with_the_motion(nu: float, a
     f, there, back = friction(), np.zeros(4), np.zeros(4)
     features(f, nu, a, there)
     features(f, -nu, -a, back)
-    W1, W2 = weights()
+    W1, W2 = shipped()
     assert there == pytest.approx(W2 @ np.tanh(W1 @ study.inputs(np.array(nu), np.array(a))), rel=1e-12, abs=1e-12)
     assert (there == -back).all()
 
@@ -31,7 +31,7 @@ def test_features_are_the_two_layers_and_turn_round_with_the_motion(nu: float, a
 def test_they_say_the_friction_of_joints_that_they_were_not_fitted_on() -> None:
     """Another seed than the fit's and its judge's; the combination from the first half of a motion."""
     others = study.joints(40, seed=77)
-    W1, W2 = weights()
+    W1, W2 = shipped()
     without, found = (study.judged((first, W2), others) for first in (np.zeros_like(W1), W1))
     assert np.median(found) < 0.1 * np.median(without)
     assert found.mean() < 0.4 * without.mean()
@@ -42,7 +42,7 @@ def test_random_features_of_the_same_size_say_less() -> None:
     random = [
         np.median(study.judged((rng.normal(0, 0.5, (12, 11)), rng.normal(0, 0.5, (4, 12))), others)) for _ in range(3)
     ]
-    assert np.median(study.judged(weights(), others)) < 0.5 * min(random)
+    assert np.median(study.judged(shipped(), others)) < 0.5 * min(random)
 
 
 def test_a_few_steps_of_the_fit_already_say_more() -> None:
@@ -70,7 +70,7 @@ def test_features_pass_the_filter_of_the_torque() -> None:
     """Their means behind `x' = pole (u - x)`, u the mean of two samples, against many small steps of it."""
     layout, h, pole = Layout(0, 1, 0, 1), 0.01, 60.0
     filter, f = new_filter(layout, h, 5.0, pole), friction()
-    k = 3 + len(weights()[1]) + 1
+    k = 3 + len(shipped()[1]) + 1
     seen = Filtered(**{name: np.zeros(shape) for name, shape in parts(layout, 1, k).items()})
     moved, rng, x, last = np.zeros((2, 4)), np.random.default_rng(1), np.zeros(4), np.zeros(4)
     at = layout.offsets
