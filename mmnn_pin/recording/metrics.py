@@ -20,7 +20,8 @@ ERRORS = ("pose_error", "z", "e")
 CONTACT = ("slip", "traction", "constraint_residual")  # of the contact plant
 # Judged by what the robot does, not by what its sensors say; recordings without these signals had exact sensors.
 TRUE = {"pose_error": "true_pose_error", "z": "true_z", "e": "true_e"}
-TRACKED = (*ERRORS, "motor_torque", "torque", "psi_hat", "effective_gain", "energy_residual", *CONTACT)
+TORQUES = ("motor_torque", "torque", "psi_hat", "effective_gain")  # no run is judged without them
+TRACKED = (*ERRORS, *TORQUES, "energy_residual", *CONTACT)
 Windows = Sequence[tuple[float, float]]
 
 
@@ -145,9 +146,10 @@ def metrics(recording: Recording, windows: Windows) -> dict[str, float]:
 
     Raises:
         RecordingError: It is damaged.
+        UnknownName: It has no torques.
     """
     recording.require_whole()
-    labels = {name: recording.labels(name) for name in TRACKED if name in recording}
+    labels = {name: recording.labels(name) for name in TRACKED if name in recording or name in TORQUES}
     rows = np.hstack([as_columns(recording[judged(recording, name)]) for name in ("time", *labels)])
     reducer = Reducer(labels, windows, recording.fact("control_period", float), np.arange(1, rows.shape[1]))
     reducer.append_block(rows)

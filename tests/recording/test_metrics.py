@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mmnn_pin.errors import UnknownName
 from mmnn_pin.recording.metrics import Reducer, halves, metrics
 from mmnn_pin.recording.recorder import Recorder
 from mmnn_pin.recording.recording import Outcome, Recording
@@ -115,6 +116,15 @@ def test_no_torque_has_no_learned_share():
     rows = random_rows(layout, 5)
     rows[:, layout.where("torque")] = 0.0
     assert reduced(layout, rows)["learned_share.base"] == 0.0
+
+
+@pytest.mark.parametrize("kept", [("z", "e"), ("motor_torque", "torque", "psi_hat")])
+def test_a_recording_without_torques_is_refused(kept):
+    with Recorder(LAYOUTS["mobile"], facts(LAYOUTS["mobile"]), signals=kept) as recorder:
+        recorder.append_block(random_rows(LAYOUTS["mobile"], 5))
+        recording = recorder.finish(Outcome("completed", 0.05))
+    with pytest.raises(UnknownName, match="motor_torque" if "z" in kept else "effective_gain"):
+        metrics(recording, WINDOWS)
 
 
 def test_no_windows_give_peaks_only():
