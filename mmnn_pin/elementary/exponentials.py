@@ -2,8 +2,25 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..compiled import compiled
-from .bits import INF, LN2_HI, LN2_LO, NAN, PER_LN2, ROUND, TWO_54, TWO_M54, bits_of, from_bits, horner, scaled
+from .bits import (
+    INF,
+    LN2_HI,
+    LN2_LO,
+    NAN,
+    PER_LN2,
+    ROUND,
+    ROUND_BITS,
+    TWO_54,
+    TWO_M54,
+    bits_of,
+    from_bits,
+    horner,
+    scaled,
+)
 
 # Coefficients of the polynomials, lowest power first.
 EXP = (1.66666666666666019037e-01, -2.77777777770155933842e-03, 6.61375632143793436117e-05,
@@ -28,6 +45,31 @@ def exp(x: float) -> float:
     c = r - t * horner(t, EXP, 0, 4, 1)
     y = 1.0 + (above + ((r * c) / (2.0 - c) - below))
     return scaled(y, int(k))
+
+
+@compiled
+def sigmoids(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """`1 / (1 + e^-x)` of a vector, written to another; the bits are those of `exp`, one by one.
+
+    Where all are within the range of powers of two, these are the steps of `exp` without its branches: the processor
+    works on several numbers at a time.
+    """
+    beyond = 0
+    for j in range(x.size):
+        beyond += 0 if -700.0 < x[j] < 700.0 else 1
+    if beyond > 0:
+        for j in range(x.size):
+            y[j] = 1.0 / (1.0 + exp(-x[j]))
+        return
+    for j in range(x.size):
+        shifted = -x[j] * PER_LN2 + ROUND
+        k = shifted - ROUND
+        above, below = -x[j] - k * LN2_HI, k * LN2_LO
+        r = above - below
+        t = r * r
+        c = r - t * horner(t, EXP, 0, 4, 1)
+        power = from_bits((bits_of(shifted) - ROUND_BITS + 1023) << 52)
+        y[j] = 1.0 / (1.0 + (1.0 + (above + ((r * c) / (2.0 - c) - below))) * power)
 
 
 @compiled

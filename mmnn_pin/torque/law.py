@@ -215,7 +215,7 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
     else:
         if adds_model:
             copy_to(psi_hat, torque)
-        networks(row, at, n, law.rows, networks_of(state, layout))
+        networks(row, at, law, state)
         for i in range(torque.size if adds_model else 0):
             psi_hat[i] += torque[i]
     z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
@@ -249,9 +249,10 @@ def lead(psi_hat: Array, later: Array, share: Array, applied: Array) -> None:
 
 
 @internal
-def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) -> None:
+def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
     """Outputs, effective gain and updates of the base's and the arm's network."""
-    first = 0
+    n, o = numbers_of(law.settings, law.sizes), networks_of(state, law.sizes[STATE:])
+    rows, first = law.rows, 0
     gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
     for i in range(o.x.size):
         o.x[i] = row[rows[i]]
@@ -274,7 +275,7 @@ def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) 
         first += error.size
 
 
-@internal
+@compiled
 def network(
     n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array, psi_hat: Array
 ) -> float:
@@ -296,7 +297,7 @@ def network(
     return norm
 
 
-@internal
+@compiled
 def update(n: Numbers, rates: Array, W: Array, V: Array, x: Array, net: Array, sigma: Array, s: Array) -> None:
     """Update of one network's weights, which end within their bounds; the centres V of a one-layer network stay."""
     if int(n.kind[0]) == ONE_LAYER:
