@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..compiled import compiled
+from ..compiled import compiled, inlined
 from .bits import (
     INF,
     LN2_HI,
@@ -39,12 +39,17 @@ def exp(x: float) -> float:
     if not (-745.2 < x < 709.8):
         return x if x != x else (INF if x > 0.0 else 0.0)
     k = x * PER_LN2 + ROUND - ROUND
+    return scaled(exp_within(x, k), int(k))
+
+
+@inlined
+def exp_within(x: float, k: float) -> float:
+    """`e^(x - k ln 2)`, k being the integer next to `x / ln 2`."""
     above, below = x - k * LN2_HI, k * LN2_LO
     r = above - below
     t = r * r
     c = r - t * horner(t, EXP, 0, 4, 1)
-    y = 1.0 + (above + ((r * c) / (2.0 - c) - below))
-    return scaled(y, int(k))
+    return 1.0 + (above + ((r * c) / (2.0 - c) - below))
 
 
 @compiled
@@ -62,14 +67,9 @@ def sigmoids(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
             y[j] = 1.0 / (1.0 + exp(-x[j]))
         return
     for j in range(x.size):
-        shifted = -x[j] * PER_LN2 + ROUND
-        k = shifted - ROUND
-        above, below = -x[j] - k * LN2_HI, k * LN2_LO
-        r = above - below
-        t = r * r
-        c = r - t * horner(t, EXP, 0, 4, 1)
-        power = from_bits((bits_of(shifted) - ROUND_BITS + 1023) << 52)
-        y[j] = 1.0 / (1.0 + (1.0 + (above + ((r * c) / (2.0 - c) - below))) * power)
+        k = -x[j] * PER_LN2 + ROUND
+        power = from_bits((bits_of(k) - ROUND_BITS + 1023) << 52)
+        y[j] = 1.0 / (1.0 + exp_within(-x[j], k - ROUND) * power)
 
 
 @compiled
