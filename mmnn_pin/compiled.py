@@ -46,9 +46,14 @@ from typing import Annotated, Any, ParamSpec, TypeVar, cast, get_type_hints
 import numba
 import numpy as np
 from llvmlite.binding import add_symbol
+from numba.core.imputils import lower_builtin
 from numba.core.options import DefaultOptions
 from numba.core.registry import CPUDispatcher
+from numba.core.types import Array, Integer
+from numba.core.typing import signature
+from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.extending import overload
+from numba.np.arrayobj import make_array, populate_array
 from numpy.typing import NDArray
 from threadpoolctl import ThreadpoolController
 
@@ -217,10 +222,62 @@ def entry(A: NDArray[np.float64], j: int, x: NDArray[np.float64]) -> float:
     return total
 
 
+def vector(values: NDArray[Any], start: int, size: int) -> NDArray[Any]:
+    """A part of a flat array; compiled code neither checks nor wraps its place."""
+    return values[start : start + size]
+
+
+def matrix(values: NDArray[Any], start: int, rows: int, columns: int) -> NDArray[Any]:
+    """A part of a flat array, row by row."""
+    return values[start : start + rows * columns].reshape((rows, columns))
+
+
+def cube(values: NDArray[Any], start: int, layers: int, rows: int, columns: int) -> NDArray[Any]:
+    """A part of a flat array, layer by layer."""
+    return values[start : start + layers * rows * columns].reshape((layers, rows, columns))
+
+
+PARTS = {1: vector, 2: matrix, 3: cube}  # by their number of dimensions
+
+
+class Part(AbstractTemplate):
+    """The type of a part of a flat array."""
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        """A whole array of its own, of as many dimensions as sizes are given."""
+        values, ndim = args[0], len(args) - 2
+        if isinstance(values, Array) and values.ndim == 1 and values.layout == "C":
+            return signature(Array(values.dtype, ndim, "C"), values, *[numba.types.intp] * (ndim + 1))
+        return None
+
+
+def cut(context: Any, builder: Any, given: Any, arguments: Any) -> Any:
+    """The code of a part: where it begins, and its sizes."""
+    values, made = make_array(given.args[0])(context, builder, arguments[0]), make_array(given.return_type)
+    part, sizes, strides = made(context, builder), arguments[2:], [values.itemsize]
+    for size in reversed(sizes[1:]):
+        strides.insert(0, builder.mul(strides[0], size))
+    populate_array(
+        part,
+        data=builder.gep(values.data, [arguments[1]]),
+        shape=sizes,
+        strides=strides,
+        itemsize=values.itemsize,
+        meminfo=values.meminfo,
+        parent=values.parent,
+    )
+    return part._getvalue()
+
+
+for ndim, function in PARTS.items():
+    infer_global(function)(type(function.__name__, (Part,), {"key": function}))
+    lower_builtin(function, Array, *[Integer] * (ndim + 1))(cut)
+
+
 @spliced
 def view(row: NDArray[np.float64], at: NDArray[np.int64], signal: int) -> NDArray[np.float64]:
     """The part of a row that holds a signal, by the offsets of all signals and its place in `signals.INDEX`."""
-    return row[at[signal] : at[signal + 1]]
+    return vector(row, at[signal], at[signal + 1] - at[signal])
 
 
 def views(kind: type[T]) -> Callable[[NDArray[np.float64], NDArray[np.int64]], T]:
@@ -229,7 +286,7 @@ def views(kind: type[T]) -> Callable[[NDArray[np.float64], NDArray[np.int64]], T
     It is spliced into its callers, so it costs a few additions. Fields of the tuple are a `Vector`, a `Matrix`, a
     `Cube` or another such tuple; `layout` is that of `layout_of`.
     """
-    known: dict[str, Any] = {}
+    known: dict[str, Any] = {function.__name__: function for function in PARTS.values()}
     text, _ = constructor(kind, known, 0)
     view = spelled(f"def view(values, layout): return {text}", **known)
     made = numba.njit(nogil=True, error_model="numpy", inline="always", **LEAN)(view)
@@ -243,9 +300,8 @@ def constructor(kind: type[Any], known: dict[str, Any], place: int) -> tuple[str
         if not isinstance(part, int):
             text, place = constructor(part, known, place)
         else:
-            sizes = [f"layout[{place + 1 + i}]" for i in range(part)]
-            text = f"values[layout[{place}] : layout[{place}] + {' * '.join(sizes)}]"
-            text += f".reshape(({', '.join(sizes)}))" if part > 1 else ""
+            where = ", ".join(f"layout[{place + i}]" for i in range(part + 1))
+            text = f"{PARTS[part].__name__}(values, {where})"
             place += 1 + part
         parts.append(text)
     return f"{kind.__name__}({', '.join(parts)})", place

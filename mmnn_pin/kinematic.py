@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from .compiled import compiled, internal
+from .compiled import compiled, internal, view
 from .elementary import cos_sin
 from .model.base import BY_SIZE, velocity_command
 from .settings import Settings, one_or_each, require_gains
@@ -58,21 +58,21 @@ def command(row: Array, at: IntArray, gains: Array, K: Array) -> None:
         gains: (3,) of the law that fits the base (`Kinematic.base_gains`); unused for a fixed arm.
         K: (n,) gain of the filtered error [1/s].
     """
-    nu_ref, nudot_ref = row[at[NU_REF] : at[NU_REF + 1]], row[at[NUDOT_REF] : at[NUDOT_REF + 1]]
+    nu_ref, nudot_ref = view(row, at, NU_REF), view(row, at, NUDOT_REF)
     nb, n = at[ALPHA + 1] - at[ALPHA], at[E + 1] - at[E]
     if nb:
-        error, velocity = row[at[POSE_ERROR] : at[POSE_ERROR + 1]], row[at[VELOCITY] : at[VELOCITY + 1]]
+        error, velocity = view(row, at, POSE_ERROR), view(row, at, VELOCITY)
         alpha, alphadot, z = (
-            row[at[ALPHA] : at[ALPHA + 1]],
-            row[at[ALPHADOT] : at[ALPHADOT + 1]],
-            row[at[Z] : at[Z + 1]],
+            view(row, at, ALPHA),
+            view(row, at, ALPHADOT),
+            view(row, at, Z),
         )
-        pose_ref, pose = row[at[POSE_REF] : at[POSE_REF + 1]], row[at[POSE] : at[POSE + 1]]
+        pose_ref, pose = view(row, at, POSE_REF), view(row, at, POSE)
         body_error(pose_ref, pose, error)
-        world_error(pose_ref, pose, row[at[WORLD_ERROR] : at[WORLD_ERROR + 1]])
+        world_error(pose_ref, pose, view(row, at, WORLD_ERROR))
         v_ref, a_ref = (
-            row[at[VELOCITY_REF] : at[VELOCITY_REF + 1]],
-            row[at[ACCELERATION_REF] : at[ACCELERATION_REF + 1]],
+            view(row, at, VELOCITY_REF),
+            view(row, at, ACCELERATION_REF),
         )
         velocity_command(error, v_ref, a_ref, velocity, gains, alpha, alphadot)
         for i in range(nb):

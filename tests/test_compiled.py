@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import os
 import pickle
 import subprocess
@@ -20,7 +21,20 @@ from numba._dispatcher import compute_fingerprint
 
 from mmnn_pin import load_experiment
 from mmnn_pin.by_address import by_address
-from mmnn_pin.compiled import by_type, compiled, internal, linked
+from mmnn_pin.compiled import (
+    Cube,
+    Matrix,
+    Vector,
+    by_type,
+    compiled,
+    cube,
+    internal,
+    layout_of,
+    linked,
+    matrix,
+    vector,
+    views,
+)
 from mmnn_pin.loop.hardware import MotorSide
 from mmnn_pin.loop.latency import Transport
 from mmnn_pin.loop.servo import VelocityServo
@@ -207,6 +221,64 @@ def test_what_may_stand_in_one_place_differs_in_its_parts():
     motors = [Transport(0.1, whole[0], two), VelocityServo(0.1, *[one] * 6, two)]
     for group in (learners.values(), sensors, motors):
         assert len({compute_fingerprint(value) for value in group}) == len(group)
+
+
+@compiled
+def parts_written(values: np.ndarray, where: np.ndarray, out: np.ndarray) -> None:
+    """Every number of three parts, which are changed as they are read."""
+    a, b = vector(values, where[0], where[1]), matrix(values, where[2], where[3], where[4])
+    c, k = cube(values, where[5], where[6], where[7], where[8]), 0
+    for i in range(a.size):
+        out[k], a[i], k = a[i], -a[i], k + 1
+    for i in range(b.shape[0]):
+        for j in range(b.shape[1]):
+            out[k], b[i, j], k = b[i, j], b[i, j] + 1.0, k + 1
+    for i in range(c.shape[0]):
+        for j in range(c.shape[1]):
+            for n in range(c.shape[2]):
+                out[k], c[i, j, n], k = c[i, j, n], 2.0 * c[i, j, n], k + 1
+
+
+@given(st.data())
+def test_parts_of_a_flat_array_are_views_of_it(data):
+    size = st.integers(0, 4)
+    shapes = [tuple(data.draw(size) for _ in range(n)) for n in (1, 2, 3)]
+    starts = [data.draw(st.integers(0, 10)) for _ in shapes]
+    values = np.arange(100.0)
+    wanted, read = values.copy(), []
+    for start, shape, change in zip(starts, shapes, (np.negative, lambda x: x + 1.0, lambda x: 2.0 * x), strict=True):
+        part = wanted[start : start + math.prod(shape)].reshape(shape)
+        read.append(part.copy().ravel())
+        part[:] = change(part)
+    out, where = np.zeros(sum(map(len, read))), [n for i in range(3) for n in (starts[i], *shapes[i])]
+    parts_written(values, np.array(where), out)
+    assert np.array_equal(values, wanted) and np.array_equal(out, np.concatenate(read))
+
+
+class Parts(NamedTuple):
+    """What stands in a flat array."""
+
+    a: Vector
+    b: Matrix
+    c: Cube
+
+
+parts_of = views(Parts)
+
+
+@compiled
+def shapes_and_sums(values: np.ndarray, layout: np.ndarray, out: np.ndarray) -> None:
+    """Shapes of the parts, and the sums of their numbers."""
+    o = parts_of(values, layout)
+    out[0], out[1], out[2] = o.a.shape[0], o.b.shape[0], o.b.shape[1]
+    out[3], out[4], out[5] = o.c.shape[0], o.c.shape[1], o.c.shape[2]
+    out[6], out[7], out[8] = o.a.sum(), o.b.sum(), o.c.sum()
+
+
+def test_a_tuple_of_views_has_the_shapes_of_its_layout():
+    shapes, values, out = {"c": (2, 3, 2), "a": (5,), "b": (3, 4)}, np.arange(29.0), np.zeros(9)
+    shapes_and_sums(values, layout_of(Parts, shapes), out)
+    assert out.tolist() == [5, 3, 4, 2, 3, 2, values[12:17].sum(), values[17:].sum(), values[:12].sum()]
 
 
 @internal

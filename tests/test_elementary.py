@@ -176,3 +176,11 @@ def test_the_bits_are_the_same_without_numba_and_on_the_plainest_processor(
     found = digest(NUMBA_CACHE_DIR=str(tmp_path_factory.mktemp("cache")), **setting)
     assert len(found) == len(hashlib.sha256().hexdigest())
     assert found == digest()
+
+
+@given(st.lists(st.floats(-720.0, 720.0) | st.floats(), max_size=40))
+def test_sigmoids_have_the_bits_of_exp(numbers):
+    x = np.array(numbers)
+    y = np.zeros_like(x)
+    elementary.sigmoids(x, y)
+    assert np.array_equal(y, [1.0 / (1.0 + elementary.exp(-one)) for one in numbers], equal_nan=True)

@@ -22,7 +22,7 @@ as plain Python and gives the same bits.
 """
 
 from .angles import atan, atan2, cos, cos_sin, sin, tan
-from .exponentials import exp, expm1, log, tanh
+from .exponentials import exp, expm1, log, sigmoids, tanh
 from .two_doubles import hypot, pow
 
-__all__ = ["atan", "atan2", "cos", "cos_sin", "exp", "expm1", "hypot", "log", "pow", "sin", "tan", "tanh"]
+__all__ = ["atan", "atan2", "cos", "cos_sin", "exp", "expm1", "hypot", "log", "pow", "sigmoids", "sin", "tan", "tanh"]

@@ -29,6 +29,9 @@ def from_bits(bits: int) -> float:
     return float(struct.unpack("<d", struct.pack("<q", bits))[0])
 
 
+ROUND_BITS = bits_of(ROUND)
+
+
 @intrinsic
 def as_int(typing_context: Any, x: Any) -> Any:
     """The bits of a double in compiled code; in plain Python there is `bits_of`."""

@@ -2,8 +2,25 @@
 
 from __future__ import annotations
 
-from ..compiled import compiled
-from .bits import INF, LN2_HI, LN2_LO, NAN, PER_LN2, ROUND, TWO_54, TWO_M54, bits_of, from_bits, horner, scaled
+import numpy as np
+from numpy.typing import NDArray
+
+from ..compiled import compiled, inlined
+from .bits import (
+    INF,
+    LN2_HI,
+    LN2_LO,
+    NAN,
+    PER_LN2,
+    ROUND,
+    ROUND_BITS,
+    TWO_54,
+    TWO_M54,
+    bits_of,
+    from_bits,
+    horner,
+    scaled,
+)
 
 # Coefficients of the polynomials, lowest power first.
 EXP = (1.66666666666666019037e-01, -2.77777777770155933842e-03, 6.61375632143793436117e-05,
@@ -22,12 +39,37 @@ def exp(x: float) -> float:
     if not (-745.2 < x < 709.8):
         return x if x != x else (INF if x > 0.0 else 0.0)
     k = x * PER_LN2 + ROUND - ROUND
+    return scaled(exp_within(x, k), int(k))
+
+
+@inlined
+def exp_within(x: float, k: float) -> float:
+    """`e^(x - k ln 2)`, k being the integer next to `x / ln 2`."""
     above, below = x - k * LN2_HI, k * LN2_LO
     r = above - below
     t = r * r
     c = r - t * horner(t, EXP, 0, 4, 1)
-    y = 1.0 + (above + ((r * c) / (2.0 - c) - below))
-    return scaled(y, int(k))
+    return 1.0 + (above + ((r * c) / (2.0 - c) - below))
+
+
+@compiled
+def sigmoids(x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+    """`1 / (1 + e^-x)` of a vector, written to another; the bits are those of `exp`, one by one.
+
+    Where all are within the range of powers of two, these are the steps of `exp` without its branches: the processor
+    works on several numbers at a time.
+    """
+    beyond = 0
+    for j in range(x.size):
+        beyond += 0 if -700.0 < x[j] < 700.0 else 1
+    if beyond > 0:
+        for j in range(x.size):
+            y[j] = 1.0 / (1.0 + exp(-x[j]))
+        return
+    for j in range(x.size):
+        k = -x[j] * PER_LN2 + ROUND
+        power = from_bits((bits_of(k) - ROUND_BITS + 1023) << 52)
+        y[j] = 1.0 / (1.0 + exp_within(-x[j], k - ROUND) * power)
 
 
 @compiled

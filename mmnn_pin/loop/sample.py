@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from .. import kinematic
-from ..compiled import compiled, copy_to, entry, linked, view
+from ..compiled import compiled, copy_to, entry, linked, vector, view
 from ..elementary.matrices import pseudo_inverse
 from ..model.robot import Robot
 from ..plant.contact.feet import Contact
@@ -46,7 +46,7 @@ def before_torque(row: Array, at: IntArray, time: float, setpoint: Array, gains:
         K: (n,) gain of the filtered arm error [1/s].
     """
     row[at[TIME]] = time
-    copy_to(setpoint, row[at[POSE_REF] : at[POSE]])
+    copy_to(setpoint, vector(row, at[POSE_REF], at[POSE] - at[POSE_REF]))
     kinematic.command(row, at, gains, K)
 
 

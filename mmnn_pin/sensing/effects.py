@@ -16,7 +16,7 @@ import math
 from typing import Any, NamedTuple
 
 from ..by_address import by_address
-from ..compiled import copy_to, internal, linked
+from ..compiled import copy_to, internal, linked, view
 from ..elementary import cos_sin
 from ..elementary.matrices import product
 from ..model.base.holonomic import moves_sideways
@@ -41,10 +41,10 @@ def exact(row: Array, at: IntArray, position: Array, nu: Array, arm: IntArray) -
         arm: (n,) places of the arm joints in the position.
     """
     pose, velocity, q, qdot = (
-        row[at[POSE] : at[POSE + 1]],
-        row[at[VELOCITY] : at[VELOCITY + 1]],
-        row[at[Q] : at[Q + 1]],
-        row[at[QDOT] : at[QDOT + 1]],
+        view(row, at, POSE),
+        view(row, at, VELOCITY),
+        view(row, at, Q),
+        view(row, at, QDOT),
     )
     for i in range(pose.size):
         pose[i] = position[i]

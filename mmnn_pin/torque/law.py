@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, by_type, compiled, copy_to, entry, internal, layout_of, linked, views
+from ..compiled import Matrix, Vector, by_type, compiled, copy_to, entry, internal, layout_of, linked, view, views
 from ..elementary.matrices import pseudo_inverse
 from ..signals import INDEX, Array, IntArray
 from .one_layer import ONE_LAYER, one_layer_output, one_layer_update
@@ -199,10 +199,10 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
         ahead: Where Psi_hat leads, with its row; None where it does not, likewise.
     """
     gain, psi_hat, robust, torque = (
-        row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]],
-        row[at[PSI_HAT] : at[PSI_HAT + 1]],
-        row[at[ROBUST] : at[ROBUST + 1]],
-        row[at[TORQUE] : at[TORQUE + 1]],
+        view(row, at, EFFECTIVE_GAIN),
+        view(row, at, PSI_HAT),
+        view(row, at, ROBUST),
+        view(row, at, TORQUE),
     )
     n, layout = numbers_of(law.settings, law.sizes), law.sizes[STATE:]
     K, kind, adds_model = n.gains[0], int(n.kind[0]), n.adds_model[0] == 1.0
@@ -215,10 +215,10 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
     else:
         if adds_model:
             copy_to(psi_hat, torque)
-        networks(row, at, n, law.rows, networks_of(state, layout))
+        networks(row, at, law, state)
         for i in range(torque.size if adds_model else 0):
             psi_hat[i] += torque[i]
-    z, r = row[at[Z] : at[Z + 1]], row[at[R] : at[R + 1]]
+    z, r = view(row, at, Z), view(row, at, R)
     for i in range(torque.size):
         s = z[i] if i < z.size else r[i - z.size]
         torque[i] = gain[i] * s
@@ -227,8 +227,8 @@ def step(row: Array, at: IntArray, law: Packed, state: Array, limits: MotorLimit
     if limits is not None and kind >= TWO_LAYER:
         soften(gain, K, robust, torque, limits)
     if ahead is not None:
-        applied = row[at[PSI_APPLIED] : at[PSI_APPLIED + 1]]
-        lead(psi_hat, ahead.row[at[PSI_HAT] : at[PSI_HAT + 1]], ahead.share, applied)
+        applied = view(row, at, PSI_APPLIED)
+        lead(psi_hat, view(ahead.row, at, PSI_HAT), ahead.share, applied)
         if limits is not None:
             limit(applied, torque, limits)
             limit(psi_hat, torque, limits)
@@ -249,25 +249,26 @@ def lead(psi_hat: Array, later: Array, share: Array, applied: Array) -> None:
 
 
 @internal
-def networks(row: Array, at: IntArray, n: Numbers, rows: IntArray, o: Networks) -> None:
+def networks(row: Array, at: IntArray, law: Packed, state: Array) -> None:
     """Outputs, effective gain and updates of the base's and the arm's network."""
-    first = 0
-    gain = row[at[EFFECTIVE_GAIN] : at[EFFECTIVE_GAIN + 1]]
+    n, o = numbers_of(law.settings, law.sizes), networks_of(state, law.sizes[STATE:])
+    rows, first = law.rows, 0
+    gain = view(row, at, EFFECTIVE_GAIN)
     for i in range(o.x.size):
         o.x[i] = row[rows[i]]
         if n.inputs.shape[1] > 0:
             o.x[i] = n.inputs[0, i] * o.x[i] + n.inputs[1, i]
     for which in range(2):
-        error = row[at[Z] : at[Z + 1]] if which == 0 else row[at[R] : at[R + 1]]
+        error = view(row, at, Z) if which == 0 else view(row, at, R)
         if error.size == 0:
             continue
         W, V = (o.W1, o.V1) if which == 0 else (o.W2, o.V2)
         sigma, net, s = (o.sigma1, o.net1, o.s1) if which == 0 else (o.sigma2, o.net2, o.s2)
         for i in range(error.size):
             s[i] = n.gains[2, first + i] * error[i]
-        psi_hat = row[at[PSI_HAT] : at[PSI_HAT + 1]][first : first + error.size]
+        psi_hat = view(row, at, PSI_HAT)[first : first + error.size]
         norm = network(n, n.networks[which], W, V, o.x, net, sigma, s, psi_hat)
-        row[at[WEIGHT_NORM] : at[WEIGHT_NORM + 1]][which] = norm
+        row[at[WEIGHT_NORM] + which] = norm
         for i in range(first, first + error.size):
             row[at[PSI_HAT] + i] *= n.gains[3, i]
             gain[i] = n.gains[0, i] + n.gains[1, i] * (norm + n.networks[which, 3])

@@ -17,7 +17,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from ..compiled import compiled, internal
-from ..elementary import exp
+from ..elementary import sigmoids
 from ..errors import ConfigError
 from ..settings import Settings, require_at_most, require_gains
 from ..signals import Array
@@ -85,8 +85,7 @@ def two_layer_output(W: Array, V: Array, x: Array, net: Array, sigma: Array, psi
     """
     hidden_input(V, x, net)
     squares = sum_of_squares(V, sigma)
-    for j in range(net.size):
-        sigma[j] = 1.0 / (1.0 + exp(-net[j]))
+    sigmoids(net, sigma)
     return math.sqrt(squares + weighted_sum(W, sigma, psi_hat))
 
 
@@ -112,7 +111,8 @@ def sum_of_squares(V: Array, scratch: Array) -> float:
     paired = V.shape[0] - V.shape[0] % 2
     for i in range(0, paired, 2):
         for j in range(scratch.size):
-            scratch[j] += V[i, j] * V[i, j] + V[i + 1, j] * V[i + 1, j]
+            one, other = V[i, j], V[i + 1, j]
+            scratch[j] += one * one + other * other
     for i in range(paired, V.shape[0]):
         for j in range(scratch.size):
             scratch[j] += V[i, j] * V[i, j]
