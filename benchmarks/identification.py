@@ -6,18 +6,18 @@
     python benchmarks/identification.py other --robot R LOG...    # any log, read as it is
     python benchmarks/identification.py coverage --robot panda    # do intervals cover the truth, in simulation?
 
-The path is a clone of the repository that the data lies in; nothing of it is kept here. With figaroh installed (`pip
-install --no-deps figaroh==1.0.2`) plain least squares in the base parameters that it chooses stands beside ours, on the
-same equations.
+The path is a clone of the repository that the data lies in; nothing of it is kept here. `--figaroh PYTHON` names the
+interpreter of an environment with `pip install figaroh==1.0.2`: its least squares, weighted least squares and fit of
+possible bodies then stand beside ours, on the same equations, over the joints that we identify.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import resource
-import sys
+import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -51,6 +51,7 @@ from mmnn_pin.torque.pseudo_inertia import BODY
 # Gear ratio times motor constant [N m / A], of the data's own script (examples/tiago/identification.py).
 TIAGO = {"arm_1_joint": 13.6, "arm_2_joint": 13.6, "arm_3_joint": -8.7, "arm_4_joint": -8.7}
 TIAGO |= {f"arm_{i}_joint": -336 * 0.0613 for i in (5, 6, 7)}
+FIGAROH = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # its names, in its order
 CASES: dict[str, dict[str, Any]] = {
     "tiago": {
         "robot": "examples/tiago/urdf/tiago_48_schunk.urdf",
@@ -68,30 +69,39 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-def eliminated(found: Identification) -> float | None:
-    """Held-out error of least squares in the base parameters that figaroh chooses; None where it is not installed.
+def by_figaroh(found: Identification, python: str) -> dict[str, float]:
+    """Held-out errors of figaroh's least squares, weighted ones and possible bodies, on the same equations.
 
-    Its module is read alone: the package needs libraries that no registry of Python has.
+    Args:
+        found: Ours.
+        python: The interpreter that has figaroh.
     """
-    there = importlib.util.find_spec("figaroh")
-    if there is None or not there.submodule_search_locations:
-        return None
-    place = Path(there.submodule_search_locations[0]) / "tools" / "qrdecomposition.py"
-    spec = importlib.util.spec_from_file_location("qrdecomposition", place)
-    assert spec is not None and spec.loader is not None
-    theirs = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = theirs
-    spec.loader.exec_module(theirs)
     rows, test = found.training.only(found.follows), found.held_out.only(found.follows)
-    active = np.flatnonzero(np.abs(rows.Y[rows.use]).max(axis=0) > 1e-6)
-    W, tau = rows.Y[rows.use][:, active], rows.y[rows.use]
-    kept = active[list(theirs.get_baseIndex(W, [found.unknowns.labels[i] for i in active]))]
-    theta = np.zeros(found.unknowns.size)
-    theta[kept] = np.linalg.lstsq(rows.Y[rows.use][:, kept], tau, rcond=None)[0]
-    return together(test, test.Y @ theta)
+    first, labels = found.unknowns.regressor.inertial, found.unknowns.labels
+    to_ours = np.eye(len(labels))  # from its inertias Ixx Ixy Iyy Ixz Iyz Izz about the joint to our second moments
+    half = np.array([[-1, 0, 1, 0, 0, 1], [0, -2, 0, 0, 0, 0], [0, 0, 0, -2, 0, 0], [1, 0, -1, 0, 0, 1],
+                     [0, 0, 0, 0, -2, 0], [1, 0, 1, 0, 0, -1]]) / 2  # fmt: skip
+    names = list(labels)
+    for b, body in enumerate(found.unknowns.regressor.bodies):
+        at = BODY * b
+        to_ours[at + 4 : at + BODY, at + 4 : at + BODY] = half
+        names[at : at + BODY] = [f"{key}_{body}" for key in FIGAROH]
+    joint, of_test = np.nonzero(rows.use.T)[0], test.use.T
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(
+            file := Path(folder) / "equations.npz", W=rows.Y.swapaxes(0, 1)[rows.use.T] @ to_ours,
+            tau=rows.y.T[rows.use.T], joint=np.unique(joint, return_inverse=True)[1], names=names,
+            test=test.Y.swapaxes(0, 1)[of_test] @ to_ours, joints=found.unknowns.regressor.bodies,
+            prior=np.linalg.solve(to_ours, found.unknowns.prior),
+        )  # fmt: skip
+        command = [python, str(Path(__file__).with_name("by_figaroh.py")), str(file)]
+        answer = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()[-1])
+    y = test.y.T[of_test]
+    names = [name for name in ("ols", "wls", "physical") if name in answer]
+    return {f"figaroh_{name}": float(np.linalg.norm(y - answer[name]) / np.linalg.norm(y)) for name in names}
 
 
-def report(found: Identification) -> dict[str, Any]:
+def report(found: Identification, python: str | None = None) -> dict[str, Any]:
     """Errors of all models, over what was identified and over all that moves, and joint by joint."""
     models = [*MODELS]
     table: dict[str, Any] = {
@@ -104,8 +114,8 @@ def report(found: Identification) -> dict[str, Any]:
             name: {model: float(found.errors(model)[i]) for model in models} for i, name in enumerate(found.names)
         },
     }
-    if (theirs := eliminated(found)) is not None:
-        table["identified"]["figaroh"] = theirs
+    if python is not None:
+        table["identified"] |= by_figaroh(found, python)
     return table
 
 
@@ -196,6 +206,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the noise")
     parser.add_argument("--robot")
     parser.add_argument("--cutoff", type=float)
+    parser.add_argument("--figaroh", metavar="PYTHON", help="an interpreter that has figaroh 1.0.2")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
     if given.case == "coverage":
@@ -209,21 +220,22 @@ def main() -> None:
     robot = load(name)
     logs = read_logs([folder / log for log in case["logs"]], robot, case.get("columns"))
     identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))  # compiles
-    before = time.perf_counter()
+    before = time.process_time()
     found = identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))
-    table = report(found) | {"seconds": time.perf_counter() - before, "rows": [len(log.time) for log in logs]}
+    seconds = time.process_time() - before
+    table = report(found, given.figaroh) | {"seconds": seconds, "rows": [len(log.time) for log in logs]}
     table["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if given.json:
         print(json.dumps(table))
         return
-    print(f"{given.case}: {table['rows']} rows, low-pass {table['cutoff_hz']:.3g} Hz, {table['seconds']:.2f} s")
+    print(f"{given.case}: {table['rows']} rows, low-pass {table['cutoff_hz']:.3g} Hz, {table['seconds']:.2f} s of processor time")
     models = list(table["identified"])
-    print(f"{'':22s}" + "".join(f"{model:>15s}" for model in models))
+    print(f"{'':22s}" + "".join(f"{model:>18s}" for model in models))
     for title, errors in (("identified joints", table["identified"]), ("all that move", table["all_moving"])):
-        print(f"{title:22s}" + "".join(f"{100 * errors.get(model, np.nan):14.1f}%" for model in models))
+        print(f"{title:22s}" + "".join(f"{100 * errors.get(model, np.nan):17.1f}%" for model in models))
     for joint, errors in table["joints"].items():
         mark = "" if joint in table["follow"] else "  not identified"
-        print(f"{joint:22s}" + "".join(f"{100 * errors.get(model, np.nan):14.1f}%" for model in models) + mark)
+        print(f"{joint:22s}" + "".join(f"{100 * errors.get(model, np.nan):17.1f}%" for model in models) + mark)
 
 
 if __name__ == "__main__":
