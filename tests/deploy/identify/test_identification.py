@@ -270,6 +270,32 @@ def test_a_motion_too_still_and_a_solver_without_answer_are_one_line(
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("failing", [1, 2])
+def test_a_solver_that_gives_up_is_asked_again_with_more_care(
+    failing: int, urdf: Robot, found: Identification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once by a status, once by an error: the next settings follow, one after the other, to the same answer."""
+    cvxpy, asked = pytest.importorskip("cvxpy"), []
+    solve = cvxpy.Problem.solve
+
+    def gives_up(self: Any, solver: str, **how: Any) -> None:
+        asked.append(how)
+        if len(asked) > failing:
+            solve(self, solver=solver, **how)
+        elif len(asked) == 2:
+            raise cvxpy.error.SolverError("Solver 'CLARABEL' failed.")
+        else:
+            self._status = "optimal_inaccurate"
+
+    monkeypatch.setattr("cvxpy.Problem.solve", gives_up)
+    again = programme.consistent_fit(
+        found.training.only(found.follows), found.prior, found.follows, found.fit.deviation, found.consistent.weight,
+        found.fit.inflation,
+    )  # fmt: skip
+    assert asked == [{}, *programme.CAREFUL][: failing + 1]
+    np.testing.assert_allclose(again.theta, found.theta, rtol=1e-3, atol=1e-4)
+
+
 @pytest.mark.skipif("tiago" not in extra(), reason="needs example-robot-data")
 def test_what_is_said_beside_a_file_keeps_the_joints_that_stand_still(found: Identification, tmp_path: Path) -> None:
     """Which branches are short is seen by their bodies: with another centre of mass a head would be an arm."""
