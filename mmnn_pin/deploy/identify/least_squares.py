@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import qr
+from scipy.linalg import eigh, qr
 from scipy.signal import oaconvolve
 
 from ...signals import Array
@@ -180,12 +180,13 @@ def summed(parts: Array, deviation: Array) -> Array:
 def inverted(A: Array) -> tuple[Array, Bools, float]:
     """Inverse of an information matrix, which parameters it determines, and the condition number of its root."""
     diagonal = np.diag(A)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(A * np.outer(scale, scale))
+    there = diagonal > 0
+    scale = np.where(there, 1 / np.sqrt(np.where(there, diagonal, 1.0)), 0.0)
+    values, vectors = eigh(A * np.outer(scale, scale) + np.diag(~there))  # by RRR: numpy's divides, and may not end
     kept = values > UNSEEN * values[-1]
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    seen = (diagonal > 0) & ((vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6)
-    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300))) if kept.all() else np.inf
+    seen = there & ((vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6)
+    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300))) if kept.all() and there.all() else np.inf
     return inverse * np.outer(scale, scale), seen, condition
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import eigh
 
 from ...errors import RecordingError, UnknownName
 from ...model.regressor import Regressor
@@ -26,7 +27,7 @@ from ...signals import Array
 from ...torque.prior import DOUBT
 from ...torque.pseudo_inertia import BODY
 from .equations import Bools, Equations, Unknowns, chosen_cutoff, equations, measured_rows, still_speeds
-from .least_squares import Base, Fit, weighted_fit
+from .least_squares import FINEST, Base, Fit, inverted, meat, weighted_fit
 from .log import Log
 from .programme import BALL, LIGHT, WIDE, Prior
 from .quality import sound
@@ -34,10 +35,13 @@ from .report import links_of
 
 VISIBLE = 4  # of the ten numbers: m and mc
 ROUNDS, SETTLED = 10, 1e-3  # of second moments at most; relative change of the mass at which they end
+TURNS = 4  # of residual variances in each of them
+SELDOM = 0.01  # likelihood of a size of errors, over that of the best, below which it does not count
 LONGEST = 1.0  # distance of a load from its joint up to which its second moments follow the centre [m]
 SCALES = (0.005, 0.0125, 0.03, 0.08, 0.2, DOUBT)  # of the doubt in every body, relative
 SHAPES = (0.2, 1.0)  # doubt in the ten numbers of a body by themselves, over that in all of them together
-TIMES = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0)  # of the doubt of a covariance that is given
+TIMES = (1.0, 10.0)  # of the deviations of a covariance that is given
+BESIDE = (1e-4, 0.003, 0.01, 0.03, 0.1)  # and of what its parameters are off beside, relative
 UNSEEN, FAR = (
     1e12,
     10.0,
@@ -55,7 +59,7 @@ class Load:
         centre: (3,) in the link's frame [m].
         centre_sd: (3,) of it; inf where no torque tells a coordinate.
         error: Torque error without and with the load, relative to the measured torque.
-        doubt: How far off the robot's bodies are, relative; with a covariance, its standard deviations times this.
+        doubt: How far off the robot's bodies are, relative; its parameters beside a covariance that is given.
     """
 
     link: str
@@ -141,13 +145,15 @@ class Doubts:
     Attributes:
         centre: (k,) parameters without a load.
         B: (k, m).
-        scales: (S,) the s that may be, all numbers up to the largest equally likely.
+        scales: (S,) the s that may be.
+        likely: (S,) how likely each is beforehand.
         sd: (S, m) of x with each.
     """
 
     centre: Array
     B: Array
     scales: Array
+    likely: Array
     sd: Array
 
 
@@ -171,7 +177,7 @@ class Numbers:
 
 
 def doubts(unknowns: Unknowns, rows: Equations, believed: tuple[Array, Array] | None = None) -> Doubts:
-    """Those of a URDF, whose friction is not known; or of a covariance, whose size is doubted.
+    """Those of a URDF, whose friction is not known; or of a covariance, which may say too little.
 
     Bodies of a URDF are heavier or lighter as they are, or off in each of their ten numbers.
     """
@@ -180,15 +186,17 @@ def doubts(unknowns: Unknowns, rows: Equations, believed: tuple[Array, Array] | 
         centre, B = unknowns.prior.copy(), prior.B * WIDE
         values, vectors = np.linalg.eigh(believed[1])
         centre[:k], B[:, :k], B[:k, :k] = believed[0], 0.0, vectors * np.sqrt(np.maximum(values, 0.0))
-        scales = np.array(TIMES)
-        return Doubts(centre, B, scales, np.where(np.arange(B.shape[1]) < k, scales[:, None], 1.0))
+        scales, times = (part.ravel() for part in np.meshgrid(BESIDE, TIMES))
+        given = np.where(np.arange(B.shape[1]) < k, times[:, None], 1.0)
+        sd = np.hstack((given, np.repeat(scales[:, None], k, axis=1)))
+        return Doubts(centre, np.hstack((B, np.eye(len(B), k) * centre[:k])), scales, np.ones(len(scales)), sd)
     first, bodies = unknowns.regressor.inertial, prior.bodies
     whole = np.zeros((unknowns.size, bodies))
     whole[np.arange(first), np.repeat(np.arange(bodies), BODY)] = unknowns.prior[:first]
     scales, shapes = (part.ravel() for part in np.meshgrid(SCALES, SHAPES))
     own = np.where(prior.strength >= 1, (scales * shapes)[:, None], WIDE)
     sd = np.hstack((own, np.repeat(scales[:, None], bodies, axis=1)))
-    return Doubts(unknowns.prior, np.hstack((prior.B, whole)), scales, sd)
+    return Doubts(unknowns.prior, np.hstack((prior.B, whole)), scales, scales, sd)  # s up to the largest alike
 
 
 def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> Numbers:
@@ -201,51 +209,137 @@ def numbers_of(rows: Equations, carries: Bools, robot: Doubts, body: int) -> Num
         body: Which of its bodies carries the load.
     """
     of_load = rows.Y[:, :, BODY * body : BODY * (body + 1)] * carries[:, None, None]
-    left = replace(rows, Y=rows.Y @ robot.B, y=rows.y - rows.Y @ robot.centre)
-    at, p, fits, values = slice(-BODY, VISIBLE - BODY), np.zeros(VISIBLE), [], []
-    for sd in robot.sd:
-        for _ in range(ROUNDS):
-            before, one = p[0], weighted_fit(given := with_load(left, of_load, p), each(given), sureness(sd, p))
-            p = one.value[at]
-            if abs(p[0] - before) <= SETTLED * abs(before):
-                break
-        fits.append(one)
-        values.append(p)
-    spread = max(one.inflation for one in fits)
-    likely = np.array(
-        [
-            evidence(with_load(left, of_load, p), sureness(sd, p), fit, spread)
-            for sd, fit, p in zip(robot.sd, fits, values, strict=True)
-        ]
-    )
-    weights = robot.scales * np.exp(likely - likely.max())
+    columns = np.concatenate((rows.Y @ robot.B, of_load), axis=2)
+    given, own = replace(rows, Y=columns, y=rows.y - rows.Y @ robot.centre), np.arange(columns.shape[2])
+    widest = weighted_fit(given, Base(own, np.eye(len(own))), sureness(robot.sd[-1], np.ones(1)))
+    sums = Sums.of(given, widest)
+    fits, p = [], widest.value[-BODY : VISIBLE - BODY]
+    for sd in robot.sd[::-1]:
+        fits.append(sums.fitted(sd, p))
+        p = fits[-1].load
+    fits = fits[::-1]
+    likely = np.array([fit.evidence for fit in fits])
+    weights = robot.likely * np.exp(likely - likely.max())
+    weights = np.where(weights > SELDOM * weights.max(), weights, 0.0)
     weights /= weights.sum()
-    mean, off = weights @ np.array(values), np.array(values) - weights @ np.array(values)
-    covariance = np.einsum("s,sij->ij", weights, [fit.covariance[at, at] for fit in fits])
-    best = int(np.argmax(weights))
-    errors = left.y, left.y - with_load(left, of_load, values[best]).Y @ fits[best].value
+    loads, best = np.array([fit.load for fit in fits]), fits[int(np.argmax(weights))]
+    mean = weights @ loads
+    covariance = np.einsum("s,si,sj->ij", weights, loads - mean, loads - mean)
+    for weight, fit in zip(weights, fits, strict=True):
+        if weight > 0:
+            covariance += weight * fit.covariance(given, widest, sums.spread)
+    errors = given.y, given.y - given.Y @ best.value
     size = np.sqrt((np.where(rows.use, rows.y, 0.0) ** 2).sum())
     without, after = (float(np.sqrt((np.where(rows.use, e, 0.0) ** 2).sum()) / size) for e in errors)
-    covariance = covariance + np.einsum("s,si,sj->ij", weights, off, off)
-    return Numbers(mean, covariance, fits[best].seen[at], (without, after), float(weights @ robot.scales))
+    seen = widest.seen[-BODY : VISIBLE - BODY]
+    return Numbers(mean, covariance, seen, (without, after), float(weights @ robot.scales))
 
 
-def with_load(left: Equations, of_load: Array, p: Array) -> Equations:
-    """Equations of the robot's errors, of mass and first moments about p (4,), and of own second moments."""
-    point = of_load[:, :, :VISIBLE] + of_load[:, :, VISIBLE:] @ slopes(p)
-    return replace(left, Y=np.concatenate((left.Y, point, of_load[:, :, VISIBLE:]), axis=2))
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """What the fits need of equations in the robot's errors and the load's ten numbers, m + 10 columns.
+
+    Attributes:
+        A: (r, m + 10, m + 10) `X' W X` of every row that counts.
+        b: (r, m + 10) `X' W y`.
+        c: (r,) `y' W y`.
+        count: (r,) sum of the weights W.
+        least: (r,) variance that a row has at least.
+        spread: How many equations say as much as one of their own.
+    """
+
+    A: Array
+    b: Array
+    c: Array
+    count: Array
+    least: Array
+    spread: float
+
+    @classmethod
+    def of(cls, given: Equations, fit: Fit) -> Sums:
+        """With the weights of a fit."""
+        A, b, c = [], [], []
+        there = np.flatnonzero(np.isfinite(fit.deviation))
+        for i in there:
+            X = np.ascontiguousarray(given.Y[:, i])
+            weighed, y = X * fit.weights[:, i, None], given.y[:, i]
+            A.append(X.T @ weighed)
+            b.append(weighed.T @ y)
+            c.append(float(fit.weights[:, i] @ y**2))
+        count = fit.weights[:, there].sum(axis=0)
+        least = FINEST**2 * np.array(c) / np.maximum(count, 1.0)
+        return cls(np.array(A), np.array(b), np.array(c), count, least, max(1.0, fit.inflation))
+
+    def fitted(self, sd: Array, p: Array) -> Posterior:
+        """The fit with errors of the robot of deviations sd (m,), begun at a load p (4,), by residual variances."""
+        m, variance, value = len(sd), np.maximum(self.c / self.count, self.least), np.zeros(len(sd) + BODY)
+        for _ in range(ROUNDS):
+            before, T, sure = p[0], np.eye(m + BODY), sureness(sd, p)
+            T[m + VISIBLE :, m : m + VISIBLE] = slopes(p)
+            A = np.array([T.T @ one @ T for one in self.A])
+            for _ in range(TURNS):
+                total = np.tensordot(1 / variance, A, (0, 0)) / self.spread
+                inverse, _, _ = inverted(total + np.diag(sure))
+                value = inverse @ (T.T @ (self.b.T @ (1 / variance))) / self.spread
+                full = T @ value
+                square = (self.A @ full) @ full - 2 * self.b @ full + self.c
+                free = self.count - (A * inverse).sum(axis=(1, 2)) / variance / self.spread
+                variance = np.maximum(square / np.maximum(free, 1.0), self.least)
+            p = full[m : m + VISIBLE]
+            if abs(p[0] - before) <= SETTLED * abs(before):
+                break
+        size = 1 / np.sqrt(np.diag(total) + sure + 1e-300)
+        values = eigh((total + np.diag(sure)) * np.outer(size, size), eigvals_only=True)
+        volume = np.log(np.maximum(values, 1e-12)).sum() - 2 * np.log(size).sum() - np.log(sure[sure > 0]).sum()
+        noise = (self.count * np.log(variance) + square / variance).sum() / self.spread
+        return Posterior(full, T, sure, inverse, np.sqrt(variance), float(-0.5 * (noise + value**2 @ sure + volume)))
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """A fit of the robot's errors and the load's numbers.
+
+    Attributes:
+        value: (m + 10,) of the columns.
+        T: (m + 10, m + 10) from what is fitted to them: with mass and first moments go the second ones of a point.
+        sure: (m + 10,) what is known beforehand, 1 / sd^2.
+        inverse: (m + 10, m + 10) of the information, the spread counted.
+        deviation: (r,) of rows that count.
+        evidence: Logarithm of the density of the torques beforehand, up to a constant.
+    """
+
+    value: Array
+    T: Array
+    sure: Array
+    inverse: Array
+    deviation: Array
+    evidence: float
+
+    @property
+    def load(self) -> Array:
+        """Mass and first moments, (4,)."""
+        return self.value[-BODY : VISIBLE - BODY]
+
+    def covariance(self, given: Equations, fit: Fit, spread: float) -> Array:
+        """Of mass and first moments, (4, 4), of residuals that are correlated in time.
+
+        Args:
+            given: The equations.
+            fit: With their weights.
+            spread: How many equations say as much as one of their own.
+        """
+        X, deviation = given.Y @ self.T, np.full(len(fit.deviation), np.nan)
+        deviation[np.isfinite(fit.deviation)] = self.deviation
+        residual = np.where(given.use, given.y - given.Y @ self.value, 0.0)
+        B = meat(X, residual, fit.weights, deviation, given, self.inverse / spread) / spread**2
+        at = slice(-BODY, VISIBLE - BODY)
+        return np.asarray(self.inverse[at] @ (B + np.diag(self.sure)) @ self.inverse[:, at])
 
 
 def sureness(sd: Array, p: Array) -> Array:
     """1 / sd^2 of robot (m,), mass, first moments and own second moments beforehand, (m + 10,)."""
     own = 1 / (max(p[0], LIGHT) * BALL**2) ** 2
     return np.concatenate((sd**-2.0, np.zeros(VISIBLE), np.full(BODY - VISIBLE, own)))
-
-
-def each(given: Equations) -> Base:
-    """All columns, each by itself."""
-    count = given.Y.shape[2]
-    return Base(np.arange(count), np.eye(count))
 
 
 def slopes(p: Array) -> Array:
@@ -260,23 +354,3 @@ def slopes(p: Array) -> Array:
     eye, upper = np.eye(3), np.triu_indices(3)
     columns = [-np.outer(c, c), *(np.outer(e, c) + np.outer(c, e) for e in eye)]
     return np.column_stack([column[upper] for column in columns])
-
-
-def evidence(given: Equations, sure: Array, fit: Fit, spread: float) -> float:
-    """Logarithm of the density of the torques beforehand, up to a constant.
-
-    Args:
-        given: Equations of the robot's errors and the load.
-        sure: (m + 10,) what is known beforehand, 1 / sd^2.
-        fit: To them.
-        spread: How many equations say as much as one of their own.
-    """
-    there = np.flatnonzero(np.isfinite(fit.deviation))
-    X, weights, deviation = given.Y[:, there], fit.weights[:, there], fit.deviation[there]
-    errors = (weights * (given.y[:, there] - X @ fit.value) ** 2).sum(axis=0) / deviation**2
-    flat = (X * (np.sqrt(weights) / deviation)[:, :, None]).reshape(-1, X.shape[2])
-    A = flat.T @ flat / spread + np.diag(sure)
-    size = 1 / np.sqrt(np.maximum(np.diag(A), 1e-300))
-    volume = np.log(np.maximum(np.linalg.eigvalsh(A * np.outer(size, size)), 1e-12)).sum() - 2 * np.log(size).sum()
-    noise = (2 * weights.sum(axis=0) * np.log(deviation) + errors).sum() / spread
-    return float(-0.5 * (noise + fit.value**2 @ sure + volume - np.log(sure[sure > 0]).sum()))
