@@ -394,7 +394,7 @@ def test_efforts_that_no_robot_has_are_not_believed(
 
 
 def test_bad_input_is_one_line_and_exit_code_2(
-    truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = simulated(truth, 10.0)
     still = log.with_signals(
@@ -408,10 +408,13 @@ def test_bad_input_is_one_line_and_exit_code_2(
         "zero": csv_of(replace(log, effort={k: 0 * v for k, v in log.effort.items()}), tmp_path / "zero.csv"),
         "nan": csv_of(replace(log, effort={k: np.nan * v for k, v in log.effort.items()}), tmp_path / "nan.csv"),
         "shuffled": csv_of(log.rows(np.random.default_rng(0).permutation(1000)), tmp_path / "shuffled.csv"),
+        "solver": csv_of(log, tmp_path / "sound.csv"),
     }
     for name, path in bad.items():
+        if name == "solver":
+            monkeypatch.setattr("cvxpy.Problem.solve", lambda self, **how: setattr(self, "_status", "infeasible"))
         code = main(["identify", str(path), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")])
         said = capsys.readouterr()
-        assert code == 2, name
+        assert code == (1 if name == "solver" else 2), name
         assert said.out == "" and said.err.count("\n") == 1 and "error:" in said.err, (name, said.err)
         assert not (tmp_path / "out").exists()
