@@ -5,19 +5,21 @@
     python benchmarks/identification.py panda INVERSE_DYNAMICS
     python benchmarks/identification.py other --robot R LOG...    # any log, read as it is
     python benchmarks/identification.py coverage --robot panda    # do intervals cover the truth, in simulation?
+    python benchmarks/identification.py payload --draws 100       # and those of what a hand carries?
+    python benchmarks/identification.py excite --robot tiago      # what the motion found in 60 s determines
 
-The path is a clone of the repository that the data lies in; nothing of it is kept here. With figaroh installed (`pip
-install --no-deps figaroh==1.0.2`) plain least squares in the base parameters that it chooses stands beside ours, on the
-same equations.
+The path is a clone of the repository that the data lies in; nothing of it is kept here. `--figaroh PYTHON` names the
+interpreter of an environment with `pip install figaroh==1.0.2`: its least squares, weighted least squares and fit of
+possible bodies then stand beside ours, on the same equations, over the joints that we identify.
 """
 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import json
 import resource
-import sys
+import subprocess
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -37,10 +39,11 @@ from mmnn_pin.deploy.identify.equations import (
     low_pass,
     still_speeds,
 )
-from mmnn_pin.deploy.identify.excitation import Limits, excite
-from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone, together
+from mmnn_pin.deploy.identify.excitation import Limits, Search, eight_with_sines, excite
+from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone
 from mmnn_pin.deploy.identify.least_squares import base_parameters, weighted_fit
 from mmnn_pin.deploy.identify.log import Log
+from mmnn_pin.deploy.identify.payload import doubts, numbers_of
 from mmnn_pin.deploy.identify.programme import Prior, consistent_fit
 from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.model.regressor import Regressor
@@ -51,6 +54,9 @@ from mmnn_pin.torque.pseudo_inertia import BODY
 # Gear ratio times motor constant [N m / A], of the data's own script (examples/tiago/identification.py).
 TIAGO = {"arm_1_joint": 13.6, "arm_2_joint": 13.6, "arm_3_joint": -8.7, "arm_4_joint": -8.7}
 TIAGO |= {f"arm_{i}_joint": -336 * 0.0613 for i in (5, 6, 7)}
+FIGAROH = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # its names, in its order
+CARRYING = [(off, rubs, twice) for off, rubs in ((0.0, 0), (0.01, 0), (0.1, 0), (0.1, 1)) for twice in (0, 1)]
+TRIANGLE = np.triu_indices(3)
 CASES: dict[str, dict[str, Any]] = {
     "tiago": {
         "robot": "examples/tiago/urdf/tiago_48_schunk.urdf",
@@ -68,30 +74,41 @@ CASES: dict[str, dict[str, Any]] = {
 }
 
 
-def eliminated(found: Identification) -> float | None:
-    """Held-out error of least squares in the base parameters that figaroh chooses; None where it is not installed.
+def by_figaroh(found: Identification, python: str) -> dict[str, float]:
+    """Held-out errors of figaroh's least squares, weighted ones and possible bodies, on the same equations.
 
-    Its module is read alone: the package needs libraries that no registry of Python has.
+    Args:
+        found: Ours.
+        python: The interpreter that has figaroh.
     """
-    there = importlib.util.find_spec("figaroh")
-    if there is None or not there.submodule_search_locations:
-        return None
-    place = Path(there.submodule_search_locations[0]) / "tools" / "qrdecomposition.py"
-    spec = importlib.util.spec_from_file_location("qrdecomposition", place)
-    assert spec is not None and spec.loader is not None
-    theirs = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = theirs
-    spec.loader.exec_module(theirs)
     rows, test = found.training.only(found.follows), found.held_out.only(found.follows)
-    active = np.flatnonzero(np.abs(rows.Y[rows.use]).max(axis=0) > 1e-6)
-    W, tau = rows.Y[rows.use][:, active], rows.y[rows.use]
-    kept = active[list(theirs.get_baseIndex(W, [found.unknowns.labels[i] for i in active]))]
-    theta = np.zeros(found.unknowns.size)
-    theta[kept] = np.linalg.lstsq(rows.Y[rows.use][:, kept], tau, rcond=None)[0]
-    return together(test, test.Y @ theta)
+    labels = found.unknowns.labels
+    to_ours = np.eye(len(labels))  # from its inertias Ixx Ixy Iyy Ixz Iyz Izz about the joint to our second moments
+    half = np.array([[-1, 0, 1, 0, 0, 1], [0, -2, 0, 0, 0, 0], [0, 0, 0, -2, 0, 0], [1, 0, -1, 0, 0, 1],
+                     [0, 0, 0, 0, -2, 0], [1, 0, 1, 0, 0, -1]]) / 2  # fmt: skip
+    names = list(labels)
+    for b, body in enumerate(found.unknowns.regressor.bodies):
+        at = BODY * b
+        to_ours[at + 4 : at + BODY, at + 4 : at + BODY] = half
+        names[at : at + BODY] = [f"{key}_{body}" for key in FIGAROH]
+    joint, of_test = np.nonzero(rows.use.T)[0], test.use.T
+    with tempfile.TemporaryDirectory() as folder:
+        np.savez(
+            file := Path(folder) / "equations.npz", W=rows.Y.swapaxes(0, 1)[rows.use.T] @ to_ours,
+            tau=rows.y.T[rows.use.T], joint=np.unique(joint, return_inverse=True)[1], names=names,
+            test=test.Y.swapaxes(0, 1)[of_test] @ to_ours, joints=found.unknowns.regressor.bodies,
+            prior=np.linalg.solve(to_ours, found.unknowns.prior),
+        )  # fmt: skip
+        command = [python, str(Path(__file__).with_name("by_figaroh.py")), str(file)]
+        answer = json.loads(
+            subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()[-1]
+        )
+    y = test.y.T[of_test]
+    names = [name for name in ("ols", "wls", "physical") if name in answer]
+    return {f"figaroh_{name}": float(np.linalg.norm(y - answer[name]) / np.linalg.norm(y)) for name in names}
 
 
-def report(found: Identification) -> dict[str, Any]:
+def report(found: Identification, python: str | None = None) -> dict[str, Any]:
     """Errors of all models, over what was identified and over all that moves, and joint by joint."""
     models = [*MODELS]
     table: dict[str, Any] = {
@@ -104,9 +121,35 @@ def report(found: Identification) -> dict[str, Any]:
             name: {model: float(found.errors(model)[i]) for model in models} for i, name in enumerate(found.names)
         },
     }
-    if (theirs := eliminated(found)) is not None:
-        table["identified"]["figaroh"] = theirs
+    if python is not None:
+        table["identified"] |= by_figaroh(found, python)
     return table
+
+
+# -- what a motion determines ------------------------------------------------------------------------------------------
+
+
+def excitation(robot: Robot, seconds: float) -> dict[str, Any]:
+    """The motion that is found against an eight with sines: as long, scaled alike, judged alike.
+
+    Worst standard deviations are over the base parameters' sizes. The eight leaves some of them undetermined, so they
+    are compared over those that it determines.
+    """
+    limits = Limits(seconds=seconds)
+    found = excite(robot, limits)
+    search = Search.of(robot, limits)
+    eight = eight_with_sines(search, float(found.time[-1]))
+    there, table = np.isfinite(eight.sd), {"duration": float(found.time[-1]), "tried": found.tried}
+    names = [found.base.name(i, search.unknowns.labels, 2) for i in range(len(there))]
+    for name, one in (("excite", found), ("eight", eight)):
+        both = np.where(there, one.relative, 0.0)
+        forces = search.unknowns.matrix(one.position[::5], one.nu[::5], one.nudot[::5]) @ search.unknowns.prior
+        table[name] = {
+            "determined": int(np.isfinite(one.sd).sum()), "within_10_percent": int((one.relative < 0.1).sum()),
+            "worst": float(one.relative.max()), "worst_of_both": float(both.max()), "which": names[both.argmax()],
+            "median": float(np.median(one.relative)), "largest_torque": float((np.abs(forces) / search.torque).max()),
+        }  # fmt: skip
+    return table | {"parameters": len(there)}
 
 
 # -- do intervals cover the truth? -------------------------------------------------------------------------------------
@@ -187,20 +230,76 @@ def coverage(robot: Robot, draws: int, noise: float = 0.2, seed: int = 1) -> dic
     }  # fmt: skip
 
 
+def payload_coverage(robot: Robot, draws: int, seed: int = 1) -> Iterator[dict[str, Any]]:
+    """How often intervals of 95 % cover a load's mass and centre, for URDFs that are exact or wrong.
+
+    The motion lasts 12 s, the load is 1 kg at (20, -30, 120) mm of the last joint, the noise 2 % of each torque. In
+    every draw each body is heavier or lighter than its URDF by a normal number; where there is friction, the URDF has
+    none.
+
+    Args:
+        robot: A fixed arm.
+        draws: How many.
+        seed: Of the noise and of the robots.
+    """
+    unknowns = Unknowns(robot, Regressor.of(robot), tuple(range(robot.dimensions.dof)))
+    motion, at = excite(robot, Limits(duration=12.0, seconds=0.0, seed=seed)), np.array([0.02, -0.03, 0.12])
+    u = unknowns.matrix(motion.position, motion.nu, motion.nudot) @ unknowns.prior @ np.linalg.pinv(robot.E).T
+    position = {name: motion.position[:, i] for i, name in enumerate(robot.joint_names)}
+    log = Log.of(motion.time, position, {name: u[:, i] for i, name in enumerate(robot.actuator_names)})
+    cutoff, size = chosen_cutoff([log], robot), u.std(axis=0)
+    rows = equations(log, unknowns, cutoff, still_speeds([log], unknowns, cutoff))
+    body, inertial = len(unknowns.regressor.bodies) - 1, unknowns.regressor.inertial
+    of_load = rows.Y[:, :, BODY * body : BODY * (body + 1)] @ np.concatenate(([1.0], at, np.outer(at, at)[TRIANGLE]))
+    for wrong, rubs, twice in CARRYING:
+        rng, noise = np.random.default_rng(seed), noises(log, rows, 0.02 * size, seed, 2 * draws)
+        both, found = Equations.stacked([rows] * (1 + twice)), []
+        for _ in range(draws):
+            theta = unknowns.prior.copy()
+            theta[:inertial] *= np.repeat(1 + wrong * rng.standard_normal(inertial // BODY), BODY)
+            for kind, share in (("viscous", 0.1), ("coulomb", 0.2)):
+                theta[unknowns.columns(kind)] += share * rubs * size
+            with_load, empty = (rows.Y @ theta + next(noise) for _ in range(2))
+            y = np.concatenate([with_load + of_load, empty][: 1 + twice])
+            drawn, carries = replace(both, y=y), np.arange(len(y)) < len(rows)
+            load = numbers_of(drawn, carries, doubts(unknowns, drawn), body)
+            slope = np.column_stack((-load.value[1:] / load.value[0], np.eye(3))) / load.value[0]
+            sd = np.sqrt([load.covariance[0, 0], *np.diag(slope @ load.covariance @ slope.T)])
+            found.append(
+                (load.value[0] - 1.0, *(load.value[1:] / load.value[0] - at), *np.where(load.seen, sd, np.nan))
+            )
+        error, sd = np.split(np.array(found), 2, axis=1)
+        yield {
+            "urdf_off": wrong, "friction_missing": rubs, "motion_without_load": twice, "draws": draws,
+            "covered": np.where(np.isnan(sd), np.nan, np.abs(error) < 1.96 * sd).mean(axis=0).round(3).tolist(),
+            "rms_error": np.sqrt((error**2).mean(axis=0)).round(5).tolist(),
+            "median_sd": np.median(sd, axis=0).round(5).tolist(),
+        }  # fmt: skip
+
+
 def main() -> None:
     """Print the errors as a table, or as JSON."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("case", choices=[*CASES, "other", "coverage"])
+    parser.add_argument("case", choices=[*CASES, "other", "coverage", "payload", "excite"])
     parser.add_argument("paths", nargs="*", type=Path)
     parser.add_argument("--draws", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1, help="of the noise")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of wall time, of the search of excite")
     parser.add_argument("--robot")
     parser.add_argument("--cutoff", type=float)
+    parser.add_argument("--figaroh", metavar="PYTHON", help="an interpreter that has figaroh 1.0.2")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
-    if given.case == "coverage":
+    if given.case == "payload":
+        for table in payload_coverage(load(given.robot or "panda"), given.draws, given.seed):
+            print(json.dumps(table), flush=True)
+        return
+    if given.case in ("coverage", "excite"):
         before = time.process_time()
-        table = coverage(load(given.robot or "panda"), given.draws, seed=given.seed)
+        if given.case == "coverage":
+            table = coverage(load(given.robot or "panda"), given.draws, seed=given.seed)
+        else:
+            table = excitation(load(given.robot or "tiago"), given.seconds)
         print(json.dumps(table | {"processor_seconds": time.process_time() - before}, indent=1))
         return
     case = CASES.get(given.case, {"robot": given.robot, "logs": given.paths})
@@ -209,21 +308,23 @@ def main() -> None:
     robot = load(name)
     logs = read_logs([folder / log for log in case["logs"]], robot, case.get("columns"))
     identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))  # compiles
-    before = time.perf_counter()
+    before = time.process_time()
     found = identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))
-    table = report(found) | {"seconds": time.perf_counter() - before, "rows": [len(log.time) for log in logs]}
+    seconds = time.process_time() - before
+    table = report(found, given.figaroh) | {"seconds": seconds, "rows": [len(log.time) for log in logs]}
     table["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if given.json:
         print(json.dumps(table))
         return
-    print(f"{given.case}: {table['rows']} rows, low-pass {table['cutoff_hz']:.3g} Hz, {table['seconds']:.2f} s")
+    title = f"{given.case}: {table['rows']} rows, low-pass {table['cutoff_hz']:.3g} Hz"
+    print(f"{title}, {table['seconds']:.2f} s of processor time")
     models = list(table["identified"])
-    print(f"{'':22s}" + "".join(f"{model:>15s}" for model in models))
+    print(f"{'':22s}" + "".join(f"{model:>18s}" for model in models))
     for title, errors in (("identified joints", table["identified"]), ("all that move", table["all_moving"])):
-        print(f"{title:22s}" + "".join(f"{100 * errors.get(model, np.nan):14.1f}%" for model in models))
+        print(f"{title:22s}" + "".join(f"{100 * errors.get(model, np.nan):17.1f}%" for model in models))
     for joint, errors in table["joints"].items():
         mark = "" if joint in table["follow"] else "  not identified"
-        print(f"{joint:22s}" + "".join(f"{100 * errors.get(model, np.nan):14.1f}%" for model in models) + mark)
+        print(f"{joint:22s}" + "".join(f"{100 * errors.get(model, np.nan):17.1f}%" for model in models) + mark)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from ..errors import ConfigError
 from ..files import require_free
 from .options import FORCE, examples, numbers, robots, shared, understanding
 from .output import DONE, FAILED, answer, named, warn, wrote
@@ -32,6 +33,7 @@ HEADERS = (
         "mmnn identify log.mcap --robot my_arm.urdf --torque-constant joint_1=13.6 --torque-constant joint_2=13.6",
         "mmnn identify log.mcap --robot my_arm.urdf --torque-constant joint_1=?     from what the others feel",
         "mmnn identify with_load.csv --robot identified/my_arm.urdf --payload     what the hand carries",
+        "mmnn identify with_load.csv --without-load empty.csv --robot my_arm.urdf --payload",
         "mmnn identify fit.csv --held-out other.csv --robot my_arm.urdf --stribeck 0.05",
     ),
 )
@@ -65,7 +67,11 @@ HEADERS = (
 )
 @click.option("--cutoff", type=float, metavar="HZ", help="Low-pass on motion and torque.  [default: by the motion]")
 @click.option("--stribeck", type=float, metavar="V", help="Fit Stribeck friction with this velocity, rad/s or m/s.")
-@click.option("--payload", is_flag=True, help="ROBOT is known: find what its hand carries, and write nothing.")
+@click.option("--payload", is_flag=True, help="Find what the hand of ROBOT carries, and write nothing.")
+@click.option(
+    "--without-load", multiple=True, metavar="LOG", type=click.Path(path_type=Path),
+    help="The motion of --payload with an empty hand: it tells the robot's own errors from the load.",
+)  # fmt: skip
 @click.option("--joint", default="", help="Joint whose link carries the payload.  [default: the last of the arm]")
 @click.option("--even-if-worse", is_flag=True, help="Write the files even if the fit is no better than the URDF.")
 @FORCE
@@ -83,6 +89,7 @@ def identify(
     cutoff: float | None,
     stribeck: float | None,
     payload: bool,
+    without_load: tuple[Path, ...],
     joint: str,
     even_if_worse: bool,
     force: bool,
@@ -107,7 +114,10 @@ def identify(
 
     loaded, names = load(robot, **overrides), read_columns(columns)
     if payload:
-        return carried(loaded, read_logs(logs, loaded, names, rate, degrees), constants, joint, cutoff, as_json)
+        every = [read_logs(some, loaded, names, rate, degrees) for some in (logs, without_load)]
+        return carried(loaded, every, constants, joint, cutoff, as_json)
+    if without_load:
+        raise ConfigError("it goes with --payload", fix="add it, or leave it out", key="--without-load")
     corrected.require_free(corrected.files_of(loaded, out), loaded, force)
     given, judged = (read_logs(some, loaded, names, rate, degrees) for some in (logs, held_out))
     found = identification.identify(
@@ -138,16 +148,24 @@ def constants_of(given: tuple[str, ...]) -> dict[str, float | None]:
 
 
 def carried(
-    robot: Robot, logs: list[Log], constants: tuple[str, ...], joint: str, cutoff: float | None, as_json: bool
+    robot: Robot, logs: list[list[Log]], constants: tuple[str, ...], joint: str, cutoff: float | None, as_json: bool
 ) -> int:
-    """Print what a robot carries."""
+    """Print what a robot carries, by logs with the load and without.
+
+    What `identify` found of the robot lies beside its corrected URDF, and is used.
+    """
     from ..deploy.identify.identification import scaled
     from ..deploy.identify.payload import payload
     from ..lab.show.identified import payload_text
+    from ..model.regressor import Regressor
+    from ..torque.prior import identified
 
-    factors = numbers(constants, "--torque-constant")
-    found = payload(robot, [scaled(log, robot, factors) for log in logs], joint, cutoff)
-    answer(as_json, found.to_dict, lambda: payload_text(found.to_dict()))
+    factors, known = numbers(constants, "--torque-constant"), robot.path.with_suffix(".identified.json")
+    loaded, empty = ([scaled(log, robot, factors) for log in some] for some in logs)
+    believed = identified(str(known), Regressor.of(robot).labels, "--robot") if known.exists() else None
+    found = payload(robot, loaded, joint, cutoff, believed, empty)
+    report = found.to_dict() | {"known_by": str(known) if believed else None}
+    answer(as_json, lambda: report, lambda: payload_text(report))
     return DONE
 
 

@@ -186,6 +186,27 @@ def test_the_basis_leaves_nothing_out():
     assert learner.dimension == regressor.identifiable().shape[1] == 27
 
 
+def test_the_basis_of_a_fit_has_its_covariance():
+    """In all that torques depend on: its correlations, and deviations of at most the prior's."""
+    without = made("concurrent").controller
+    rng, size = np.random.default_rng(6), np.square(np.diag(without.root))
+    A = 0.1 * np.sqrt(size)[:, None] * rng.standard_normal((len(size), len(size))) / np.sqrt(len(size))
+    sure, wild = 3, 7
+    A[sure], A[wild] = 1e-9 * A[sure], 1e6 * A[wild]
+    learner = replace(without, nominal=without.start(), covariance=A @ A.T)
+    said = np.linalg.norm(A, axis=1)
+    kept = A / said[:, None] * np.minimum(said, np.sqrt(size))[:, None]
+    assert said[wild] > np.sqrt(size[wild])
+    for _ in range(5):
+        Y = learner.regressor.matrix(learner.regressor.random_position(rng), *rng.standard_normal((3, 4)))
+        ours = Y @ learner.basis
+        wanted = Y @ kept @ kept.T @ Y.T
+        np.testing.assert_allclose(ours @ ours.T, wanted, rtol=1e-6, atol=1e-8 * np.abs(wanted).max())
+    assert np.abs(learner.root[sure]).max() < 1e-6 * np.sqrt(size[sure])
+    assert np.linalg.norm(learner.root[wild]) < 1.01 * np.sqrt(size[wild])
+    assert learner.dimension == without.dimension
+
+
 @pytest.mark.skipif(config.DISABLE_JIT, reason="needs a long run")
 def test_knowledge_outlasts_the_excitation():
     """A rich motion, then a circle with the arm still: the stack keeps what the tracking error alone loses."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +25,24 @@ from ...files import whole_file
 from ...model.regressor import Regressor
 from ...model.robot import Robot, speed_limits
 from ...signals import Array
+from ...torque.pseudo_inertia import BODY
 from .equations import Unknowns
 from .least_squares import Base, base_parameters, inverted
+from .programme import mass_matrix
 
-HARMONICS = np.array([2, 3, 5, 7, 11])  # of the duration
+HARMONICS, FASTEST = (1, 2, 3, 5, 8, 13, 21, 34), 1.0  # of the duration; largest frequency [Hz]
 SHRUNK = (1.0, 0.75, 0.55, 0.4, 0.3, 0.2)  # parts of a motion that are tried where links touch
 SAMPLES = 150  # of a candidate
 RATE = 100.0  # rows per second that are written and that a log is thought to have
 LOOKED = 40  # positions at which links are looked at
 THINNED = 5  # rows of which one is looked at when a motion is judged
+SLOWER = 10  # times that a motion is made slower at most, once it is found
 FAST = 1.5  # speed where the URDF states none [rad/s or m/s]
 REACH = np.pi  # of a joint without limits, either way [rad]
 BASE_SPEED, BASE_TURN = 0.4, 0.8  # of a base [m/s, rad/s]
 NOISE = 0.02  # of a torque, of its limit; of its RMS where the URDF states none
 SHARE = 0.8  # of a limit that is used
+FORCE, ROTOR = 0.01, 0.1  # size of friction, of a motor's limit; of a rotor, of the inertia that its joint feels
 
 
 @dataclass(frozen=True)
@@ -249,13 +254,13 @@ class Search:
 
     def start(self, rng: np.random.Generator) -> Array:
         """A random candidate, (p, 2 harmonics + 1): coefficients, and where a joint's range is used."""
-        return rng.standard_normal((len(self.speed), 2 * len(HARMONICS) + 1))
+        return rng.standard_normal((len(self.speed), 2 * len(self.harmonics) + 1))
 
     def motion(self, candidate: Array, samples: int) -> tuple[Array, Array, Array, Array] | None:
         """Times, integrals of nu, nu and nudot of a candidate within the limits; None where links touch."""
         T = self.limits.duration
         t = np.linspace(0.0, T, samples)
-        w, order, count = 2 * np.pi / T, HARMONICS, len(HARMONICS)
+        w, order, count = 2 * np.pi / T, self.harmonics, len(self.harmonics)
         a, b = candidate[:, :count].copy(), candidate[:, count:-1].copy()
         a -= a.mean(axis=1, keepdims=True)
         b -= (b @ order)[:, None] * order / float(order @ order)
@@ -310,28 +315,45 @@ class Search:
             return -np.inf
         return float(np.log(values).mean() - np.log((1 / values).sum()))
 
-    @property
+    @cached_property
+    def harmonics(self) -> Array:
+        """Of the duration, the slow ones that show gravity and the fast ones that show inertia."""
+        return np.array([one for one in HARMONICS if one <= max(5.0, FASTEST * self.limits.duration)])
+
+    @cached_property
     def scale(self) -> Array:
-        """Size of every base parameter, (b,): of the URDF's bodies and rotors, each counted as positive."""
-        unknowns, C = self.unknowns, np.abs(self.base.combination)
-        size = np.abs(unknowns.prior)
-        mass, lever = size[: unknowns.regressor.inertial : 10], 0.1
-        for k, power in enumerate((0, 1, 1, 1, 2, 2, 2, 2, 2, 2)):
-            size[k : unknowns.regressor.inertial : 10] = np.maximum(
-                size[k : unknowns.regressor.inertial : 10], mass * lever**power
-            )
-        others = size[unknowns.regressor.inertial :]
-        others[:] = np.maximum(others, 0.01 * float(np.median(self.noise)) / NOISE)
-        return np.asarray(C @ size)
+        """Size of every base parameter, (b,): of its parts, each counted as positive.
+
+        Bodies are those of the URDF; friction and constants a share of what each joint's own motors can do, as the URDF
+        is silent on them.
+        """
+        unknowns, first = self.unknowns, self.unknowns.regressor.inertial
+        size, lever = np.abs(unknowns.prior), 0.1
+        powers = lever ** np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+        size[:first] = np.maximum(size[:first], (size[:first:BODY, None] * powers).ravel())
+        force, part = FORCE * self.noise / NOISE, np.abs(unknowns.joint_rows)
+        part = part / np.maximum((part**2).sum(axis=1, keepdims=True), 1e-12)
+        inertia = ROTOR * np.abs(np.diag(mass_matrix(unknowns)))
+        for kind, of in (("coulomb", force), ("viscous", force / self.speed), ("rotor", inertia)):
+            places = [unknowns.labels.index(f"{joint}.{kind}") for joint in unknowns.regressor.joints]
+            size[places] = np.maximum(size[places], part @ of)
+        size[unknowns.columns("offset")] = force
+        return np.asarray(np.abs(self.base.combination) @ size)
 
     def described(self, candidate: Array, tried: int) -> Excitation:
         """The motion of a candidate at full rate, and what it would determine."""
         coarse = self.motion(candidate, SAMPLES)
         assert coarse is not None
-        slow = float(self.regressor(coarse)[1])
-        fine = self.motion(candidate, 2 + round(self.limits.duration * RATE / max(slow, 1e-3)))
-        assert fine is not None
-        return self.judged(fine[0] / slow, fine[1], slow * fine[2], slow * slow * fine[3], tried)
+        slow, nb = float(self.regressor(coarse)[1]), self.unknowns.robot.dimensions.base
+        for _ in range(SLOWER):  # between samples torques may be larger
+            fine = self.motion(candidate, 2 + round(self.limits.duration * RATE / max(slow, 1e-3)))
+            assert fine is not None
+            t, x, v, dv = fine[0] / slow, fine[1], slow * fine[2], slow * slow * fine[3]
+            forces = self.unknowns.matrix(x[::THINNED, nb:], v[::THINNED], dv[::THINNED]) @ self.unknowns.prior
+            if (np.abs(forces) <= self.torque).all():
+                break
+            slow *= 0.97
+        return self.judged(t, x, v, dv, tried)
 
     def judged(self, t: Array, x: Array, v: Array, dv: Array, tried: int = 0) -> Excitation:
         """What any motion (N, p) would determine, with the noise that is assumed."""
@@ -403,12 +425,15 @@ def clearances(robot: Robot, radius: float) -> Callable[[Array], float]:
     return lambda q: float(distances(q).min(initial=np.inf)) / (2 * radius)
 
 
-def eight_with_sines(search: Search) -> Excitation:
-    """The motion that an excitation is compared with: an eight of the base, a sine of every joint, scaled alike."""
-    limits, nb = search.limits, search.unknowns.robot.dimensions.base
-    t = np.linspace(0.0, limits.duration, round(limits.duration * RATE))
+def eight_with_sines(search: Search, duration: float) -> Excitation:
+    """The motion that an excitation is compared with: an eight of the base, a sine of every joint.
+
+    It lasts as long, and is scaled alike into the limits of speed and position. It need not keep those of torque, nor
+    its links apart, so it may be more than the robot can do.
+    """
+    nb, t = search.unknowns.robot.dimensions.base, np.linspace(0.0, duration, round(duration * RATE))
     p = len(search.speed)
-    w = 2 * np.pi / limits.duration * np.concatenate(([4, 2][:nb], 3 + np.arange(p - nb)))
+    w = 2 * np.pi / duration * np.concatenate(([4, 2][:nb], 3 + np.arange(p - nb)))
     v, dv, x = (np.zeros((len(t), p)) for _ in range(3))
     for j in range(p):
         v[:, j], dv[:, j], x[:, j] = np.cos(w[j] * t), -w[j] * np.sin(w[j] * t), np.sin(w[j] * t) / w[j]

@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import qr
+from scipy.linalg import eigh, qr
 from scipy.signal import oaconvolve
 
 from ...signals import Array
@@ -127,16 +127,23 @@ class Fit:
         return theta
 
 
-def weighted_fit(equations: Equations, base: Base) -> Fit:
-    """Least squares with weights by residual variance, and less weight on what is far off."""
+def weighted_fit(equations: Equations, base: Base, prior: Array | None = None) -> Fit:
+    """Least squares with weights by residual variance, and less weight on what is far off.
+
+    Args:
+        equations: Those that count.
+        base: What is fitted.
+        prior: (b,) how sure it is beforehand that each is 0, 1 / sd^2; by default nothing is known.
+    """
     X, y, use = equations.Y[:, :, base.independent], equations.y, equations.use
     rows = [np.ascontiguousarray(X[:, i]) for i in range(X.shape[1])]
     there: Bools = np.asarray(use.any(axis=0))
     deviation, weights = np.where(there, 1.0, np.nan), use.astype(float)
     value, seen = np.zeros(X.shape[2]), np.ones(X.shape[2], bool)
-    grams = np.array([gram(row, w) for row, w in zip(rows, weights.T, strict=True)])
+    grams, sure = np.array([gram(row, w) for row, w in zip(rows, weights.T, strict=True)]), np.zeros((1, 1))
+    sure = sure if prior is None else np.diag(prior)
     for _ in range(ROUNDS):
-        inverse, seen, condition = inverted(summed(grams, deviation))
+        inverse, seen, condition = inverted(summed(grams, deviation) + sure)
         value = inverse @ summed(
             np.array([row.T @ (w * one) for row, w, one in zip(rows, weights.T, y.T, strict=True)]), deviation
         )
@@ -151,10 +158,11 @@ def weighted_fit(equations: Equations, base: Base) -> Fit:
         before, weights = weights, np.asarray(use * np.clip(2.0 - far / FAR, 0.0, 1.0), float)
         for i in np.flatnonzero((weights != before).any(axis=0)):
             grams[i] = gram(rows[i], weights[:, i])
-    inverse, seen, condition = inverted(A := summed(grams, deviation))
+    A = summed(grams, deviation)
+    inverse, seen, condition = inverted(A + sure)
     B = meat(X, residual, weights, deviation, equations, inverse)
-    covariance = inverse @ B @ inverse
-    inflation = float(np.trace(covariance @ A) / max(1, np.count_nonzero(seen)))
+    covariance = inverse @ (B + sure) @ inverse
+    inflation = float((inverse * B).sum() / max(1.0, float((inverse * A).sum())))
     return Fit(base, value, covariance, seen, condition, deviation, weights, max(1.0, inflation))
 
 
@@ -172,12 +180,13 @@ def summed(parts: Array, deviation: Array) -> Array:
 def inverted(A: Array) -> tuple[Array, Bools, float]:
     """Inverse of an information matrix, which parameters it determines, and the condition number of its root."""
     diagonal = np.diag(A)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    values, vectors = np.linalg.eigh(A * np.outer(scale, scale))
+    there = diagonal > 0
+    scale = np.where(there, 1 / np.sqrt(np.where(there, diagonal, 1.0)), 0.0)
+    values, vectors = eigh(A * np.outer(scale, scale) + np.diag(~there))  # by RRR: numpy's divides, and may not end
     kept = values > UNSEEN * values[-1]
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
-    seen = (diagonal > 0) & ((vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6)
-    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300))) if kept.all() else np.inf
+    seen = there & ((vectors[:, ~kept] ** 2).sum(axis=1) < 1e-6)
+    condition = float(np.sqrt(values[-1] / max(values[0], 1e-300))) if kept.all() and there.all() else np.inf
     return inverse * np.outer(scale, scale), seen, condition
 
 

@@ -133,12 +133,16 @@ def wheels_table(report: dict[str, Any]) -> Table:
 
 
 def payload_text(load: dict[str, Any]) -> str:
-    """What a hand carries, in two lines."""
+    """What a hand carries, and how far the robot itself is trusted."""
     pairs = zip(load["com"], load["com_sd"], strict=True)
     centre = ", ".join("unknown" if sd is None else f"{1e3 * x:.0f} ± {1.96e3 * sd:.0f}" for x, sd in pairs)
+    doubt = f"its bodies are taken as {percent(load['doubt'])} off"
+    if load["known_by"]:
+        doubt = f"of {load['known_by']}, taken as {percent(load['doubt'])} further off than it says"
     return (
         f"{load['link']} carries {load['mass']:.3g} ± {1.96 * load['mass_sd']:.2g} kg at ({centre}) mm (95 %)\n"
-        f"torque error {percent(load['error_without'])} without it, {percent(load['error_with'])} with it"
+        f"torque error {percent(load['error_without'])} without it, {percent(load['error_with'])} with it; the robot: "
+        f"{doubt}"
     )
 
 

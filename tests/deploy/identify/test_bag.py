@@ -10,6 +10,7 @@ import pytest
 from motions import simulated
 
 from mmnn_pin import load
+from mmnn_pin.cli import main
 from mmnn_pin.deploy.identify.log import Log
 from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.errors import RecordingError
@@ -91,13 +92,19 @@ def test_other_names_are_mapped(log: Log, arm: Robot, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.position[two], log.position[two])
 
 
-def test_bags_without_a_motion_are_refused(log: Log, arm: Robot, tmp_path: Path) -> None:
+def test_bags_without_a_motion_are_refused(
+    log: Log, arm: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     from rosbags.typesys import Stores, get_typestore
 
     said = get_typestore(Stores.ROS2_HUMBLE).types["std_msgs/msg/String"]("hello")
     path = write(tmp_path / "talk", "SQLITE3", [("/chatter", "std_msgs/msg/String", 5, said)])
     with pytest.raises(RecordingError, match=r"without joint states: it has /chatter \(std_msgs/msg/String\)"):
         read_logs([path], arm)
+    assert main(["identify", str(path), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.count("\n") == 1 and "without joint states" in said.err
+    assert not (tmp_path / "out").exists()
     (tmp_path / "broken.mcap").write_bytes(b"\x89MCAP0\r\nno more")
     (tmp_path / "broken.db3").write_bytes(b"nothing")
     (tmp_path / "empty").mkdir()

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 from motions import efforts, rubbing, simulated, sines
 from scipy.optimize import minimize
+from scipy.stats import binom
 
 from mmnn_pin import load
 from mmnn_pin.deploy.identify import equations as eq
@@ -160,7 +161,7 @@ def test_outliers_count_less(made: tuple[eq.Unknowns, eq.Equations]) -> None:
     assert np.abs((plain - clean.value) / clean.sd).max() > 3.0
 
 
-def draws(robot: Robot, number: int, duration: float, noise: float) -> tuple[Array, Array, Array]:
+def draws(robot: Robot, number: int, duration: float, noise: float, seed: int = 1) -> tuple[Array, Array, Array]:
     """Truth (b,), estimates and standard deviations (draws, b) of fits with white noise on the recorded torques."""
     unknowns, rows = set_up(robot, duration)
     log = simulated(robot, duration)
@@ -170,7 +171,7 @@ def draws(robot: Robot, number: int, duration: float, noise: float) -> tuple[Arr
     tau, _ = eq.efforts(log, robot, unknowns.rows)
     p = robot.dimensions.dof
     base = ls.base_parameters(unknowns, np.ones(len(unknowns.rows), bool), np.ones(p, bool))
-    rng, values, deviations = np.random.default_rng(1), [], []
+    rng, values, deviations = np.random.default_rng(seed), [], []
     fine = log.time[::m1]
     inside = np.isin(np.round(fine[::m2], 6), np.round(rows.time, 6))
     for _ in range(number):
@@ -192,12 +193,24 @@ def test_standard_deviations_are_the_scatter(arm: Robot) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["two_axis_arm", "panda"])
 def test_intervals_cover_the_truth_as_often_as_they_say(name: str) -> None:
-    """95 +- 3 % of 500 draws, and the standard deviation within 20 % of the scatter, for every base parameter."""
-    truth, values, deviations = draws(rubbing(load(name)), 500, 60.0, 0.2)
+    """95 +- 3 % and the standard deviation within 20 % of the scatter, for every base parameter.
+
+    Of 500 draws an interval of 95 % covers 95 % with a standard deviation of 1 %, so the worst of 69 is expected at
+    92.6 %, and one below 92 % is no surprise. Together they have to cover 95 +- 1 %, and each no less or more than
+    binomial scatter makes likely at all (family-wise 1 %); those outside of 95 +- 3 % have to cover 95 +- 3 % of 2000
+    new draws, where scatter is six times less than that.
+    """
+    truth, values, deviations = draws(robot := rubbing(load(name)), 500, 60.0, 0.2)
     covered = (np.abs(values - truth) < 1.96 * deviations).mean(axis=0)
     ratio = deviations.mean(axis=0) / values.std(axis=0)
-    assert np.abs(covered - 0.95).max() <= 0.03, covered
+    assert abs(covered.mean() - 0.95) <= 0.01
+    low, high = binom.ppf([0.005 / len(truth), 1 - 0.005 / len(truth)], 500, 0.95) / 500
+    assert low <= covered.min() and covered.max() <= high, covered
     assert np.abs(ratio - 1).max() <= 0.2, ratio
+    if (far := np.abs(covered - 0.95) > 0.03).any():
+        _, values, deviations = draws(robot, 2000, 60.0, 0.2, seed=2)
+        again = (np.abs(values - truth) < 1.96 * deviations).mean(axis=0)
+        assert np.abs(again[far] - 0.95).max() <= 0.03, again
 
 
 # -- the programme -----------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ def test_it_keeps_all_limits(found: Excitation, robot: Robot) -> None:
     tau = Regressor.of(robot).along(found.position, found.nu, found.nudot)
     forces = np.abs(tau @ parameters(robot))
     limit = np.abs(robot.E) @ robot.effort_limits
-    assert (forces.max(axis=0) <= 0.85 * np.where(np.isfinite(limit), limit, np.inf)).all()
+    assert (forces.max(axis=0) <= 0.801 * np.where(np.isfinite(limit), limit, np.inf)).all()
 
 
 def test_it_is_one_smooth_motion_from_rest_to_rest(found: Excitation) -> None:
@@ -79,7 +79,12 @@ def test_the_predicted_deviations_are_those_of_least_squares(found: Excitation) 
 
 
 def test_it_tells_more_than_an_eight_with_sines(found: Excitation, robot: Robot) -> None:
-    assert found.relative.max() < 0.5 * eight_with_sines(Search.of(robot, LIMITS)).relative.max()
+    """In what the eight determines, scaled alike; the wheels that it never turns back leave it the rest."""
+    eight = eight_with_sines(Search.of(robot, LIMITS), found.time[-1])
+    there = np.isfinite(eight.sd)
+    assert there.sum() >= 10 and np.isfinite(found.sd).all()
+    assert found.relative[there].max() < 0.5 * eight.relative[there].max()
+    np.testing.assert_array_equal(eight.scale, found.scale)
 
 
 def test_wheels_without_a_limit_leave_the_arm_its_own(robot: Robot) -> None:

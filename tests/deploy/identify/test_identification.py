@@ -270,6 +270,32 @@ def test_a_motion_too_still_and_a_solver_without_answer_are_one_line(
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize("failing", [1, 2])
+def test_a_solver_that_gives_up_is_asked_again_with_more_care(
+    failing: int, urdf: Robot, found: Identification, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once by a status, once by an error: the next settings follow, one after the other, to the same answer."""
+    cvxpy, asked = pytest.importorskip("cvxpy"), []
+    solve = cvxpy.Problem.solve
+
+    def gives_up(self: Any, solver: str, **how: Any) -> None:
+        asked.append(how)
+        if len(asked) > failing:
+            solve(self, solver=solver, **how)
+        elif len(asked) == 2:
+            raise cvxpy.error.SolverError("Solver 'CLARABEL' failed.")
+        else:
+            self._status = "optimal_inaccurate"
+
+    monkeypatch.setattr("cvxpy.Problem.solve", gives_up)
+    again = programme.consistent_fit(
+        found.training.only(found.follows), found.prior, found.follows, found.fit.deviation, found.consistent.weight,
+        found.fit.inflation,
+    )  # fmt: skip
+    assert asked == [{}, *programme.CAREFUL][: failing + 1]
+    np.testing.assert_allclose(again.theta, found.theta, rtol=1e-3, atol=1e-4)
+
+
 @pytest.mark.skipif("tiago" not in extra(), reason="needs example-robot-data")
 def test_what_is_said_beside_a_file_keeps_the_joints_that_stand_still(found: Identification, tmp_path: Path) -> None:
     """Which branches are short is seen by their bodies: with another centre of mass a head would be an arm."""
@@ -368,7 +394,7 @@ def test_efforts_that_no_robot_has_are_not_believed(
 
 
 def test_bad_input_is_one_line_and_exit_code_2(
-    truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    truth: Robot, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log = simulated(truth, 10.0)
     still = log.with_signals(
@@ -382,10 +408,13 @@ def test_bad_input_is_one_line_and_exit_code_2(
         "zero": csv_of(replace(log, effort={k: 0 * v for k, v in log.effort.items()}), tmp_path / "zero.csv"),
         "nan": csv_of(replace(log, effort={k: np.nan * v for k, v in log.effort.items()}), tmp_path / "nan.csv"),
         "shuffled": csv_of(log.rows(np.random.default_rng(0).permutation(1000)), tmp_path / "shuffled.csv"),
+        "solver": csv_of(log, tmp_path / "sound.csv"),
     }
     for name, path in bad.items():
+        if name == "solver":
+            monkeypatch.setattr("cvxpy.Problem.solve", lambda self, **how: setattr(self, "_status", "infeasible"))
         code = main(["identify", str(path), "--robot", "two_axis_arm", "--out", str(tmp_path / "out")])
         said = capsys.readouterr()
-        assert code == 2, name
+        assert code == (1 if name == "solver" else 2), name
         assert said.out == "" and said.err.count("\n") == 1 and "error:" in said.err, (name, said.err)
         assert not (tmp_path / "out").exists()
