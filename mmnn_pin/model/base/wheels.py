@@ -34,10 +34,7 @@ FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE
 WHEEL_NAMES, STEER_NAMES = re.compile(r"wheel", re.IGNORECASE), re.compile(r"steer", re.IGNORECASE)
 LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
-ROUND_ABOUT, ROLLERS = (
-    3,
-    4,
-)  # low joints that are wheels though no two share an axis; bodies on a wheel, its rollers
+ROUND_ABOUT, ROLLERS = 3, 4  # low joints that are wheels though no axis is shared; bodies on a wheel, its rollers
 
 Mount = Literal["", "swivel", "steering", "leg"]
 
