@@ -19,6 +19,7 @@ from mmnn_pin.errors import ConfigError, RobotError
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.loading import load
 from mmnn_pin.model.urdf import expansion
+from mmnn_pin.model.urdf.expanding import asked_first
 
 # --- Wheels of which a mesh is missing --------------------------------------------------------------------------------
 
@@ -295,3 +296,88 @@ def test_a_file_is_expanded_again_just_when_something_that_it_reads_has_changed(
     part.unlink()
     with pytest.raises(RobotError, match="part"):
         expansion.expand(file)
+
+
+# --- Rovers -----------------------------------------------------------------------------------------------------------
+
+
+def rover(hang: float, steered: bool = False) -> str:
+    """Six wheels, two of them on a bogie that hangs on a rocker; at rest those of the right rear hang in the air."""
+    text = ""
+    for side, y in (("l", 0.3), ("r", -0.3)):
+        more, up = LIMIT.format(-0.5, 0.5), hang * (side == "r")
+        text += link(f"{side}_rocker", 1.0) + joint(
+            f"{side}_r", "revolute", "base", f"{side}_rocker", p=(0, y, 0.2), axis=(0, 1, 0), more=more
+        )
+        text += link(f"{side}_bogie", 0.5) + joint(
+            f"{side}_b", "revolute", f"{side}_rocker", f"{side}_bogie", p=(-0.2, 0, 0), axis=(0, 1, 0), more=more
+        )
+        for name, parent, at in (
+            ("front", "rocker", (0.3, 0, -0.1)),
+            ("middle", "bogie", (0.2, 0, -0.1)),
+            ("rear", "bogie", (-0.15, 0, -0.1 + up)),
+        ):
+            above = f"{side}_{parent}"
+            if steered and name != "middle":
+                text += link(f"{side}_{name}_fork", 0.3) + joint(
+                    f"{side}_{name}_s", "revolute", above, f"{side}_{name}_fork", p=at, axis=(0, 0, 1), more=more
+                )
+                above, at = f"{side}_{name}_fork", (0, 0, 0)
+            text += wheel(f"{side}_{name}", at, parent=above)
+    return chassis(text)
+
+
+@given(st.floats(0.0, 0.09))
+@settings(max_examples=8, deadline=None)
+def test_wheels_of_a_rover_sink_to_the_floor_on_their_rockers_and_bogies(hang):
+    try:
+        robot = robot_of(rover(hang))
+    except Undecided as error:
+        robot = followed(rover(hang), next(way for way in ways_of(error.fix) if way.get("base") == "skid_steer"))
+    assert robot.base.kind == "skid_steer" and len(robot.base.wheels) == 6
+    assert robot.base.track == pytest.approx(0.6) and robot.joint_names == ("shoulder", "elbow")
+
+
+def test_a_wheel_that_nothing_lets_sink_stays_in_the_air():
+    text = rover(0.09).replace('type="revolute"', 'type="fixed"')
+    with pytest.raises(Undecided) as error:
+        robot_of(text)
+    assert "'r_rear'" not in error.value.what
+
+
+def test_a_rover_that_steers_is_no_legged_machine():
+    with pytest.raises(Unsupported, match="this is a car-like base"):
+        robot_of(rover(0.0, steered=True))
+
+
+# --- Faults that do not matter ----------------------------------------------------------------------------------------
+
+
+def test_limits_of_a_finger_that_stands_still_may_be_in_the_wrong_order():
+    finger = link("finger", 0.1) + joint(
+        "left_finger", "prismatic", "base", "finger", p=(0.2, 0, 0.3), more=LIMIT.format(0, -0.08)
+    )
+    robot = robot_of(chassis(pair() + finger), lock=("left_finger",))
+    assert [f.severity for f in robot.findings if f.code == "limit-order"] == ["warning"]
+    with pytest.raises(RobotError, match="or --lock left_finger"):
+        robot_of(chassis(pair() + finger), free=("left_finger",))
+
+
+@pytest.mark.parametrize("tag", ["colision", "visaul"])
+def test_a_shape_whose_tag_is_misspelt_is_missed_as_other_loaders_miss_it(tag):
+    shape = f"<{tag}><geometry><box size='1 1 1'/></geometry></{tag}></link>"
+    robot = robot_of(chassis(pair()).replace("</link>", shape, 1))
+    assert [f.severity for f in robot.findings if f.code == "misspelt-shape"] == ["warning"]
+
+
+def test_an_argument_that_the_first_tag_asks_for_has_the_default_that_stands_below(tmp_path):
+    file, text = tmp_path / "arm.urdf.xacro", chassis(pair())
+    head = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="$(arg name)">'
+    told = "<xacro:arg default='two' name='other'/><xacro:arg name='name' default='cart'/>"
+    file.write_text(re.sub(r"<robot[^>]*>", head + told, text, count=1))
+    assert asked_first(file.read_text()) == {"name": "cart"}
+    assert b'name="cart"' in expansion.expand(file).data
+    assert b'name="mine"' in expansion.expand(file, given=("name:=mine",)).data
+    file.write_text(re.sub(r"<robot[^>]*>", head, text, count=1))
+    with pytest.raises(RobotError, match="give it: --xacro name:=VALUE"):
+        load(file)

@@ -27,16 +27,14 @@ COAXIAL = 0.01  # two wheels' axes may be apart by this fraction of the track
 SLOPPY = 0.1  # those of two that the user names may be apart by this fraction, and it is told
 SURE = 0.05  # what is left of a wheel is all of it if its radius is right within this fraction
 TILTED = 0.3  # vertical part of a unit axis beyond which nobody means a wheel
-LUMPY = "not round"
-PARTIAL = "mesh missing"  # a shape that is not measured, since a mesh of it cannot be read
+LUMPY, PARTIAL = "not round", "mesh missing"  # shapes that are not measured, one since a mesh of it cannot be read
 HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body cannot be read
 UNSEEN = (HUB, STATED, PARTIAL, LUMPY, "unknown")
 FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE)  # of frames that stand for the floor
 WHEEL_NAMES, STEER_NAMES = re.compile(r"wheel", re.IGNORECASE), re.compile(r"steer", re.IGNORECASE)
 LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
-ROUND_ABOUT = 3  # so many low joints are wheels though no two share an axis
-ROLLERS = 4  # so many bodies that turn freely on a wheel are its rollers
+ROUND_ABOUT, ROLLERS = 3, 4  # low joints that are wheels though no axis is shared; bodies on a wheel, its rollers
 
 Mount = Literal["", "swivel", "steering", "leg"]
 
@@ -136,6 +134,7 @@ def wheel_candidates(rest: AtRest, radius: float | None = None, given: bool = Fa
     floor = min(lowest + [c.bottom for c in known if not math.isnan(c.radius)], default=math.inf)
     ground = standing_on(rest, known, floor)
     touching = [c for c in known if c.shape == STATED or abs(c.bottom - ground) <= TOUCHING * c.radius]
+    touching += [c for c in known if c not in touching and sinks_to(rest, c, ground, touching)]
     limited = limited_wheels(rest, known, floor)
     if touching:
         return Candidates(touching, [], floor, footing, limited)
@@ -145,6 +144,12 @@ def wheel_candidates(rest: AtRest, radius: float | None = None, given: bool = Fa
     lying = [c for c in upright if c.shape not in ("unknown", PARTIAL, LUMPY) and is_axle(rest, c, upright)]
     turning = [c for c in lumpy if is_axle(rest, c, lumpy) or is_round_about(rest, c, lumpy)]
     return Candidates([], hanging or standing or lying or turning, floor, footing, limited)
+
+
+def sinks_to(rest: AtRest, c: Candidate, ground: float, others: list[Candidate]) -> bool:
+    """Whether a wheel hangs less than its radius above the floor, on a rocker or bogie, like one that touches it."""
+    near = c.mount == "" and abs(c.bottom - ground) <= c.radius and moving_above(rest, c)
+    return bool(near) and any(parallel(c, o) and abs(c.radius - o.radius) <= SURE * c.radius for o in others)
 
 
 def borne_out(c: Candidate, footing: float, stated: float | None) -> bool:
@@ -368,13 +373,13 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
     """What a wheel hangs on, and its trail if that is a joint about a vertical axis.
 
     A swivel turns without end, or all the way round with the wheel trailing behind it; other such joints steer. More
-    than two joints are a leg, fewer without a vertical one a rocker or swing arm: a suspension.
+    than two joints are a leg, fewer without a vertical one, or any that carry other wheels, a rocker: a suspension.
     """
     above = [j for j in rest.document.moving_ancestors(joint.child)[1:] if j.type in ("revolute", "continuous")]
     beside = [j for j in rest.document.moving_children(joint.parent) if is_endless_end(rest, j)]
     if len(beside) >= ROUND_ABOUT:  # the base hangs on joints of a torso that is the root
         return "", math.inf
-    if len(above) > 2:
+    if len(above) > 2 and not any(carries_wheels(rest, j) for j in above):
         return "leg", math.inf
     upright = next((j for j in above if rest.is_vertical(j)), None)
     if upright is None:  # some files write the axis of a steering joint wrong
@@ -382,6 +387,12 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
     trail = math.dist(rest.hub(upright)[:2], wheel.centre[:2])
     all_round = upright.turns_freely or (upright.upper - upright.lower > ALL_ROUND and trail > TRAIL)
     return ("swivel" if all_round else "steering"), trail
+
+
+def carries_wheels(rest: AtRest, joint: Joint) -> bool:
+    """Whether two or more of what a joint carries turn without end, as wheels do."""
+    ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j)]
+    return sum(joint in rest.document.moving_ancestors(j.child)[1:] for j in ends) >= 2
 
 
 def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:

@@ -28,6 +28,8 @@ USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\
 
 INVALID = r"Invalid parameter \"([^\"]+)\""
 
+FIRST, ARGUMENT = re.compile(r"<robot\b[^>]*>"), re.compile(r"<xacro:arg\s[^>]*>")
+
 SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
 
 
@@ -74,7 +76,8 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
     data = b""
     with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
         try:
-            document = xacro.process_file(job["path"], mappings=dict(job["arguments"]))
+            given = asked_first(Path(job["path"]).read_text(errors="replace")) | job["arguments"]
+            document = xacro.process_file(job["path"], mappings=given)
             data, told["bare"] = (
                 bytes(document.toprettyxml(indent="  ", encoding="utf-8")),
                 bare_calls(document, [*texts.values()]),
@@ -95,6 +98,17 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
             told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     return told, data
+
+
+def asked_first(text: str) -> dict[str, str]:
+    """Arguments that a file's first tag asks for before it states their defaults, as files of UR do: the defaults."""
+    hit = FIRST.search(text)
+    asked, found = USED.findall(hit[0]) if hit else [], dict[str, str]()
+    for tag in ARGUMENT.findall(text) if asked else ():
+        name, default = (re.search(rf"\s{key}=[\"']([^\"'$]*)[\"']", tag) for key in ("name", "default"))
+        if name and default and name[1] in asked:
+            found.setdefault(name[1], default[1])
+    return found
 
 
 def bare_calls(document: Any, texts: list[str]) -> list[str]:

@@ -29,6 +29,7 @@ CODES = {
     "too-many": "error",
     # tags
     "misspelt-tag": "error",
+    "misspelt-shape": "warning",
     "misspelt-attribute": "error",
     "misplaced-tag": "warning",
     "repeated-tag": "warning",

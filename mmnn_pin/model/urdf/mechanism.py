@@ -181,7 +181,7 @@ def bad_limit(joint: etree._Element, kind: str) -> Iterator[Finding]:
     lower, upper = number(limit, "lower", 0.0), number(limit, "upper", 0.0)
     if limited and lower > upper:
         what = f"lower limit {lower:g} is above the upper one, {upper:g}"
-        yield finding("limit-order", limit, what, "no position is allowed", "swap them")
+        yield finding("limit-order", limit, what, "no position is allowed", "swap them", joint=joint.get("name"))
     if limited and lower == upper:
         what = f"lower and upper limit are both {lower:g}"
         fix = "state lower and upper, or make the joint continuous or fixed"

@@ -250,13 +250,18 @@ def transposed(root: etree._Element) -> Iterator[Finding]:
                 element.attrib.pop(wrong)
 
 
+LOOKS = {"visual", "collision", "material", "color", "texture"}  # a robot that lacks one moves as it would with it
+
+
 def misspelt(elements: Elements) -> Iterator[Finding]:
     """Unknown tags and attributes one edit away from known ones, which a loader would ignore in silence."""
     for element, tag, parent in elements.unknown:
         children = KNOWN[parent][0]
         if tag not in children and (meant := nearest(tag, children)):
-            what = f"unknown tag <{tag}>, one edit away from <{meant}>"
-            yield finding("misspelt-tag", element, what, "it would be ignored", f"write <{meant}>")
+            code, why = ("misspelt-tag", "it would be ignored")
+            if meant in LOOKS:
+                code, why = ("misspelt-shape", "it is ignored")
+            yield finding(code, element, f"unknown tag <{tag}>, one edit away from <{meant}>", why, f"write <{meant}>")
     for element, tag, items in elements.texts:
         keys = KNOWN[tag][1]
         unread = tag == "axis" and element.getparent().get("type") == "fixed"
