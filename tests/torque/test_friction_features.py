@@ -10,12 +10,14 @@ from scipy.integrate import solve_ivp
 
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.signals import Layout
-from mmnn_pin.torque.filtered import Filtered, new_filter, parts
+from mmnn_pin.torque.controller import Context, ControllerState
+from mmnn_pin.torque.filtered import Filtered, low_pass, new_filter, parts
 from mmnn_pin.torque.friction_features import beside, features, follow, friction, shipped
-from mmnn_pin.torque.linear import Linear, Parts, drift, predict
+from mmnn_pin.torque.linear import Linear, Parts, drift, heed, predict
 from studies import friction_features as study
 
 motions = st.floats(-20.0, 20.0)
+CONTEXT = Context(Layout(0, 1, 0, 1), 0.01, 1)
 
 
 @given(nu=motions, a=motions)
@@ -68,10 +70,10 @@ def test_the_friction_they_are_fitted_on_is_lugres() -> None:
 
 def test_features_pass_the_filter_of_the_torque() -> None:
     """Their means behind `x' = pole (u - x)`, u the mean of two samples, against many small steps of it."""
-    layout, h, pole = Layout(0, 1, 0, 1), 0.01, 60.0
-    filter, f = new_filter(layout, h, 5.0, pole), friction()
+    layout, h, pole = CONTEXT.layout, CONTEXT.control_period, 60.0
+    filter, f = new_filter(CONTEXT, 5.0, pole), friction()
     k = 3 + len(shipped()[1]) + 1
-    seen = Filtered(**{name: np.zeros(shape) for name, shape in parts(layout, 1, k).items()})
+    seen = Filtered(**{name: np.zeros(shape) for name, shape in parts(CONTEXT, 1, k).items()})
     moved, rng, x, last = np.zeros((2, 4)), np.random.default_rng(1), np.zeros(4), np.zeros(4)
     at = layout.offsets
     for n in range(30):
@@ -95,31 +97,45 @@ def test_features_pass_the_filter_of_the_torque() -> None:
     assert (moved[1] == 0.0).all()
 
 
-def relearned(alarm: float) -> float:
-    """Updates until a parameter that has jumped is known again."""
+def relearned(alarm: float, jump: float = 5.0, interval: float = 0.01) -> tuple[float, list[int]]:
+    """Updates until a parameter that has jumped is known again, and the updates at which a change was seen."""
     k, rng = 3, np.random.default_rng(0)
-    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.full(k, 100.0), np.full(k, 100.0), np.zeros(4), *[None] * 4)  # type: ignore[arg-type]
-    room = dict.fromkeys(Linear._fields)
-    sizes = {"noise": 0.01, "interval": 0.01, "drift": 1e-9, "change": 0.0, "alarm": alarm, "gain": np.ones(1)}
-    a = Linear(**room | sizes | {"work": np.zeros((4, k)), "Phi": np.zeros((1, k))})  # type: ignore[arg-type]
+    own = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (1,)}
+    state = ControllerState.of(**own, **parts(CONTEXT, 1, k), a=(0, 0), b=(0,), moved=(0, 0))
+    state["D"], state["prior"] = 100.0, 100.0
+    o, f = state.view(Parts), new_filter(CONTEXT, 5.0)
+    sizes = {"noise": 0.01, "interval": interval, "drift": 1e-9, "change": 0.0, "alarm": alarm, "gain": np.ones(1)}
+    sizes |= {"work": np.zeros((4, k)), "Phi": np.zeros((1, k)), "filter": f, "carrying": np.array([1])}
+    a, seen, found = Linear(**dict.fromkeys(Linear._fields) | sizes), [], 3000.0  # type: ignore[arg-type]
     true = np.array([1.0, -2.0, 0.5])
     for n in range(4000):
-        true[1] = -2.0 if n < 1000 else 3.0
-        phi = rng.normal(size=(1, k))
-        y = phi @ true + 0.1 * rng.normal(size=1)
-        predict(a, o._replace(filtered=Filtered(*[None] * 4, phi, y)))  # type: ignore[arg-type]
-        if n >= 1000 and abs(o.W[0, 1] - 3.0) < 0.3:
-            return n - 1000
-    return 3000.0
+        true[1] = -2.0 + (jump if n >= 1000 else 0.0)
+        a.Phi[:] = rng.normal(size=(1, k))
+        f.torque[:] = a.Phi @ true + 0.1 * rng.normal(size=1)
+        heed(a, o)
+        seen += [n] * int(o.counts[4])
+        low_pass(f, a.Phi, o.filtered)
+        predict(a, o)
+        if n >= 1000 and abs(o.W[0, 1] - true[1]) < 0.06 * abs(jump):
+            found = min(found, n - 1000.0)
+    return found, seen
 
 
-def test_a_change_of_the_robot_makes_the_past_count_less() -> None:
-    assert relearned(alarm=5.0) < 100 < 500 < relearned(alarm=0.0)
+def test_what_a_robot_carries_is_learned_anew_when_that_changes() -> None:
+    """Within a few updates, where without the alarm the past counts; what had been filtered is dropped as well."""
+    found, seen = relearned(alarm=10.0)
+    assert len(seen) == 1 and 1000 <= seen[0] < 1010 and found < 30
+    assert relearned(alarm=0.0)[0] > 500
+
+
+@pytest.mark.parametrize("interval", [0.01, 0.05, 1.0])
+def test_noise_is_no_change_of_a_robot(interval: float) -> None:
+    assert relearned(alarm=10.0, jump=0.0, interval=interval)[1] == []
 
 
 def test_variance_that_comes_back_stops_at_the_prior() -> None:
     k = 2
-    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.array([1.0, 4.0]), np.full(k, 4.0), np.zeros(4), *[None] * 4)  # type: ignore[arg-type]
+    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.array([1.0, 4.0]), np.full(k, 4.0), np.zeros(6), *[None] * 5)  # type: ignore[arg-type]
     a = Linear(**dict.fromkeys(Linear._fields) | {"work": np.zeros((4, k))})  # type: ignore[arg-type]
     for _ in range(5):
         drift(a, o, 0, 0.5)
