@@ -109,7 +109,7 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
     friction: float = 0.3
     constant: float = 0.03
     change: float = 0.1
-    alarm: float = 10.0
+    alarm: float = 3.0
 
     section: ClassVar[str] = "kalman.friction"
     positive: ClassVar[tuple[str, ...]] = (*KalmanRegressorSettings.positive, "friction", "constant", "change")
@@ -192,8 +192,7 @@ class Kalman(CompiledController):
     """`tau = Psi_0 + Phi W + K s`, W by a Kalman filter on filtered torque; see `torque.linear` for what holds.
 
     Args:
-        settings: `KalmanRegressorSettings`, `KalmanBilinearSettings`, `KalmanFeaturesSettings` or
-        `KalmanResidualSettings`. machine: What it is told of the robot. feedback: K. regressor: How the robot moves;
+        settings: One of `SETTINGS`. machine: What it is told of the robot. feedback: K. regressor: How the robot moves;
         for `KalmanRegressorSettings` and `KalmanResidualSettings`. theta0: (k0,) parameters of a nominal robot in the
         order of that regressor; for `KalmanResidualSettings`. learning: Off keeps the weights as they are. before:
         Parameters (k,) that it begins with and their covariance (k, k), of which it takes no more than its prior.
@@ -296,8 +295,7 @@ class Kalman(CompiledController):
             ConfigError: A gain of 0: noise and prior are measured by the gains.
         """
         K, h, own = self.positive_gains(context.layout), float(context.control_period), self.settings
-        rows, k, m = self.shape
-        every = max(1, round(own.interval / h))
+        (rows, k, m), every = self.shape, max(1, round(own.interval / h))
         linear = Linear(
             known=None if self.regressor is None else self.regressor.workspace(),
             random=self.random(),
@@ -325,10 +323,10 @@ class Kalman(CompiledController):
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """Weights and covariance, what the filter remembers, what was drawn."""
-        (rows, k, m), random = self.shape, self.random()
+        (rows, k, m), random, p = self.shape, self.random(), len(self.machine.velocities)
         drawn = (0, 0) if random is None else (random.units, random.inputs)
         moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
-        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (rows,)}
+        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (5,), "expected": (rows,), "level": (p,)}
         return {**own, **parts(context, rows, k), "a": drawn, "b": drawn[:1], "moved": moved}
 
     def init(self, context: Context) -> ControllerState:

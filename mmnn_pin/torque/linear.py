@@ -40,10 +40,10 @@ POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["q
 Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
-SOON, RISE, FALL = 0.03, 0.3, 3.0  # times over which surprise is averaged, and in which its level follows [s]
-QUIET = 1.0  # time after a start or a change in which no other one is looked for [s]
-FAINT = 0.01  # part of the expected square of an error that surprises nobody
-SURPRISE = 100.0  # largest square of an error over its variance that one equation counts for
+SOON, RISE, FALL = 0.03, 0.3, 5.0  # times over which surprise is averaged, and in which levels of errors follow [s]
+QUIET = 2.0  # time after a start or a change in which no other one is looked for [s]
+FAINT = 1e-5  # part of the expected square of an error below which none is told from another
+SURPRISE = 25.0  # largest square of an error over its level that one equation counts for
 
 
 @by_address
@@ -105,9 +105,10 @@ class Parts(NamedTuple):
         W: (m, k) weights, transposed: a column of W is a row here.
         U, D: (k, k), (k,) factors of P.
         prior: (k,) diagonal of P_0.
-        counts: (6,) samples, updates, mean square of errors over their variances of late and its level, whether the
-            robot has just changed, and updates since it last did.
+        counts: (5,) samples, updates, mean square of errors of late over their levels, whether the robot has just
+            changed, and updates since it last did.
         expected: (rows,) variances of the last equations.
+        level: (p,) squares of errors in the last seconds, over K.
         filtered: What the filter remembers.
         a, b: (units, inputs), (units,) what the random features drew.
         moved: (2, p d) friction features of the last sample, and behind the filter of states and torque.
@@ -119,6 +120,7 @@ class Parts(NamedTuple):
     prior: Vector
     counts: Vector
     expected: Vector
+    level: Vector
     filtered: Filtered
     a: Matrix
     b: Vector
@@ -178,10 +180,10 @@ def learn(
         features(a, known, random, o, f.pose, f.q, f.nu[:nb], f.nu[nb:], f.nu, f.nudot)
         for i in range(p):
             f.torque[i] -= a.psi0[i]
-        if now and a.alarm > 0.0:
-            heed(a, o)
         low_pass(f, a.Phi, o.filtered)
         if now:
+            if a.alarm > 0.0:
+                heed(a, o)
             predict(a, o)
     if now:
         project(a, o)
@@ -269,7 +271,7 @@ def predict(a: Linear, o: Parts) -> None:
                 o.W[c, j] += e * b[j]
     drift(a, o, int(o.counts[1]) % k, a.drift * k)
     o.counts[1] += 1.0
-    for j in range(a.carrying.size if o.counts[4] > 0.0 else 0):
+    for j in range(a.carrying.size if o.counts[3] > 0.0 else 0):
         drift(a, o, a.carrying[j], 1.0)
     for c in range(k - a.gain.size if a.change > 0.0 else k, k):
         drift(a, o, c, a.change)
@@ -277,24 +279,24 @@ def predict(a: Linear, o: Parts) -> None:
 
 @internal
 def heed(a: Linear, o: Parts) -> None:
-    """Whether the robot has just changed, by the equations of the last period ahead of the low-pass, into o.counts[4].
+    """Whether the robot has just changed, by the errors of the equations ahead of their update, into o.counts[3].
 
     What the low-pass remembers is then of another robot, and is dropped.
     """
     p, m, rows, T, surprise = a.gain.size, o.W.shape[0], a.Phi.shape[0], a.interval, 0.0
+    Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
     for i in range(p):
-        e = (a.filter.torque[i] - dot(o.W[min(i, m - 1)], a.Phi[min(i, rows - 1)], o.D.size)) / a.gain[i]
-        expected = o.expected[min(i, rows - 1)]
-        surprise += min(e * e / expected, SURPRISE) / p if expected > 0.0 else 0.0
+        e = (Y_f[i] - dot(o.W[min(i, m - 1)], Phi_f[min(i, rows - 1)], o.D.size)) / a.gain[i]
+        level, more = max(o.level[i], FAINT * o.expected[min(i, rows - 1)]), e * e - o.level[i]
+        surprise += min(e * e / level, SURPRISE) / p if level > 0.0 else 0.0
+        o.level[i] += min(T / (RISE if more > 0.0 else FALL), 1.0) * more
     o.counts[2] += min(T / SOON, 1.0) * (surprise - o.counts[2])
-    more = o.counts[2] - o.counts[3]
-    changed = o.counts[5] * T > QUIET and o.counts[2] > a.alarm * max(o.counts[3], FAINT)
-    o.counts[3] += min(T / (RISE if more > 0.0 else FALL), 1.0) * more
-    o.counts[4] = 1.0 if changed else 0.0
-    o.counts[5] = 0.0 if changed else o.counts[5] + 1.0
+    changed = o.counts[4] * T > QUIET and o.counts[2] > a.alarm
+    o.counts[3] = 1.0 if changed else 0.0
+    o.counts[4] = 0.0 if changed else o.counts[4] + 1.0
     if changed:
-        o.filtered.Phi_f[:] = 0.0
-        o.filtered.Y_f[:] = 0.0
+        Phi_f[:] = 0.0
+        Y_f[:] = 0.0
 
 
 @internal

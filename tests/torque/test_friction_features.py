@@ -100,7 +100,7 @@ def test_features_pass_the_filter_of_the_torque() -> None:
 def relearned(alarm: float, jump: float = 5.0, interval: float = 0.01) -> tuple[float, list[int]]:
     """Updates until a parameter that has jumped is known again, and the updates at which a change was seen."""
     k, rng = 3, np.random.default_rng(0)
-    own = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (6,), "expected": (1,)}
+    own = {"W": (1, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (5,), "expected": (1,), "level": (1,)}
     state = ControllerState.of(**own, **parts(CONTEXT, 1, k), a=(0, 0), b=(0,), moved=(0, 0))
     state["D"], state["prior"] = 100.0, 100.0
     o, f = state.view(Parts), new_filter(CONTEXT, 5.0)
@@ -112,9 +112,9 @@ def relearned(alarm: float, jump: float = 5.0, interval: float = 0.01) -> tuple[
         true[1] = -2.0 + (jump if n >= 1000 else 0.0)
         a.Phi[:] = rng.normal(size=(1, k))
         f.torque[:] = a.Phi @ true + 0.1 * rng.normal(size=1)
-        heed(a, o)
-        seen += [n] * int(o.counts[4])
         low_pass(f, a.Phi, o.filtered)
+        heed(a, o)
+        seen += [n] * int(o.counts[3])
         predict(a, o)
         if n >= 1000 and abs(o.W[0, 1] - true[1]) < 0.06 * abs(jump):
             found = min(found, n - 1000.0)
@@ -123,19 +123,19 @@ def relearned(alarm: float, jump: float = 5.0, interval: float = 0.01) -> tuple[
 
 def test_what_a_robot_carries_is_learned_anew_when_that_changes() -> None:
     """Within a few updates, where without the alarm the past counts; what had been filtered is dropped as well."""
-    found, seen = relearned(alarm=10.0)
+    found, seen = relearned(alarm=3.0)
     assert len(seen) == 1 and 1000 <= seen[0] < 1010 and found < 30
     assert relearned(alarm=0.0)[0] > 500
 
 
 @pytest.mark.parametrize("interval", [0.01, 0.05, 1.0])
 def test_noise_is_no_change_of_a_robot(interval: float) -> None:
-    assert relearned(alarm=10.0, jump=0.0, interval=interval)[1] == []
+    assert relearned(alarm=3.0, jump=0.0, interval=interval)[1] == []
 
 
 def test_variance_that_comes_back_stops_at_the_prior() -> None:
     k = 2
-    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.array([1.0, 4.0]), np.full(k, 4.0), np.zeros(6), *[None] * 5)  # type: ignore[arg-type]
+    o = Parts(np.zeros((1, k)), np.zeros((k, k)), np.array([1.0, 4.0]), np.full(k, 4.0), np.zeros(5), *[None] * 6)  # type: ignore[arg-type]
     a = Linear(**dict.fromkeys(Linear._fields) | {"work": np.zeros((4, k))})  # type: ignore[arg-type]
     for _ in range(5):
         drift(a, o, 0, 0.5)

@@ -283,7 +283,7 @@ class Ledger:
         if row.state["counts"][1] == o.counts[1]:  # no control period to learn from
             return cut, 0.0, 0.0, 0.0
         prediction, noise, known = self.measured(row, o)
-        o.counts[4] = row.state["counts"][4]
+        o.counts[3] = row.state["counts"][3]
         predict(a, o)
         return cut, prediction, noise, self.energy(o) - known
 
