@@ -173,6 +173,8 @@ def learn(
     if now:
         track(row, at, a, o)
     counts = period(row, at, f, o.filtered)
+    if o.filtered.clock[1] <= 1.0:
+        o.counts[4] = 0.0
     if friction is not None:
         follow(f, o.filtered, o.moved, a.Phi)
     if counts:
