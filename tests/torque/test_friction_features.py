@@ -156,3 +156,25 @@ def test_friction_that_no_regressor_has_is_learned() -> None:
         late = run["time"].ravel() > 6.0
         error[name] = np.sqrt((run["e"][late] ** 2).mean())
     assert error["kalman_friction"] < 0.5 * error["kalman_regressor"]
+
+
+def late_error(*settings: str) -> float:
+    """RMS error of the arm under `kalman_friction` in the last part of a run of `track` with sensors that are noisy."""
+    noise = "sensor={pose_noise=[1e-4,1e-4,1e-4],noise=1e-4,velocity_noise=[1e-3,2e-3,5e-3,5e-3]}"
+    common = ("time.duration=12.0", "time.control_period=0.002", "reference.arm.period=3.4", "lead=true", noise)
+    experiment = load_experiment("track", (*common, "windows=[[0.0,2.0],[9.0,12.0]]", *settings))
+    robot = experiment.load_robot()
+    run = experiment.loop(robot, experiment.controller("kalman_friction", robot=robot)).run()
+    return float(np.sqrt((run["true_e"][run["time"].ravel() > 9.0] ** 2).mean()))
+
+
+@pytest.mark.compiled
+def test_a_load_that_is_put_down_is_known_to_be_gone_at_once() -> None:
+    load = 'disturbances=[{type="payload",mass=2.2,start=4.0,end=9.0,at=[0.33,0.05,0.02]}]'
+    assert late_error(load) < 0.3 * late_error(load, "kalman.friction.alarm=0")
+
+
+@pytest.mark.compiled
+def test_motors_whose_lag_is_known_are_learned_as_those_that_have_none() -> None:
+    """Equations with the torque that was asked for are wrong by as much as the motors lag."""
+    assert late_error("actuator.lag=0.01") < 1.5 * late_error()
