@@ -106,7 +106,7 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
 
     noise: float = 0.2
     pole: float = 7.0
-    friction: float = 0.3
+    friction: float = 0.2
     constant: float = 0.03
     change: float = 0.1
     alarm: float = 3.0
