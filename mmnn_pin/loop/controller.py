@@ -103,6 +103,8 @@ def context_of(
     rng: Generator,
     within_limits: bool | None = None,
     layout: Layout | None = None,
+    lag: Array | None = None,
+    way: float = 0.0,
 ) -> Context:
     """What a controller is told before a run of a robot; how it moves only where a learning law asks for it.
 
@@ -114,13 +116,14 @@ def context_of(
         rng: The controller's own random generator.
         within_limits: Whether Psi_hat is kept within the motors' limits; None for what the controller says.
         layout: Where the signals stand in a row; None where nothing but the robot is recorded.
+        lag: (p,) known time constants of the motors, seen from the velocities; None for none [s].
+        way: Known time from the command of a torque to the measurement that shows it [s].
     """
     told = isinstance(controller, LearningLaw) and controller.knows_motion
     kept = controller.within_limits if within_limits is None else within_limits
     limits = motor_limits(robot.E, robot.effort_limits) if kept else None
-    return Context(
-        layout or Layout.of(robot.dimensions), period, samples, rng, regressor_of(robot) if told else None, limits
-    )
+    motion = regressor_of(robot) if told else None
+    return Context(layout or Layout.of(robot.dimensions), period, samples, rng, motion, limits, lag, way)
 
 
 def regressor_of(robot: Robot) -> Regressor:

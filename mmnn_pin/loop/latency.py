@@ -59,6 +59,10 @@ class Latency(Settings, frozen=True):
             raise ConfigError("a measurement that is not new at every sample", why=why, fix=fix, key="latency.predict")
         return self.sensing
 
+    def way(self, timing: Timing) -> float:
+        """How long ago, on average, a torque was asked for that a measurement shows when it is used [s]."""
+        return self.sensing - self.caught_up(timing) + self.command + 0.5 * self.jitter
+
     def measurements(self, timing: Timing) -> int:
         """Measurements by which the sensors are late.
 

@@ -32,7 +32,7 @@ from ..settings import Timing, given_array, plain
 from ..settings.arguments import checked, require_types
 from ..signals import SIGNALS, Array, Dimensions, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
-from .before_run import Bounds, Start, require_first, require_nominal, require_seed, samples_between
+from .before_run import Bounds, Start, lags, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
 from .latency import Latency
@@ -246,6 +246,16 @@ class Loop:
     def delays(self) -> Array:
         """How long the torque of every velocity is known to be under way, half of its hold included, (p,) [s]."""
         return delays(self.robot, self.timing, self.latency, self.actuator.lag)
+
+    @property
+    def lags(self) -> Array:
+        """Known time constants of the motors, seen from the velocities, (p,) [s]."""
+        return lags(self.robot, self.actuator.lag)
+
+    @property
+    def behind(self) -> float:
+        """Known time from the command of a torque to the measurement that shows it, less what is predicted [s]."""
+        return self.latency.way(self.timing)
 
     def delay_margin(self) -> float:
         """Delay between measurement and torque at which the sampled loop turns unstable along the reference [s].

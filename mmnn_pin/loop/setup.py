@@ -23,6 +23,7 @@ from ..settings import Numbers, Timing, plain
 from ..signals import Array, Layout
 from ..torque.controller import CompiledController, Context, TorqueController
 from ..torque.learning_law import origin_of
+from .before_run import lags
 from .controller import context_of
 from .latency import Latency
 from .lead import Lead, delays, lead_of, leads
@@ -98,6 +99,14 @@ class Setup(Protocol):
     def delays(self) -> Array:
         """How long the torque of every velocity is known to be under way, half of its hold included, (p,) [s]."""
 
+    @property
+    def lags(self) -> Array:
+        """Known time constants of the motors, seen from the velocities, (p,) [s]."""
+
+    @property
+    def behind(self) -> float:
+        """Known time from the command of a torque to the measurement that shows it, less what is predicted [s]."""
+
     def streams(self) -> Streams:
         """Random generators of the sensors, of the disturbances and of the commands' delays."""
 
@@ -109,7 +118,8 @@ def new_context(setup: Setup, seed: int, within_limits: bool | None, samples: in
     """What the controller of a setup is told before a run; arguments as of `context_of`."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(1)[0])
     period = setup.timing.control_period
-    return context_of(setup.controller, setup.robot, period, samples, rng, within_limits, setup.layout)
+    kept, late = (within_limits, setup.layout), (setup.lags, setup.behind)
+    return context_of(setup.controller, setup.robot, period, samples, rng, *kept, *late)
 
 
 def lead_signals(setup: Setup) -> int:
@@ -151,6 +161,8 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
     hardware |= {} if setup.latency == Latency() else {"latency": plain(setup.latency)}
     hardware |= {"interfaces": dict(setup.interfaces), "servo": plain(setup.servo)} if setup.interfaces else {}
     hardware |= {"lead": setup.delays.tolist()} if setup.layout.lead else {}
+    hardware |= {"lag": setup.lags.tolist()} if setup.lags.any() else {}
+    hardware |= {"way": setup.behind} if setup.behind else {}
     hardware |= {} if setup.safety is None else {"safety": plain(setup.safety)}
     hardware |= {"disturbances": plain(setup.disturbances)} if setup.disturbances else {}
     return setup.robot.facts() | own | believed | hardware
@@ -158,7 +170,11 @@ def facts_of(setup: Setup, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Outside:
-    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`, its latency being `way`."""
+    """The setup of a robot that is not simulated; arguments as of `stepper.Stepper`, its latency being `way`.
+
+    Attributes:
+        behind: See `Setup.behind`.
+    """
 
     robot: Robot
     controller: CompiledController | TorqueController
@@ -178,6 +194,7 @@ class Outside:
     lead: bool = False
     way: float = 0.0
     lag: Numbers = 0.0
+    behind: float = 0.0
 
     @cached_property
     def layout(self) -> Layout:
@@ -188,6 +205,11 @@ class Outside:
     def delays(self) -> Array:
         """See `Setup.delays`."""
         return delays(self.robot, self.timing, Latency(command=self.way), self.lag)
+
+    @property
+    def lags(self) -> Array:
+        """See `Setup.lags`."""
+        return lags(self.robot, self.lag)
 
     def streams(self) -> Streams:
         """Random generators that nothing draws from."""

@@ -34,6 +34,7 @@ from ..compiled import compiled, internal, linked
 from ..elementary import tanh
 from ..elementary.matrices import product
 from ..errors import RobotError
+from ..signals import IntArray
 from .reduction import COULOMB_SPEED, as_measured
 from .tree.dynamics import psi_again
 from .tree.motion import AT, BASE, LINK, NUMBER, Array, Tree, Vector, add, along, cross, dot, get, new_scratch, place
@@ -136,6 +137,15 @@ class Regressor:
     def inertial(self) -> int:
         """Number of inertial parameters, ten per body; they stand first."""
         return BODY * len(self.bodies)
+
+    @property
+    def carrying(self) -> IntArray:
+        """Columns of the bodies at the arm's ends, or of the base without an arm: what it picks up changes them."""
+        links, m = self.massless.tree.links, self.massless
+        moved = {joint for joint, row in zip(self.joints, m.joints, strict=True) if np.any(row[m.base :] != 0.0)}
+        parents = set(links[m.first :, LINK.parent].tolist())
+        ends = [b for b, body in enumerate(self.bodies) if body in moved and m.first + b not in parents]
+        return np.concatenate([BODY * b + np.arange(BODY) for b in ends or [0]]).astype(np.int64)
 
     def workspace(self) -> Massless:
         """The same arrays with a memory of its own to work in."""

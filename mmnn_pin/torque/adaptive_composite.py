@@ -310,7 +310,7 @@ class AdaptiveComposite(Adaptive):
         size = 16 * len(self.regressor.bodies) + k - self.regressor.inertial
         prediction = Prediction(
             adaptation=self.adaptation(context, K, float(own.tracking)),
-            filter=new_filter(context.layout, h, own.pole),
+            filter=new_filter(context, own.pole),
             trust=1.0 / K,
             weight=float(own.weight) * every * h,
             keep=float(exp(-every * h / own.forgetting_time)),
@@ -326,7 +326,7 @@ class AdaptiveComposite(Adaptive):
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """The estimate, what the filter remembers, and the integrals."""
         k = self.regressor.size
-        return {**super().shapes(context), **parts(context.layout, context.layout.dof, k), "Q": (k, k), "b": (k,)}
+        return {**super().shapes(context), **parts(context, context.layout.dof, k), "Q": (k, k), "b": (k,)}
 
     def facts(self) -> dict[str, Any]:
         """Those of `Adaptive`, and the prediction error's."""

@@ -311,7 +311,7 @@ class Concurrent(ParameterLearner):
             known=self.regressor.workspace(),
             basis=self.basis,
             theta0=self.start(),
-            filter=new_filter(context.layout, h, own.pole),
+            filter=new_filter(context, own.pole),
             gain=K,
             precision=1.0 / (own.noise * K),
             learning=self.learning,
@@ -337,7 +337,7 @@ class Concurrent(ParameterLearner):
         """The estimate, what the filter remembers, and the stack."""
         p, k = context.layout.dof, self.dimension
         stack = stack_shapes(self.settings.entries, p, k)
-        return {"w": (k,), "samples": (1,), **parts(context.layout, p, k), **stack}
+        return {"w": (k,), "samples": (1,), **parts(context, p, k), **stack}
 
     def init(self, context: Context) -> ControllerState:
         """The estimate at its start, and an empty stack."""

@@ -41,6 +41,8 @@ class Context:
         rng: The controller's own random generator, split from the run's seed.
         regressor: How the robot moves (`model.regressor.Regressor`), for a `LearningLaw` that asks for it; else None.
         limits: What Psi_hat is kept within; None where it is not kept within anything.
+        lag: (p,) known time constants of the motors, seen from the velocities [s]; None for none.
+        way: Known time from the command of a torque to the measurement that shows it, less what is predicted [s].
     """
 
     layout: Layout
@@ -49,6 +51,8 @@ class Context:
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     regressor: Any = None
     limits: MotorLimits | None = None
+    lag: Array | None = None
+    way: float = 0.0
 
 
 @dataclass

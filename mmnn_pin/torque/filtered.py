@@ -15,6 +15,11 @@ second low-pass ahead of the features, on states and torque: `x' = state_pole (u
 and for states that go straight between samples, whose means over a period are again exact,
 `<x> = <u> - (x_k+1 - x_k) / (state_pole h)`.
 
+What the motors were asked for is not at once what they give, and a measurement may be old. Where that is stated, the
+torque of an equation is the one that moved the robot while it was measured: the command as many periods ago as it was
+under way, behind `u' = (command - u) / lag`, which is exact for a command that is held,
+`<u> = command - (u_k+1 - u_k) lag / h`.
+
 A period counts only where the sample before it is one control period ago: after a start, a resumption elsewhere, a stop
 by the supervisor or a sample that is no number the filter takes the next state as its first.
 """
@@ -22,14 +27,17 @@ by the supervisor or a sample that is no number the filter takes the next state 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..compiled import Matrix, Vector, compiled, internal
+from ..compiled import Matrix, Vector, compiled, copy_to, internal
 from ..elementary import exp
 from ..errors import ConfigError
-from ..signals import INDEX, Array, Dimensions, IntArray
+from ..signals import INDEX, Array, IntArray
+
+if TYPE_CHECKING:
+    from .controller import Context
 
 TIME, Q, QDOT, TORQUE = INDEX["time"], INDEX["q"], INDEX["qdot"], INDEX["torque"]
 VELOCITY, POSE = INDEX["velocity"], INDEX["pose"]
@@ -46,6 +54,9 @@ class Filter(NamedTuple):
         fresh: What a state's change over a period adds to its filtered value; 1 without the filter.
         lag: 1 / (state_pole h), 0 without the filter.
         hold: exp(-pole h), 0 without the low-pass.
+        motor: (p,) exp(-h / lag) of the motors, 0 without lag.
+        drag: (p,) lag / h.
+        late: How many periods ago was asked for what acts, a part of one included.
         wait: Periods after a start that do not count.
         pose: (3,) or (0,) pose at the end of the last period, as it was measured.
         q: (n,) its mean angles.
@@ -59,6 +70,9 @@ class Filter(NamedTuple):
     fresh: float
     lag: float
     hold: float
+    motor: Array
+    drag: Array
+    late: float
     wait: int
     pose: Array
     q: Array
@@ -72,7 +86,8 @@ class Filtered(NamedTuple):
 
     Attributes:
         clock: (2,) time of the last sample [s], and how many have followed one another.
-        held: (p,) torque that is held since then.
+        held: (m, p) torque that is held since then, and those before it that are under way.
+        driven: (p,) torque that the motors give.
         filtered_torque: (p,) torque behind the filter ahead of the features.
         states: (2, n + p) angles and velocities of the last sample, and behind that filter.
         Phi_f: (rows, k) features behind the low-pass.
@@ -80,19 +95,19 @@ class Filtered(NamedTuple):
     """
 
     clock: Vector
-    held: Vector
+    held: Matrix
+    driven: Vector
     filtered_torque: Vector
     states: Matrix
     Phi_f: Matrix
     Y_f: Vector
 
 
-def new_filter(layout: Dimensions, h: float, pole: float, state_pole: float = 0.0) -> Filter:
+def new_filter(context: Context, pole: float, state_pole: float = 0.0) -> Filter:
     """The numbers of a filter.
 
     Args:
-        layout: Sizes.
-        h: Control period [s].
+        context: Sizes, control period, and how long a torque is known to be under way.
         pole: Of the low-pass behind the features [1/s]; 0 for none.
         state_pole: Of the one ahead of them [1/s]; 0 for none.
 
@@ -102,14 +117,19 @@ def new_filter(layout: Dimensions, h: float, pole: float, state_pole: float = 0.
     for value in (pole, state_pole):
         if not (np.isfinite(value) and value >= 0):
             raise ConfigError(f"a filter's pole of {value} 1/s", fix="use a finite number >= 0; 0 is no filter")
+    layout, h = context.layout, float(context.control_period)
+    slow = np.zeros(layout.dof) if context.lag is None else context.lag / h
     keep, lag = (exp(-state_pole * h), 1.0 / (state_pole * h)) if state_pole else (0.0, 0.0)
     return Filter(
-        h=float(h),
+        h=h,
         keep=keep,
         fresh=1.0 - (1.0 - keep) * lag,
         lag=lag,
         hold=exp(-pole * h) if pole else 0.0,
-        wait=math.ceil(SETTLED * lag),
+        motor=np.array([exp(-1.0 / each) if each > 0.0 else 0.0 for each in slow]),
+        drag=slow,
+        late=context.way / h,
+        wait=math.ceil(SETTLED * max(lag, float(slow.max(initial=0.0))) + context.way / h),
         pose=np.zeros(layout.pose),
         q=np.zeros(layout.arm),
         nu=np.zeros(layout.dof),
@@ -118,17 +138,18 @@ def new_filter(layout: Dimensions, h: float, pole: float, state_pole: float = 0.
     )
 
 
-def parts(layout: Dimensions, rows: int, k: int) -> dict[str, tuple[int, ...]]:
+def parts(context: Context, rows: int, k: int) -> dict[str, tuple[int, ...]]:
     """Names and shapes of what a filter remembers, to be parts of a `ControllerState`.
 
     Args:
-        layout: Sizes.
+        context: Sizes, and how long a torque is known to be under way.
         rows: Rows of the features Phi.
         k: Columns of Phi.
     """
-    n, p = layout.arm, layout.dof
-    shapes: dict[str, tuple[int, ...]] = {"clock": (2,), "held": (p,), "filtered_torque": (p,), "states": (2, n + p)}
-    return shapes | {"Phi_f": (rows, k), "Y_f": (p,)}
+    n, p = context.layout.arm, context.layout.dof
+    way = 1 + math.ceil(context.way / context.control_period)
+    own: dict[str, tuple[int, ...]] = {"clock": (2,), "held": (way, p), "driven": (p,), "filtered_torque": (p,)}
+    return own | {"states": (2, n + p), "Phi_f": (rows, k), "Y_f": (p,)}
 
 
 @compiled
@@ -140,8 +161,9 @@ def remember(row: Array, at: IntArray, seen: Filtered) -> None:
         at: Offsets of the signals.
         seen: What the filter remembers.
     """
-    for i in range(at[TORQUE + 1] - at[TORQUE]):
-        seen.held[i] = row[at[TORQUE] + i]
+    for j in range(len(seen.held) - 1, 0, -1):
+        copy_to(seen.held[j - 1], seen.held[j])
+    copy_to(row[at[TORQUE] : at[TORQUE + 1]], seen.held[0])
 
 
 @compiled
@@ -167,12 +189,13 @@ def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
         Whether there is such a period, and the filter has settled.
     """
     n, p, nb = f.q.size, f.nu.size, f.nu.size - f.q.size
-    clock, held, drive = seen.clock, seen.held, seen.filtered_torque
+    clock, drive = seen.clock, seen.filtered_torque
+    held, older, old = seen.held[int(f.late)], seen.held[min(int(f.late) + 1, len(seen.held) - 1)], f.late % 1.0
     last, smooth = seen.states[0], seen.states[1]
     time = row[at[TIME]]
     follows = clock[1] > 0.0 and abs(time - clock[0] - f.h) < 0.5 * f.h
     usable = is_usable(row[at[VELOCITY] : at[QDOT + 1]])
-    follows = follows and usable and is_usable(held)
+    follows = follows and usable and is_usable(held) and is_usable(older)
     clock[0] = time
     clock[1] = clock[1] + 1.0 if follows else 1.0 if usable else 0.0
     for i in range(f.pose.size):
@@ -192,9 +215,11 @@ def period(row: Array, at: IntArray, f: Filter, seen: Filtered) -> bool:
         if usable:
             last[i] = u
     for i in range(p):
-        before = drive[i] if follows else 0.0
-        drive[i] = f.keep * before + (1.0 - f.keep) * held[i] if follows else 0.0
-        f.torque[i] = held[i] - f.lag * (drive[i] - before)
+        asked, gave = held[i] + old * (older[i] - held[i]), seen.driven[i] if follows else 0.0
+        seen.driven[i] = f.motor[i] * gave + (1.0 - f.motor[i]) * asked if follows else 0.0
+        given, before = asked - f.drag[i] * (seen.driven[i] - gave), drive[i] if follows else 0.0
+        drive[i] = f.keep * before + (1.0 - f.keep) * given if follows else 0.0
+        f.torque[i] = given - f.lag * (drive[i] - before)
     return follows and clock[1] > f.wait + 1.0
 
 

@@ -22,10 +22,11 @@ from ..settings import Settings, plain, require_at_most, require_numbers
 from ..settings.arguments import require_types
 from ..signals import Array, Layout
 from .controller import CompiledController, Context, ControllerState, Feedback, Given, Law, Machine, Told
+from .factored import NEGLIGIBLE, factors, left
 from .filtered import new_filter, parts
 from .friction_features import columns, friction, shipped
 from .law import constant_gain
-from .linear import NEGLIGIBLE, Linear, Parts, factors, left
+from .linear import Linear, Parts
 from .prior import identified, within_prior
 from .random_features import BILINEAR, GENERIC, Random, at_rest, fill, new_random, paired, size
 
@@ -48,8 +49,8 @@ class KalmanSettings(Settings, frozen=True):
         pole: Low-pass on features and filtered torque [1/s].
         state_pole: Low-pass on states and torque ahead of the features [1/s]; 0 for none.
         interval: Time from one update to the next [s], at least a control period.
-        alarm: Where the square of its errors, of late, is so many times that of the last seconds, the robot has
-            changed: the past counts less. 0 for never.
+        alarm: Where the square of its errors is suddenly so many times what it was in the last seconds, the robot has
+            changed: what it carries is learned anew. 0 for never.
 
     Raises:
         ConfigError: A number that is negative, not finite, huge or 0 where it must not be.
@@ -105,10 +106,10 @@ class KalmanFrictionSettings(KalmanRegressorSettings, frozen=True):
 
     noise: float = 0.2
     pole: float = 7.0
-    friction: float = 1.0
-    constant: float = 0.1
+    friction: float = 0.2
+    constant: float = 0.03
     change: float = 0.1
-    alarm: float = 5.0
+    alarm: float = 3.0
 
     section: ClassVar[str] = "kalman.friction"
     positive: ClassVar[tuple[str, ...]] = (*KalmanRegressorSettings.positive, "friction", "constant", "change")
@@ -191,8 +192,7 @@ class Kalman(CompiledController):
     """`tau = Psi_0 + Phi W + K s`, W by a Kalman filter on filtered torque; see `torque.linear` for what holds.
 
     Args:
-        settings: `KalmanRegressorSettings`, `KalmanBilinearSettings`, `KalmanFeaturesSettings` or
-        `KalmanResidualSettings`. machine: What it is told of the robot. feedback: K. regressor: How the robot moves;
+        settings: One of `SETTINGS`. machine: What it is told of the robot. feedback: K. regressor: How the robot moves;
         for `KalmanRegressorSettings` and `KalmanResidualSettings`. theta0: (k0,) parameters of a nominal robot in the
         order of that regressor; for `KalmanResidualSettings`. learning: Off keeps the weights as they are. before:
         Parameters (k,) that it begins with and their covariance (k, k), of which it takes no more than its prior.
@@ -295,13 +295,12 @@ class Kalman(CompiledController):
             ConfigError: A gain of 0: noise and prior are measured by the gains.
         """
         K, h, own = self.positive_gains(context.layout), float(context.control_period), self.settings
-        rows, k, m = self.shape
-        every = max(1, round(own.interval / h))
+        (rows, k, m), every = self.shape, max(1, round(own.interval / h))
         linear = Linear(
             known=None if self.regressor is None else self.regressor.workspace(),
             random=self.random(),
             friction=friction() if self.beside else None,
-            filter=new_filter(context.layout, h, own.pole, own.state_pole),
+            filter=new_filter(context, own.pole, own.state_pole),
             gain=K,
             learning=self.learning,
             every=every,
@@ -312,6 +311,7 @@ class Kalman(CompiledController):
             drift=float(own.drift) * every * h,
             change=own.change * every * h if isinstance(own, KalmanFrictionSettings) else 0.0,
             alarm=float(own.alarm),
+            carrying=np.arange(0) if self.regressor is None or self.drawn else self.regressor.carrying,
             radius=own.bound * np.sqrt(k) * (K if m > 1 else np.ones(1)),
             theta0=np.zeros(0) if self.theta0 is None else self.theta0.copy(),
             Phi=np.zeros((rows, k)),
@@ -323,11 +323,11 @@ class Kalman(CompiledController):
 
     def shapes(self, context: Context) -> dict[str, tuple[int, ...]]:
         """Weights and covariance, what the filter remembers, what was drawn."""
-        (rows, k, m), random = self.shape, self.random()
+        (rows, k, m), random, p = self.shape, self.random(), len(self.machine.velocities)
         drawn = (0, 0) if random is None else (random.units, random.inputs)
         moved = (2, rows * (self.beside - 1)) if self.beside else (0, 0)
-        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (4,)}
-        return {**own, **parts(context.layout, rows, k), "a": drawn, "b": drawn[:1], "moved": moved}
+        own = {"W": (m, k), "U": (k, k), "D": (k,), "prior": (k,), "counts": (5,), "expected": (rows,), "level": (p,)}
+        return {**own, **parts(context, rows, k), "a": drawn, "b": drawn[:1], "moved": moved}
 
     def init(self, context: Context) -> ControllerState:
         """No weights yet, the prior, and the random functions, drawn from the run's seed."""

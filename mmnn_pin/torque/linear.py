@@ -17,13 +17,8 @@ Continuous, without disturbance, Psi = Psi_0 + Phi W exactly and the true torque
 P is bounded: Q adds to one place of the diagonal after the other, and never beyond the prior's number there, so the
 trace of P is at most that of P_0. W is bounded: `W_i' P_0^-1 W_i <= radius_i^2` by the projection onto a half-space
 that contains that ball, in the metric P^-1, where it lowers the distance to every point of the ball; what is then still
-outside is scaled back, which need not. Psi_hat is bounded by the motors' limits (`torque.law`).
-
-P is kept as factors `P = U D U'`: positive definite for ever, whatever is measured. U is unit upper triangular and D
-diagonal. A measurement multiplies every D_j with a ratio of positive numbers and never subtracts (Bierman 1977,
-Factorization Methods for Discrete Sequential Estimation); variance is added by the algorithm of Agee and Turner that he
-gives. So no number of updates makes P indefinite, which rounding does to P itself. Column j of U stands in row j of the
-array: `U[j, i] = U_ij` for i < j; the rest of the array is not used.
+outside is scaled back, which need not. Psi_hat is bounded by the motors' limits (`torque.law`). P is kept as factors
+(`torque.factored`).
 """
 
 from __future__ import annotations
@@ -31,12 +26,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from ..by_address import by_address
-from ..compiled import Matrix, Vector, compiled, copy_to, internal, linked, views
+from ..compiled import Matrix, Vector, copy_to, internal, linked, views
 from ..model.regressor import Massless, measured, regress
 from ..signals import INDEX, Array, IntArray
+from .factored import add, dot, measure, quadratic, times, variance
 from .filtered import Filter, Filtered, low_pass, period, remember
 from .friction_features import Friction, beside, follow
 from .law import KERNELS, Kernels
@@ -46,11 +40,10 @@ POSE, VELOCITY, Q, QDOT = INDEX["pose"], INDEX["velocity"], INDEX["q"], INDEX["q
 Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
-NEGLIGIBLE = 1e-24  # of a variance, or of the largest mean square of a feature, below which it is none
-SOON, LONG = 0.1, 3.0  # times over which surprise is averaged [s]
-SURPRISE = 100.0  # largest square of an error over its variance that one equation counts for
-AT_ONCE, RENEWED = 8, 0.01  # places that get variance in an update when alarmed; part of their prior variance
-CERTAIN = 1e12  # an equation that would lower its own variance by more than this is not taken: the data are no data
+SOON, RISE, FALL = 0.03, 0.3, 5.0  # times over which surprise is averaged, and in which levels of errors follow [s]
+QUIET = 2.0  # time after a start or a change in which no other one is looked for [s]
+FAINT = 1e-5  # part of the expected square of an error below which none is told from another
+SURPRISE = 25.0  # largest square of an error over its level that one equation counts for
 
 
 @by_address
@@ -71,7 +64,9 @@ class Linear(NamedTuple):
         share: Largest answer of an update to s, as a share of the feedback.
         drift: Part of the prior variance that one update adds at its place.
         change: Part of a constant's prior variance that every update adds; 0 where there are none.
-        alarm: How many times larger than for long errors have to be of late for the past to count less; 0 for never.
+        alarm: How many times their level of the last seconds the squares of errors are where the robot has changed; 0
+            for never.
+        carrying: Places of what changes then most likely.
         radius: (m,) bound on every column of W, in the metric of P_0.
         theta0: (k0,) parameters of a nominal robot, Psi_0 = Y theta0; of size 0 for none.
         Phi: (rows, k) room to work in.
@@ -94,6 +89,7 @@ class Linear(NamedTuple):
     drift: float
     change: float
     alarm: float
+    carrying: IntArray
     radius: Array
     theta0: Array
     Phi: Array
@@ -109,7 +105,10 @@ class Parts(NamedTuple):
         W: (m, k) weights, transposed: a column of W is a row here.
         U, D: (k, k), (k,) factors of P.
         prior: (k,) diagonal of P_0.
-        counts: (4,) samples, updates, and the mean square of errors over their variances, of late and for long.
+        counts: (5,) samples, updates, mean square of errors of late over their levels, whether the robot has just
+            changed, and updates since it last did.
+        expected: (rows,) variances of the last equations.
+        level: (p,) squares of errors in the last seconds, over K.
         filtered: What the filter remembers.
         a, b: (units, inputs), (units,) what the random features drew.
         moved: (2, p d) friction features of the last sample, and behind the filter of states and torque.
@@ -120,6 +119,8 @@ class Parts(NamedTuple):
     D: Vector
     prior: Vector
     counts: Vector
+    expected: Vector
+    level: Vector
     filtered: Filtered
     a: Matrix
     b: Vector
@@ -172,6 +173,8 @@ def learn(
     if now:
         track(row, at, a, o)
     counts = period(row, at, f, o.filtered)
+    if o.filtered.clock[1] <= 1.0:
+        o.counts[4] = 0.0
     if friction is not None:
         follow(f, o.filtered, o.moved, a.Phi)
     if counts:
@@ -181,6 +184,8 @@ def learn(
             f.torque[i] -= a.psi0[i]
         low_pass(f, a.Phi, o.filtered)
         if now:
+            if a.alarm > 0.0:
+                heed(a, o)
             predict(a, o)
     if now:
         project(a, o)
@@ -253,29 +258,47 @@ def predict(a: Linear, o: Parts) -> None:
     """The equations that filtered torque gives, one Kalman update each; then the drift."""
     m, k, rows = o.W.shape[0], o.D.size, a.Phi.shape[0]
     Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
-    phi, f, b, surprise = a.work[0], a.work[1], a.work[2], 0.0
+    phi, f, b = a.work[0], a.work[1], a.work[2]
     for i in range(rows):
         for j in range(k):
             phi[j] = Phi_f[i, j] / a.gain[i] if m == 1 else Phi_f[i, j]
         alpha = measure(o.U, o.D, phi, a.noise, f, b)
+        o.expected[i] = alpha
         if alpha == 0.0:
             continue
         for c in range(m):
             e = Y_f[i] / a.gain[i] if m == 1 else Y_f[c]
             e = (e - dot(o.W[c], phi, k)) / alpha
-            surprise += min(e * e * alpha, SURPRISE)
             for j in range(k):
                 o.W[c, j] += e * b[j]
-    surprise /= rows
-    o.counts[2] += a.interval / SOON * (surprise - o.counts[2])
-    alarmed = a.alarm > 0.0 and o.counts[1] * a.interval > LONG and o.counts[2] > a.alarm * o.counts[3]
-    o.counts[3] += a.interval / LONG * (surprise - o.counts[3])
-    for more in range(AT_ONCE if alarmed else 1):
-        place = int(o.counts[1] + more) % k
-        drift(a, o, place, max(a.drift * k, RENEWED if alarmed else 0.0))
-    o.counts[1] += AT_ONCE if alarmed else 1.0
+    drift(a, o, int(o.counts[1]) % k, a.drift * k)
+    o.counts[1] += 1.0
+    for j in range(a.carrying.size if o.counts[3] > 0.0 else 0):
+        drift(a, o, a.carrying[j], 1.0)
     for c in range(k - a.gain.size if a.change > 0.0 else k, k):
         drift(a, o, c, a.change)
+
+
+@internal
+def heed(a: Linear, o: Parts) -> None:
+    """Whether the robot has just changed, by the errors of the equations ahead of their update, into o.counts[3].
+
+    What the low-pass remembers is then of another robot, and is dropped.
+    """
+    p, m, rows, T, surprise = a.gain.size, o.W.shape[0], a.Phi.shape[0], a.interval, 0.0
+    Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
+    for i in range(p):
+        e = (Y_f[i] - dot(o.W[min(i, m - 1)], Phi_f[min(i, rows - 1)], o.D.size)) / a.gain[i]
+        level, more = max(o.level[i], FAINT * o.expected[min(i, rows - 1)]), e * e - o.level[i]
+        surprise += min(e * e / level, SURPRISE) / p if level > 0.0 else 0.0
+        o.level[i] += min(T / (RISE if more > 0.0 else FALL), 1.0) * more
+    o.counts[2] += min(T / SOON, 1.0) * (surprise - o.counts[2])
+    changed = o.counts[4] * T > QUIET and o.counts[2] > a.alarm
+    o.counts[3] = 1.0 if changed else 0.0
+    o.counts[4] = 0.0 if changed else o.counts[4] + 1.0
+    if changed:
+        Phi_f[:] = 0.0
+        Y_f[:] = 0.0
 
 
 @internal
@@ -311,128 +334,6 @@ def project(a: Linear, o: Parts) -> None:
         if not square <= radius * radius:
             for j in range(w.size):
                 w[j] = w[j] * (radius / math.sqrt(square)) if math.isfinite(square) else 0.0
-
-
-@compiled
-def left(Phi: Array, U: Array, D: Array, f: Array) -> float:
-    """`sum over rows of phi' P phi` of features (rows, k); f (k,) is room to work in."""
-    total = 0.0
-    for i in range(Phi.shape[0]):
-        for j in range(D.size):
-            f[j] = Phi[i, j] + dot(U[j], Phi[i], j)
-            total += f[j] * D[j] * f[j]
-    return total
-
-
-@compiled
-def dot(a: Array, b: Array, size: int) -> float:
-    """`a' b` over the first `size` numbers, in four sums at a time."""
-    s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-    whole = size - size % 4
-    for i in range(0, whole, 4):
-        s0 += a[i] * b[i]
-        s1 += a[i + 1] * b[i + 1]
-        s2 += a[i + 2] * b[i + 2]
-        s3 += a[i + 3] * b[i + 3]
-    for i in range(whole, size):
-        s0 += a[i] * b[i]
-    return (s0 + s1) + (s2 + s3)
-
-
-@internal
-def measure(U: Array, D: Array, phi: Array, noise: float, f: Array, b: Array) -> float:
-    """P after `y = phi' w + v` was measured, `P - P phi phi' P / (noise + phi' P phi)`, in place.
-
-    Args:
-        U: (k, k) factors, see above.
-        D: (k,) factors.
-        phi: (k,) features.
-        noise: Variance of v, > 0.
-        f: (k,) room to work in.
-        b: (k,) written: `P phi` of the P before; divided by what is returned it is the Kalman gain.
-
-    Returns:
-        `noise + phi' P phi` of the P before; 0 for an equation that was not taken.
-    """
-    total = noise
-    for j in range(D.size):
-        f[j] = phi[j] + dot(U[j], phi, j)
-        total += f[j] * D[j] * f[j]
-    if not total < CERTAIN * noise:
-        return 0.0
-    alpha = noise
-    for j in range(D.size):
-        v, before, u = D[j] * f[j], alpha, U[j]
-        alpha += f[j] * v
-        D[j] *= before / alpha
-        share = f[j] / before
-        for i in range(j):
-            old, bi = u[i], b[i]
-            u[i] = old - share * bi
-            b[i] = bi + v * old
-        b[j] = v
-    return alpha
-
-
-@compiled
-def add(U: Array, D: Array, place: int, variance: float, x: Array) -> None:
-    """P with a variance >= 0 added at one place of its diagonal, in place; x (k,) is room to work in."""
-    for i in range(place):
-        x[i] = 0.0
-    x[place] = 1.0
-    for j in range(place, -1, -1):
-        s, u, before = x[j], U[j], D[j]
-        after = before + variance * s * s
-        if not after > 0.0:
-            continue
-        share = variance * s / after
-        D[j] = after
-        variance *= before / after
-        for i in range(j):
-            x[i] -= s * u[i]
-            u[i] += share * x[i]
-
-
-@compiled
-def times(U: Array, D: Array, g: Array, out: Array) -> None:
-    """`P g` (k,) into out."""
-    for j in range(D.size):
-        t = D[j] * (g[j] + dot(U[j], g, j))
-        u = U[j]
-        for i in range(j):
-            out[i] += t * u[i]
-        out[j] = t
-
-
-@compiled
-def variance(U: Array, D: Array, place: int) -> float:
-    """P at one place of its diagonal."""
-    total = D[place]
-    for j in range(place + 1, D.size):
-        total += U[j, place] * U[j, place] * D[j]
-    return total
-
-
-@compiled
-def quadratic(a: Array, scale: Array) -> float:
-    """`sum a_j^2 scale_j`; inf where that is too large for a number."""
-    total = 0.0
-    for j in range(a.size):
-        total += a[j] * a[j] * scale[j]
-    return total if not math.isnan(total) else math.inf
-
-
-def factors(P: Array) -> tuple[Array, Array]:
-    """U (k, k) and D (k,) of `P = U D U'`, U as `torque.linear` keeps it; P is positive semidefinite."""
-    rest, k = P.copy(), len(P)
-    U, D = np.zeros((k, k)), np.zeros(k)
-    for j in range(k - 1, -1, -1):
-        if rest[j, j] <= NEGLIGIBLE * P[j, j]:
-            continue
-        D[j] = rest[j, j]
-        U[j, :j] = rest[:j, j] / D[j]
-        rest[:j, :j] -= D[j] * np.outer(U[j, :j], U[j, :j])
-    return U, D
 
 
 KERNELS[Linear] = Kernels(estimate, settle)

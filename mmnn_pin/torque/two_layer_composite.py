@@ -346,7 +346,7 @@ class TwoLayerComposite(CompiledController):
             return found
         (scale, offset), scale_out = self.inputs.affine(layout), self.networks.network_scales(layout)[1]
         experience = Experience(
-            filter=new_filter(layout, h, 0.0, own.pole),
+            filter=new_filter(context, 0.0, own.pole),
             source=self.followed(layout),
             scale=scale,
             offset=offset,
@@ -383,7 +383,7 @@ class TwoLayerComposite(CompiledController):
         """The networks' state, what the filter remembers, and the kept samples."""
         own, layout = self.networks.shapes(context), context.layout
         entries = 2 * -(-self.settings.entries // 2)
-        return {**own, "counts": (3,), **parts(layout, 0, 0), "kept": (entries, own["x"][0] + layout.dof)}
+        return {**own, "counts": (3,), **parts(context, 0, 0), "kept": (entries, own["x"][0] + layout.dof)}
 
     def init(self, context: Context) -> ControllerState:
         """Initial weights, and nothing seen yet."""

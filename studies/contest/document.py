@@ -83,9 +83,9 @@ def best_axes(standing: Standing) -> dict[str, Any]:
 
 
 def far(standing: Standing) -> dict[str, dict[str, float | str]]:
-    """Controller to task to its largest error over the least, "inf" for a run that was lost; without the oracle."""
+    """Controller to task to its largest error over the least, "inf" for a run that was lost; the oracle's is none."""
     names = [name for name in standing.controllers if name != ORACLE]
-    found, _ = distances(names, standing.tasks, standing.of)
+    found, _ = distances(names, standing.tasks, standing.of, (ORACLE,))
     return {
         name: {task: value if math.isfinite(value) else "inf" for task, value in row.items()}
         for name, row in found.items()

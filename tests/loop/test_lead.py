@@ -297,8 +297,14 @@ def test_latency_and_lag_lengthen_the_lead_and_a_stepper_is_told_them():
     loop = loop_of("two_axis_arm", latency=Latency(sensing=0.004, command=0.003, jitter=0.002))
     np.testing.assert_allclose(loop.delays, 0.001 + 0.003 + 0.001)
     assert loop.plan().lead.ahead.age == 0.004
+    assert loop.context().way == pytest.approx(0.004 + 0.003 + 0.001) and not loop.context().lag.any()
+    predicted = loop_of("two_axis_arm", latency=Latency(sensing=0.004, command=0.003, predict=True))
+    assert predicted.context().way == pytest.approx(0.003)
     stepper = Stepper(loop.robot, loop.controller, lead=True, latency=0.003, lag=0.002)
     np.testing.assert_allclose(stepper.control.torque.ahead.time, 0.001 + 0.003 + 0.002)
+    assert stepper.setup.context().way == 0.003 and stepper.setup.context().lag.tolist() == [0.002, 0.002]
+    brought_up = Stepper(loop.robot, loop.controller, latency=0.003, predict=True)
+    assert brought_up.setup.context().way == 0.0
     now = Measurement(np.zeros(0), np.zeros(0), np.zeros(2), np.zeros(2))
     for k in range(3):
         stepper.step(0.002 * k, now)

@@ -14,7 +14,8 @@ from numba import config
 from robots import fixed_arm, mobile_arm
 from test_tree import random_map, random_model
 
-from mmnn_pin import load
+from mmnn_pin import PD, Feedback, load, load_experiment
+from mmnn_pin.disturbance import Payload
 from mmnn_pin.errors import RobotError
 from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import (
@@ -163,6 +164,18 @@ def test_every_column_has_a_name():
     assert len(set(regressor.labels)) == regressor.size == regressor.massless.Y.shape[1]
     assert regressor.labels[0] == "root.m" and regressor.labels[10] == f"{regressor.bodies[1]}.m"
     assert regressor.labels[-1] == f"{regressor.joints[-1]}.coulomb"
+
+
+def test_what_a_robot_picks_up_changes_the_columns_of_the_ends_of_its_arm():
+    """The parameters of the robot with a load on its last link, less its own; a base without an arm carries itself."""
+    loop = load_experiment("track", ["robot=platform_arm"]).loop(load("platform_arm"), PD(Feedback(1.0, 1.0)))
+    picked_up = Payload(mass=2.0, joint="arm_2_joint", at=(0.2, 0.1, 0.05), start=1.0)
+    robot = replace(loop, disturbances=(picked_up,)).loaded()
+    regressor = Regressor.of(load("platform_arm"))
+    changed = np.flatnonzero(np.abs(parameters(robot) - parameters(load("platform_arm"))) > 1e-12)
+    assert changed.size == 10 and changed.tolist() == regressor.carrying.tolist()
+    base = Regressor.of(load("tiago_base"))
+    assert {base.labels[j].split(".")[0] for j in base.carrying} == {"root"}
 
 
 def test_a_measurement_becomes_a_state():

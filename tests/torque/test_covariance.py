@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mmnn_pin.torque.linear import add, dot, measure, quadratic, times, variance
+from mmnn_pin.torque.factored import add, dot, measure, quadratic, times, variance
 
 seeds = st.integers(0, 2**32 - 1)
 sizes = st.integers(1, 9)

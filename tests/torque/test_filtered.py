@@ -14,7 +14,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Layout
-from mmnn_pin.torque.controller import ControllerState
+from mmnn_pin.torque.controller import Context, ControllerState
 from mmnn_pin.torque.filtered import Filtered, low_pass, new_filter, parts, period, remember
 
 ROBOT = load("platform_arm").with_friction((30.0, 5.0, 0.5, 0.5)).with_joint_friction(coulomb=0.5)
@@ -27,9 +27,10 @@ seeds = st.integers(0, 2**32 - 1)
 class Bench:
     """A filter alone: states and torques go in."""
 
-    def __init__(self, h=2e-3, pole=0.0, state_pole=0.0, rows=4, k=4):
-        self.f, self.h = new_filter(LAYOUT, h, pole, state_pole), h
-        self.state, self.row, self.k = ControllerState.of(**parts(LAYOUT, rows, k)), LAYOUT.new_row(), 0
+    def __init__(self, h=2e-3, pole=0.0, state_pole=0.0, rows=4, k=4, lag=None, way=0.0):
+        context = Context(LAYOUT, h, 1, lag=lag, way=way)
+        self.f, self.h = new_filter(context, pole, state_pole), h
+        self.state, self.row, self.k = ControllerState.of(**parts(context, rows, k)), LAYOUT.new_row(), 0
         self.seen = self.state.view(Filtered)
 
     def take(self, q, nu, torque, time=None):
@@ -120,6 +121,39 @@ def test_the_filter_of_states_and_torque_is_scipys(seed, pole, h):
 
 
 @settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(1e-3, 5e-2), st.integers(0, 3), st.floats(5e-4, 2e-2))
+def test_torque_that_acts_is_late_and_behind_the_lag_of_the_motors(seed, lag, late, h):
+    """`lsim` of `x' = (u - x) / lag` for a torque that is held and comes whole periods late; means by integrals."""
+    rng, N, zero = np.random.default_rng(seed), 30, np.zeros(4)
+    lags = np.array([lag, 0.5 * lag, 2.0 * lag, 0.0])
+    torque, times = rng.standard_normal((N, 4)), np.arange(N) * h
+    bench = Bench(h, lag=lags, way=late * h)
+    bench.f = bench.f._replace(wait=late)
+    acting = np.vstack((np.zeros((late, 4)), torque))[:N]
+    given = np.zeros((N, 4))
+    for i, own in enumerate(lags[:3]):
+        system = (np.array([[-1 / own, 0.0], [1.0, 0.0]]), np.array([[1 / own], [0.0]]), np.eye(2), np.zeros((2, 1)))
+        given[1:, i] = np.diff(lsim(system, acting[:, i], times, [0.0, 0.0], interp=False)[1][:, 1]) / h
+    given[1:, 3] = acting[:-1, 3]
+    ended = [bench.take(zero[:2], zero, one) and bench.f.torque.copy() for one in torque]
+    assert [one is not False for one in ended] == [k > late for k in range(N)]
+    np.testing.assert_allclose(ended[late + 1 :], given[late + 1 :], atol=1e-7)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds, st.floats(0.0, 4.0))
+def test_a_way_that_is_no_whole_number_of_periods_mixes_two_commands(seed, late):
+    """The mean of a held torque over a period that lies some of it earlier, by adding up small steps."""
+    rng, h, fine, zero = np.random.default_rng(seed), 2e-3, 1000, np.zeros(4)
+    torque, bench = rng.standard_normal((12, 4)), Bench(h, way=late * h)
+    for k in range(12):
+        if bench.take(zero[:2], zero, torque[k]):
+            then = k - 1 + (np.arange(fine) + 0.5) / fine - late
+            np.testing.assert_allclose(bench.f.torque, torque[np.floor(then).astype(int)].mean(axis=0), atol=5e-3)
+    assert bench.f.wait == np.ceil(late)
+
+
+@settings(max_examples=20, deadline=None)
 @given(seeds, st.floats(1.0, 100.0), st.floats(1.0, 100.0))
 def test_features_linear_in_acceleration_commute_with_both_filters(seed, pole, state_pole):
     """`M nudot = tau` holds for the filtered signals of any motion, however rough, to rounding."""
@@ -173,4 +207,4 @@ def test_what_is_no_number_is_left_out(bad):
 def test_impossible_poles_are_refused():
     for poles in ((-1.0, 0.0), (1.0, np.inf)):
         with pytest.raises(ConfigError, match="pole"):
-            new_filter(LAYOUT, 1e-3, *poles)
+            new_filter(Context(LAYOUT, 1e-3, 1), *poles)

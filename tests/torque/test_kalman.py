@@ -34,6 +34,7 @@ from mmnn_pin.sensing import Sensor
 from mmnn_pin.signals import INDEX, Layout, Measurement, Setpoint
 from mmnn_pin.torque import CONTROLLERS
 from mmnn_pin.torque.controller import Context
+from mmnn_pin.torque.factored import measure
 from mmnn_pin.torque.kalman import (
     Kalman,
     KalmanBilinearSettings,
@@ -43,7 +44,7 @@ from mmnn_pin.torque.kalman import (
     factors,
 )
 from mmnn_pin.torque.law import limit, motor_limits
-from mmnn_pin.torque.linear import Parts, estimate, measure, project, track
+from mmnn_pin.torque.linear import Parts, estimate, project, track
 from mmnn_pin.torque.model_based import ComputedTorque
 from mmnn_pin.torque.prior import identified
 from mmnn_pin.torque.random_features import coprime

@@ -274,21 +274,31 @@ def everywhere(
     ]
 
 
-def distances(names: Iterable[str], tasks: Iterable[str], of: Results) -> tuple[dict[str, dict[str, float]], ...]:
+def distances(
+    names: Iterable[str], tasks: Iterable[str], of: Results, shown: Iterable[str] = ()
+) -> tuple[dict[str, dict[str, float]], ...]:
     """How far every controller is from the least error of a task, and from PD with gravity, as in `everywhere`.
+
+    Args:
+        names: The controllers.
+        tasks: Names of all tasks.
+        of: Gives the results of a controller on a task.
+        shown: Controllers beside them, whose errors are never the least.
 
     Returns:
         Controller to task to the largest of the four ratios, to the least error and to that of PD with gravity; without
         the tasks that a controller, or PD with gravity, did not run.
     """
-    names = tuple(names)
+    names, shown = tuple(names), frozenset(shown)
+    names = (*names, *shown)
     far, worse = ({name: dict[str, float]() for name in names} for _ in range(2))
     for task in tasks:
         errors = {name: task_errors(of(task, name)) for name in names}
         errors = {name: found for name, found in errors.items() if found}
         if GRAVITY not in errors:
             continue
-        least = [min(column) for column in zip(*errors.values(), strict=True)]
+        counted = [found for name, found in errors.items() if name not in shown]
+        least = [min(column) for column in zip(*counted, strict=True)]
         for name, found in errors.items():
             far[name][task] = max(ratios(found, least))
             worse[name][task] = max(ratios(found, errors[GRAVITY]))

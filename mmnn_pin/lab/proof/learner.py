@@ -33,6 +33,7 @@ from ..experiments.controllers import Granted, Nominal
 from ..experiments.laws import GIVEN, known_law, with_settings
 
 NAMES = {1: "base", 2: "arm"}  # of the networks
+LONGEST = 10.0  # lag or way of a torque that a recording may tell [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +182,12 @@ def recorded_learner(recording: Recording, robot: Robot) -> Learner | None:
     seed = np.random.SeedSequence(int(recording.meta.get("seed", 0))).spawn(1)[0]
     period = recording.fact("control_period", float)
     kept, rng = recording.meta.get("within_limits"), np.random.default_rng(seed)
-    context = context_of(controller, robot, period, len(recording), rng, kept)
+    with recording.using("how long its torques were under way"):
+        lag = np.array(recording.meta.get("lag", np.zeros(robot.dimensions.dof)), float).reshape(robot.dimensions.dof)
+        way = float(recording.meta.get("way", 0.0))
+        if not all(0.0 <= each <= LONGEST for each in (*lag, way)):
+            raise ValueError(f"{lag} and {way} s")
+    context = context_of(controller, robot, period, len(recording), rng, kept, lag=lag, way=way)
     with recording.using("what it tells of its controller"):
         start = controller.init(context)
     snapshots = recording.weights

@@ -60,8 +60,9 @@ from ...errors import RecordingError
 from ...settings import finite
 from ...signals import Array, IntArray
 from ...torque.controller import ControllerState
+from ...torque.factored import measure
 from ...torque.learning_law import LearningLaw
-from ...torque.linear import Linear, Parts, measure, predict, track
+from ...torque.linear import Linear, Parts, predict, track
 from .excitation import along
 from .learner import Learner, Stepper
 from .subject import Subject
@@ -282,6 +283,7 @@ class Ledger:
         if row.state["counts"][1] == o.counts[1]:  # no control period to learn from
             return cut, 0.0, 0.0, 0.0
         prediction, noise, known = self.measured(row, o)
+        o.counts[3] = row.state["counts"][3]
         predict(a, o)
         return cut, prediction, noise, self.energy(o) - known
 
