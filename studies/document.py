@@ -53,11 +53,13 @@ class Document:
         name: Of the document in docs/, with its folder and without its ending.
         summary: Where the summary is kept.
         render: Makes the text of a summary.
+        rows: Makes the rows of a CSV file beside the document, of data that nobody reads as text.
     """
 
     name: str
     summary: Path
     render: Callable[[dict[str, Any]], str]
+    rows: Callable[[dict[str, Any]], list[dict[str, Any]]] | None = None
 
     def publish(self, out: Path) -> None:
         """Renew the summary that is kept, the document and the figures that it shows."""
@@ -69,15 +71,20 @@ class Document:
 
     def write(self) -> None:
         """The document from the summary that is kept."""
-        text = self.render(kept(self.summary))
-        (DOCS / f"{self.name}.md").write_text(text, encoding="utf-8")
+        self._write(kept(self.summary), DOCS / self.name)
 
     def save(self, summary: dict[str, Any], out: Path, publish: bool) -> None:
         """Write a summary and its document to a folder, and publish them if asked to."""
         (out / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-        (out / f"{Path(self.name).name}.md").write_text(self.render(summary), encoding="utf-8")
+        self._write(summary, out / Path(self.name).name)
         if publish:
             self.publish(out)
+
+    def _write(self, summary: dict[str, Any], where: Path) -> None:
+        """The document, and the CSV file beside it."""
+        where.with_suffix(".md").write_text(self.render(summary), encoding="utf-8")
+        if self.rows:
+            write_rows(where.with_suffix(".csv"), self.rows(summary))
 
 
 class Clock:

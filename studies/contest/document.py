@@ -1,4 +1,4 @@
-"""docs/explanation/contest.md: a contest as smallest, median and largest numbers, and the text that shows them."""
+"""The contest's page and CSV file: smallest, median and largest numbers, and the text that shows them."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from ..document import Document, environment, filled
 
 HERE = Path(__file__).parent
 SUMMARY = HERE / "summary.json"
+Cell = list[float | str | None] | None
+UNITS = {"frozen_base": "mm", "frozen_arm": "mrad"}  # their headings in a terminal say "the same"
 DRAWN = ("eight", "rig", "tiago", "friction", "encoders", "drop")  # in the figures of the page
 
 
@@ -23,7 +25,8 @@ def render(summary: dict[str, Any]) -> str:
     """The document."""
     templates = environment(HERE)
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
-    templates.filters |= {"setting": setting, "middle": middle}
+    templates.filters |= {"middle": middle}
+    templates.globals |= {"middle_axis": axis_at, "told_as": told_as, "unexcited": unexcited}
     return filled(templates, "contest.md.j2", summary)
 
 
@@ -47,12 +50,59 @@ def middle(values: list[Any] | None) -> str:
     return "never" if values[1] == "inf" else number(values[1])
 
 
-def setting(value: Any) -> str:
-    """A value of a setting."""
-    return f"[{', '.join(f'{each:g}' for each in value)}]" if isinstance(value, list) else f"{value:g}"
+def axis_at(ratios: dict[str, float], place: int) -> str:
+    """The axis at a place in the order of its ratio."""
+    return sorted(ratios, key=ratios.__getitem__)[place]
 
 
-Cell = list[float | str | None] | None
+def unexcited(said: dict[str, list[str]]) -> int:
+    """How many say that they were not excited."""
+    return sum(any("not excited" in text for text in texts) for texts in said.values())
+
+
+TOLD = {
+    "kinematics": "how the robot moves, and where masses and friction act",
+    "form": "the form of the equations",
+    "nominal": "a model with wrong masses",
+    "nothing": "nothing",
+}
+TOLD_OF = {
+    "computed_torque": "everything",
+    "nominal": "a URDF with masses 30 % too low and without friction; it learns nothing",
+    "pd_gravity": "the masses of the URDF, for gravity; it learns nothing",
+    "pd": "nothing, and learns nothing",
+    "pid": "nothing; it integrates",
+    "disturbance_observer": "nothing; it integrates",
+}
+
+
+def told_as(told: dict[str, str]) -> list[tuple[str, list[str]]]:
+    """Controllers by what they are told, in words."""
+    groups: dict[str, list[str]] = {}
+    for name, what in told.items():
+        groups.setdefault(TOLD.get(what) or TOLD_OF.get(name, "not said"), []).append(name)
+    return list(groups.items())
+
+
+def rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """Every task and controller: the median of each quantity, its smallest and its largest."""
+    return [
+        {"task": task, "controller": name, "runs lost": about["lost"][name]}
+        | {
+            f"{quantity.key}{f' [{unit}]' if unit else ''}{suffix}": told(row[quantity.key], place)
+            for quantity in (*TRAINING, *KNOWLEDGE)
+            for unit in [UNITS.get(quantity.key, quantity.unit)]
+            for suffix, place in (("", 1), (" smallest", 0), (" largest", 2))
+        }
+        for task, about in summary["tasks"].items()
+        for name, row in about["rows"].items()
+    ]
+
+
+def told(values: Cell, place: int) -> str:
+    """One number of a cell, four digits; empty where there is none."""
+    value = values[place] if values else ""
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 def summed(standing: Standing) -> dict[str, Any]:
@@ -137,4 +187,4 @@ def findings(standing: Standing, task: str) -> dict[str, list[str]]:
     return {name: list(rows[0].findings) for name in standing.controllers if (rows := standing.of(task, name))}
 
 
-DOCUMENT = Document("explanation/contest", SUMMARY, render)
+DOCUMENT = Document("explanation/contest", SUMMARY, render, rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 from dataclasses import replace
@@ -46,6 +47,20 @@ def loaded():
 
 def test_the_document_is_made_from_the_summary_that_is_kept():
     assert (DOCS / "explanation/contest.md").read_text(encoding="utf-8") == document.render(kept(document.SUMMARY))
+
+
+def test_the_csv_file_has_the_numbers_of_the_summary_that_is_kept():
+    """Every task and controller once; medians as the summary has them, to four digits."""
+    tasks = kept(document.SUMMARY)["tasks"]
+    with (DOCS / "explanation/contest.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["task"], row["controller"]) for row in rows] == [
+        (task, name) for task in tasks for name in tasks[task]["rows"]
+    ]
+    for row in rows:
+        for column, key in (("base [mm]", "base"), ("frozen_fvu", "frozen_fvu"), ("held_arm [mrad]", "held_arm")):
+            cell = tasks[row["task"]]["rows"][row["controller"]][key]
+            assert row[column] == "" if cell is None else float(row[column]) == pytest.approx(float(cell[1]), rel=1e-3)
 
 
 @pytest.mark.parametrize("tuning", TUNINGS)
@@ -198,5 +213,5 @@ def test_a_search_is_the_same_again_and_starts_from_its_own(bench):
 def test_the_command_makes_a_document(tmp_path):
     main(["--quick", "--out", str(tmp_path)])
     text = (tmp_path / "contest.md").read_text(encoding="utf-8")
-    assert "### eight: an eight" in text and "### rich" in text and "{{" not in text
+    assert "### The eight" in text and "| rich | the eight after rich" in text and "{{" not in text
     assert (tmp_path / "figures" / "contest-fvu.png").exists()
