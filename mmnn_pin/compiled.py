@@ -32,6 +32,7 @@ command line limits them in the environment before numpy starts; in Python `@one
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -39,6 +40,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cache, cached_property, partial, wraps
 from importlib import import_module
+from itertools import accumulate
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ParamSpec, TypeVar, cast, get_type_hints
@@ -322,8 +324,8 @@ def layout_of(kind: type[Any], shapes: Mapping[str, tuple[int, ...]]) -> NDArray
         kind: The tuple; fields of tuples within it have names of their own.
         shapes: Name and shape of all parts of the flat array, in the order in which they stand there.
     """
-    ends = np.cumsum([0, *(int(np.prod(shape)) for shape in shapes.values())])
-    starts = dict(zip(shapes, ends.tolist(), strict=False))
+    ends = accumulate((math.prod(shape) for shape in shapes.values()), initial=0)
+    starts = dict(zip(shapes, ends, strict=False))
     found: list[int] = []
     for name, part in fields_of(kind):
         if not isinstance(part, int):

@@ -137,7 +137,7 @@ class Layout(Dimensions):
         size |= {"lead all": self.lead * self.dof, "hand": len(HAND) * self.hands}
         return np.cumsum([0] + [size[kind] for _, kind, *_ in SIGNALS])
 
-    @property
+    @cached_property
     def width(self) -> int:
         """Number of float64 in a row."""
         return int(self.offsets[-1])

@@ -130,12 +130,13 @@ def simulate(
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
     if keep is not True:
         loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
-    engine, layout = loop.engine_at(state), loop.layout
-    facts = loop.facts() | {"loop": engine.name}
-    reducer = Reducer.of(layout, facts, windows)
+    engine, layout, robot = loop.engine_at(state), loop.layout, loop.robot
+    names = {"velocity_names": robot.velocity_names, "actuator_names": robot.actuator_names}
+    reducer = Reducer.of(layout, names | {"control_period": loop.timing.control_period}, windows)
     if keep is False:
         outcome = with_findings(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.state)
         return Run(outcome, reducer.result(), loop.final(engine))
+    facts = loop.facts() | {"loop": engine.name}
     with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
         outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
         outcome = with_findings(outcome, loop.controller, engine.state)

@@ -90,7 +90,8 @@ class Inputs(Settings, frozen=True):
     def rows(self, layout: Layout) -> np.ndarray:
         """Places of the inputs in a row, (nx,) int64."""
         frames = {"pose_error": "world_error"} if self.pose_error == "world" else {}
-        places = [np.arange(layout.width)[layout.where(frames.get(name, name))] for name in self.signals]
+        where = [layout.where(frames.get(name, name)) for name in self.signals]
+        places = [np.arange(part.start, part.stop) for part in where]
         places += [np.zeros(1, np.int64)] if self.bias else []
         return np.concatenate(places).astype(np.int64)
 
