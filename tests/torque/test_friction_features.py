@@ -113,7 +113,8 @@ def relearned(alarm: float, jump: float = 5.0, interval: float = 0.01) -> tuple[
         a.Phi[:] = rng.normal(size=(1, k))
         f.torque[:] = a.Phi @ true + 0.1 * rng.normal(size=1)
         low_pass(f, a.Phi, o.filtered)
-        heed(a, o)
+        if alarm:
+            heed(a, o)
         seen += [n] * int(o.counts[3])
         predict(a, o)
         if n >= 1000 and abs(o.W[0, 1] - true[1]) > 0.06 * abs(jump):
