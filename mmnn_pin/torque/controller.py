@@ -415,10 +415,7 @@ class CompiledController(Controller):
         return K
 
     def features(self, law: Law, state: ControllerState) -> Array | None:
-        """What the weights were multiplied with at the last step of a law, `Psi_hat = (Phi W).ravel()`.
-
-        (rows, k), a view, with rows times the columns of W equal to p; None where Psi_hat is not linear in the weights.
-        """
+        """What weights multiplied last, `Psi_hat = (Phi W).ravel()`, a view (rows, k); None if not linear."""
         return None
 
 
@@ -444,9 +441,8 @@ def per_velocity(base: Numbers, arm: Numbers, layout: Dimensions, key: str) -> A
         ConfigError: Neither one number nor as many as velocities.
     """
     parts = (("base", base, layout.base), ("arm", arm, layout.arm))
-    return np.concatenate(
-        [one_or_each(value, size, "velocity", f"{key}.{name}") if size else np.zeros(0) for name, value, size in parts]
-    )
+    each = [one_or_each(x, size, "velocity", f"{key}.{name}") if size else np.zeros(0) for name, x, size in parts]
+    return np.concatenate(each)
 
 
 def split(values: Array, layout: Dimensions) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -41,6 +41,7 @@ Z, R = INDEX["z"], INDEX["r"]
 NU_REF, NUDOT_REF = INDEX["nu_ref"], INDEX["nudot_ref"]
 PSI_HAT, EFFECTIVE_GAIN, WEIGHT_NORM = INDEX["psi_hat"], INDEX["effective_gain"], INDEX["weight_norm"]
 SOON, RISE, FALL = 0.03, 0.3, 5.0  # times over which surprise is averaged, and in which levels of errors follow [s]
+OFTEN = 0.01  # interval beyond which these times are counted in updates [s]
 QUIET = 2.0  # time after a start or a change in which no other one is looked for [s]
 FAINT = 1e-5  # part of the expected square of an error below which none is told from another
 SURPRISE = 25.0  # largest square of an error over its level that one equation counts for
@@ -285,14 +286,14 @@ def heed(a: Linear, o: Parts) -> None:
 
     What the low-pass remembers is then of another robot, and is dropped.
     """
-    p, m, rows, T, surprise = a.gain.size, o.W.shape[0], a.Phi.shape[0], a.interval, 0.0
+    p, m, rows, T, surprise = a.gain.size, o.W.shape[0], a.Phi.shape[0], min(a.interval, OFTEN), 0.0
     Phi_f, Y_f = o.filtered.Phi_f, o.filtered.Y_f
     for i in range(p):
         e = (Y_f[i] - dot(o.W[min(i, m - 1)], Phi_f[min(i, rows - 1)], o.D.size)) / a.gain[i]
         level, more = max(o.level[i], FAINT * o.expected[min(i, rows - 1)]), e * e - o.level[i]
         surprise += min(e * e / level, SURPRISE) / p if level > 0.0 else 0.0
-        o.level[i] += min(T / (RISE if more > 0.0 else FALL), 1.0) * more
-    o.counts[2] += min(T / SOON, 1.0) * (surprise - o.counts[2])
+        o.level[i] += T / (RISE if more > 0.0 else FALL) * more
+    o.counts[2] += T / SOON * (surprise - o.counts[2])
     changed = o.counts[4] * T > QUIET and o.counts[2] > a.alarm
     o.counts[3] = 1.0 if changed else 0.0
     o.counts[4] = 0.0 if changed else o.counts[4] + 1.0

@@ -135,8 +135,8 @@ def test_torque_that_acts_is_late_and_behind_the_lag_of_the_motors(seed, lag, la
         system = (np.array([[-1 / own, 0.0], [1.0, 0.0]]), np.array([[1 / own], [0.0]]), np.eye(2), np.zeros((2, 1)))
         given[1:, i] = np.diff(lsim(system, acting[:, i], times, [0.0, 0.0], interp=False)[1][:, 1]) / h
     given[1:, 3] = acting[:-1, 3]
-    ended = [bench.take(zero[:2], zero, one) and bench.f.torque.copy() for one in torque]
-    assert [one is not False for one in ended] == [k > late for k in range(N)]
+    ended = [bench.f.torque.copy() if bench.take(zero[:2], zero, one) else None for one in torque]
+    assert [one is not None for one in ended] == [k > late for k in range(N)]
     np.testing.assert_allclose(ended[late + 1 :], given[late + 1 :], atol=1e-7)
 
 
