@@ -25,6 +25,8 @@ WORDS = {
     "effort": ("effort", "efforts", "torque", "torques", "tau", "eff", "current", "force"),
 }
 TIMES = ("time", "t", "timestamp", "stamp", "sec", "seconds")
+UNITS = {"s", "sec", "secs", "seconds", "ms", "us", "ns"}  # that may follow
+PLAIN = {"joint", "joints", "j", "axis", "motor", "link", "actual", "measured", "meas", "state", "raw", "filtered"}
 BAGS = (".db3", ".mcap", ".bag")
 
 
@@ -136,9 +138,14 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
     Raises:
         InputError: As `read_logs`.
     """
+    if path.suffix in (".npz", ".npy", ".mat"):
+        fix = "identify(robot, Log.of(time, position, effort)) in Python, or write a CSV file"
+        raise RecordingError("arrays without names of joints", fix=fix, file=path)
     header, table = read_table(path)
     joints = [*robot.joint_names, *(n for n in robot.full_velocity_names if n not in robot.joint_names)]
     where = found_columns(header, joints, columns, path)
+    counted, notes = numbered(header, robot.joint_names, where, path)
+    where = counted | where
     if "time" not in where:
         if rate is None:
             fix = f"map one of {', '.join(header)} with --columns time=HEADER, or give --rate HZ"
@@ -147,7 +154,50 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
     else:
         time = table[:, where["time"]]
     signals = {signal: table[:, i] for signal, i in where.items() if signal != "time"}
-    return from_signals(str(path), {"time": time, **signals})
+    return replace(from_signals(str(path), {"time": time, **signals}), notes=notes)
+
+
+def numbered(
+    header: Sequence[str], joints: Sequence[str], found: Mapping[str, int], path: Path
+) -> tuple[dict[str, int], tuple[str, ...]]:
+    """Columns that number the joints, such as `q_1` to `q_7` or `tau_J[0]` to `tau_J[6]`, and what that is taken for.
+
+    A set of as many columns as joints, numbered from 0 or 1, is of the joints in the URDF's order, for a kind of signal
+    of which no column has a joint's name. Other words in a header (`q_d`, `target_q`, `leg_1_q`) say that it is none.
+
+    Raises:
+        RecordingError: Two sets of one kind.
+    """
+    sets: dict[tuple[str, ...], dict[int, int]] = {}
+    for i, name in enumerate(header):
+        words = re.findall(r"[a-z]+|[0-9]+", re.sub(r"[\[(][^\])0-9]+[\])]", "", name.lower()))
+        count = [word for word in words if word.isdigit()]
+        if len(count) == 1 and i not in found.values():
+            sets.setdefault(tuple(word for word in words if not word.isdigit()), {})[int(count[0])] = i
+    made: dict[str, int] = {}
+    notes: list[str] = []
+    for kind, synonyms in WORDS.items():
+        known = {*PLAIN, *synonyms}
+        if any(f"{kind}.{joint}" in found for joint in joints):
+            continue
+        of_kind = [one for words, one in sets.items() if set(words) & set(synonyms) and not set(words) - known]
+        whole = [one for one in of_kind if is_count(one, len(joints))]
+        if len(whole) > 1:
+            names = " and ".join(f"'{header[min(one.values())]}'" for one in whole)
+            fix = f"choose with --columns '{kind}.{{joint}}=NAME{{number}}', counted from 1, or {{index}}, from 0"
+            raise RecordingError(f"several sets of columns for {kind}s: {names} ...", fix=fix, file=path, line=1)
+        for one in whole:
+            order = [one[i] for i in sorted(one)]
+            made |= {f"{kind}.{joint}": i for joint, i in zip(joints, order, strict=True)}
+            notes.append(
+                f"{header[order[0]]} to {header[order[-1]]} are taken for {kind}s of {joints[0]} to {joints[-1]}"
+            )
+    return made, tuple(notes)
+
+
+def is_count(numbers: Mapping[int, int], size: int) -> bool:
+    """Whether there are as many as that, from 0 or 1."""
+    return size > 0 and sorted(numbers) in (list(range(size)), list(range(1, size + 1)))
 
 
 def read_table(path: Path) -> tuple[list[str], Array]:
@@ -222,14 +272,17 @@ def spelled_out(columns: Columns, joints: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for signal, name in columns.items():
         if "{joint}" in signal:
-            found |= {signal.replace("{joint}", joint): name.replace("{joint}", joint) for joint in joints}
+            for i, joint in enumerate(joints):
+                header = name.replace("{joint}", joint).replace("{number}", f"{i + 1}").replace("{index}", f"{i}")
+                found[signal.replace("{joint}", joint)] = header
     return found | {signal: name for signal, name in columns.items() if "{joint}" not in signal}
 
 
 def meant(header: str, joints: Sequence[str]) -> str:
     """The signal that a header names with other words: a joint's name and a word for what is measured; or empty."""
     plain = header.strip().strip("'\"").lower()
-    if re.sub(r"[^a-z]+", " ", plain).strip() in TIMES:
+    first, *more = re.findall(r"[a-z]+", plain) or [""]
+    if first in TIMES and not set(more) - UNITS:
         return "time"
     names = [joint for joint in joints if re.search(rf"(?<![a-z0-9]){re.escape(joint.lower())}(?![a-z0-9])", plain)]
     if not names:

@@ -1,10 +1,10 @@
 """What a learner knows of a load that its robot picked up: mass and centre, and which of them the run determined.
 
 The load is what the torques after it was picked up have beyond what the learner knew just before:
-`y = Y theta_hat + Y_b p + noise`, p the load's mass and first moments (`deploy.identify.payload`). Its covariance has
-the noise's part, from the residuals, and that of the doubt in theta_hat, both to first order: where little is seen the
-truth may lie outside. A learner with a regressor but without a covariance does not know how sure it is of the robot:
-what it would say of a load has no interval, and was seen to be wrong by half. So nothing counts as determined.
+`y = Y theta + Y_b p + noise`, p the load's mass and first moments (`deploy.identify.payload`), with theta as the
+learner believes it: its estimate and covariance, which count for less where they do not explain the motion. A learner
+with a regressor but without a covariance does not know how sure it is of the robot: what it would say of a load has no
+interval, and was seen to be wrong by half. So nothing counts as determined.
 """
 
 from __future__ import annotations
@@ -80,8 +80,7 @@ class Carried:
         told = f"{self.found.mass:.3g} ± {1.96 * self.found.mass_sd:.2g} kg" if mass else f"mass {none}"
         pairs = zip(self.found.centre, self.found.centre_sd, centre, strict=True)
         at = ", ".join(f"{1e3 * x:.0f} ± {1.96e3 * sd:.0f}" if there else none for x, sd, there in pairs)
-        doubt = "1.96 sd of the linear fit, at least"
-        return f"load picked up at {self.pick:g} s: {told} at ({at}) mm ({doubt}; {true})"
+        return f"load picked up at {self.pick:g} s: {told} at ({at}) mm (1.96 sd; {true})"
 
 
 def carried(subject: Subject) -> Carried | None:

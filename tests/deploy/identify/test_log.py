@@ -63,6 +63,42 @@ def test_headers_with_other_words_are_understood(log: Log, arm: Robot, tmp_path:
     assert_same(read(table(log, words), tmp_path, arm), log)
 
 
+NUMBERED = {
+    "from 1": ("t", "q_{}", "dq_{}", "tau_{}", 1),
+    "from 0": ("time [s]", "q[{}]", "dq[{}]", "tau_J[{}]", 0),
+    "words": ("Timestamp (s)", "joint{}_pos [rad]", "joint{}_vel [rad/s]", "joint{}_torque (Nm)", 1),
+    "interface": ("timestamp", "actual_q_{}", "actual_qd_{}", "actual_current_{}", 0),
+}
+
+
+@pytest.mark.parametrize("how", NUMBERED)
+def test_numbered_columns_are_the_joints_in_order(how: str, log: Log, arm: Robot, tmp_path: Path) -> None:
+    """And what is wished, or of another robot, is not taken for what is measured."""
+    time, *names, first = NUMBERED[how]
+    words = {"time": time}
+    for kind, name in zip(("position", "velocity", "effort"), names, strict=True):
+        words |= {f"{kind}.{joint}": name.format(first + i) for i, joint in enumerate(JOINTS)}
+    found = read(table(log, words), tmp_path, arm)
+    assert_same(found, log)
+    assert f"{names[0].format(first)} to {names[0].format(first + 1)} are taken for positions" in found.notes[0]
+    wished = {f"effort.{joint}": f"target_{names[2]}".format(first + i) for i, joint in enumerate(JOINTS)}
+    with pytest.raises(RecordingError, match="no effort of a joint"):
+        read(table(log, words | wished), tmp_path, arm)
+    twice = {f"velocity.{joint}": f"motor_torque_{first + i}" for i, joint in enumerate(JOINTS)}
+    with pytest.raises(RecordingError, match=r"several sets of columns for efforts: .* choose with --columns"):
+        read(table(log, words | twice), tmp_path, arm)
+    chosen = read_columns(["effort.{joint}=" + names[2].format("{number}" if first else "{index}")])
+    np.testing.assert_array_equal(
+        read(table(log, words | twice), tmp_path, arm, columns=chosen).effort[JOINTS[1]], log.effort[JOINTS[1]]
+    )
+
+
+def test_arrays_without_names_are_refused(arm: Robot, tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", q=np.zeros((5, 2)))
+    with pytest.raises(RecordingError, match=r"Log.of\(time, position, effort\)"):
+        read_logs([tmp_path / "log.npz"], arm)
+
+
 def test_columns_are_mapped_by_pattern_name_and_file(log: Log, arm: Robot, tmp_path: Path) -> None:
     words = {f"position.{joint}": f"a{joint}" for joint in JOINTS} | {f"effort.{JOINTS[0]}": "m0"}
     words |= {f"effort.{JOINTS[1]}": "m1", "time": "clock"}
