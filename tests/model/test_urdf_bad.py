@@ -115,7 +115,6 @@ BAD = {
     "negative box": (SHAPE, '<box size="1 -1 1"/>', 10, "negative-size", "size of <box>"),
     # tags
     "misspelt inertial": ("inertial>", "inertal>", 5, "misspelt-tag", "<inertal>, one edit away from <inertial>"),
-    "swapped letters": ("visual>", "visaul>", 10, "misspelt-shape", "<visaul>.*<visual>"),
     "capital letter": ("<axis", "<Axis", 15, "misspelt-tag", "<Axis>.*<axis>"),
     "plural": ("<limit", "<limits", 16, "misspelt-tag", "write <limit>"),
     "inertia of a link": (*end('<link name="l"><inertia/></link>' + joint("j", "rod", "l", "fixed")), 19,
