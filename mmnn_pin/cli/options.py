@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import click
-from click.shell_completion import CompletionItem
+from click.shell_completion import BashComplete, CompletionItem, add_completion_class
 
-from ..errors import ConfigError
+from ..errors import ConfigError, InputError
 
 F = TypeVar("F", bound=Callable[..., Any])
 PACKAGE = Path(__file__).parent.parent
@@ -73,6 +73,23 @@ def with_all(options: Sequence[Callable[[F], F]], function: F) -> F:
 # -- what a shell completes; imported is only what a press of the key needs --
 
 
+@add_completion_class
+class Bash(BashComplete):
+    """Completion in bash without a blank after what one goes on typing: `feedback.`, `adaptive.rate=`."""
+
+    source_template = (
+        BashComplete.source_template
+        + """
+%(complete_func)s_on() {
+    %(complete_func)s "$@"
+    [[ ${#COMPREPLY[@]} == 1 && ${COMPREPLY[0]} == *[.=] ]] && compopt -o nospace
+    return 0
+}
+complete -o nosort -F %(complete_func)s_on %(prog_name)s
+"""
+    )
+
+
 def starting(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
     """The names that begin with what is typed, and files where none does."""
     found = [CompletionItem(name) for name in sorted(names) if name.startswith(incomplete)]
@@ -83,6 +100,30 @@ def experiments(context: click.Context, parameter: click.Parameter, incomplete: 
     """Bundled experiments, or a file."""
     files = (PACKAGE / "lab/experiments").glob("*.toml")
     return starting((file.stem for file in files if "." not in file.stem), incomplete)
+
+
+def typed(context: click.Context) -> list[Path]:
+    """File of the experiment on the line; click leaves its name in the rest where an option still wants its value."""
+    from ..lab.experiments.config import find
+
+    try:
+        return [find(context.params.get("experiment") or context.args[0])]
+    except (InputError, IndexError):
+        return []
+
+
+def cases(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Cases of the experiment that is typed."""
+    from ..files import read_toml
+
+    return [item for file in typed(context) for item in starting(read_toml(file).get("cases", ()), incomplete)]
+
+
+def variants(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Variants of the experiment that is typed."""
+    from ..lab.experiments import config
+
+    return [item for file in typed(context) for item in starting(config.variants(file), incomplete)]
 
 
 def robots(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -112,7 +153,12 @@ def keys(context: click.Context, parameter: click.Parameter, incomplete: str) ->
 
 
 FORCE = click.option("--force", is_flag=True, help="Replace existing files.")
-VARIANT = click.option("--variant", metavar="NAME", help="A variant, see `mmnn list`.  [default: the first]")
+VARIANT = click.option(
+    "--variant",
+    metavar="NAME",
+    shell_complete=variants,
+    help="A variant, see `mmnn list`.  [default: the first]",
+)
 CHANGES = click.option(
     "--set",
     "settings",

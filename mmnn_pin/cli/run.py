@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from ..files import read_toml, require_free
-from .options import CHANGES, VARIANT, controllers, examples, experiments, robots, shared, understanding
+from .options import CHANGES, VARIANT, cases, controllers, examples, experiments, robots, shared, understanding
 from .output import (
     DONE,
     FAILED,
@@ -66,6 +66,7 @@ MOST = 8  # names of cases that a line of `mmnn list` shows
 @click.option(
     "--case",
     "cases",
+    shell_complete=cases,
     metavar="NAME",
     multiple=True,
     help="Only this case, or this task of a contest, see `mmnn list`; repeatable.",

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import pty
+import select
+import shutil
 import sys
+from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
@@ -77,3 +82,48 @@ def test_tables_are_as_wide_as_the_terminal_and_plain_in_a_file(monkeypatch) -> 
 def test_help_says_how_to_switch_completion_on(capsys) -> None:
     assert main(["--help"]) == 0
     assert "_MMNN_COMPLETE=bash_source mmnn" in " ".join(capsys.readouterr().out.split())
+
+
+class Bash:
+    """An interactive bash on a terminal of its own, with completion switched on as `mmnn --help` says."""
+
+    def __init__(self) -> None:
+        path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+        self.pid, self.terminal = pty.fork()
+        if self.pid == 0:
+            os.environ.update(PATH=path, TERM="dumb", COLUMNS="200")
+            os.execvp("bash", ["bash", "--norc", "--noprofile", "-i"])
+        os.write(self.terminal, b'eval "$(_MMNN_COMPLETE=bash_source mmnn)"; PS1=; echo rea""dy\n')
+        self.read_to("ready")
+
+    def read_to(self, end: str) -> str:
+        told = ""
+        while end not in told:
+            assert select.select([self.terminal], [], [], 60)[0], told
+            told += os.read(self.terminal, 4096).decode()
+        return told
+
+    def after_a_tab(self, typed: str) -> str:
+        """What the line holds then."""
+        os.write(self.terminal, f"{typed}\t#".encode())
+        told = self.read_to("#").replace("\a", "").partition("#")[0]
+        os.write(self.terminal, b"\x03")  # the line is given up
+        self.read_to("^C")
+        return told[told.rindex("mmnn run") :]
+
+
+@pytest.mark.skipif(not shutil.which("bash"), reason="needs bash")
+def test_bash_completes_with_a_blank_only_after_what_is_whole() -> None:
+    bash = Bash()
+    for typed, rest in (
+        ("mmnn run tra", "ck "),
+        ("mmnn run chapter4 --variant fi", "gures "),
+        ("mmnn run faults --case sensor_k", "illed "),
+        ("mmnn run track --robot platf", "orm_arm "),
+        ("mmnn run track --set fee", "dback."),
+        ("mmnn run track --set adaptive.lea", "kage="),
+    ):
+        assert bash.after_a_tab(typed) == typed + rest
+    os.write(bash.terminal, b"exit\n")
+    os.waitpid(bash.pid, 0)
+    os.close(bash.terminal)

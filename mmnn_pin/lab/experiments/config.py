@@ -28,6 +28,7 @@ from .experiment import Experiment
 FOLDER = Path(__file__).parent
 ITS_OWN = ("title", "variant", "experiment", "cases")  # keys that no other experiment takes over
 UNIONS = (Union, UnionType)
+SHORT_NUMBER = re.compile(r"[+-]?(\d+\.|\.\d+)([eE][+-]?\d+)?")  # TOML wants a digit on both sides of the point
 
 
 @checked
@@ -251,11 +252,11 @@ def place(items: list[Any], part: str, key: str) -> int:
 
 
 def parse_value(text: str) -> Any:
-    """Value as TOML reads it; what TOML does not read is a text."""
+    """Value as TOML reads it, with .5 and 5. as numbers, too; what neither reads is a text."""
     try:
         return parsed_toml(f"value = {text}")["value"]
     except ValueError:
-        return text
+        return float(text) if SHORT_NUMBER.fullmatch(text) else text
 
 
 def require_names(experiment: Experiment) -> None:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 SHOWN = {"rad": (1e3, "mrad"), "m": (1e3, "mm"), "m/s": (1e3, "mm/s"), "rad/s": (1e3, "mrad/s")}
 MAP_BINS = 6
 DECADE = 8.0  # spread from which an axis is logarithmic
+TICKS = 8  # values of a factor that all stand on its axis, at most
 MOST_METRICS = 3  # metrics in the figures of distributions and of what decides
 
 
@@ -134,7 +135,8 @@ def shares(results: Results, result: str) -> dict[str, dict[str, Share]]:
     "study-errors",
     of="study",
     needs=lambda results: "" if results.patterns and numeric_of(results) else "the study varies no number",
-    caption="Median with its 95 % interval. A cross at the top: fewer than half of the runs there completed.",
+    caption="Median with its 95 % interval, which is open upwards where too many runs did not complete. A cross at the"
+    " top: fewer than half of them did.",
 )
 def errors_against_factors(results: Results) -> Figure:
     """Median of every metric against every number that is varied, with 95 % intervals."""
@@ -168,7 +170,7 @@ def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> None:
     """The median of a metric of all controllers against one factor, with intervals."""
     scale, _ = shown_unit(results, pattern)
     values = orderly(results, name)
-    tops = []
+    tops, unbounded = [], []
     for controller, style in styles_of_controllers(results.controllers).items():
         found = [(level.value, level.medians[pattern]) for level in levels(results, controller, name)]
         seen = [(x, scale * m.value, scale * m.low, scale * m.high) for x, m in found if np.isfinite(m.value)]
@@ -176,10 +178,16 @@ def draw_errors(axes: Axes, results: Results, name: str, pattern: str) -> None:
             x, y, low, high = (np.array(column, float) for column in zip(*seen, strict=True))
             bars = np.array([np.where(np.isfinite(low), y - low, 0.0), np.where(np.isfinite(high), high - y, 0.0)])
             axes.errorbar(x, y, yerr=bars, elinewidth=0.8, capsize=1.5, marker="o", markersize=3, **style.line)
+            unbounded += [(x[i], y[i], style.color) for i in np.flatnonzero(~np.isfinite(high))]
         tops += [(x, style.color) for x, m in found if not np.isfinite(m.value)]
     if min(values) > 0 and max(values) / min(values) >= DECADE:
         log_axis(axes)
-    axes.set_ylim(bottom=0)
+    if len(values) <= TICKS:
+        axes.set_xticks(sorted(values), [f"{value:g}" for value in sorted(values)])
+        axes.set_xticks([], minor=True)
+    axes.set_ylim(0, axes.get_ylim()[1])
+    for x, y, color in unbounded:
+        axes.vlines(x, y, axes.get_ylim()[1], color=color, linewidth=0.8)
     for x, color in tops:
         axes.plot(x, 0.97, "X", transform=axes.get_xaxis_transform(), color=color, mec="white", ms=7, zorder=5)
 

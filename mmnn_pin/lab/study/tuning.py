@@ -198,9 +198,6 @@ def judged(plan: Plan, most: int = CONSTRAINTS[0][1]) -> list[int]:
     return sorted({int(i) for i in np.linspace(0, len(plan) - 1, min(most, len(plan)))})
 
 
-# -- the search --------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Tuned:
     """What a search found.
@@ -210,9 +207,10 @@ class Tuned:
         trials: Sets of gains that were tried.
         refused: Of them, those that broke a constraint.
         own: Value of the experiment's own gains; None where they have none within the bounds.
-        best: The best gains, key path to value.
+        best: The best gains that keep the constraints on the fresh draws, too, key path to value.
         value: Their value on the study's draws.
         fresh: Scores of the own and of the best gains on fresh draws; None where none were asked for.
+        passed_over: Better sets of gains that break a constraint on the fresh draws.
     """
 
     tune: Tune
@@ -222,6 +220,7 @@ class Tuned:
     best: dict[str, Any]
     value: float
     fresh: tuple[Score, Score] | None
+    passed_over: int = 0
 
     def describe(self) -> str:
         """The result for people."""
@@ -235,9 +234,10 @@ class Tuned:
             lines.append(f"on {len(self.fresh[1].metric) or t.check} runs with fresh draws:")
             for name, score in zip(("own gains", "best gains"), self.fresh, strict=True):
                 span = "" if score.refused else f" [{score.interval.low:.4g}, {score.interval.high:.4g}]"
-                lines.append(
-                    f"  {name}: {value_words(score.value)}{span}, {100 * score.lost:.1f} % of runs not completed"
-                )
+                lost = f"{100 * score.lost:.1f} % of runs not completed"
+                lines.append(f"  {name}: {value_words(score.value)}{span}, {lost}")
+            if self.passed_over:
+                lines.append(f"  {self.passed_over} better on the study's draws, refused by a constraint on these")
         settings = (shlex.quote(f"{path}={json.dumps(value)}") for path, value in self.best.items())
         return "\n".join([*lines, "best gains:", *(f"  --set {setting}" for setting in settings)])
 
@@ -248,7 +248,7 @@ class Tuned:
             for name, score in zip(("own", "best"), self.fresh, strict=True)
         }
         about = {"controller": self.tune.controller, "objective": self.tune.objective, "quantile": self.tune.quantile}
-        counts = {"trials": self.trials, "refused": self.refused, "own": self.own}
+        counts = {"trials": self.trials, "refused": self.refused, "passed_over": self.passed_over, "own": self.own}
         return about | counts | {"best": self.value, "gains": self.best, "fresh": fresh}
 
 
@@ -343,21 +343,21 @@ def result(study: StudyFile, folder: Path, pool: Pool | None) -> Tuned:
         done = finished(optuna, trials)
         if not done:
             raise StudyError("no trial has finished", file=folder / NAME)
-        best = min(done, key=lambda trial: trial.value)
-    gains = settings_of(best.params, tune.gains, table)
+    ranked = sorted(done, key=lambda trial: trial.value)
+    sets = [(t.value, settings_of(t.params, tune.gains, table)) for t in ranked if t is ranked[0] or t.value < LOST]
     own = next((trial.value for trial in done if trial.user_attrs.get("own")), None)
-    fresh = None
+    fresh, place = None, 0
     if pool is not None and tune.check and study.settings.sampling.points:
         scorer = Scorer(study, tune, pool, tune.check, study.settings.sampling.seed + FRESH)
-        fresh = scorer.score({}), scorer.score(gains)
+        place = next((i for i, (_, gains) in enumerate(sets) if not any(violations(scorer.plan(gains)))), 0)
+        fresh = scorer.score({}), scorer.score(sets[place][1])
     refused = sum(bool(trial.user_attrs.get("refused")) for trial in done)
-    return Tuned(tune, len(done), refused, own, gains, best.value, fresh)
+    return Tuned(tune, len(done), refused, own, sets[place][1], sets[place][0], fresh, place)
 
 
 def finished(optuna: ModuleType, trials: Any) -> list[Any]:
     """Trials that have a value."""
-    found: list[Any] = trials.get_trials(deepcopy=False, states=(optuna.trial.TrialState.COMPLETE,))
-    return found
+    return list(trials.get_trials(deepcopy=False, states=(optuna.trial.TrialState.COMPLETE,)))
 
 
 def sampler(optuna: ModuleType, tune: Tune, done: int) -> Any:

@@ -60,7 +60,10 @@ def test_inputs_are_the_22_of_the_thesis() -> None:
 
 @pytest.mark.parametrize(
     ("text", "value"),
-    [("2", 2), ("2.5", 2.5), ("true", True), ("[1, 2]", [1, 2]), ("'a b'", "a b"), ("word", "word"), ("a/b.urdf",) * 2],
+    [
+        *(("2", 2), ("2.5", 2.5), (".05", 0.05), ("-5.", -5.0), (".5e-1", 0.05), ("true", True), ("[1, 2]", [1, 2])),
+        *(("'a b'", "a b"), ("word", "word"), (".", "."), ("..", ".."), ("1.2.3", "1.2.3"), ("a/b.urdf",) * 2),
+    ],
 )
 def test_override_values_are_toml_or_text(text: str, value: object) -> None:
     assert parse_value(text) == value and type(parse_value(text)) is type(value)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mmnn_pin import Line, Sine, Trajectory, load, sweep
+from mmnn_pin import Hold, Line, Sine, Trajectory, load, sweep
 from mmnn_pin.errors import ConfigError, InputError, UnknownName
 from mmnn_pin.lab.show.study import render
 from mmnn_pin.lab.show.study_figures import errors_against_factors
@@ -93,9 +93,25 @@ def test_a_sweep_shows_itself(found, tmp_path):
     assert file.stat().st_size > 1000 and "<img" in found._repr_html_()
     axes = errors_against_factors(found.results).axes
     assert len(axes) == 2 and axes[-1].get_xlabel() == "feedback.arm" and axes[0].get_ylim()[0] == 0.0
+    assert [tick.get_text() for tick in axes[-1].get_xticklabels()] == ["2", "8", "300"]
     assert set(found.errors("pd")) == {2.0, 8.0, 300.0}
     with pytest.raises(UnknownName):
         found.errors("nobody")
+
+
+def test_an_interval_without_an_upper_end_reaches_the_top(robot):
+    """At 80 N m s some robots are lost, fewer than half: the median is finite, the end of its interval is not."""
+    reference = Trajectory(base=Line(speed=0.3), arm=[Sine(amplitude=0.8, period=4.0), Hold(0.8)])
+    found = sweep(
+        robot, reference, "feedback.arm", [20.0, 80.0], ["pd"], duration=2.0, settings={"feedback.base": 300.0}
+    )
+    (_, high), (_, lost) = found.errors("pd").items()
+    pattern = found.results.patterns[0]
+    assert np.isfinite(high.medians[pattern].high) and np.isfinite(lost.medians[pattern].value)
+    assert lost.medians[pattern].high == np.inf
+    axes = errors_against_factors(found.results).axes[0]
+    tops = [segment[:, 1].max() for lines in axes.collections for segment in lines.get_segments()]
+    assert tops.count(axes.get_ylim()[1]) == 1
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from places import ROOT
 from study_files import SHORT, planned, run_here, written
 
 from mmnn_pin.cli import main
+from mmnn_pin.errors import ConfigError
+from mmnn_pin.lab.study import tuning
 from mmnn_pin.lab.study.pools import threads
 from mmnn_pin.lab.study.results import load_results
 from mmnn_pin.lab.study.settings import load_study
@@ -84,6 +86,25 @@ def test_better_gains_are_found_and_the_own_ones_come_first(tmp_path: Path, caps
     fresh = found["fresh"]
     assert fresh["best"]["quantile"]["value"] < fresh["own"]["quantile"]["value"]
     assert found["refused"] == sum(value >= REFUSED for _, value in trials) > 0
+
+
+def test_gains_that_break_a_constraint_on_fresh_draws_are_passed_over(tmp_path: Path, capsys, monkeypatch) -> None:
+    """The best of the search is refused afterwards: the next one is judged, and the result says so."""
+    file = written(tmp_path, TUNE)
+    first = tuned(file, "--set", "tune.check=0", capsys=capsys)
+    ranked = sorted(values(tmp_path), key=lambda trial: trial[1])
+
+    def not_the_best(loop) -> None:
+        if loop.controller.feedback.arm == pytest.approx(first["gains"]["feedback.arm"]):
+            raise ConfigError("not these")
+
+    monkeypatch.setattr(tuning, "CONSTRAINTS", (*tuning.CONSTRAINTS, (not_the_best, 4)))
+    study = load_study(file)
+    with threads(1) as pool:
+        found = tuning.result(study, tmp_path, pool)
+    assert found.passed_over == 1 and found.value == ranked[1][1] > first["best"]
+    assert found.best["feedback.arm"] == ranked[1][0]["feedback.arm"] and not found.fresh[1].refused
+    assert "1 better on the study's draws, refused by a constraint on these" in found.describe()
 
 
 def test_a_search_that_was_stopped_goes_on_to_the_same_trials(tmp_path: Path, capsys) -> None:
