@@ -20,7 +20,16 @@ from places import ROOT
 
 from mmnn_pin.cli import mmnn
 
-READ = ("file", "runs", "run", "logs", "--at", "--held-out", "--package-dir")  # paths that commands only read
+READ = (
+    "file",
+    "runs",
+    "run",
+    "logs",
+    "--at",
+    "--held-out",
+    "--without-load",
+    "--package-dir",
+)  # paths that commands only read
 KEEPING = ("run contest", "study", "tune")  # the same command goes on with what is there
 
 

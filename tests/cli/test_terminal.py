@@ -93,8 +93,8 @@ class Bash:
         if self.pid == 0:
             os.environ.update(PATH=path, TERM="dumb", COLUMNS="200")
             os.execvp("bash", ["bash", "--norc", "--noprofile", "-i"])
-        os.write(self.terminal, b'eval "$(_MMNN_COMPLETE=bash_source mmnn)"; PS1=; echo rea""dy\n')
-        self.read_to("ready")
+        os.write(self.terminal, b'eval "$(_MMNN_COMPLETE=bash_source mmnn)"; PS1="rea""dy> "\n')
+        self.read_to("ready> ")
 
     def read_to(self, end: str) -> str:
         told = ""
@@ -107,8 +107,8 @@ class Bash:
         """What the line holds then."""
         os.write(self.terminal, f"{typed}\t#".encode())
         told = self.read_to("#").replace("\a", "").partition("#")[0]
-        os.write(self.terminal, b"\x03")  # the line is given up
-        self.read_to("^C")
+        os.write(self.terminal, b"\x15\n")  # the line is given up
+        self.read_to("ready> ")
         return told[told.rindex("mmnn run") :]
 
 

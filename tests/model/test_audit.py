@@ -44,6 +44,7 @@ SUSPECT = {
     "second inertial": (*end(LINK.replace("</link>", "<inertial><mass value='9'/><inertia ixx='1' ixy='0'"
                         " ixz='0' iyy='1' iyz='0' izz='1'/></inertial></link>") + joint("w", "rod", "tip", "fixed")),
                         "warning", 19, "repeated-tag", "a second <inertial> in <link>: the first one counts"),
+    "misspelt shape": ("visual>", "visaul>", "warning", 10, "misspelt-shape", "<visaul>, one edit away from <visual>"),
     "second shape": (SHAPE, SHAPE + '<sphere radius="9"/>', "warning", 10, "repeated-tag",
                      "a second shape, <sphere>, in <geometry>: the first one counts"),
     "second origin": ('<origin xyz="0 0 -0.5"/>', '<origin xyz="0 0 -0.5"/><origin/>', "warning", 6, "repeated-tag",

@@ -116,7 +116,7 @@ def test_only_inertias_and_dynamics_change_and_comments_stay(found: Identificati
 
 
 HAND = """<link name="hand"><inertial><origin xyz="0 0.05 0.1" rpy="0.3 0 0.2"/><mass value="0.4"/>
-<inertia ixx="0.002" ixy="0" ixz="0.0001" iyy="0.003" iyz="0" izz="0.001"/></inertial></link><link name="frame"/>
+<inertia ixx="0.002" ixy="0" ixz="0.0001" iyy="0.0028" iyz="0" izz="0.001"/></inertial></link><link name="frame"/>
 <link name="finger"><inertial><mass value="0.1"/><inertia ixx="1e-4" ixy="0" ixz="0" iyy="1e-4" iyz="0" izz="1e-4"/>
 </inertial></link>
 <joint name="palm" type="fixed"><origin xyz="0.1 0 0.4" rpy="0 0.5 0"/><parent link="arm_2"/><child link="hand"/>
