@@ -93,8 +93,9 @@ class Bash:
         if self.pid == 0:
             os.environ.update(PATH=path, TERM="dumb", COLUMNS="200")
             os.execvp("bash", ["bash", "--norc", "--noprofile", "-i"])
-        os.write(self.terminal, b'eval "$(_MMNN_COMPLETE=bash_source mmnn)"; PS1="rea""dy> "\n')
-        self.read_to("ready> ")
+        self.prompts = 0  # numbered: what is given up is drawn again behind its own prompt, which is not the next one
+        os.write(self.terminal, b"eval \"$(_MMNN_COMPLETE=bash_source mmnn)\"; shown=0; PS1='ready $((++shown))> '\n")
+        self.read_to_prompt()
 
     def read_to(self, end: str) -> str:
         told = ""
@@ -103,12 +104,16 @@ class Bash:
             told += os.read(self.terminal, 4096).decode()
         return told
 
+    def read_to_prompt(self) -> None:
+        self.prompts += 1
+        self.read_to(f"ready {self.prompts}> ")
+
     def after_a_tab(self, typed: str) -> str:
         """What the line holds then."""
         os.write(self.terminal, f"{typed}\t#".encode())
         told = self.read_to("#").replace("\a", "").partition("#")[0]
         os.write(self.terminal, b"\x15\n")  # the line is given up
-        self.read_to("ready> ")
+        self.read_to_prompt()
         return told[told.rindex("mmnn run") :]
 
 
