@@ -186,16 +186,18 @@ def freed(name: str, overrides: Overrides) -> bool:
 
 
 def short_branches(rest: AtRest, own: set[str], slaves: dict[str, Slave]) -> list[str]:
-    """Joints of heads and fingers."""
+    """Joints of heads and fingers, from the ends inwards: antennas that stand still make the row of a head no longer."""
     tree = tree_of(rest)
     longest = max((tree[name].reach for name in own), default=0.0)
     found: set[str] = set()
-    for name in own | slaves.keys():
+    for name in sorted(own | slaves.keys(), key=lambda name: (-len(tree[name].above), name)):
         branch = tree[name]
+        moving = [joint for joint in branch.carried if joint not in found]
+        in_row = max((1 + sum(up in branch.carried for up in tree[joint].above) for joint in moving), default=0)
         led = {slave for slave, its in slaves.items() if its.master in branch.carried}
         siblings = [other for other in branch.beside if other in own or other in led]
         at_end = sum(above in own for above in branch.above) >= ARM_JOINTS
-        if siblings and branch.reach < SHORT * longest and (branch.in_row < HEAD_JOINTS or at_end):
+        if siblings and branch.reach < SHORT * longest and (in_row < HEAD_JOINTS or at_end):
             found |= own & {*branch.carried}
     return [name for name in rest.document.joints if name in found]
 
@@ -206,14 +208,12 @@ class Branch:
 
     Attributes:
         reach: How far it reaches from its joint, along the longest path of joints and links [m].
-        in_row: Most joints in a row, itself included.
         carried: Itself and all joints on it.
         above: Joints that lead to it.
         beside: Other joints on the body that carries it.
     """
 
     reach: float
-    in_row: int
     carried: tuple[str, ...]
     above: tuple[str, ...]
     beside: tuple[str, ...]
@@ -234,7 +234,6 @@ def tree_of(rest: AtRest) -> dict[str, Branch]:
             ends += [math.dist(rest.hub(j), hub) + b.reach for j, b in zip(below, branches, strict=True)]
             tree[joint.name] = Branch(
                 reach=max(ends),
-                in_row=1 + max((b.in_row for b in branches), default=0),
                 carried=(joint.name, *(name for b in branches for name in b.carried)),
                 above=above,
                 beside=tuple(name for name in names if name != joint.name),

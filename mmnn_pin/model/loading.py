@@ -153,7 +153,7 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
             rest, "single rigid body", "no joint of it moves", (), "--free JOINT moves one that is locked"
         )
     model, printed = pinocchio_model(document, mobile=found.base.root_size > 0)
-    audited = excused(document.findings, arm.locked, arm.joints)
+    audited = excused(document.findings, arm.locked, arm.joints, alone=not found.base.columns)
     require_sane(document, model, set(arm.locked))
     notes = (*arm_notes(rest, arm), *weld_notes(rest, welds), *printed_notes(rest, printed))
     findings = (*settle(audited, found.findings, overrides.strict), *notes)

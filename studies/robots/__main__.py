@@ -1,16 +1,23 @@
 """Load every robot of `corpus.toml`, hold it against the truth, follow the commands that refusals print.
 
-    python -m studies.robots FOLDER [--only TEXT] [--markdown] [--track]
+    python -m studies.robots FOLDER [--only TEXT] [--markdown] [--inspect] [--track]
 
-FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, and beside them the packages that
-their xacro files ask for. Robots of example-robot-data load by name. The table is in docs/reference/public-robots.md.
+FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, beside them the packages that
+their xacro files ask for, and in `.packages/` as `owner+name@commit/` those that are given by `--package-dir`. Robots
+of example-robot-data load by name. The table is in docs/reference/public-robots.md. With `--inspect` the whole command
+`mmnn inspect` is timed on every robot that was accepted, with what it had to be told: processor time, compiled cache
+warm, the shortest of three; the slowest ten are told.
 With `--track` every robot that was accepted drives the experiment `track`, as in `studies.track_any`.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
+import subprocess
+import sys
+import tempfile
 import time
 import tomllib
 from dataclasses import dataclass, field, replace
@@ -27,10 +34,11 @@ from studies import track_any
 CONTROLLERS = ("pd_gravity", "adaptive", "computed_torque")  # that drive
 TOLERANCE = 0.03  # of the maker's radius and track
 WAY = re.compile(
-    r"--(base|wheels|radius|track|without|lock) ([A-Za-z0-9_,.-]*[A-Za-z0-9_])"
+    r"--(base|wheels|radius|track|without|lock|xacro) ([A-Za-z0-9_,.:=-]*[A-Za-z0-9_])"
 )  # options in the fix of a refusal
+REPEATED = {"without": "without", "lock": "lock", "xacro": "xacro", "package-dir": "package_dirs"}
 READ: dict[str, Any] = {"wheels": lambda text: text.split(","), "radius": float, "track": float}
-READ |= dict.fromkeys(("without", "lock"), lambda text: (text,))
+WRITE = re.compile(r"write (<axis [^>]*/>) in ((?:'[^']*'(?:, )?)+)")  # what is to be written in a file
 
 
 @dataclass(frozen=True)
@@ -43,6 +51,7 @@ class Outcome:
         command: Options that were followed.
         seconds: How long the first try took [s].
         said: What was said about the robot in the end, by names of `Overrides`.
+        file: The file that it was said about.
     """
 
     verdict: str
@@ -50,6 +59,7 @@ class Outcome:
     command: str
     seconds: float
     said: dict[str, Any] = field(default_factory=dict)
+    file: str = ""
 
 
 def judge(entry: dict[str, Any], folder: Path) -> Outcome:
@@ -57,7 +67,7 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
     path = place(entry, folder)
     if path is None:
         return Outcome("not there", "", "", 0.0)
-    said: dict[str, Any] = {"xacro": entry.get("xacro", ())}
+    said: dict[str, Any] = {"xacro": tuple(entry.get("xacro", ()))}
     followed, start, took = list[str](), time.perf_counter(), 0.0
     for _ in range(8):
         try:
@@ -67,49 +77,71 @@ def judge(entry: dict[str, Any], folder: Path) -> Outcome:
             told = " ".join(f"{error.what}: {error.why}: {error.fix}".split())
             if entry["kind"].startswith("refused: ") and entry["kind"].removeprefix("refused: ") in told.lower():
                 return Outcome("refused rightly", told, " ".join(followed), took)
-            options = way_out(entry, error.fix, said)
+            options = packages_of(entry, folder, error.fix, said) or way_out(entry, error.fix, said)
+            if not options and (edit := WRITE.search(error.fix)):
+                path, said["package_dirs"] = written(Path(path), *edit.groups()), (str(Path(path).parent),)
+                followed.append(edit[0])
+                continue
         else:
             took = took or time.perf_counter() - start
             wrong = faults(entry, robot)
-            options = told_by(entry, robot) if wrong and not followed else {}
+            options = told_by(entry, robot) if wrong and not followed else []
             told = "; ".join(wrong) or words(robot)
             if wrong and not options and "without" in said:  # left out as a package is missing, and missed
                 return Outcome("refused", told, " ".join(followed), took)
             if not options:
                 right = "right after the command" if followed else "right"
-                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took, said)
+                return Outcome("ACCEPTED WRONG" if wrong else right, told, " ".join(followed), took, said, str(path))
         if not options:
             verdict = "refused, misleading" if entry["kind"].startswith("refused: ") else "refused"
             return Outcome(verdict, told, " ".join(followed), took)
-        followed += [f"--{name} {text}" for name, text in options.items()]
-        said |= {name: with_more(said.get(name), READ.get(name, str)(text)) for name, text in options.items()}
+        followed += [f"--{name} {text.removeprefix(f'{folder}/.packages/')}" for name, text in options]
+        for name, text in options:
+            key = REPEATED.get(name)
+            said[key or name] = (*said.get(key, ()), text) if key else READ.get(name, str)(text)
     return Outcome("refused", told, " ".join(followed), took)
 
 
-def with_more(known: Any, more: Any) -> Any:
-    """A value of an option, added to what is known of a repeatable one."""
-    return (*(known or ()), *more) if isinstance(more, tuple) else more
+def packages_of(entry: dict[str, Any], folder: Path, fix: str, said: dict[str, Any]) -> list[tuple[str, str]]:
+    """The options that give what a refusal asks for with `--package-dir`: packages of the versions that it needs."""
+    if "--package-dir" not in fix or "package_dirs" in said:
+        return []
+    places = [folder / ".packages" / name.replace("/", "+") for name in entry.get("packages", ())]
+    return [("package-dir", str(place)) for place in places if place.exists()]
 
 
-def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> dict[str, str]:
+def written(path: Path, text: str, joints: str) -> Path:
+    """A copy of a file with an element written into some joints, as a refusal asks for."""
+    content = path.read_text()
+    for name in re.findall(r"'([^']*)'", joints):
+        content, count = re.subn(rf'(<joint\b[^>]*name="{re.escape(name)}"[^>]*>)', rf"\1{text}", content)
+        assert count == 1, name
+    copy = Path(tempfile.mkdtemp()) / path.name
+    copy.write_text(content)
+    return copy
+
+
+def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple[str, str]]:
     """The options of a refusal that suit the truth; a radius that it asks for is the maker's, as if measured."""
     kind, asked = entry["kind"], "--radius" in fix and "radius" in entry and "radius" not in said
     ways = re.split("; |, | or ", fix.replace("--radius METRES", f"--radius {entry['radius']}") if asked else fix)
     if asked and not any("--wheels" in way and "--radius" in way for way in ways):
-        return {"radius": str(entry["radius"])}
+        return [("radius", str(entry["radius"]))]
     for way in sorted(ways, key=lambda way: asked and "--radius" not in way):
-        options = dict(WAY.findall(way))
-        fits = kind.startswith("refused: ") or options.get("base", kind) == kind
-        ends = kind.startswith("refused: ") and {"base", "wheels"} & options.keys()
-        if options and fits and not ends and not {"METRES", "FOLDER", "VALUE"} & {*options.values()}:
+        options = WAY.findall(way)
+        stated = dict(options)
+        fits = kind.startswith("refused: ") or stated.get("base", kind) == kind
+        fits &= {*stated.get("wheels", "").split(",")} == {*entry.get("wheels", stated.get("wheels", "").split(","))}
+        ends = kind.startswith("refused: ") and {"base", "wheels"} & stated.keys()
+        if options and fits and not ends and not {"METRES", "FOLDER", "VALUE", "JOINT"} & {*stated.values()}:
             return options
-    return {}
+    return []
 
 
-def told_by(entry: dict[str, Any], robot: Robot) -> dict[str, str]:
+def told_by(entry: dict[str, Any], robot: Robot) -> list[tuple[str, str]]:
     """The options of a finding that says what else the base may be."""
     fixes = [f.fix for f in robot.findings if f.code == "base-none"]
-    return next(filter(None, (way_out(entry, fix, {}) for fix in fixes)), {})
+    return next(filter(None, (way_out(entry, fix, {}) for fix in fixes)), [])
 
 
 def place(entry: dict[str, Any], folder: Path) -> str | Path | None:
@@ -152,6 +184,24 @@ def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
     return f"| {entry['name']} | {place} | {truth} | {found} |"
 
 
+def inspected(outcome: Outcome) -> float:
+    """Processor time of `mmnn inspect` with what had to be said, all of its processes: the shortest of three [s]."""
+    names = {key: f"--{option}" for option, key in REPEATED.items()}
+    command = [sys.executable, "-c", "from mmnn_pin.cli import main; main()", "inspect", outcome.file]
+    for key, value in outcome.said.items():
+        if key in names:
+            command += [word for text in value for word in (names[key], text)]
+        else:
+            command += [f"--{key}", ",".join(value) if isinstance(value, list) else str(value)]
+    times = []
+    for _ in range(3):
+        before = os.times()
+        subprocess.run(command, check=True, capture_output=True)
+        after = os.times()
+        times.append(sum(after[2:4]) - sum(before[2:4]))
+    return min(times)
+
+
 def driven(entry: dict[str, Any], folder: Path, outcome: Outcome) -> track_any.Row | None:
     """A row of the table of `studies.track_any`, None where it is refused; either is told as it comes."""
     said = {key: list(value) if isinstance(value, tuple) else value for key, value in outcome.said.items() if value}
@@ -184,17 +234,21 @@ def tracked(rows: list[track_any.Row]) -> str:
 @click.argument("folder", type=click.Path(exists=True, path_type=Path))
 @click.option("--only", default="", help="Robots whose names have this text.")
 @click.option("--markdown", is_flag=True, help="The table of docs/reference/public-robots.md.")
+@click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
 @click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
-def main(folder: Path, only: str, markdown: bool, track: bool) -> None:
+def main(folder: Path, only: str, markdown: bool, inspect: bool, track: bool) -> None:
     """Hold all robots of the corpus against the truth."""
     entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]
-    counts, rows = dict[str, int](), list[track_any.Row | None]()
+    counts, rows, times = dict[str, int](), list[track_any.Row | None](), dict[str, float]()
     for entry in entries:
         if only.lower() not in entry["name"].lower():
             continue
         outcome = judge(entry, folder)
         counts[outcome.verdict] = counts.get(outcome.verdict, 0) + 1
-        if track:
+        if inspect and outcome.verdict.startswith("right"):
+            times[entry["name"]] = inspected(outcome)
+            click.echo(f"{times[entry['name']]:6.2f} s  {entry['name']}")
+        elif track:
             rows += [driven(entry, folder, outcome)] if outcome.verdict.startswith("right") else []
         elif markdown:
             click.echo(markdown_row(entry, outcome))
@@ -202,6 +256,9 @@ def main(folder: Path, only: str, markdown: bool, track: bool) -> None:
             click.echo(
                 f"{outcome.verdict:24}{entry['name']:26}{outcome.seconds:6.2f} s  {outcome.command}  {outcome.text}"
             )
+    if times:
+        slowest = sorted(times.items(), key=lambda item: -item[1])[:10]
+        click.echo(f"slowest of {len(times)}: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in slowest))
     if track:
         click.echo(tracked([row for row in rows if row is not None]))
     click.echo(", ".join(f"{count} {verdict}" for verdict, count in sorted(counts.items())))

@@ -13,6 +13,7 @@ import numpy as np
 
 from ...elementary import cos
 from ...errors import RobotError
+from ...signals import Array
 from ..arm import Arm
 from ..urdf.document import Joint
 from ..urdf.finding import AuditError, Finding, one_line
@@ -336,15 +337,30 @@ def not_on_floor(rest: AtRest, candidates: Candidates) -> Undecided:
 def lumpy(rest: AtRest, wheels: Sequence[Candidate]) -> tuple[str, str]:
     """Why bodies are not round about their axles, and the way out: many a cylinder lies across its joint's axis."""
     paired = any(coaxial(a, b) for i, a in enumerate(wheels) for b in wheels[:i])
-    for c in wheels:
-        lying = [s for link in rest.document.body(c.joint.child) for s in rest.primitives[link] if s.kind == "cylinder"]
-        along = [rest.placements[c.joint.child][:3, :3].T @ s.pose[:3, 2] for s in lying]
-        if across := [axis for axis in along if abs(axis @ c.joint.axis) < TILTED]:
-            xyz, own = (" ".join(f"{abs(round(float(v), 3)):g}" for v in axis) for axis in (across[0], c.joint.axis))
-            why = f"the cylinder on '{c.joint.name}' lies along {xyz} in its link, and its joint turns about {own}"
-            fix = "turn the cylinders or the <axis> of the joints, so that they agree: an <axis> that is left out is x"
-            return why, f"{fix}; {blind_fix(wheels) if paired else '--base fixed parks them'}"
-    return "what turns on them is not round about the axle", blind_fix(wheels)
+    across = {c.joint.name: axis for c in wheels if (axis := lying_across(rest, c.joint))}
+    if not across:
+        return "what turns on them is not round about the axle", blind_fix(wheels)
+    c = next(c for c in wheels if c.joint.name in across)
+    axis, own = across[c.joint.name], in_words(c.joint.axis)
+    why = f"the cylinder on '{c.joint.name}' lies along {axis} in its link, and its joint turns about {own}"
+    fix = "turn the cylinders or the <axis> of the joints, so that they agree"
+    stated = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
+    if bare := [f"'{name}'" for name, other in across.items() if other == axis and name not in stated]:
+        fix = f'an <axis> that is left out is x: write <axis xyz="{axis}"/> in {", ".join(bare)}, or turn the cylinders'
+    return why, f"{fix}; {blind_fix(wheels) if paired else '--base fixed parks them'}"
+
+
+def lying_across(rest: AtRest, joint: Joint) -> str:
+    """The direction of a cylinder on a joint that lies across its axis, in the link's frame; empty without one."""
+    shapes = [s for link in rest.document.body(joint.child) for s in rest.primitives[link] if s.kind == "cylinder"]
+    along = [rest.placements[joint.child][:3, :3].T @ s.pose[:3, 2] for s in shapes]
+    return next((in_words(axis) for axis in along if abs(axis @ joint.axis) < TILTED), "")
+
+
+def in_words(axis: Array) -> str:
+    """Numbers of an axis as `<axis>` has them, without its sign."""
+    positive = axis * (1.0 if axis[np.argmax(np.abs(axis))] > 0 else -1.0)
+    return " ".join(f"{round(float(v), 3) + 0.0:g}" for v in positive)
 
 
 def blind_fix(wheels: Sequence[Candidate]) -> str:
@@ -352,7 +368,10 @@ def blind_fix(wheels: Sequence[Candidate]) -> str:
     names = ",".join(c.joint.name for c in wheels)
     missing = any(c.shape == PARTIAL for c in wheels)
     first = "--package-dir FOLDER with the package of their meshes, or " if missing else ""
-    return f"{first}--wheels {names} --radius METRES, of these those that drive; --base fixed parks them"
+    pairs = [f"{a.joint.name},{b.joint.name}" for i, a in enumerate(wheels) for b in wheels[:i] if coaxial(a, b)]
+    drive = "".join(f", or --wheels {pair} --radius METRES where these drive" for pair in pairs if len(pairs) > 1)
+    which = "" if drive else ", of these those that drive"
+    return f"{first}--wheels {names} --radius METRES{which}{drive}; --base fixed parks them"
 
 
 def unsupported(rest: AtRest, name: str, why: str, wheels: Sequence[Candidate] = (), fix: str = "") -> Unsupported:

@@ -31,7 +31,7 @@ LUMPY, PARTIAL = "not round", "mesh missing"  # shapes that are not measured, on
 HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body cannot be read
 UNSEEN = (HUB, STATED, PARTIAL, LUMPY, "unknown")
 FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE)  # of frames that stand for the floor
-WHEEL_NAMES, STEER_NAMES = re.compile(r"wheel", re.IGNORECASE), re.compile(r"steer", re.IGNORECASE)
+WHEEL_NAMES, STEER_NAMES = re.compile(r"wheel|whl", re.IGNORECASE), re.compile(r"steer", re.IGNORECASE)
 LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
 ROUND_ABOUT, ROLLERS = 3, 4  # low joints that are wheels though no axis is shared; bodies on a wheel, its rollers
@@ -259,8 +259,7 @@ def is_roller(rest: AtRest, joint: Joint) -> bool:
 
 def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
     """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm."""
-    alike = any(coaxial(candidate, o) for o in others if o is not candidate)
-    return alike and not moving_above(rest, candidate)
+    return not moving_above(rest, candidate) and any(coaxial(candidate, o) for o in others if o is not candidate)
 
 
 def is_round_about(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
@@ -271,8 +270,7 @@ def is_round_about(rest: AtRest, candidate: Candidate, others: list[Candidate]) 
 
 def moving_above(rest: AtRest, candidate: Candidate) -> list[Joint]:
     """Joints that carry a wheel, but for slides."""
-    above = rest.document.moving_ancestors(candidate.joint.child)[1:]
-    return [joint for joint in above if joint.type != "prismatic"]
+    return [joint for joint in rest.document.moving_ancestors(candidate.joint.child)[1:] if joint.type != "prismatic"]
 
 
 def on_floor(
@@ -390,9 +388,11 @@ def hangs_on(rest: AtRest, joint: Joint, wheel: Candidate) -> tuple[Mount, float
 
 
 def carries_wheels(rest: AtRest, joint: Joint) -> bool:
-    """Whether two or more of what a joint carries turn without end, as wheels do."""
+    """Whether two of what a joint carries turn without end on axles of their own, as wheels of a rocker do."""
     ends = [j for j in rest.document.joints.values() if is_endless_end(rest, j)]
-    return sum(joint in rest.document.moving_ancestors(j.child)[1:] for j in ends) >= 2
+    carried = [j for j in ends if joint in rest.document.moving_ancestors(j.child)[1:]]
+    axes = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in carried]
+    return any(not coaxial(a, b) for i, a in enumerate(axes) for b in axes[:i])
 
 
 def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:

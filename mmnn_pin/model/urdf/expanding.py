@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from .packages import FIND
+from .packages import FIND, far_package
 from .xml import KNOWN
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
@@ -29,6 +29,12 @@ USED, STATED = re.compile(r"\$\(arg\s+([^)\s]+)\s*\)"), re.compile(r"<xacro:arg\
 INVALID = r"Invalid parameter \"([^\"]+)\""
 
 FIRST, ARGUMENT = re.compile(r"<robot\b[^>]*>"), re.compile(r"<xacro:arg\s[^>]*>")
+
+GIVEN_IF = re.compile(  # what stands between two tags of a condition on one value
+    r"<xacro:if\s+value=[\"']\$\{\s*(\w+)\s*==\s*['\"]([^'\"]+)['\"]\s*\}[\"']\s*>(.*?)</xacro:if>", re.DOTALL
+)
+
+NOT_DEFINED = r"name '([^']+)' is not defined"
 
 SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
 
@@ -72,7 +78,8 @@ def child() -> None:
 
 def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     """What there is to tell of a job, and the URDF; empty where xacro refuses."""
-    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": []}
+    told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": [], "choices": []}
+    told["renamed"] = {}
     data = b""
     with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
         try:
@@ -95,6 +102,8 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
                 {name for text in texts.values() for name in pattern.findall(text)} for pattern in (USED, STATED)
             )
             told["needed"] = sorted(used - stated - set(job["arguments"]))
+            if hit := re.search(NOT_DEFINED, told["error"]):
+                told["choices"] = choices(hit[1], [*texts.values()])
             told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     return told, data
@@ -109,6 +118,14 @@ def asked_first(text: str) -> dict[str, str]:
         if name and default and name[1] in asked:
             found.setdefault(name[1], default[1])
     return found
+
+
+def choices(name: str, texts: list[str]) -> list[str]:
+    """Arguments, as `NAME:=VALUE`, with which files define a property that they define under conditions only."""
+    stated = {argument for text in texts for argument in STATED.findall(text)}
+    defined = re.compile(rf"<xacro:property\s[^>]*?name=[\"']{re.escape(name)}[\"']")
+    given = [(arg, value) for text in texts for arg, value, inner in GIVEN_IF.findall(text) if defined.search(inner)]
+    return list(dict.fromkeys(f"{arg}:={value}" for arg, value in given if arg in stated))
 
 
 def bare_calls(document: Any, texts: list[str]) -> list[str]:
@@ -144,21 +161,31 @@ def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]
     Args:
         xacro: The module.
         xacrodoc: The module that finds packages where ROS is installed.
-        job: What to expand: `known`, folders of packages; `without`, macros to leave out; `calls`, macros that are
-            called without their prefix.
-        told: `absent` is filled with the packages that are not there, `omitted` with macros that are left out.
+        job: What to expand: `known`, folders of packages; `far`, where others may be; `like`, folders that may be a
+            package under another name; `without`, macros to leave out; `calls`, macros called without their prefix.
+        told: `absent` is filled with the packages that are not there, `omitted` with macros that are left out,
+            `renamed` with packages and the folders that are taken as them.
     """
     places: Any = sys.modules["xacro.substitution_args"]
     parse, include_files, find = xacro.parse, xacro.get_include_files, places._eval_find
     known, texts = job["known"], dict[str, str]()
 
     def seek(package: str) -> str:
-        if package not in known:
+        if package not in known and package not in told["absent"]:
             try:
-                known[package] = xacrodoc.packages.get_path(package)
+                known[package] = far_package(package, job["far"]) or xacrodoc.packages.get_path(package)
             except xacrodoc.packages.PackageNotFoundError:
                 told["absent"].add(package)
         return known.get(package, f"package://{package}")
+
+    def adopt(package: str, inner: str) -> None:
+        """Take a folder as a package that is not there under its name, where it has the file that is wanted of it."""
+        if seek(package).startswith("package://"):
+            like = next((place for place in job["like"] if os.path.isfile(os.path.join(place, inner))), None)
+            if like is not None and os.sep in inner:
+                known[package] = like
+                told["absent"].discard(package)
+                told["renamed"][package] = like
 
     def parsed(given: Any, filename: str | None = None) -> Any:
         document = parse(given, filename)
@@ -169,6 +196,7 @@ def lenient(xacro: Any, xacrodoc: Any, job: dict[str, Any], told: dict[str, Any]
                 element.tagName = element.nodeName = f"xacro:{name}"
         for element in document.getElementsByTagName("xacro:include"):
             if hit := FIND.match(element.getAttribute("filename")):
+                adopt(hit[1], hit[2])
                 folder = seek(hit[1])
                 gone = (
                     "$" not in hit[2]

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 from lxml import etree
 
 from ...errors import ConfigError, RobotError
-from .expanding import BYTES, INVALID, MACRO, SECONDS, giving
+from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
-from .packages import package_of, packages
+from .packages import above, package_of, packages
 
 XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
 
@@ -46,16 +46,22 @@ class Expansion(NamedTuple):
         absent: Packages, and files of packages, that it names, that are not there, and that it could do without.
         calls: Macros that it calls without their prefix.
         hanging: Joints that hang on a macro which is left out.
+        renamed: Packages that are not there under their names, and the folders that are taken as them.
     """
 
     data: bytes
     absent: list[str]
     calls: list[str]
     hanging: list[str]
+    renamed: dict[str, str]
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
         """What there is to say of the file, with the macros that the user leaves out."""
         notes = [finding("expanded", 1, "expanded by xacro: lines are those of the URDF that it makes")]
+        for name, folder in self.renamed.items():
+            what, why = f"package '{name}' is not found", f"taken as it is {folder}, which has the file that is wanted"
+            fix = "give the folder that holds it with --package-dir"
+            notes.append(finding("xacro-package", 1, what, why, fix))
         if self.absent:
             what, why = (
                 f"packages or files of them not found: {', '.join(self.absent)}",
@@ -119,6 +125,9 @@ def expand(
         RobotError: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
     """
     job: dict[str, Any] = {"path": str(path), "arguments": arguments_of(given), "without": list(without), "calls": []}
+    own = package_of(os.path.abspath(path.parent))
+    job["far"] = above(path)[1]
+    job["like"] = [*map(os.path.abspath, package_dirs), own]
     if find_spec("xacro") is None or find_spec("xacrodoc") is None:  # the extra `xacro`
         fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
         raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1)
@@ -127,14 +136,19 @@ def expand(
     job["calls"] = told["calls"]
     if "error" in told:
         raise refusal(
-            Path(told["place"]), told["error"], told["absent"], told["needed"], lambda m: to_leave_out(path, job, m)
+            Path(told["place"]),
+            told["error"],
+            told["absent"],
+            told["needed"],
+            told["choices"],
+            lambda m: to_leave_out(path, job, m),
         )
     if unused := [name for name in without if name not in told["omitted"]]:
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
     if b"<link" not in data:
         raise macros_only(path, data)
     data, hanging = pruned(data) if without else (data, [])
-    return Expansion(data, told["absent"], job["calls"], hanging)
+    return Expansion(data, told["absent"], job["calls"], hanging, told["renamed"])
 
 
 def to_leave_out(path: Path, job: dict[str, Any], macro: str) -> list[str]:
@@ -144,6 +158,8 @@ def to_leave_out(path: Path, job: dict[str, Any], macro: str) -> list[str]:
         told, data = expanded(path, job | {"without": [*job["without"], *names]})
         if "error" not in told:
             return names if b"<link" in pruned(data)[0] else []
+        if re.search(NOT_DEFINED, told["error"]) and not told["choices"]:
+            return []  # what is lacked is no call
         more = UNKNOWN.search(told["error"])
         if more is None or more[1] in names:
             break  # what else is wrong is told when these are left out
@@ -240,10 +256,10 @@ WAYS_OUT = (
     (r"environment variable '([^']+)' is not set", "set it where you start: {}=VALUE mmnn ..."),
     (
         INVALID,
-        "the macro has no '{}': bring the version of its package that this file is made for",
+        "the macro has no '{}': give the version of its package that this file is made for with --package-dir",
     ),
     (
-        r"name '([^']+)' is not defined",
+        NOT_DEFINED,
         "define '{}': give a file that includes this one, or the package that defines it",
     ),
     (UNKNOWN.pattern, "is the file that defines '{}' included?"),
@@ -253,7 +269,12 @@ WAYS_OUT = (
 
 
 def refusal(
-    place: Path, error: str, absent: list[str], needed: list[str], along: Callable[[str], list[str]]
+    place: Path,
+    error: str,
+    absent: list[str],
+    needed: list[str],
+    choices: list[str],
+    along: Callable[[str], list[str]],
 ) -> RobotError:
     """Why a file could not be expanded, at the line where the cause is named.
 
@@ -262,6 +283,7 @@ def refusal(
         error: Its words.
         absent: Packages that are not found.
         needed: Arguments without a value.
+        choices: Values of arguments with which it defines what it lacks.
         along: The macros whose calls can be left out together with those of one; none where they cannot.
     """
     text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(error.split())), "", "mend the file"
@@ -274,8 +296,12 @@ def refusal(
     called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
     macro = word if "unknown macro" in text else called
     if absent and (fix == "mend the file" or "unknown macro" in text or "is not defined" in text):
-        fix = f"is it in what is not found ({', '.join(absent)})? Give the folder of the package with --package-dir"
-    if macro and (absent or called) and (names := along(macro)):
+        version = " in the version that has it" if any("/" in name for name in absent) else ""
+        fix = f"is it in what is not found ({', '.join(absent)})? "
+        fix += f"Give the folder of the package{version} with --package-dir"
+    if choices:
+        fix = "give an argument with which it is: " + " or ".join(f"--xacro {choice}" for choice in choices)
+    if macro and (names := along(macro)):
         fix += f", or leave {'it' if len(names) == 1 else 'them'} out: " + " ".join(
             f"--without {name}" for name in names
         )

@@ -10,6 +10,8 @@ from lxml import etree
 
 from mmnn_pin.errors import RobotError
 
+NAMED = 8  # joints at most in one line
+
 # Severity by code; docs/reference/urdf-audit.md gives the reason of each. `strict`: a warning, with --strict an error.
 CODES = {
     # the file
@@ -163,13 +165,16 @@ def settle(findings: Sequence[Finding], path: Path, strict: bool) -> tuple[Findi
     return tuple(sorted(placed, key=lambda f: f.line))
 
 
-def excused(findings: Sequence[Finding], still: Iterable[str], arm: Iterable[str] = ()) -> tuple[Finding, ...]:
+def excused(
+    findings: Sequence[Finding], still: Iterable[str], arm: Iterable[str] = (), alone: bool = False
+) -> tuple[Finding, ...]:
     """Findings where what only matters to joints that stand still is a warning.
 
     Args:
         findings: All of them.
         still: Joints that stand still.
         arm: Joints that could.
+        alone: Whether nothing else moves.
 
     Raises:
         AuditError: An error is left.
@@ -183,10 +188,31 @@ def excused(findings: Sequence[Finding], still: Iterable[str], arm: Iterable[str
             return replace(f, severity="warning", why="taken as it is: the joint stands still")
         return replace(f, fix=f"{f.fix}, or --lock {f.joint}")
 
-    judged = tuple(map(judge, findings))
+    judged = gathered(tuple(map(judge, findings)), None if alone else lockable)
     if any(f.severity == "error" for f in judged):
         raise AuditError(judged)
     return judged
+
+
+def gathered(findings: tuple[Finding, ...], lockable: set[str] | None) -> tuple[Finding, ...]:
+    """Findings with the errors about bodies without mass in one, where there are several.
+
+    Args:
+        findings: All of them, in the order of the file.
+        lockable: Joints that could stand still while others move; None for all.
+    """
+    empty = [f for f in findings if f.code == "zero-mass" and f.severity == "error"]
+    if len(empty) < 2:
+        return findings
+    joints = [f.joint for f in empty]
+    names = ", ".join(f"'{name}'" for name in joints[:NAMED]) + (", ..." if len(joints) > NAMED else "")
+    what = f"each of {len(joints)} bodies that joints move has no mass, nor has what hangs on it: those of {names}"
+    fix = "give each an <inertial>, or make the joints fixed"
+    if lockable is not None and lockable.issuperset(joints):
+        many = len(joints) > NAMED
+        fix += ", or --lock JOINT each" if many else ", or " + " ".join(f"--lock {name}" for name in joints)
+    one = replace(empty[0], element="", message=what, fix=fix, joint="")
+    return tuple(one if f is empty[0] else f for f in findings if f not in empty[1:])
 
 
 class AuditError(RobotError):

@@ -1,7 +1,8 @@
 """Files as people have them: ROS packages found without ROS, and meshes found in them.
 
 A package is a folder of its name, or one whose `package.xml` says the name. It is looked for in the folders that are
-given, in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`, and in the folders above the file. Nothing is fetched.
+given, in `ROS_PACKAGE_PATH` and `AMENT_PREFIX_PATH`, and in the folders above the file: near ones, and where it is not
+there those up to the top of the workspace or repository. Nothing is fetched.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from typing import Literal
 URDF_FOLDERS = {"urdf", "urdfs", "robot", "robots", "model", "models", "xacro"}
 
 ABOVE, BELOW, VISITED = 2, 3, 1500  # levels searched above a package, levels below each of them, folders at most
+
+MARKS = (".git", ".catkin_workspace", ".rosinstall", "colcon.meta")  # of workspaces and repositories
 
 NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
@@ -52,10 +55,30 @@ def packages(urdf: Path, package_dirs: Sequence[str | Path] = ()) -> dict[str, s
         urdf: The file.
         package_dirs: Folders that hold packages, or are one; they count first.
     """
-    above = upwards(os.path.abspath(urdf.parent))
-    own = next((k for k, folder in enumerate(above[:6]) if os.path.isfile(os.path.join(folder, "package.xml"))), 1)
-    above = above[: own + 1 + ABOVE]
-    places = (*(os.path.abspath(place) for place in package_dirs), *environment(), *above)
+    near, _ = above(urdf)
+    return packages_at((*(os.path.abspath(place) for place in package_dirs), *environment(), *near))
+
+
+def far_package(name: str, places: Sequence[str]) -> str | None:
+    """The folder of a package in the first of some places that has it: looked for only where it is not seen near."""
+    return next((found for place in places if (found := packages_at((place,)).get(name))), None)
+
+
+def above(urdf: Path) -> tuple[list[str], list[str]]:
+    """Folders above a file that are always looked through for packages, and those further up in its workspace."""
+    folders = upwards(os.path.abspath(urdf.parent))[:-1]
+    top = max((k for k, folder in enumerate(folders) if is_top(folder)), default=0)
+    own = next((k for k, folder in enumerate(folders[:6]) if os.path.isfile(os.path.join(folder, "package.xml"))), 1)
+    return folders[: own + 1 + ABOVE], folders[own + 1 + ABOVE : top + 1]
+
+
+def is_top(folder: str) -> bool:
+    """Whether a folder holds the packages of a workspace, or is a repository."""
+    return os.path.basename(folder) == "src" or any(os.path.exists(os.path.join(folder, mark)) for mark in MARKS)
+
+
+def packages_at(places: Sequence[str]) -> dict[str, str]:
+    """Packages in some folders and a few levels below them: name to folder, the first of each name."""
     found: dict[str, str] = {}
     for place in places:
         for name, folder in packages_in(place):
@@ -149,7 +172,7 @@ def in_package(rest: str, urdf: Path, folder: str, given: list[str]) -> MeshFile
     roots = [root for root in roots if os.path.isdir(root)]
     found = [first_inside([os.path.join(root, inner)], [root, *given]) for root in roots]
     if not any(mesh.file for mesh in found):
-        own = packages(urdf, given).get(package)
+        own = packages(urdf, given).get(package) or far_package(package, above(urdf)[1])
         roots += [own] if own else []
         found += [first_inside([os.path.join(own, inner)], [own])] if own else []
     if not roots:

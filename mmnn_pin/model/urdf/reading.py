@@ -11,6 +11,7 @@ single elements and files are here, those of joints, bodies and the tree that th
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -33,11 +34,13 @@ from .mechanism import (
     no_inertials,
     too_large,
 )
-from .meshes import NO_SHAPE, damage_of
-from .packages import FIND, MeshFile, locate
+from .meshes import bad_meshes
+from .packages import FIND
 from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, parse_xml, read_numbers, uncalled
 
 MAX_BYTES = 50_000_000
+
+ROUNDED = 1e-3  # a product of inertia written twice may differ by this fraction
 
 # Attributes that hold numbers: how many, by element; those in REQUIRED must be there.
 NUMBERS: dict[str, dict[str, int]] = {
@@ -239,8 +242,10 @@ def transposed(root: etree._Element) -> Iterator[Finding]:
     for element in root.iterfind("link/inertial/inertia"):
         for wrong, right in (("iyx", "ixy"), ("izx", "ixz"), ("izy", "iyz")):
             value = element.get(wrong)
-            if value is not None and read_numbers(element.get(right, value)) == read_numbers(value):
-                element.set(right, element.attrib.pop(wrong))
+            if value is not None and alike(element.get(right, value), value):
+                value = element.get(right, value)
+                element.attrib.pop(wrong)
+                element.set(right, value)
                 what = f"'{wrong}' of <inertia> is taken as '{right}'"
                 yield finding("transposed-inertia", element, what, "an inertia is symmetric", f"write '{right}'")
             elif value is not None:
@@ -248,6 +253,13 @@ def transposed(root: etree._Element) -> Iterator[Finding]:
                 fix = f"delete '{wrong}'"
                 yield finding("misspelt-attribute", element, what, "an inertia is symmetric", fix)
                 element.attrib.pop(wrong)
+
+
+def alike(text: str, other: str) -> bool:
+    """Whether two texts state the same numbers, one of them perhaps with fewer digits."""
+    one, two = read_numbers(text), read_numbers(other)
+    pair = len(one) == len(two) == 1
+    return one == two or (pair and math.isclose(float(one[0]), float(two[0]), rel_tol=ROUNDED))
 
 
 LOOKS = {"visual", "collision", "material", "color", "texture"}  # a robot that lacks one moves as it would with it
@@ -402,46 +414,6 @@ def bad_sizes(body: etree._Element) -> Iterator[Finding]:
             yield finding("zero-size", body, f"{what}: zero", "taken as it is", fix)
     if body.tag == "mesh" and 0 in numbers(body, "scale", (1.0, 1.0, 1.0)):
         yield finding("zero-size", body, "scale of <mesh> is zero", "taken as it is", "give a scale other than 0")
-
-
-def bad_meshes(root: etree._Element, urdf: Path, package_dirs: Sequence[str | Path]) -> Iterator[Finding]:
-    """Meshes that cannot be used: each file once, a package that is not there once for all its files."""
-    named: dict[str, etree._Element] = {}
-    for element in root.iterfind("link/*/geometry/mesh"):
-        name = element.get("filename")
-        if name is not None and not name.strip():
-            yield finding("mesh-missing", element, "the mesh names no file", NO_SHAPE, "name it, or delete the shape")
-        elif name and ("$" not in name or FIND.match(name)):
-            named.setdefault(name, element)
-    found = {name: locate(name, urdf, package_dirs) for name in named}
-    absent: dict[str, list[str]] = {}
-    for name, mesh in found.items():
-        absent.setdefault(mesh.package, []).append(name)
-    for name, mesh in found.items():
-        if not mesh.package or absent[mesh.package][0] == name:
-            yield from mesh_finding(named[name], absent[mesh.package] if mesh.package else [name], mesh)
-
-
-def mesh_finding(element: etree._Element, names: list[str], mesh: MeshFile) -> Iterator[Finding]:
-    """What to say about one mesh, or about all meshes of one missing package."""
-    what = f"mesh '{names[0]}'"
-    fix = "give the folder that holds the package with --package-dir"
-    if "://" in names[0] and not mesh.package and mesh.problem == "missing":
-        fix = "is it in another copy of the package? " + fix
-    if mesh.package:
-        what = f"package '{mesh.package}' of {len(names)} mesh file(s) is not found ('{names[0]}')"
-        yield finding("mesh-missing", element, what, NO_SHAPE, fix)
-    elif mesh.problem == "missing":
-        yield finding("mesh-missing", element, f"{what} does not exist", NO_SHAPE, "put it there, or " + fix)
-    elif mesh.problem == "remote":
-        yield finding(
-            "mesh-remote", element, f"{what} is remote", f"never fetched; {NO_SHAPE}", "copy it to the package"
-        )
-    elif mesh.problem == "outside":
-        why = f"never opened; {NO_SHAPE}"
-        yield finding("mesh-outside", element, f"{what} is outside the package", why, "move it into the package")
-    elif mesh.file is not None and (damage := damage_of(mesh.file)):
-        yield finding("mesh-corrupt", element, f"{what} is corrupt: {damage}", NO_SHAPE, "export it again")
 
 
 WORDS = (misspelt, misplaced, uncalled, repeated, unexpanded)

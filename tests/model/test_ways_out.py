@@ -1,0 +1,236 @@
+"""Refusals and what they print: followed, it leads to the right robot."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, joint, link, robot_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_foreign import packed
+from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
+from test_wild import codes
+
+from mmnn_pin.errors import RobotError
+from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.loading import load
+
+EYE = '<xacro:macro name="eye" params="on"><link name="eye"/>{}</xacro:macro>'.format(
+    joint("see", "fixed", "base", "eye").replace('"base"', '"${on}"')
+)
+CALL = '<xacro:eye on="base"/>'
+
+# --- Packages ---------------------------------------------------------------------------------------------------------
+
+
+def package(folder: Path, name: str, file: str, text: str) -> Path:
+    """A package with one xacro file."""
+    place = folder / file
+    place.parent.mkdir(parents=True, exist_ok=True)
+    (folder / "package.xml").write_text(f"<package><name>{name}</name></package>")
+    place.write_text(f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">{text}</robot>')
+    return folder
+
+
+def test_a_package_whose_name_was_changed_is_taken_as_its_files_call_it_and_told(tmp_path):
+    own = package(tmp_path / "new", "new_robot", "urdf/parts/eye.xacro", EYE)
+    include = '<xacro:include filename="$(find old_robot)/urdf/parts/{}.xacro"/>'
+    robot = load(xacro(own / "urdf", include.format("eye") + CALL + ROBOT))
+    assert '"eye"' in robot.urdf and "package 'old_robot' is not found" in codes(robot)["xacro-package"]
+    assert str(own) in next(f for f in robot.findings if f.code == "xacro-package").why
+    with pytest.raises(RobotError, match=r"\(old_robot\).*--package-dir"):
+        load(xacro(own / "urdf", include.format("nose") + CALL + ROBOT))
+
+
+def test_a_file_of_another_version_of_a_package_leads_to_that_version(tmp_path):
+    package(tmp_path / "cams", "cams", "urdf/old.xacro", "")
+    units = '<xacro:property name="deg" value="0.5"/>'
+    newer = package(tmp_path / "far" / "a" / "b" / "c" / "cams", "cams", "urdf/units.xacro", units)
+    text = '<xacro:include filename="$(find cams)/urdf/units.xacro"/><link name="${deg}"/>'
+    file = xacro(tmp_path, text + joint("j", "fixed", "base", "${deg}") + ROBOT)
+    with pytest.raises(RobotError, match=r"cams/urdf/units.xacro.*in the version that has it with --package-dir$"):
+        load(file)
+    assert 'name="0.5"' in load(file, package_dirs=[newer]).urdf
+
+
+def test_a_macro_of_another_version_leads_to_that_version(tmp_path):
+    package(tmp_path / "cams", "cams", "urdf/eye.xacro", EYE)
+    other = EYE.replace('"on"', '"on fake"')
+    newer = package(tmp_path / "far" / "a" / "b" / "c" / "cams", "cams", "urdf/eye.xacro", other)
+    call = CALL.replace("/>", ' fake="1"/>')
+    file = xacro(tmp_path, '<xacro:include filename="$(find cams)/urdf/eye.xacro"/>' + call + ROBOT)
+    with pytest.raises(RobotError, match=r"no 'fake': give the version .* with --package-dir, or .*--without eye"):
+        load(file)
+    assert '"eye"' in load(file, package_dirs=[newer]).urdf
+
+
+@pytest.mark.parametrize("marked", [True, False])
+def test_packages_of_the_same_workspace_are_seen_however_deep_the_file_is(tmp_path, marked):
+    top = tmp_path / ("src" if marked else "other")
+    package(top / "group" / "deep_parts", "deep_parts", "urdf/eye.xacro", EYE)
+    own = package(top / "a" / "b" / "c" / "d" / "own_robot", "own_robot", "urdf/none.xacro", "")
+    text = '<xacro:include filename="$(find deep_parts)/urdf/eye.xacro"/>' + CALL
+    mesh = '<visual><geometry><mesh filename="package://deep_parts/eye.stl"/></geometry></visual>'
+    file = xacro(own / "urdf", text + ROBOT.replace("</link>", f"{mesh}</link>", 1))
+    if marked:
+        robot = load(file)
+        assert '"eye"' in robot.urdf and "eye.stl' does not exist" in codes(robot)["mesh-missing"]
+        return
+    with pytest.raises(RobotError, match=r"deep_parts.*--package-dir"):
+        load(file)
+
+
+# --- Macros, properties and arguments ---------------------------------------------------------------------------------
+
+
+def test_a_macro_that_no_file_defines_can_be_left_out(tmp_path):
+    file = xacro(tmp_path, '<!-- <xacro:macro name="plugin"/> --><xacro:plugin/>' + ROBOT)
+    with pytest.raises(RobotError, match=r"unknown macro name: xacro:plugin.*--without plugin") as error:
+        load(file)
+    assert load(file, without=(re.search("--without (.*)", error.value.fix)[1],)).base.kind == "differential_drive"
+
+
+CHOICE = "<xacro:if value=\"${{kind == '{0}'}}\"><xacro:property name='span' value='{1}'/></xacro:if>"
+
+
+@given(st.lists(st.sampled_from(["beta", "dvt", "mk2"]), min_size=1, max_size=3, unique=True))
+@settings(max_examples=4, deadline=None)
+def test_an_argument_that_decides_what_is_defined_is_named_with_its_values(tmp_path_factory, kinds):
+    text = '<xacro:arg name="kind" default="none"/><xacro:property name="kind" value="$(arg kind)"/>'
+    text += "".join(CHOICE.format(kind, f"span_{kind}") for kind in kinds) + '<link name="${span}"/>'
+    file = xacro(tmp_path_factory.mktemp("kinds"), text + joint("j", "fixed", "base", "${span}") + ROBOT)
+    with pytest.raises(RobotError, match="name 'span' is not defined") as error:
+        load(file)
+    offered = re.findall(r"--xacro (\S+)", error.value.fix)
+    assert offered == [f"kind:={kind}" for kind in kinds]
+    for kind, option in zip(kinds, offered, strict=True):
+        assert f"span_{kind}" in load(file, xacro=(option,)).urdf
+
+
+def test_leaving_out_is_not_offered_where_it_leads_nowhere(tmp_path):
+    packed(tmp_path, "cams", here="")
+    text = '<xacro:include filename="$(find cams)/gone.xacro"/><xacro:dog/><link name="${height}"/>'
+    with pytest.raises(RobotError, match="unknown macro name: xacro:dog") as error:
+        load(xacro(tmp_path, text + ROBOT))
+    assert "--without" not in error.value.fix and "--package-dir" in error.value.fix
+
+
+# --- Inertias ---------------------------------------------------------------------------------------------------------
+
+
+def massless(count: int) -> str:
+    """A chain of so many bodies without mass, on the base."""
+    limit, ends = LIMIT.format(-1, 1), ["base", *(f"b{i}" for i in range(count))]
+    return "".join(
+        link(f"b{i}", 0.0) + joint(f"m{i}", "revolute", ends[i], f"b{i}", p=(0, 0, 0.3), more=limit)
+        for i in range(count)
+    )
+
+
+@pytest.mark.parametrize("count", [2, 5, 12])
+def test_bodies_without_mass_are_told_in_one_line(count):
+    with pytest.raises(RobotError, match=f"each of {count} bodies that joints move has no mass") as error:
+        robot_of(chassis(pair() + massless(count)))
+    assert len([line for line in str(error.value).splitlines() if " error: " in line]) == 1
+    locks = re.findall(r"--lock (\S+)", error.value.fix)
+    assert locks == ([f"m{i}" for i in range(count)] if count <= 8 else ["JOINT"])
+    robot = robot_of(chassis(pair() + massless(count)), lock=tuple(f"m{i}" for i in range(count)))
+    assert robot.joint_names == ("shoulder", "elbow")
+
+
+def test_an_arm_without_any_mass_cannot_be_locked_whole():
+    text = f'<robot name="r">{link("base", 5.0)}{massless(3)}</robot>'
+    with pytest.raises(RobotError, match="each of 3 bodies that joints move has no mass") as error:
+        robot_of(text)
+    assert "--lock" not in error.value.fix
+
+
+@pytest.mark.parametrize(("other", "same"), [("-0.00046237", True), ("-0.0004", False), ("0.0004624", False)])
+def test_an_inertia_written_twice_with_other_digits(other, same):
+    text = chassis(pair()).replace('ixy="0"', f'ixy="-4.624e-4" iyx="{other}"', 1)
+    if same:
+        robot = robot_of(text)
+        assert "transposed-inertia" in codes(robot) and 'ixy="-4.624e-4"' in robot.urdf and "iyx" not in robot.urdf
+        return
+    with pytest.raises(RobotError, match="'iyx' and 'ixy' of <inertia> differ"):
+        robot_of(text)
+
+
+# --- Wheels -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("rolls", ["0 1 0", "0 0 1"])
+def test_an_axis_that_is_left_out_is_printed_as_it_is_to_be_written(rolls):
+    text = chassis(pair())
+    if rolls == "0 0 1":  # the frame of the link is turned, not the cylinder in it
+        text = re.sub(r'(<collision><origin xyz="[^"]*" rpy=")1[^"]*', r"\g<1>0 0 0", text)
+        at = re.compile(r'(<joint name="(?:left|right)".*?<origin xyz="[^"]*" rpy=")[^"]*')
+        text = at.sub(r"\g<1>-1.5707963267948966 0 0", text)
+    bare = re.sub(r'(<joint name="(?:left|right)".*?)<axis[^>]*/>', r"\1", text)
+    with pytest.raises(Undecided, match="an <axis> that is left out is x") as error:
+        robot_of(bare)
+    element, names = re.search(r"write (<axis [^>]*/>) in ((?:'\w+'(?:, )?)+)", error.value.fix).groups()
+    assert f'xyz="{rolls}"' in element and names.startswith("'left', 'right'")
+    mended = robot_of(re.sub(r'(<joint name="(?:left|right)"[^>]*>)', rf"\1{element}", bare))
+    assert mended.base.kind == "differential_drive" and mended.base.track == pytest.approx(0.5)
+    assert [w.joint for w in mended.base.wheels] == ["left", "right"]
+
+
+@given(st.floats(0.02, 0.05), st.floats(0.06, 0.09))
+@settings(max_examples=6, deadline=None)
+def test_two_pairs_of_stubs_are_asked_about_pair_by_pair(small, large):
+    """Wheels whose shapes do not reach the floor together: what drives must be said, and every answer works."""
+    text, sizes = "", {"fl": large / 5, "fr": large, "rl": small, "rr": small}
+    for name, radius in sizes.items():
+        x, y, height = (0.2, -0.2)[name[0] == "r"], (0.2, -0.2)[name[1] == "r"], (large, small)[name[0] == "r"]
+        text += link(f"{name}_link", 1.0, 0.01, CYLINDER.format(r=radius), LYING_CYLINDER)
+        text += joint(name, "continuous", "base", f"{name}_link", p=(x, y, height))
+    with pytest.raises(Undecided) as error:
+        robot_of(chassis(text))
+    ways = re.findall(r"--wheels (\S+) --radius METRES where these drive", error.value.fix)
+    assert {frozenset(way.split(",")) for way in ways} == {frozenset({"fl", "fr"}), frozenset({"rl", "rr"})}
+    for way in ways:
+        robot = followed(chassis(text), {"wheels": way, "radius": str(large if "f" in way else small)})
+        assert {w.joint for w in robot.base.wheels} == {*way.split(",")} and robot.base.track == pytest.approx(0.4)
+
+
+def test_an_axle_at_the_end_of_a_leg_is_a_legged_machine():
+    limit, text = LIMIT.format(-1, 1), ""
+    ends = ["base", "hip", "thigh", "shin", "foot"]
+    for i, axis in enumerate(((0, 0, 1), (1, 0, 0), (0, 1, 0), (0, 1, 0))):
+        text += link(ends[i + 1], 1.0)
+        text += joint(f"leg{i}", "revolute", ends[i], ends[i + 1], p=(0, 0, -0.2), axis=axis, more=limit)
+    text += "".join(wheel(name, (0, y, 0), parent="foot") for name, y in (("left", 0.2), ("right", -0.2)))
+    with pytest.raises(Unsupported, match="legged machine"):
+        robot_of(chassis(text))
+
+
+def test_welded_wheels_by_short_names_are_asked_about():
+    text = f'<robot name="r">{link("base", 20.0)}{ARM}'
+    for i in range(3):
+        text += f'<link name="drivewhl{i}_link"/>' + joint(
+            f"d{i}", "fixed", "base", f"drivewhl{i}_link", p=(0.1 * i, 0, 0)
+        )
+    with pytest.raises(Undecided, match="3 wheels are welded on") as error:
+        robot_of(f"{text}</robot>")
+    assert {way["base"] for way in ways_of(error.value.fix)} == {"fixed", "holonomic"}
+
+
+# --- Heads ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("antennas", [0, 2])
+def test_antennas_make_no_arm_of_a_head(antennas):
+    limit, text, parent = LIMIT.format(-1, 1), "", "base"
+    for i, axis in enumerate(((1, 0, 0), (0, 1, 0), (0, 0, 1))):
+        text += link(f"n{i}", 0.2, 0.001)
+        text += joint(f"neck{i}", "revolute", parent, f"n{i}", p=(0, 0, 0.01), axis=axis, more=limit)
+        parent = f"n{i}"
+    for i in range(antennas):
+        text += link(f"a{i}", 0.01, 1e-4)
+        text += joint(f"antenna{i}", "revolute", "n2", f"a{i}", p=(0, 0.02 * (2 * i - 1), 0.05), more=limit)
+    robot = robot_of(chassis(pair() + text))
+    assert robot.joint_names == ("shoulder", "elbow")
+    assert {f"neck{i}" for i in range(3)} <= robot.arm.locked.keys()
