@@ -186,7 +186,7 @@ def freed(name: str, overrides: Overrides) -> bool:
 
 
 def short_branches(rest: AtRest, own: set[str], slaves: dict[str, Slave]) -> list[str]:
-    """Joints of heads and fingers, from the ends inwards: antennas that stand still make the row of a head no longer."""
+    """Joints of heads and fingers, from the ends inwards: antennas lengthen no row of a head."""
     tree = tree_of(rest)
     longest = max((tree[name].reach for name in own), default=0.0)
     found: set[str] = set()
