@@ -39,6 +39,7 @@ from .proof import PARTS, Proof, sentence
 from .psi import WINDOWS
 from .rate import Rate, rate_of
 from .subject import Subject
+from .tube import Tube, tube_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +52,7 @@ class CertifiedRun:
         rate: The condition on the learning rates; None without a learner.
         thesis_bounds: The thesis's own bounds by network; empty where there are none.
         missing: What is left out, and why.
+        tube: What bounds the errors along the reference; None where it was not asked for or does not apply.
     """
 
     certificate: Certificate | None
@@ -58,11 +60,14 @@ class CertifiedRun:
     rate: Rate | None
     thesis_bounds: dict[int, ThesisBounds]
     missing: dict[str, str]
+    tube: Tube | None = None
 
     @property
     def holds(self) -> bool:
-        """False only where a run left a region that is certified."""
+        """False only where a run left a region that is certified, or its tube."""
         run = self.comparison
+        if self.tube is not None and not self.tube.covers:
+            return False
         return self.certificate is None or run is None or not (self.certificate.holds and run.covered) or run.stays
 
     def to_dict(self) -> dict[str, Any]:
@@ -73,6 +78,8 @@ class CertifiedRun:
             shown = run is not None and certificate.holds
             result |= certificate.to_dict() | {"run": run.to_dict() if run is not None and shown else None}
         printed = {NAMES[i]: one.to_dict() for i, one in self.thesis_bounds.items()}
+        if self.tube is not None or "tube" in self.missing:
+            result["tube"] = self.missing.get("tube") if self.tube is None else self.tube.to_dict()
         return result | {"rate": None if self.rate is None else self.rate.to_dict(), "printed": printed or None}
 
 
@@ -115,6 +122,7 @@ def prove(
     budget: float = BUDGET,
     region: Mapping[str, float] | None = None,
     disturbance: Mapping[str, float] | None = None,
+    tube: bool = False,
     progress: Callable[[str, float], None] | None = None,
 ) -> Proved:
     """Judge one recorded run: did it learn Psi, does its Lyapunov function fall, what is certified of its loop.
@@ -126,6 +134,7 @@ def prove(
         budget: Evaluations of the dynamics that the balance may take; inf looks at every control period.
         region: As of `certified_run`.
         disturbance: As of `certified_run`.
+        tube: As of `certified_run`.
         progress: Called with what is being done and the fraction done.
 
     Raises:
@@ -141,11 +150,14 @@ def prove(
     missing = proof.missing
     if len(missing) == len(PARTS):
         raise InputError("nothing to judge", why="; ".join(map(sentence, missing.values())), file=recording.path)
-    return Proved(proof, certified_run(proof, region, disturbance))
+    return Proved(proof, certified_run(proof, region, disturbance, tube))
 
 
 def certified_run(
-    proof: Proof, region: Mapping[str, float] | None = None, disturbance: Mapping[str, float] | None = None
+    proof: Proof,
+    region: Mapping[str, float] | None = None,
+    disturbance: Mapping[str, float] | None = None,
+    tube: bool = False,
 ) -> CertifiedRun:
     """Everything that can be said of a run; what cannot is None, and `missing` says why.
 
@@ -153,6 +165,7 @@ def certified_run(
         proof: The run.
         region: Sizes `pose` [m], `arm` and `energy` [J] of the region to certify; None for the largest that is found.
         disturbance: Largest external force by velocity [N, N m], beside the pushes of the run.
+        tube: Whether to look for a tube along the reference, which takes seconds.
 
     Raises:
         UnknownName: A size or a velocity that does not exist.
@@ -160,7 +173,7 @@ def certified_run(
     """
     subject, missing = proof.subject, {}
     wanted, force = box_of(region, subject.layout.arm), forces(disturbance, subject.robot.velocity_names)
-    certificate = run = rate = None
+    certificate = run = rate = found = None
     bounds: dict[int, ThesisBounds] = {}
     try:
         loop = certified_loop(subject)
@@ -176,7 +189,12 @@ def certified_run(
             bounds = thesis_bounds(subject, subject.networks, proof.ideal, push_bound(subject) + force)
     except InputError as error:
         missing["rate"] = sentence(error)
-    return CertifiedRun(certificate, run, rate, bounds, missing)
+    if tube:
+        try:
+            found = tube_of(subject, force, proof.progress_of("tube"))
+        except InputError as error:
+            missing["tube"] = sentence(error)
+    return CertifiedRun(certificate, run, rate, bounds, missing, found)
 
 
 def box_of(region: Mapping[str, float] | None, joints: int) -> Box | None:

@@ -79,7 +79,7 @@ class Proof:
     @cached_property
     def lyapunov(self) -> Lyapunov:
         """V along the run and the terms of its derivative, with the weights' part where there are ideal weights."""
-        show = self._show("Lyapunov function")
+        show = self.progress_of("Lyapunov function")
         kept = weights_of(self.subject, self.ideal) if self.has("ideal") else None
         if kept is not None:
             try:
@@ -108,7 +108,7 @@ class Proof:
     @cached_property
     def balance(self) -> Balance:
         """Whether the energy of the errors changes as the model says, see `balance`."""
-        return balance(self.subject, self.budget, self._show("equality"))
+        return balance(self.subject, self.budget, self.progress_of("equality"))
 
     @cached_property
     def missing(self) -> dict[str, InputError]:
@@ -177,7 +177,8 @@ class Proof:
                 errors[part] = error
         return errors[part]
 
-    def _show(self, what: str) -> Callable[[float], Any] | None:
+    def progress_of(self, what: str) -> Callable[[float], Any] | None:
+        """Where the share that is done of something is told; None where nobody listens."""
         show = self._progress
         return None if show is None else lambda fraction: show(what, min(1.0, fraction))
 

@@ -18,6 +18,7 @@ from ...proof.proof import IdealWeights, Proof
 from ...proof.psi import Psi, how_to_know, worst
 from ...proof.rate import Rate
 from ...proof.truth import Truth
+from ...proof.tube import Tube
 from ..table import WIDTH, Cell, Column, Line, Row, Table, grouped, number, row_of, terminal_text
 
 FROZEN = {"same": "frozen,\nown run", "held_out": "frozen,\nheld out", "payload": "frozen,\npayload"}
@@ -261,6 +262,12 @@ def certificate_parts(run: CertifiedRun) -> Iterator[str | Line | Table]:
             yield bound_table(run.certificate, run.comparison)
             yield run_sentence(run.comparison)
         yield constant_table(run.certificate)
+    if run.tube is not None:
+        yield tube_sentence(run.tube)
+        if run.tube.exists:
+            yield tube_table(run.tube)
+    elif "tube" in run.missing:
+        yield f"{run.missing['tube'][0].upper()}{run.missing['tube'][1:]}."
     if run.rate is not None:
         yield rate_sentence(run.rate)
     if run.thesis_bounds:
@@ -367,6 +374,38 @@ def rate_sentence(rate: Rate) -> str:
         f"{100 * rate.share.max():.3g} % of the gain; rates may be {room} times as large; leakage kappa F |s| at most "
         f"{number(rate.leak.max())} per sample, limit 2."
     )
+
+
+def tube_sentence(tube: Tube) -> str:
+    """Whether there is a tube along the reference, what it counts with, or what is in the way."""
+    psi = f"errors of Psi up to {100 * tube.share.max():.3g} % of the largest Psi"
+    late = f", commands {tube.late} periods late" if tube.late else ""
+    if tube.exists:
+        left = "more than 1000" if math.isinf(tube.bears) else number(tube.bears)
+        return (
+            f"Tube along this reference: holds from {tube.start:.3g} s on. A motion that is where the run was then, "
+            f"with no larger errors of Psi than the run had ({psi}{late}), stays within these bounds; it bears {left} "
+            f"times such errors. Motors give at most {100 * tube.torque.max(initial=0.0):.3g} % of their limits."
+        )
+    if math.isfinite(tube.start):
+        return f"Tube along this reference: NONE: a motor may be asked for {tube.torque.max():.3g} times its limit."
+    if tube.bears == 0.0:
+        worst = tube.integrator[-len(tube.share) :].max()
+        return (
+            "Tube along this reference: NONE, however well Psi is known: within a period the plant does what a held "
+            f"model does not say (dry friction that turns, its integrator), {number(worst)} of a velocity at worst."
+        )
+    return (
+        f"Tube along this reference: NONE: with {psi}{late} it proves nothing; {number(tube.bears)} times such errors "
+        "would have one, in the run's second half."
+    )
+
+
+def tube_table(tube: Tube) -> Table:
+    """Largest error over the tube and at its end, beside the run's."""
+    columns = words("largest [m, rad]", False), Column("tube"), Column("run"), Column("tube, at the end")
+    rows = zip(tube.names, tube.size.max(axis=0), tube.reached.max(axis=0), tube.size[-1], strict=True)
+    return Table("Errors along the reference", columns, tuple(row_of(name, *map(number, rest)) for name, *rest in rows))
 
 
 def thesis_table(run: CertifiedRun) -> Table:
