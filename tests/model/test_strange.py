@@ -73,7 +73,8 @@ def test_corners_of_a_collada_file_are_those_that_trimesh_has(tmp_path_factory, 
         '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
         '<asset><unit meter="0.5"/></asset>'
         f'<library_geometries><geometry id="g"><mesh>{body}</mesh></geometry></library_geometries>'
-        f'<library_visual_scenes><visual_scene id="s">{nodes}</visual_scene></library_visual_scenes><scene><instance_visual_scene url="#s"/>'
+        f'<library_visual_scenes><visual_scene id="s">{nodes}</visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#s"/>'
         "</scene></COLLADA>"
     )
     found = vertices_of(file, 0)
