@@ -34,6 +34,8 @@ GIVEN_IF = re.compile(  # what stands between two tags of a condition on one val
     r"<xacro:if\s+value=[\"']\$\{\s*(\w+)\s*==\s*['\"]([^'\"]+)['\"]\s*\}[\"']\s*>(.*?)</xacro:if>", re.DOTALL
 )
 
+PREFIX = re.compile(r"<xacro:arg\s+name=[\"']([^\"']*prefix[^\"']*)[\"']\s+default=[\"'][\"']\s*/>")
+
 NOT_DEFINED = r"name '([^']+)' is not defined"
 
 SECONDS, BYTES = 8, 1_000_000_000  # of processor time and memory that an expansion may take
@@ -79,7 +81,7 @@ def child() -> None:
 def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     """What there is to tell of a job, and the URDF; empty where xacro refuses."""
     told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": [], "choices": []}
-    told["renamed"] = {}
+    told |= {"renamed": {}, "within": [], "prefixes": []}
     data = b""
     with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
         try:
@@ -104,7 +106,10 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
             told["needed"] = sorted(used - stated - set(job["arguments"]))
             if hit := re.search(NOT_DEFINED, told["error"]):
                 told["choices"] = choices(hit[1], [*texts.values()])
+                told["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
             told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
+    bare = {name for text in texts.values() for name in PREFIX.findall(text)}
+    told["prefixes"] = sorted(bare - set(job["arguments"]))
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     return told, data
 

@@ -47,6 +47,7 @@ class Expansion(NamedTuple):
         calls: Macros that it calls without their prefix.
         hanging: Joints that hang on a macro which is left out.
         renamed: Packages that are not there under their names, and the folders that are taken as them.
+        prefixes: Arguments called prefixes that have no value.
     """
 
     data: bytes
@@ -54,6 +55,7 @@ class Expansion(NamedTuple):
     calls: list[str]
     hanging: list[str]
     renamed: dict[str, str]
+    prefixes: list[str]
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
         """What there is to say of the file, with the macros that the user leaves out."""
@@ -135,36 +137,36 @@ def expand(
     told, data = expanded(path, job)
     job["calls"] = told["calls"]
     if "error" in told:
-        raise refusal(
-            Path(told["place"]),
-            told["error"],
-            told["absent"],
-            told["needed"],
-            told["choices"],
-            lambda m: to_leave_out(path, job, m),
-        )
+        raise refusal(told, lambda macro: to_leave_out(path, job, macro))
     if unused := [name for name in without if name not in told["omitted"]]:
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
     if b"<link" not in data:
         raise macros_only(path, data)
     data, hanging = pruned(data) if without else (data, [])
-    return Expansion(data, told["absent"], job["calls"], hanging, told["renamed"])
+    return Expansion(data, told["absent"], job["calls"], hanging, told["renamed"], told["prefixes"])
 
 
 def to_leave_out(path: Path, job: dict[str, Any], macro: str) -> list[str]:
-    """A macro, and those that xacro does not know either once its calls are left out; none where no robot is left."""
+    """A macro, and others that xacro cannot expand either once its calls are left out; none where no robot is left."""
     names = [macro]
     while len(names) < MOST_LEFT_OUT:
         told, data = expanded(path, job | {"without": [*job["without"], *names]})
         if "error" not in told:
             return names if b"<link" in pruned(data)[0] else []
-        if re.search(NOT_DEFINED, told["error"]) and not told["choices"]:
-            return []  # what is lacked is no call
-        more = UNKNOWN.search(told["error"])
-        if more is None or more[1] in names:
+        more = [macro for macro in (lacking(told),) if macro and macro not in names]
+        if not more and re.search(NOT_DEFINED, told["error"]) and not told["choices"]:
+            return []  # what is lacked is in no call
+        if not more:
             break  # what else is wrong is told when these are left out
-        names.append(more[1])
+        names += more
     return names
+
+
+def lacking(told: dict[str, Any]) -> str:
+    """The macro that xacro does not know, or that uses what is not defined; empty where it is another error."""
+    unknown = UNKNOWN.search(told["error"])
+    undefined = re.search(NOT_DEFINED, told["error"]) and not told["choices"] and told["absent"]
+    return unknown[1] if unknown else next(iter(told["within"]), "") if undefined else ""
 
 
 def pruned(data: bytes) -> tuple[bytes, list[str]]:
@@ -268,25 +270,17 @@ WAYS_OUT = (
 )
 
 
-def refusal(
-    place: Path,
-    error: str,
-    absent: list[str],
-    needed: list[str],
-    choices: list[str],
-    along: Callable[[str], list[str]],
-) -> RobotError:
+def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> RobotError:
     """Why a file could not be expanded, at the line where the cause is named.
 
     Args:
-        place: The file that xacro was in.
-        error: Its words.
-        absent: Packages that are not found.
-        needed: Arguments without a value.
-        choices: Values of arguments with which it defines what it lacks.
+        told: What the child process tells: its `error` and the file that xacro was in, its `place`; packages that are
+            `absent`, arguments that are `needed`, `choices` of arguments with which it defines what it lacks, and the
+            macros that it was `within`.
         along: The macros whose calls can be left out together with those of one; none where they cannot.
     """
-    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(error.split())), "", "mend the file"
+    place, absent, needed = Path(told["place"]), told["absent"], told["needed"]
+    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split())), "", "mend the file"
     for pattern, way in WAYS_OUT:
         if hit := re.search(pattern, text):
             word, fix = hit[1], way.format(hit[1])
@@ -294,13 +288,13 @@ def refusal(
     if "Undefined substitution" in text and len(needed) > 1:
         fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
     called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
-    macro = word if "unknown macro" in text else called
+    macro = lacking(told) or called
     if absent and (fix == "mend the file" or "unknown macro" in text or "is not defined" in text):
         version = " in the version that has it" if any("/" in name for name in absent) else ""
         fix = f"is it in what is not found ({', '.join(absent)})? "
         fix += f"Give the folder of the package{version} with --package-dir"
-    if choices:
-        fix = "give an argument with which it is: " + " or ".join(f"--xacro {choice}" for choice in choices)
+    if told["choices"]:
+        fix = "give an argument with which it is: " + " or ".join(f"--xacro {choice}" for choice in told["choices"])
     if macro and (names := along(macro)):
         fix += f", or leave {'it' if len(names) == 1 else 'them'} out: " + " ".join(
             f"--without {name}" for name in names
