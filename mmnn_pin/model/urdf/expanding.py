@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from .packages import FIND, far_package
-from .xml import KNOWN
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
 
@@ -89,7 +88,7 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
             document = xacro.process_file(job["path"], mappings=given)
             data, told["bare"] = (
                 bytes(document.toprettyxml(indent="  ", encoding="utf-8")),
-                bare_calls(document, [*texts.values()]),
+                bare_calls(document, [*texts.values()], job["elements"]),
             )
         except MemoryError:
             raise
@@ -133,14 +132,15 @@ def choices(name: str, texts: list[str]) -> list[str]:
     return list(dict.fromkeys(f"{arg}:={value}" for arg, value in given if arg in stated))
 
 
-def bare_calls(document: Any, texts: list[str]) -> list[str]:
+def bare_calls(document: Any, texts: list[str], elements: list[str]) -> list[str]:
     """Calls that are left in an expanded document for want of `xacro:`.
 
     Args:
         document: What xacro made.
         texts: What is in the files that it read.
+        elements: Names of URDF's own elements.
     """
-    calls = {*MACRO.findall("".join(texts).replace("<macro ", "<xacro:macro "))} - KNOWN.keys() | BARE
+    calls = {*MACRO.findall("".join(texts).replace("<macro ", "<xacro:macro "))} - {*elements} | BARE
     return sorted({name for name in calls for _ in robots_own(document, name)})
 
 

@@ -24,6 +24,7 @@ from ...errors import ConfigError, RobotError
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
 from .packages import above, package_of, packages
+from .xml import KNOWN
 
 XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
 
@@ -133,6 +134,7 @@ def expand(
     if find_spec("xacro") is None or find_spec("xacrodoc") is None:  # the extra `xacro`
         fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
         raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1)
+    job["elements"] = sorted(KNOWN)
     job["known"] = packages(path, package_dirs)
     told, data = expanded(path, job)
     job["calls"] = told["calls"]
