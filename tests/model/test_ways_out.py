@@ -14,7 +14,9 @@ from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
 from test_wild import codes
 
 from mmnn_pin.errors import RobotError
+from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.inspection import refusal_of
 from mmnn_pin.model.loading import load
 
 EYE = '<xacro:macro name="eye" params="on"><link name="eye"/>{}</xacro:macro>'.format(
@@ -117,6 +119,34 @@ def test_a_macro_that_uses_what_is_not_there_can_be_left_out(tmp_path):
     with pytest.raises(RobotError, match=r"'MISSING' is not defined.*--package-dir, or leave it out: --without cam$"):
         load(file)
     assert load(file, without=("cam",)).base.kind == "differential_drive"
+
+
+def test_a_file_that_was_missed_is_seen_once_it_is_there(tmp_path):
+    packed(tmp_path, "cams", here="")
+    file = xacro(tmp_path, '<xacro:include filename="$(find cams)/late.xacro"/>' + ROBOT)
+    assert "xacro-package" in codes(load(file))
+    inside = link("late", 0.1) + joint("comes", "fixed", "base", "late")
+    (tmp_path / "cams" / "late.xacro").write_text(
+        f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">{inside}</robot>'
+    )
+    robot = load(file)
+    assert "xacro-package" not in codes(robot) and '"late"' in robot.urdf
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('<xacro:macro name="a" params="x"><link name="${x}"/></xacro:macro><xacro:a/>', "give x where the macro is"),
+        ('<xacro:if value="maybe"/>', "write true or false there"),
+        ('<link name="$(env NO_SUCH_NAME)"/>', r": environment variable 'NO_SUCH_NAME' is not set: set it"),
+    ],
+)
+def test_xacro_s_own_errors_are_said_once_with_what_to_do(tmp_path, text, words):
+    file = xacro(tmp_path, text + ROBOT)
+    with pytest.raises(RobotError, match=words) as error:
+        load(file)
+    with pytest.raises(RobotError, match=words):
+        refusal_of(error.value, file, Overrides())
 
 
 def test_parts_of_one_name_lead_to_a_prefix(tmp_path):
