@@ -19,7 +19,7 @@ def test_broken_xacro_files_are_refused_or_loaded_too():
     pytest.importorskip("xacrodoc", reason="pip install 'mmnn_pin[xacro]'")
     counts, wrong = fuzz(16, seed=10_000, batch=16, xacro=True)
     assert wrong == [] and sum(counts.values()) == 16
-    assert counts["refused"] > 3 and counts["finite"] > 1
+    assert counts["refused"] > 3 and counts["finite"] > 0
 
 
 def test_the_sources_load(tmp_path):
