@@ -1,6 +1,8 @@
 """Break URDFs at random and load what comes out: a refusal or a finite model, never a crash.
 
-python tests/fuzz_urdf.py [--files 3000] [--seed 0] [--batch 250]
+python tests/fuzz_urdf.py [--files 3000] [--seed 0] [--batch 250] [--xacro]
+
+With `--xacro` a xacro file is broken, which takes half a second each.
 
 A batch of files is loaded in a process of its own, so that a crash of the interpreter is seen and its file known.
 """
@@ -46,6 +48,23 @@ SLIDER = f"""<robot name="slider">
     <parent link="carriage"/><child link="finger"/><origin xyz="0.1 0 0.2"/><axis xyz="0 0 1"/>
   </joint>
   <joint name="weld" type="fixed"><parent link="finger"/><child link="plate"/></joint>
+</robot>
+"""
+
+XACRO = f"""<robot name="rail" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:arg name="length" default="0.5"/><xacro:property name="mass" value="${{2 * 0.5}}"/>
+  <xacro:macro name="body" params="name on:=stand x:=0 *shape">
+    <link name="${{name}}">{INERTIAL}<visual><xacro:insert_block name="shape"/></visual></link>
+    <joint name="${{name}}_joint" type="revolute"><parent link="${{on}}"/><child link="${{name}}"/>
+      <origin xyz="${{x}} 0 $(arg length)"/><axis xyz="0 1 0"/>
+      <limit lower="-2" upper="2" effort="5" velocity="1"/></joint>
+  </xacro:macro>
+  <link name="stand"/>
+  <xacro:if value="${{mass > 0}}">
+    <xacro:body name="rod"><geometry><sphere radius="0.1"/></geometry></xacro:body></xacro:if>
+  <xacro:unless value="0">
+    <xacro:body name="end" on="rod" x="$(arg length)"><geometry><sphere radius="0.1"/></geometry></xacro:body>
+  </xacro:unless>
 </robot>
 """
 
@@ -116,12 +135,51 @@ MUTATIONS: list[Mutation] = [
 ]
 
 
-def mutant(seed: int) -> bytes:
+EXPRESSIONS = [
+    "${1/0}",
+    "${a}",
+    "$(arg x)",
+    "$(arg length)",
+    "$(find no)/a",
+    "${'x' * 10**9}",
+    "${",
+    "$(eval 1)",
+    "${[]}",
+]
+EXPRESSIONS += [
+    "${xacro.load_yaml('a')}",
+    "$(env A)",
+    "${mass}",
+    "${open('a')}",
+    "${__import__}",
+    "$$",
+    "${nan}",
+    "true",
+]
+CALLS = ["<xacro:body/>", '<xacro:include filename="robot.urdf.xacro"/>', "<xacro:no/>", "<body/>", "<xacro:if/>"]
+CALLS += [
+    '<xacro:include filename="$(find no)/a"/>',
+    '<xacro:arg name="length"/>',
+    '<xacro:property name="a" value="${a}"/>',
+]
+OF_XACRO: list[Mutation] = [
+    *4 * [replace_match(rb"(?<=\")[^\"<>]*(?=\")", lambda m, rng: rng.choice([*EXPRESSIONS, *WORDS]).encode())],
+    *2
+    * [replace_match(rb"<xacro:\w+", lambda m, rng: b"<xacro:" + rng.choice((b"if", b"body", b"macro", b"property")))],
+    *2 * [replace_match(rb"<link", lambda m, rng: rng.choice(CALLS).encode() + m[0])],
+    replace_match(rb"<xacro:(\w+).*?</xacro:\1>", lambda m, rng: rng.choice((b"", m[0] + m[0]))),
+    replace_match(rb"(?<=params=\")[^\"]*", lambda m, rng: m[0][: rng.randrange(len(m[0]) + 1)]),
+    replace_match(rb"</?xacro:macro[^>]*>", lambda m, rng: b""),
+]
+
+
+def mutant(seed: int, xacro: bool = False) -> bytes:
     """One broken file: one to three mutations of one of the sources."""
     rng = random.Random(seed)
-    data = rng.choice(sources())
+    data = XACRO.encode() if xacro else rng.choice(sources())
+    mutations = [*MUTATIONS, *2 * OF_XACRO] if xacro else MUTATIONS
     for _ in range(rng.choice((1, 1, 1, 2, 3))):
-        data = rng.choice(MUTATIONS)(data or b" " * 9, rng) if data.count(b"/>") > 1 else data
+        data = rng.choice(mutations)(data or b" " * 9, rng) if data.count(b"/>") > 1 else data
     return data
 
 
@@ -150,15 +208,18 @@ def verdict(data: bytes, file: Path) -> str:
     return "finite" if finite and np.linalg.eigvalsh(M).min(initial=1.0) > 0 else "not finite, or M is singular"
 
 
-def work_through(first: int, last: int) -> None:
+def work_through(first: int, last: int, xacro: bool) -> None:
     """Load the mutants of some seeds, one line each on standard output."""
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(first, last):
             print(seed, end=" ", flush=True)
-            print(verdict(mutant(seed), Path(folder) / "robot.urdf").replace("\n", " "), flush=True)
+            file = Path(folder) / f"robot.urdf{'.xacro' * xacro}"
+            print(verdict(mutant(seed, xacro), file).replace("\n", " "), flush=True)
 
 
-def fuzz(files: int, seed: int = 0, batch: int = 250) -> tuple[collections.Counter[str], list[str]]:
+def fuzz(
+    files: int, seed: int = 0, batch: int = 250, xacro: bool = False
+) -> tuple[collections.Counter[str], list[str]]:
     """Load many mutants in subprocesses.
 
     Returns:
@@ -169,7 +230,7 @@ def fuzz(files: int, seed: int = 0, batch: int = 250) -> tuple[collections.Count
     for first in range(seed, seed + files, batch):
         last = min(first + batch, seed + files)
         while first < last:
-            command = [sys.executable, __file__, "--work", str(first), str(last)]
+            command = [sys.executable, __file__, "--work", str(first), str(last), *["--xacro"] * xacro]
             done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=600)
             lines = [line.partition(" ") for line in done.stdout.splitlines()]
             for number, _, text in lines:
@@ -190,11 +251,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--batch", type=int, default=250)
     parser.add_argument("--work", type=int, nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--xacro", action="store_true", help="Break a xacro file.")
     given = parser.parse_args()
     if given.work:
-        work_through(*given.work)
+        work_through(*given.work, given.xacro)
         return 0
-    counts, wrong = fuzz(given.files, given.seed, given.batch)
+    counts, wrong = fuzz(given.files, given.seed, given.batch, given.xacro)
     print(dict(counts), *wrong, sep="\n")
     return 1 if wrong else 0
 

@@ -22,6 +22,7 @@ from .base.overrides import Overrides, folders_of, with_file
 from .base.report import Reading, Undecided, Unsupported
 from .dynamics import Dynamics
 from .robot import Robot
+from .urdf.expansion import Unexpanded
 from .urdf.finding import AuditError, Finding
 from .urdf.reading import audit_file
 
@@ -43,7 +44,13 @@ def inspection_of(robot: Robot) -> dict[str, Any]:
 
 
 def refusal_of(error: RobotError, path: Path, overrides: Overrides) -> dict[str, Any]:
-    """A robot that was not: what the audit found, and why it was refused."""
+    """A robot that was not: what the audit found, and why it was refused.
+
+    Raises:
+        Unexpanded: The error itself, where there is no URDF to audit.
+    """
+    if isinstance(error, Unexpanded):
+        raise error
     findings = list(error.findings) if isinstance(error, AuditError) else audited(path, overrides)
     if not isinstance(error, AuditError):
         code = {Undecided: "base-undecided", Unsupported: "base-unsupported"}.get(type(error), "robot")

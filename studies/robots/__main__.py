@@ -134,7 +134,12 @@ def way_out(entry: dict[str, Any], fix: str, said: dict[str, Any]) -> list[tuple
         fits = kind.startswith("refused: ") or stated.get("base", kind) == kind
         fits &= {*stated.get("wheels", "").split(",")} == {*entry.get("wheels", stated.get("wheels", "").split(","))}
         ends = kind.startswith("refused: ") and {"base", "wheels"} & stated.keys()
-        if options and fits and not ends and not {"METRES", "FOLDER", "VALUE", "JOINT"} & {*stated.values()}:
+        if (
+            options
+            and fits
+            and not ends
+            and not re.search(r"\b(METRES|FOLDER|VALUE|JOINT)\b", " ".join(stated.values()))
+        ):
             return options
     return []
 

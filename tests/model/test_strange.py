@@ -19,6 +19,7 @@ from test_wild import codes, drive_of, star, tyre
 from mmnn_pin.errors import ConfigError, InputError, RobotError
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.loading import load
+from mmnn_pin.model.urdf.meshes import BrokenMesh, meshes_of, vertices_of
 
 READ = {"wheels": lambda text: tuple(text.split(",")), "radius": float, "track": float, "mu": float}
 REPEATED = ("without", "lock", "free")
@@ -38,6 +39,52 @@ def followed(text: str, options: dict[str, str], **said):
 
 
 # --- Units and sizes --------------------------------------------------------------------------------------------------
+
+
+PLACES = st.sampled_from([
+    "<translate>1 2 {v}</translate>", "<scale>1 {v} 2</scale>", "<rotate>0 0 1 {v}</rotate>",
+    "<matrix>0 -1 0 {v} 1 0 0 0 0 0 1 -1 0 0 0 1</matrix>",
+])  # fmt: skip
+FACES = st.sampled_from([
+    '<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>{0} {1} {2}</p></triangles>',
+    '<polylist count="1"><input semantic="VERTEX" source="#v" offset="0"/><vcount>4</vcount>'
+    "<p>{0} {1} {2} {3}</p></polylist>",
+    '<lines count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>{0} {3}</p></lines>',
+])  # fmt: skip
+
+
+@given(
+    st.lists(st.tuples(FACES, st.permutations(range(6))), min_size=1, max_size=3),
+    st.lists(st.tuples(PLACES, st.integers(1, 90), st.booleans()), min_size=1, max_size=4),
+)
+@settings(max_examples=30, deadline=None)
+def test_corners_of_a_collada_file_are_those_that_trimesh_has(tmp_path_factory, faces, places):
+    numbers = " ".join(str((7 * k % 11) / 3) for k in range(18))
+    source = f'<source id="p"><float_array id="a" count="18">{numbers}</float_array><technique_common>'
+    source += '<accessor source="#a" count="6" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>'
+    source += '<param name="Z" type="float"/></accessor></technique_common></source>'
+    body = source + '<vertices id="v"><input semantic="POSITION" source="#p"/></vertices>'
+    body += "".join(face.format(*order) for face, order in faces)
+    nodes, own = "", '<instance_geometry url="#g"/>'
+    for k, (place, value, shown) in enumerate(places):
+        nodes = f'<node id="n{k}">{place.format(v=value)}{own if shown or not nodes else ""}{nodes}</node>'
+    file = tmp_path_factory.mktemp("dae") / "m.dae"
+    file.write_text(
+        '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">'
+        '<asset><unit meter="0.5"/></asset>'
+        f'<library_geometries><geometry id="g"><mesh>{body}</mesh></geometry></library_geometries>'
+        f'<library_visual_scenes><visual_scene id="s">{nodes}</visual_scene></library_visual_scenes>'
+        '<scene><instance_visual_scene url="#s"/>'
+        "</scene></COLLADA>"
+    )
+    found = vertices_of(file, 0)
+    try:
+        theirs = np.concatenate([np.array(mesh.vertices) for mesh in meshes_of(file)]) * 0.5
+    except BrokenMesh:
+        assert all("<lines" in face for face, _ in faces) and not len(found)
+        return
+    as_set = [{tuple(row) for row in np.round(corners, 4).tolist()} for corners in (found, theirs)]
+    assert as_set[0] == as_set[1]
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("millimeter", 0.001), ("inch", 0.0254), ("meter", 1.0)])

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, joint, link, robot_of
+from drives import ARM, CYLINDER, LIMIT, LYING_CYLINDER, SPHERE, joint, link, robot_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_foreign import packed
@@ -14,7 +14,9 @@ from test_strange import ROBOT, chassis, followed, pair, ways_of, wheel, xacro
 from test_wild import codes
 
 from mmnn_pin.errors import RobotError
+from mmnn_pin.model.base.overrides import Overrides
 from mmnn_pin.model.base.report import Undecided, Unsupported
+from mmnn_pin.model.inspection import refusal_of
 from mmnn_pin.model.loading import load
 
 EYE = '<xacro:macro name="eye" params="on"><link name="eye"/>{}</xacro:macro>'.format(
@@ -109,6 +111,52 @@ def test_an_argument_that_decides_what_is_defined_is_named_with_its_values(tmp_p
         assert f"span_{kind}" in load(file, xacro=(option,)).urdf
 
 
+def test_a_macro_that_uses_what_is_not_there_can_be_left_out(tmp_path):
+    packed(tmp_path, "cams", here="")
+    cam = '<xacro:macro name="cam"><link name="${MISSING}"/></xacro:macro>'
+    cam += '<xacro:macro name="all"><xacro:cam/></xacro:macro>'
+    file = xacro(tmp_path, f'<xacro:include filename="$(find cams)/gone.xacro"/>{cam}<xacro:all/>{ROBOT}')
+    with pytest.raises(RobotError, match=r"'MISSING' is not defined.*--package-dir, or leave it out: --without cam$"):
+        load(file)
+    assert load(file, without=("cam",)).base.kind == "differential_drive"
+
+
+def test_a_file_that_was_missed_is_seen_once_it_is_there(tmp_path):
+    packed(tmp_path, "cams", here="")
+    file = xacro(tmp_path, '<xacro:include filename="$(find cams)/late.xacro"/>' + ROBOT)
+    assert "xacro-package" in codes(load(file))
+    inside = link("late", 0.1) + joint("comes", "fixed", "base", "late")
+    (tmp_path / "cams" / "late.xacro").write_text(
+        f'<robot xmlns:xacro="http://www.ros.org/wiki/xacro">{inside}</robot>'
+    )
+    robot = load(file)
+    assert "xacro-package" not in codes(robot) and '"late"' in robot.urdf
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('<xacro:macro name="a" params="x"><link name="${x}"/></xacro:macro><xacro:a/>', "give x where the macro is"),
+        ('<xacro:if value="maybe"/>', "write true or false there"),
+        ('<link name="$(env NO_SUCH_NAME)"/>', r": environment variable 'NO_SUCH_NAME' is not set: set it"),
+    ],
+)
+def test_xacro_s_own_errors_are_said_once_with_what_to_do(tmp_path, text, words):
+    file = xacro(tmp_path, text + ROBOT)
+    with pytest.raises(RobotError, match=words) as error:
+        load(file)
+    with pytest.raises(RobotError, match=words):
+        refusal_of(error.value, file, Overrides())
+
+
+def test_parts_of_one_name_lead_to_a_prefix(tmp_path):
+    text = '<xacro:arg name="prefix" default=""/><link name="$(arg prefix)base"/>'
+    file = xacro(tmp_path, text + ROBOT + joint("on_top", "fixed", "base", "$(arg prefix)base"))
+    with pytest.raises(RobotError, match=r"appears twice.*--xacro prefix:=arm_"):
+        load(file)
+    assert '"arm_base"' in load(file, xacro=("prefix:=arm_",)).urdf
+
+
 def test_leaving_out_is_not_offered_where_it_leads_nowhere(tmp_path):
     packed(tmp_path, "cams", here="")
     text = '<xacro:include filename="$(find cams)/gone.xacro"/><xacro:dog/><link name="${height}"/>'
@@ -147,15 +195,11 @@ def test_an_arm_without_any_mass_cannot_be_locked_whole():
     assert "--lock" not in error.value.fix
 
 
-@pytest.mark.parametrize(("other", "same"), [("-0.00046237", True), ("-0.0004", False), ("0.0004624", False)])
-def test_an_inertia_written_twice_with_other_digits(other, same):
-    text = chassis(pair()).replace('ixy="0"', f'ixy="-4.624e-4" iyx="{other}"', 1)
-    if same:
-        robot = robot_of(text)
-        assert "transposed-inertia" in codes(robot) and 'ixy="-4.624e-4"' in robot.urdf and "iyx" not in robot.urdf
-        return
-    with pytest.raises(RobotError, match="'iyx' and 'ixy' of <inertia> differ"):
-        robot_of(text)
+@pytest.mark.parametrize("other", ["-0.00046237", "-0.0004", "0.0004624"])
+def test_an_inertia_written_twice_with_other_numbers_is_taken_as_urdf_has_it_and_told(other):
+    robot = robot_of(chassis(pair()).replace('ixy="0"', f'ixy="-4.624e-4" iyx="{other}"', 1))
+    assert 'ixy="-4.624e-4"' in robot.urdf and "iyx" not in robot.urdf
+    assert "'iyx' and 'ixy' of <inertia> differ" in codes(robot)["transposed-inertia"]
 
 
 # --- Wheels -----------------------------------------------------------------------------------------------------------
@@ -216,6 +260,70 @@ def test_welded_wheels_by_short_names_are_asked_about():
     with pytest.raises(Undecided, match="3 wheels are welded on") as error:
         robot_of(f"{text}</robot>")
     assert {way["base"] for way in ways_of(error.value.fix)} == {"fixed", "holonomic"}
+
+
+def test_a_tyre_that_turns_on_its_rim_is_part_of_the_wheel():
+    text = pair(0.08)
+    for side in ("left", "right"):
+        text += link(f"{side}_tyre", 0.2, 0.001, CYLINDER.format(r=0.1), LYING_CYLINDER)
+        text += joint(f"{side}_on_rim", "continuous", f"{side}_link", f"{side}_tyre")
+    robot = robot_of(chassis(text.replace(" 0.08)", " 0.1)")))
+    assert robot.base.kind == "differential_drive" and [w.joint for w in robot.base.wheels] == ["left", "right"]
+    assert [w.radius for w in robot.base.wheels] == pytest.approx([0.1, 0.1])
+    assert robot.joint_names == ("shoulder", "elbow")
+    beside = chassis(text.replace("left_on_rim", "hub").replace("right_on_rim", "hub2"))
+    assert robot_of(beside).base.track == robot.base.track  # names decide nothing
+
+
+@given(st.floats(0.02, 0.5), st.booleans())
+@settings(max_examples=8, deadline=None)
+def test_balls_that_turn_about_any_axis_on_swivels_are_no_arm(tilt, named):
+    balls = ""
+    for name, x in (("front", 0.2), ("rear", -0.2)):
+        balls += link(f"{name}_fork", 0.1, 0.001)
+        balls += joint(f"{name}_turns", "continuous", "base", f"{name}_fork", p=(x, 0, 0.06), axis=(0, 0, 1))
+        balls += link(f"{name}_ball", 0.1, 0.001, SPHERE.format(r=0.03))
+        rolls = (0.577, 0.577, 0.577 + tilt) if named else (0.6, 0, 0.8)
+        balls += joint(f"{name}_rolls", "continuous", f"{name}_fork", f"{name}_ball", p=(-0.015, 0, -0.03), axis=rolls)
+    robot = robot_of(chassis(pair() + balls))
+    assert robot.base.kind == "differential_drive" and robot.joint_names == ("shoulder", "elbow")
+    assert {"front_turns", "front_rolls", "rear_turns", "rear_rolls"} <= robot.arm.locked.keys()
+
+
+@pytest.mark.parametrize("steered", [True, False])
+def test_four_wheels_tell_the_floor_though_a_centre_of_mass_is_below_it(steered):
+    limit, text = LIMIT.format(-0.5, 0.5), ""
+    for name, x, y in (("fl", 0.4, 0.3), ("fr", 0.4, -0.3), ("rl", -0.4, 0.3), ("rr", -0.4, -0.3)):
+        parent, at = "base", (x, y, 0.5)
+        if steered and x > 0:
+            text += link(f"{name}_fork", 0.5)
+            text += joint(f"{name}_steers", "revolute", "base", f"{name}_fork", p=at, axis=(0, 0, 1), more=limit)
+            parent, at = f"{name}_fork", (0, 0, 0)
+        text += wheel(name, at, parent=parent)
+    ballast = link("ballast", 5.0).replace("<inertial>", '<inertial><origin xyz="0 0 0.1"/>')
+    text = chassis(text + ballast + joint("b", "fixed", "base", "ballast"))
+    if steered:
+        with pytest.raises(Unsupported, match="car-like base"):
+            robot_of(text)
+        return
+    robot = followed(text, {"base": "skid_steer"})
+    assert robot.base.kind == "skid_steer" and robot.base.track == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize("named", ["thruster", "propeller"])
+@pytest.mark.parametrize("low", [True, False])
+def test_what_swims_by_propellers_is_refused_by_name(named, low):
+    text = ""
+    for side, y in (("left", 0.3), ("right", -0.3)):
+        text += link(f"{side}_{named}", 0.5, 0.01, CYLINDER.format(r=0.1), '<origin rpy="0 1.5707963267948966 0"/>')
+        height = 0.1 if low else 0.6
+        text += joint(
+            f"{side}_{named}_joint", "continuous", "base", f"{side}_{named}", p=(-0.4, y, height), axis=(1, 0, 0)
+        )
+    with pytest.raises(Unsupported, match="vehicle with propellers"):
+        robot_of(chassis(text))
+    if not low:  # a robot on wheels with a fan
+        assert robot_of(chassis(pair() + text)).base.kind == "differential_drive"
 
 
 # --- Heads ------------------------------------------------------------------------------------------------------------

@@ -273,8 +273,8 @@ def test_locked_joints_stand_with_what_follows_them_when_the_model_is_checked():
 def test_an_inertia_is_symmetric_whichever_way_its_letters_stand():
     text = four(more=MOVE).replace('ixy="0" ixz="0" iyz="0"', 'iyx="0" izx="0" izy="0"')
     assert "transposed-inertia" in codes(robot_of(text))
-    with pytest.raises(RobotError, match="'iyx' and 'ixy' of <inertia> differ"):
-        robot_of(four(more=MOVE).replace('ixy="0"', 'ixy="0.001" iyx="0.002"', 1))
+    told = codes(robot_of(four(more=MOVE).replace('ixy="0"', 'ixy="0.001" iyx="0.002"', 1)))
+    assert "'iyx' and 'ixy' of <inertia> differ" in told["transposed-inertia"]
 
 
 def test_the_triangle_inequality_is_checked_for_the_root_too():

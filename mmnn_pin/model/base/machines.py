@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 from lxml import etree
@@ -45,6 +45,8 @@ PUSHED = "--base holonomic drives it by forces on its frame, its wheels standing
 
 MODULE_NAMES = re.compile(r"wheel|steer|caster", re.IGNORECASE)
 
+PROPELLERS, PROPELLER_NAMES = "vehicle with propellers", re.compile(r"thruster|propeller", re.IGNORECASE)
+
 DRONE_NAMES = re.compile(r"drone|copter|propeller|rotor|\buav|flying|(?<![a-z])prop_?\d", re.IGNORECASE)
 
 
@@ -61,12 +63,23 @@ def machine(rest: AtRest) -> tuple[str, str] | None:
         return "humanoid", f"with y up, it stands on two legs ({names}) and has limbs above them"
     if told := steering_modules(rest):
         return SWERVE, f"{len(told)} wheels, or their mounts, turn about vertical axes ({', '.join(told)})"
+    if names := propellers(rest):
+        return PROPELLERS, f"{names} by their names, and nothing that rolls"
     if told := list(rotors(rest)):
         return "drone", f"{len(told)} equal rotors turn about vertical axes ({', '.join(told)})"
     meshes = map(mesh_name, rest.document.root.iterfind(MESHES))
     if hit := DRONE_NAMES.search(" ".join([rest.document.root.get("name", ""), *rest.document.links, *meshes])):
         return "drone", f"'{hit[0]}' in its names, and nothing that carries it"
     return None
+
+
+def propellers(rest: AtRest, joints: Iterable[Joint] | None = None) -> str:
+    """Endless joints called propellers or thrusters, in words; empty where none of these joints, or not all, are."""
+    ends = [j for j in rest.document.joints.values() if j.turns_freely and not rest.document.moving_children(j.child)]
+    called = [j.name for j in ends if PROPELLER_NAMES.search(f"{j.name} {j.child}")]
+    wanted = called if joints is None else [j.name for j in joints]
+    drone = len(called) >= ROTORS and all(rest.is_vertical(rest.document.joints[name]) for name in called)
+    return ", ".join(f"'{name}'" for name in called) if not drone and {*wanted} <= {*called} else ""
 
 
 def steering_named(rest: AtRest) -> str:

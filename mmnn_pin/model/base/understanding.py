@@ -27,10 +27,12 @@ from .evidence import (
 )
 from .machines import (
     MOST_PER_SIDE,
+    PROPELLERS,
     PUSHED,
     SWERVE,
     machine,
     plain,
+    propellers,
     refuse_steered,
     refuse_steered_pair,
     steering_named,
@@ -57,6 +59,7 @@ from .report import (
     unsupported,
     welded_note,
 )
+from .standing import welded_cylinders, welded_wheels
 from .wheels import (
     COAXIAL,
     LUMPY,
@@ -68,11 +71,10 @@ from .wheels import (
     Candidates,
     alike_on_root,
     coaxial,
+    is_endless_end,
     is_low,
     one_axle,
     parallel,
-    welded_cylinders,
-    welded_wheels,
     wheel_candidates,
     wheel_of,
 )
@@ -146,6 +148,7 @@ def with_strays(rest: AtRest, found: BaseResult, overrides: Overrides) -> BaseRe
     used = {*base.locked, *(wheel.joint for wheel in base.wheels)}
     alike = alike_on_root(rest)
     used |= {*overrides.free}
+    alike = [*alike, *odd_casters(rest, base)]
     strays = [j for j in rest.document.joints.values() if (is_low(rest, j) or j in alike) and j.name not in used]
     few = len(strays) < ROUND_ABOUT and not mirrored(rest, strays)
     if not strays or (not base.columns and overrides.base is None and few):
@@ -193,6 +196,17 @@ def mirrored(rest: AtRest, joints: list[Joint]) -> bool:
     return bool(np.linalg.norm(one - other) < 0.02 * abs(one[1]))
 
 
+def odd_casters(rest: AtRest, base: Base) -> list[Joint]:
+    """Swivels on the root's body, and what turns without end on each alone, no higher than the drive wheels' hubs."""
+    highest = min((hub for hub, _ in hubs_of(rest, base)), default=-math.inf)
+    found = list[Joint]()
+    for joint in rest.document.moving_children(rest.document.root_link):
+        carried = rest.document.moving_children(joint.child)
+        ends = len(carried) == 1 and is_endless_end(rest, carried[0]) and rest.hub(carried[0])[2] <= highest
+        found += [joint, *carried] if ends and joint.turns_freely and rest.is_vertical(joint) else []
+    return found
+
+
 def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
     """Height of the hub and radius of every drive wheel [m]."""
     return [(float(rest.hub(rest.document.joints[w.joint])[2]), w.radius) for w in base.wheels]
@@ -201,6 +215,9 @@ def hubs_of(rest: AtRest, base: Base) -> list[tuple[float, float]]:
 def decide(rest: AtRest, candidates: Candidates, overrides: Overrides) -> BaseResult:
     """The base as geometry and evidence have it."""
     wheels = candidates.wheels
+    spun = wheels or candidates.near_misses
+    if spun and (names := propellers(rest, [c.joint for c in spun])):
+        raise unsupported(rest, PROPELLERS, f"{names} by their names", ())
     if candidates.limited and (wheels or not machine(rest)):
         raise undecided_limits(rest, candidates)
     if (

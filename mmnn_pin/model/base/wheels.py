@@ -31,7 +31,7 @@ LUMPY, PARTIAL = "not round", "mesh missing"  # shapes that are not measured, on
 HUB, STATED = "hub height", "radius as stated"  # shapes of wheels whose body cannot be read
 UNSEEN = (HUB, STATED, PARTIAL, LUMPY, "unknown")
 FLOOR_NAMES = re.compile(r"footprint|ground|floor|world|map|odom", re.IGNORECASE)  # of frames that stand for the floor
-WHEEL_NAMES, STEER_NAMES = re.compile(r"wheel|whl", re.IGNORECASE), re.compile(r"steer", re.IGNORECASE)
+STEER_NAMES = re.compile(r"steer", re.IGNORECASE)
 LOW = 0.4  # joints in the lower part of a robot, by this fraction of its height, may be wheels
 ALL_ROUND, TRAIL = 6.0, 1e-3  # [rad] travel of a joint that swivels, [m] least trail of a caster
 ROUND_ABOUT, ROLLERS = 3, 4  # low joints that are wheels though no axis is shared; bodies on a wheel, its rollers
@@ -172,7 +172,9 @@ def standing_on(rest: AtRest, known: list[Candidate], floor: float) -> float:
     level = min((bottom for bottom, _ in feet), default=math.nan)
     steady = [bottom for bottom, radius in feet if bottom - level <= TOUCHING * radius]
     own = min((rest.bottom(link) for link in body), default=math.inf)
-    return level if len(steady) >= ROUND_ABOUT and level - own <= SURE * feet[0][1] else floor
+    near = len(steady) >= ROUND_ABOUT and level - own <= SURE * feet[0][1]
+    wheels = [c for c in known if abs(c.bottom - level) <= SURE * c.radius]
+    return level if near or (len(wheels) >= 4 and all(is_axle(rest, c, wheels, True) for c in wheels)) else floor
 
 
 def limited_wheels(rest: AtRest, known: list[Candidate], floor: float) -> list[Candidate]:
@@ -206,7 +208,9 @@ def round_joint(rest: AtRest, joint: Joint) -> Candidate | None:
         return None
     carried = rest.document.moving_children(joint.child)
     rollers = tuple(j.name for j in carried if is_roller(rest, j))
-    if len(rollers) != len(carried) or 0 < len(rollers) < ROLLERS:
+    if len(rollers) != len(carried) or (
+        0 < len(rollers) < ROLLERS and not all(is_tyre(rest, j, joint) for j in carried)
+    ):
         return None
     candidate = wheel_of(rest, joint, rollers)
     mount, trail = hangs_on(rest, joint, candidate)
@@ -257,9 +261,16 @@ def is_roller(rest: AtRest, joint: Joint) -> bool:
     return joint.turns_freely and not rest.document.moving_children(joint.child)
 
 
-def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
-    """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm."""
-    return not moving_above(rest, candidate) and any(coaxial(candidate, o) for o in others if o is not candidate)
+def is_tyre(rest: AtRest, joint: Joint, wheel: Joint) -> bool:
+    """Whether a joint on a wheel turns about the wheel's own axis, as a tyre on its rim."""
+    away = np.cross(rest.hub(joint) - rest.hub(wheel), rest.axis(wheel))
+    return bool(abs(rest.axis(joint) @ rest.axis(wheel)) > VERTICAL and np.linalg.norm(away) < TRAIL)
+
+
+def is_axle(rest: AtRest, candidate: Candidate, others: list[Candidate], steered: bool = False) -> bool:
+    """Whether it shares its axis with another and hangs on no turning joint: no wrist of an arm; it may be steered."""
+    above = [j for j in moving_above(rest, candidate) if not (steered and rest.is_vertical(j))]
+    return not above and any(coaxial(candidate, o) for o in others if o is not candidate)
 
 
 def is_round_about(rest: AtRest, candidate: Candidate, others: list[Candidate]) -> bool:
@@ -402,49 +413,3 @@ def bare_swivels(rest: AtRest, floor: float, radius: float) -> Iterator[Joint]:
             heights = [s.lowest for link in rest.document.body(joint.child) for s in rest.primitives[link]]
             if min(heights, default=math.inf) < floor + TOUCHING * radius:
                 yield joint
-
-
-def welded_wheels(rest: AtRest, floor: float) -> list[Joint]:
-    """Fixed joints with wheels that cannot turn: those that keep their axis, and those with cylinders on the floor.
-
-    A file made for planning often has its casters and wheels welded so.
-    """
-    return list(dict.fromkeys([*welded_axles(rest), *welded_cylinders(rest, floor), *welded_by_name(rest)]))
-
-
-def welded_by_name(rest: AtRest) -> list[Joint]:
-    """Two or more fixed joints at the end of the root's body whose links are called wheels, low on it.
-
-    A name makes the loader ask here, where geometry has nothing to say.
-    """
-    highest = height_at(rest, LOW)
-    body = rest.document.body(rest.document.root_link)[1:]
-    ends = [
-        rest.document.carrier[name] for name in body if WHEEL_NAMES.search(name) and not rest.document.children[name]
-    ]
-    low = [joint for joint in ends if rest.hub(joint)[2] <= highest]
-    return low if len(low) >= 2 else []
-
-
-def welded_cylinders(rest: AtRest, floor: float) -> list[Joint]:
-    """Fixed joints at the end of the root's body with a cylinder that lies on the floor on an axis shared by two."""
-    document, found = rest.document, []
-    for name in document.body(document.root_link)[1:]:
-        joint = document.carrier[name]
-        if not document.children[name]:
-            lying = [s for s in rest.primitives[name] if s.kind == "cylinder" and s.rolls]
-            touching = [s for s in lying if abs(s.lowest - floor) <= TOUCHING * s.radius]
-            found += [Candidate(joint, s.pose[:3, 2], s.pose[:3, 3], s.radius, "cylinder") for s in touching]
-    return [c.joint for c in found if any(coaxial(c, o) for o in found if o.joint is not c.joint)]
-
-
-def welded_axles(rest: AtRest) -> list[Joint]:
-    """Fixed joints that keep a horizontal axis shared by two, on the lowest bodies."""
-    with_axis = {e.get("name") for e in rest.document.root.iterchildren("joint") if e.find("axis") is not None}
-    ends = [j for j in rest.document.joints.values() if not j.moves and not rest.document.children[j.child]]
-    ends = [j for j in ends if j.name in with_axis and np.any(j.axis) and rest.mass(j.child) > 0]
-    stated = [j for j in ends if rest.is_horizontal(j) and not rest.document.moving_ancestors(j.child)]
-    hubs = [Candidate(j, rest.axis(j), rest.hub(j), math.nan, "unknown") for j in stated]
-    pairs = [(a, b) for a in hubs for b in hubs if a is not b and coaxial(a, b)]
-    lowest = min((p[2, 3] for name, p in rest.placements.items() if rest.mass(name) > 0), default=math.inf)
-    return [a.joint for a, b in pairs if a.centre[2] - lowest < 0.5 * np.linalg.norm(a.centre - b.centre)]

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from .packages import FIND, far_package
-from .xml import KNOWN
 
 MACRO = re.compile(r"<xacro:macro\s[^>]*?name=[\"']([^\"']+)[\"']")
 
@@ -33,6 +32,8 @@ FIRST, ARGUMENT = re.compile(r"<robot\b[^>]*>"), re.compile(r"<xacro:arg\s[^>]*>
 GIVEN_IF = re.compile(  # what stands between two tags of a condition on one value
     r"<xacro:if\s+value=[\"']\$\{\s*(\w+)\s*==\s*['\"]([^'\"]+)['\"]\s*\}[\"']\s*>(.*?)</xacro:if>", re.DOTALL
 )
+
+PREFIX = re.compile(r"<xacro:arg\s+name=[\"']([^\"']*prefix[^\"']*)[\"']\s+default=[\"'][\"']\s*/>")
 
 NOT_DEFINED = r"name '([^']+)' is not defined"
 
@@ -79,7 +80,7 @@ def child() -> None:
 def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     """What there is to tell of a job, and the URDF; empty where xacro refuses."""
     told: dict[str, Any] = {"absent": set(), "omitted": set(), "needed": [], "bare": [], "choices": []}
-    told["renamed"] = {}
+    told |= {"renamed": {}, "within": [], "prefixes": []}
     data = b""
     with lenient(xacro, xacrodoc, job, told) as texts, contextlib.redirect_stdout(io.StringIO()):
         try:
@@ -87,7 +88,7 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
             document = xacro.process_file(job["path"], mappings=given)
             data, told["bare"] = (
                 bytes(document.toprettyxml(indent="  ", encoding="utf-8")),
-                bare_calls(document, [*texts.values()]),
+                bare_calls(document, [*texts.values()], job["elements"]),
             )
         except MemoryError:
             raise
@@ -104,7 +105,10 @@ def attempt(xacro: Any, xacrodoc: Any, job: dict[str, Any]) -> tuple[dict[str, A
             told["needed"] = sorted(used - stated - set(job["arguments"]))
             if hit := re.search(NOT_DEFINED, told["error"]):
                 told["choices"] = choices(hit[1], [*texts.values()])
+                told["within"] = [macro.body.getAttribute("name") for macro in reversed(xacro.macrostack or ())]
             told["bare"] = sorted({name for text in texts.values() for name in BARE if f"<{name} " in text})
+    bare = {name for text in texts.values() for name in PREFIX.findall(text)}
+    told["prefixes"] = sorted(bare - set(job["arguments"]))
     told["absent"], told["omitted"] = sorted(told["absent"]), sorted(told["omitted"])
     return told, data
 
@@ -128,14 +132,15 @@ def choices(name: str, texts: list[str]) -> list[str]:
     return list(dict.fromkeys(f"{arg}:={value}" for arg, value in given if arg in stated))
 
 
-def bare_calls(document: Any, texts: list[str]) -> list[str]:
+def bare_calls(document: Any, texts: list[str], elements: list[str]) -> list[str]:
     """Calls that are left in an expanded document for want of `xacro:`.
 
     Args:
         document: What xacro made.
         texts: What is in the files that it read.
+        elements: Names of URDF's own elements.
     """
-    calls = {*MACRO.findall("".join(texts).replace("<macro ", "<xacro:macro "))} - KNOWN.keys() | BARE
+    calls = {*MACRO.findall("".join(texts).replace("<macro ", "<xacro:macro "))} - {*elements} | BARE
     return sorted({name for name in calls for _ in robots_own(document, name)})
 
 

@@ -24,6 +24,7 @@ from ...errors import ConfigError, RobotError
 from .expanding import BYTES, INVALID, MACRO, NOT_DEFINED, SECONDS, giving
 from .finding import Finding, finding
 from .packages import above, package_of, packages
+from .xml import KNOWN
 
 XACRO = re.compile(rb"<xacro:|xmlns:xacro[^>]*>.*?[\"'][^\"']*\$[({](?!find)", re.DOTALL)
 
@@ -38,6 +39,10 @@ KEPT: dict[str, tuple[dict[str, tuple[int, int] | None], tuple[dict[str, Any], b
 CHILD = "from mmnn_pin.model.urdf.expanding import child; child()"
 
 
+class Unexpanded(RobotError):
+    """A xacro file that cannot be expanded."""
+
+
 class Expansion(NamedTuple):
     """What a xacro file expands to.
 
@@ -47,6 +52,7 @@ class Expansion(NamedTuple):
         calls: Macros that it calls without their prefix.
         hanging: Joints that hang on a macro which is left out.
         renamed: Packages that are not there under their names, and the folders that are taken as them.
+        prefixes: Arguments called prefixes that have no value.
     """
 
     data: bytes
@@ -54,6 +60,7 @@ class Expansion(NamedTuple):
     calls: list[str]
     hanging: list[str]
     renamed: dict[str, str]
+    prefixes: list[str]
 
     def findings(self, without: Sequence[str]) -> list[Finding]:
         """What there is to say of the file, with the macros that the user leaves out."""
@@ -122,7 +129,7 @@ def expand(
 
     Raises:
         ConfigError: Arguments that are none, a macro to leave out that is never called.
-        RobotError: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
+        Unexpanded: xacrodoc is not installed, or xacro refuses the file; the reason is in xacro's words.
     """
     job: dict[str, Any] = {"path": str(path), "arguments": arguments_of(given), "without": list(without), "calls": []}
     own = package_of(os.path.abspath(path.parent))
@@ -130,41 +137,42 @@ def expand(
     job["like"] = [*map(os.path.abspath, package_dirs), own]
     if find_spec("xacro") is None or find_spec("xacrodoc") is None:  # the extra `xacro`
         fix = f"pip install 'mmnn_pin[xacro]', or expand it yourself: xacro {path.name} > robot.urdf"
-        raise RobotError("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1)
+        raise Unexpanded("this is a xacro file, not yet a URDF", fix=fix, file=path, line=1)
+    job["elements"] = sorted(KNOWN)
     job["known"] = packages(path, package_dirs)
     told, data = expanded(path, job)
     job["calls"] = told["calls"]
     if "error" in told:
-        raise refusal(
-            Path(told["place"]),
-            told["error"],
-            told["absent"],
-            told["needed"],
-            told["choices"],
-            lambda m: to_leave_out(path, job, m),
-        )
+        raise refusal(told, lambda macro: to_leave_out(path, job, macro))
     if unused := [name for name in without if name not in told["omitted"]]:
         raise ConfigError(f"no <xacro:{unused[0]}> to leave out", fix="leave out a macro that is called", key="without")
     if b"<link" not in data:
         raise macros_only(path, data)
     data, hanging = pruned(data) if without else (data, [])
-    return Expansion(data, told["absent"], job["calls"], hanging, told["renamed"])
+    return Expansion(data, told["absent"], job["calls"], hanging, told["renamed"], told["prefixes"])
 
 
 def to_leave_out(path: Path, job: dict[str, Any], macro: str) -> list[str]:
-    """A macro, and those that xacro does not know either once its calls are left out; none where no robot is left."""
+    """A macro, and others that xacro cannot expand either once its calls are left out; none where no robot is left."""
     names = [macro]
     while len(names) < MOST_LEFT_OUT:
         told, data = expanded(path, job | {"without": [*job["without"], *names]})
         if "error" not in told:
             return names if b"<link" in pruned(data)[0] else []
-        if re.search(NOT_DEFINED, told["error"]) and not told["choices"]:
-            return []  # what is lacked is no call
-        more = UNKNOWN.search(told["error"])
-        if more is None or more[1] in names:
+        more = [macro for macro in (lacking(told),) if macro and macro not in names]
+        if not more and re.search(NOT_DEFINED, told["error"]) and not told["choices"]:
+            return []  # what is lacked is in no call
+        if not more:
             break  # what else is wrong is told when these are left out
-        names.append(more[1])
+        names += more
     return names
+
+
+def lacking(told: dict[str, Any]) -> str:
+    """The macro that xacro does not know, or that uses what is not defined; empty where it is another error."""
+    unknown = UNKNOWN.search(told["error"])
+    undefined = re.search(NOT_DEFINED, told["error"]) and not told["choices"] and told["absent"]
+    return unknown[1] if unknown else next(iter(told["within"]), "") if undefined else ""
 
 
 def pruned(data: bytes) -> tuple[bytes, list[str]]:
@@ -190,14 +198,14 @@ def pruned(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def expanded(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
-    """What `run` gives, kept while the files that it opened stay as they are and it missed none; errors as there."""
+    """What `run` gives, kept while the files that it opened, or missed, stay as they are; errors as there."""
     key = json.dumps([job, dict(os.environ)], sort_keys=True)
     kept = KEPT.get(key)
     if kept is None or kept[0] != stamps(kept[0]):
         told, data = run(path, job)
         kept = stamps(told.pop("opened")), (told, data)
         KEPT.pop(key, None)
-        if not told["absent"] and "error" not in told:
+        if "error" not in told:
             while len(KEPT) >= MOST_KEPT:
                 KEPT.pop(next(iter(KEPT)))
             KEPT[key] = kept
@@ -219,7 +227,7 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
     """What the child process tells of a job, and the URDF that it makes.
 
     Raises:
-        RobotError: It takes too long or too much.
+        Unexpanded: It takes too long or too much.
     """
     environment = os.environ | {
         "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path),
@@ -232,13 +240,13 @@ def run(path: Path, job: dict[str, Any]) -> tuple[dict[str, Any], bytes]:
         )
     except subprocess.TimeoutExpired:
         why = f"it takes more than {PATIENCE:g} s: does it read a file that is none?"
-        raise RobotError("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1) from None
+        raise Unexpanded("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1) from None
     head, _, data = ended.stdout.partition(b"\n")
     if ended.returncode or not head:
         slow = ended.returncode == -signal.SIGXCPU
         why = f"it takes more than {BYTES / 1e9:g} GB, or ends the process that expands it"
         why = f"it takes more than {SECONDS} s: do its macros call each other without end?" if slow else why
-        raise RobotError("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1)
+        raise Unexpanded("xacro cannot expand it", why=why, fix="mend the file", file=path, line=1)
     return json.loads(head), data
 
 
@@ -263,30 +271,25 @@ WAYS_OUT = (
         "define '{}': give a file that includes this one, or the package that defines it",
     ),
     (UNKNOWN.pattern, "is the file that defines '{}' included?"),
+    (r"Undefined parameters \[([^\]]+)\]", "give {} where the macro is called"),
+    (r"(evaluated to \"[^\"]*\", which is not a boolean)", "write true or false there"),
     (r"(unbound prefix)", 'declare it: <robot xmlns:xacro="http://www.ros.org/wiki/xacro">'),
     (r"(maximum recursion depth exceeded)", "files or macros include each other without end: open the circle"),
 )
 
 
-def refusal(
-    place: Path,
-    error: str,
-    absent: list[str],
-    needed: list[str],
-    choices: list[str],
-    along: Callable[[str], list[str]],
-) -> RobotError:
+def refusal(told: dict[str, Any], along: Callable[[str], list[str]]) -> Unexpanded:
     """Why a file could not be expanded, at the line where the cause is named.
 
     Args:
-        place: The file that xacro was in.
-        error: Its words.
-        absent: Packages that are not found.
-        needed: Arguments without a value.
-        choices: Values of arguments with which it defines what it lacks.
+        told: What the child process tells: its `error` and the file that xacro was in, its `place`; packages that are
+            `absent`, arguments that are `needed`, `choices` of arguments with which it defines what it lacks, and the
+            macros that it was `within`.
         along: The macros whose calls can be left out together with those of one; none where they cannot.
     """
-    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(error.split())), "", "mend the file"
+    place, absent, needed = Path(told["place"]), told["absent"], told["needed"]
+    text, word, fix = re.sub(r"^<class '[^']*'>: ", "", " ".join(told["error"].split())), "", "mend the file"
+    text = text[: len(text) // 2] if text[: len(text) // 2] == text[len(text) // 2 + 1 :] else text  # said twice
     for pattern, way in WAYS_OUT:
         if hit := re.search(pattern, text):
             word, fix = hit[1], way.format(hit[1])
@@ -294,18 +297,18 @@ def refusal(
     if "Undefined substitution" in text and len(needed) > 1:
         fix = "give them: " + " ".join(f"--xacro {name}:=VALUE" for name in needed)
     called = giving(word, read_text(place)) if "Invalid parameter" in text else ""
-    macro = word if "unknown macro" in text else called
+    macro = lacking(told) or called
     if absent and (fix == "mend the file" or "unknown macro" in text or "is not defined" in text):
         version = " in the version that has it" if any("/" in name for name in absent) else ""
         fix = f"is it in what is not found ({', '.join(absent)})? "
         fix += f"Give the folder of the package{version} with --package-dir"
-    if choices:
-        fix = "give an argument with which it is: " + " or ".join(f"--xacro {choice}" for choice in choices)
+    if told["choices"]:
+        fix = "give an argument with which it is: " + " or ".join(f"--xacro {choice}" for choice in told["choices"])
     if macro and (names := along(macro)):
         fix += f", or leave {'it' if len(names) == 1 else 'them'} out: " + " ".join(
             f"--without {name}" for name in names
         )
-    return RobotError("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
+    return Unexpanded("xacro cannot expand it", why=text, fix=fix, file=place, line=line_of(place, word))
 
 
 def line_of(path: Path, word: str) -> int:
@@ -317,7 +320,7 @@ def line_of(path: Path, word: str) -> int:
     return 1
 
 
-def macros_only(path: Path, data: bytes) -> RobotError:
+def macros_only(path: Path, data: bytes) -> Unexpanded:
     """The refusal of a file that expands to no links, with one beside it that calls its macros."""
     macros, near = MACRO.findall(read_text(path)), package_of(str(path.parent.absolute()))
     others = [file for file in sorted(Path(near).rglob("*.xacro"))[:FILES] if file.resolve() != path.resolve()]
@@ -326,12 +329,12 @@ def macros_only(path: Path, data: bytes) -> RobotError:
         bare = [name for name in re.findall(r"<([\w.-]+)", data.decode(errors="replace")) if name in defined]
         why = f"it calls macros without their prefix: <{bare[0]}>" if bare else "it expands to none"
         fix = f"write <xacro:{bare[0]}>, as xacro needs since ROS Jade" if bare else "describe at least one <link>"
-        return RobotError("it has no links", why=why, fix=fix, file=path, line=line_of(path, (bare or [""])[0]))
+        return Unexpanded("it has no links", why=why, fix=fix, file=path, line=line_of(path, (bare or [""])[0]))
     called = re.compile(rf"<xacro:({'|'.join(map(re.escape, macros))})[\s/>]")
     callers = [file for file in others if called.search(read_text(file))]
     example = f", such as {callers[0]}" if callers else ""
     why, fix = f"it only defines macros: {', '.join(macros[:8])}", f"give a file that calls them{example}"
-    return RobotError("it has no links", why=why, fix=fix, file=path, line=1)
+    return Unexpanded("it has no links", why=why, fix=fix, file=path, line=1)
 
 
 def read_text(file: Path) -> str:

@@ -11,7 +11,6 @@ single elements and files are here, those of joints, bodies and the tree that th
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -40,7 +39,8 @@ from .xml import KNOWN, XACRO_FIX, Elements, nearest, number_problem, numbers, p
 
 MAX_BYTES = 50_000_000
 
-ROUNDED = 1e-3  # a product of inertia written twice may differ by this fraction
+NAMED_ALIKE = ("duplicate-name", "two-parents", "loop")  # what parts of one name lead to
+
 
 # Attributes that hold numbers: how many, by element; those in REQUIRED must be there.
 NUMBERS: dict[str, dict[str, int]] = {
@@ -189,6 +189,9 @@ def audit_xacro(
     if len(made.data) > MAX_BYTES:
         return None, settle([finding("file", 1, f"expands to more than {MAX_BYTES // 1_000_000} MB")], path, strict)
     document, findings = audit_data(made.data, path, strict, package_dirs)
+    if made.prefixes:
+        way = f", or tell parts apart by {' or '.join(f'--xacro {name}:=arm_' for name in made.prefixes)}"
+        findings = tuple(replace(f, fix=f.fix + way) if f.code in NAMED_ALIKE else f for f in findings)
     whole = (*settle(made.findings(without), path, strict), *findings)
     return document and replace(document, findings=whole), whole
 
@@ -242,24 +245,15 @@ def transposed(root: etree._Element) -> Iterator[Finding]:
     for element in root.iterfind("link/inertial/inertia"):
         for wrong, right in (("iyx", "ixy"), ("izx", "ixz"), ("izy", "iyz")):
             value = element.get(wrong)
-            if value is not None and alike(element.get(right, value), value):
-                value = element.get(right, value)
-                element.attrib.pop(wrong)
-                element.set(right, value)
+            if value is not None and read_numbers(element.get(right, value)) == read_numbers(value):
+                element.set(right, element.attrib.pop(wrong))
                 what = f"'{wrong}' of <inertia> is taken as '{right}'"
                 yield finding("transposed-inertia", element, what, "an inertia is symmetric", f"write '{right}'")
             elif value is not None:
                 what = f"'{wrong}' and '{right}' of <inertia> differ"
-                fix = f"delete '{wrong}'"
-                yield finding("misspelt-attribute", element, what, "an inertia is symmetric", fix)
+                why = f"an inertia is symmetric: taken is '{right}', as URDF has it"
+                yield finding("transposed-inertia", element, what, why, f"check it, delete '{wrong}'")
                 element.attrib.pop(wrong)
-
-
-def alike(text: str, other: str) -> bool:
-    """Whether two texts state the same numbers, one of them perhaps with fewer digits."""
-    one, two = read_numbers(text), read_numbers(other)
-    pair = len(one) == len(two) == 1
-    return one == two or (pair and math.isclose(float(one[0]), float(two[0]), rel_tol=ROUNDED))
 
 
 LOOKS = {"visual", "collision", "material", "color", "texture"}  # a robot that lacks one moves as it would with it
