@@ -268,6 +268,8 @@ def certificate_parts(run: CertifiedRun) -> Iterator[str | Line | Table]:
             yield tube_table(run.tube)
     elif "tube" in run.missing:
         yield f"{run.missing['tube'][0].upper()}{run.missing['tube'][1:]}."
+    elif run.certificate is None or not run.certificate.holds:
+        yield "`--tube` asks less: it bounds the errors of all motions along this run's reference."
     if run.rate is not None:
         yield rate_sentence(run.rate)
     if run.thesis_bounds:
