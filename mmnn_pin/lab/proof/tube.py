@@ -30,7 +30,7 @@ from ...actuator.settings import Actuator, limits
 from ...errors import RecordingError
 from ...sensing import Sensor
 from ...settings import finite
-from ...signals import Array
+from ...signals import Array, IntArray
 from .certified_loop import push_bound
 from .periods import Linear, Periods
 from .subject import Subject
@@ -41,6 +41,7 @@ CORNERS = 3  # of the box, looked at in every block
 MORE = 1.5  # than the largest remainder that was seen
 ROUNDS, AHEAD = 10, 1.2  # of tube and remainder; times what was found is tried next
 NOISE = 4.0  # standard deviations that noise is bounded by
+SHORTEST, LATEST = 20, 20  # rows of a run; periods of delay
 LOST = 2.0  # [m, rad] of error: no tube
 FACTORS = np.geomspace(1e-3, 1e3, 25)  # on the error of Psi, for how much is borne
 
@@ -111,6 +112,10 @@ def refusal(subject: Subject) -> str:
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
     late, sensor = meta.get("latency", {}), msgspec.convert(meta.get("sensor", {}), Sensor)
+    if len(subject.rows) <= SHORTEST:
+        return f"it has {len(subject.rows)} rows only"
+    if late.get("command", 0.0) > LATEST * subject.timing.control_period:
+        return f"its commands are late by more than {LATEST} periods"
     if late.get("sensing", 0.0) or late.get("jitter", 0.0):
         return "its measurements are late, or its commands by chance"
     if not np.isclose(late.get("command", 0.0) % subject.timing.control_period, 0.0):
@@ -154,10 +159,11 @@ def tube_of(subject: Subject, disturbance: Array | None = None, progress: Told |
     with subject.recording.using("what it tells of its hardware"):
         why = refusal(subject)
         force = np.zeros(subject.layout.dof) if why else push_bound(subject)
-    if why:
+        search = None if why else Search(Periods(subject), force if disturbance is None else force + disturbance)
+    if search is None:
         raise RecordingError("no tube", why=why, file=subject.recording.path)
-    force = force if disturbance is None else force + disturbance
-    return Search(Periods(subject), force).tube(progress or (lambda share: None))
+    with subject.recording.using("its loop"), np.errstate(all="ignore"):
+        return search.tube(progress or (lambda share: None))
 
 
 class Search:
@@ -170,12 +176,25 @@ class Search:
 
     def __init__(self, periods: Periods, force: Array) -> None:
         meta, h = periods.subject.recording.meta, periods.subject.timing.control_period
-        self.periods, self.force = periods, force
+        self.periods, self.force, self.limits = periods, force, motor_limits(periods.subject)
         self.late = round(meta.get("latency", {}).get("command", 0.0) / h)
-        self.linear = Linear.of(periods, self.late, BLOCKS)
         noise = np.asarray(meta.get("sensor", {}).get("velocity_noise", 0.0), float)
         self.noise = NOISE * periods.gain * noise
-        self.starts, self.ends = self.linear.at[:-1], self.linear.at[1:]
+
+    @cached_property
+    def linear(self) -> Linear:
+        """The loop along the reference."""
+        return Linear.of(self.periods, self.late, BLOCKS)
+
+    @property
+    def starts(self) -> IntArray:
+        """(K,) first period of every block."""
+        return self.linear.at[:-1]
+
+    @property
+    def ends(self) -> IntArray:
+        """(K,) first period after every block."""
+        return self.linear.at[1:]
 
     @cached_property
     def missed(self) -> Array:
@@ -312,7 +331,7 @@ class Search:
         E_inv, since = np.linalg.inv(robot.E), slice(first, None)
         tau = np.einsum("kpm,km->kp", np.abs(lin.T[1:]), size[:, :m]) + self.eps + self.noise
         asked = np.abs(lin.torque[1:] @ E_inv.T) + tau @ np.abs(E_inv).T
-        return np.asarray((asked[since] / motor_limits(self.periods.subject)).max(axis=0))
+        return np.asarray((asked[since] / self.limits).max(axis=0))
 
     def bears(self, first: int) -> float:
         """Largest of `FACTORS` on the errors of Psi from a block on for which there is a tube; 0 for none."""
