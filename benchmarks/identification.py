@@ -3,6 +3,7 @@
     python benchmarks/identification.py tiago FIGAROH_PLUS        # thanhndv212/figaroh-plus, Apache-2.0
     python benchmarks/identification.py ur10 INVERSE_DYNAMICS     # unisa-acg/inverse-dynamics-solver, BSD-3
     python benchmarks/identification.py panda INVERSE_DYNAMICS
+    python benchmarks/identification.py ur10e CALIBRATION         # shamilmamedov/dynamic_calibration; a known load too
     python benchmarks/identification.py other --robot R LOG...    # any log, read as it is
     python benchmarks/identification.py coverage --robot panda    # do intervals cover the truth, in simulation?
     python benchmarks/identification.py payload --draws 100       # and those of what a hand carries?
@@ -40,10 +41,10 @@ from mmnn_pin.deploy.identify.equations import (
     still_speeds,
 )
 from mmnn_pin.deploy.identify.excitation import Limits, Search, eight_with_sines, excite
-from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone
+from mmnn_pin.deploy.identify.identification import MODELS, Identification, following, friction_alone, scaled
 from mmnn_pin.deploy.identify.least_squares import base_parameters, weighted_fit
 from mmnn_pin.deploy.identify.log import Log
-from mmnn_pin.deploy.identify.payload import doubts, numbers_of
+from mmnn_pin.deploy.identify.payload import doubts, numbers_of, payload
 from mmnn_pin.deploy.identify.programme import Prior, consistent_fit
 from mmnn_pin.deploy.identify.reading import read_logs
 from mmnn_pin.model.regressor import Regressor
@@ -54,6 +55,10 @@ from mmnn_pin.torque.pseudo_inertia import BODY
 # Gear ratio times motor constant [N m / A], of the data's own script (examples/tiago/identification.py).
 TIAGO = {"arm_1_joint": 13.6, "arm_2_joint": 13.6, "arm_3_joint": -8.7, "arm_4_joint": -8.7}
 TIAGO |= {f"arm_{i}_joint": -336 * 0.0613 for i in (5, 6, 7)}
+# Joint torque over motor current [N m / A]: at rest the quotient of the controller's wanted torques and currents, which
+# the logs hold, of the joints that gravity loads; the shoulder's motors are alike, and so are the wrist's.
+UR10E = {"shoulder_pan": 11.98, "shoulder_lift": 11.98, "elbow": 9.84, "wrist_1": 10.7, "wrist_2": 10.7}
+UR10E = {f"{name}_joint": value for name, value in (UR10E | {"wrist_3": 10.7}).items()}
 FIGAROH = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # its names, in its order
 CARRYING = [(off, rubs, twice) for off, rubs in ((0.0, 0), (0.01, 0), (0.1, 0), (0.1, 1)) for twice in (0, 1)]
 TRIANGLE = np.triu_indices(3)
@@ -70,6 +75,15 @@ CASES: dict[str, dict[str, Any]] = {
         "robot": "panda",
         "logs": ["franka_inria_inverse_dynamics_solver/bagfiles/panda_exciting_trajectory.db3"],
         "columns": {f"joint.panda_joint{i}": f"fer_joint{i}" for i in range(1, 8)},
+    },
+    "ur10e": {
+        "robot": "URe/urdf/ur10e.urdf",
+        "logs": ["ur-20_02_10-30sec_12harm", "ur-20_02_12-40sec_12harm", "ur-20_02_06-20sec_10harm"],
+        "held_out": ["ur-20_02_12-50sec_12harm"],
+        "empty": ["ur-20_02_19_14harm50sec"],
+        "loaded": ["ur-20_02_19_14harm50secLoad"],
+        "load": 2.805,  # kg, of estimate_drive_gains.m
+        "constants": UR10E,
     },
 }
 
@@ -106,6 +120,27 @@ def by_figaroh(found: Identification, python: str) -> dict[str, float]:
     y = test.y.T[of_test]
     names = [name for name in ("ols", "wls", "physical") if name in answer]
     return {f"figaroh_{name}": float(np.linalg.norm(y - answer[name]) / np.linalg.norm(y)) for name in names}
+
+
+def of_ur10e(folder: Path, names: list[str], robot: Robot) -> list[Log]:
+    """Logs of its tables, which have no headers: time, and of six joints positions, velocities, currents and more."""
+    logs = []
+    for name in names:
+        file = folder / "dataset_ur10e" / "identification_data" / f"{name}.csv"
+        table = np.loadtxt(file, delimiter=",")
+        signals = [dict(zip(robot.joint_names, table[:, i : i + 6].T, strict=True)) for i in (1, 7, 13)]
+        logs.append(Log.of(table[:, 0], signals[0], signals[2], signals[1], name=name))
+    return logs
+
+
+def known_load(folder: Path, case: dict[str, Any], robot: Robot) -> dict[str, Any]:
+    """The mass that is found of a load whose mass is known; the same motion with and without it."""
+    with_load, empty = (
+        [scaled(log, robot, case["constants"]) for log in of_ur10e(folder, case[name], robot)]
+        for name in ("loaded", "empty")
+    )
+    found = payload(robot, with_load, without=empty)
+    return {"truth": case["load"], "mass": found.mass, "interval": 1.96 * found.mass_sd}
 
 
 def report(found: Identification, python: str | None = None) -> dict[str, Any]:
@@ -306,12 +341,18 @@ def main() -> None:
     folder = given.paths[0] if given.case in CASES else Path()
     name = folder / case["robot"] if "/" in case["robot"] and given.case in CASES else case["robot"]
     robot = load(name)
-    logs = read_logs([folder / log for log in case["logs"]], robot, case.get("columns"))
-    identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))  # compiles
+    if "held_out" in case:
+        logs, judged = (of_ur10e(folder, case[part], robot) for part in ("logs", "held_out"))
+    else:
+        logs, judged = read_logs([folder / log for log in case["logs"]], robot, case.get("columns")), []
+    settings = {"held_out": judged, "cutoff": given.cutoff, "torque_constants": case.get("constants")}
+    identify(robot, logs, **settings)  # compiles
     before = time.process_time()
-    found = identify(robot, logs, cutoff=given.cutoff, torque_constants=case.get("constants"))
+    found = identify(robot, logs, **settings)
     seconds = time.process_time() - before
     table = report(found, given.figaroh) | {"seconds": seconds, "rows": [len(log.time) for log in logs]}
+    if "load" in case:
+        table["load_kg"] = known_load(folder, case, robot)
     table["peak_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     if given.json:
         print(json.dumps(table))
@@ -325,6 +366,8 @@ def main() -> None:
     for joint, errors in table["joints"].items():
         mark = "" if joint in table["follow"] else "  not identified"
         print(f"{joint:22s}" + "".join(f"{100 * errors.get(model, np.nan):17.1f}%" for model in models) + mark)
+    if "load_kg" in table:
+        print("load: {mass:.3f} +- {interval:.3f} kg (95 %), weighed {truth} kg".format(**table["load_kg"]))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
 """Load every robot of `corpus.toml`, hold it against the truth, follow the commands that refusals print.
 
-    python -m studies.robots FOLDER [--only TEXT] [--markdown] [--inspect] [--track]
+    python -m studies.robots FOLDER [--only TEXT] [--csv] [--inspect] [--track]
 
 FOLDER has the repositories as `owner+name/`, at the commits that `corpus.toml` names, beside them the packages that
 their xacro files ask for, and in `.packages/` as `owner+name@commit/` those that are given by `--package-dir`. Robots
-of example-robot-data load by name. The table is in docs/reference/public-robots.md. With `--inspect` the whole command
+of example-robot-data load by name. The table is docs/reference/public-robots.csv. With `--inspect` the whole command
 `mmnn inspect` is timed on every robot that was accepted, with what it had to be told: processor time, compiled cache
 warm, the shortest of three; the slowest ten are told.
 With `--track` every robot that was accepted drives the experiment `track`, as in `studies.track_any`.
@@ -12,6 +12,7 @@ With `--track` every robot that was accepted drives the experiment `track`, as i
 
 from __future__ import annotations
 
+import csv
 import json
 import os
 import re
@@ -180,13 +181,12 @@ def words(robot: Robot) -> str:
     return f"{base.kind}, {lengths}, {robot.dimensions.arm} joints"
 
 
-def markdown_row(entry: dict[str, Any], outcome: Outcome) -> str:
-    """A row of the table of docs/reference/public-robots.md."""
+def row_of(entry: dict[str, Any], outcome: Outcome) -> list[str]:
+    """A row of docs/reference/public-robots.csv: robot, repository, truth, outcome."""
     truth = ", ".join([entry["kind"], *(f"{entry[name]:g}" for name in ("radius", "track") if name in entry)])
     text = outcome.text.removeprefix(f"{entry['kind']}, ") if outcome.verdict.startswith("right") else ""
-    found = ": ".join(filter(None, (outcome.verdict, f"`{outcome.command}`" if outcome.command else "", text)))
-    place = entry.get("repository", "example-robot-data")
-    return f"| {entry['name']} | {place} | {truth} | {found} |"
+    found = ": ".join(filter(None, (outcome.verdict, outcome.command, text)))
+    return [entry["name"], entry.get("repository", "example-robot-data"), truth, found]
 
 
 def inspected(outcome: Outcome) -> float:
@@ -238,10 +238,10 @@ def tracked(rows: list[track_any.Row]) -> str:
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, path_type=Path))
 @click.option("--only", default="", help="Robots whose names have this text.")
-@click.option("--markdown", is_flag=True, help="The table of docs/reference/public-robots.md.")
+@click.option("--csv", "as_csv", is_flag=True, help="The rows of docs/reference/public-robots.csv.")
 @click.option("--inspect", is_flag=True, help="Time `mmnn inspect` on every robot that is accepted.")
 @click.option("--track", is_flag=True, help="Drive the experiment `track` with every robot that is accepted.")
-def main(folder: Path, only: str, markdown: bool, inspect: bool, track: bool) -> None:
+def main(folder: Path, only: str, as_csv: bool, inspect: bool, track: bool) -> None:
     """Hold all robots of the corpus against the truth."""
     entries = tomllib.loads((Path(__file__).parent / "corpus.toml").read_text())["robot"]
     counts, rows, times = dict[str, int](), list[track_any.Row | None](), dict[str, float]()
@@ -255,8 +255,8 @@ def main(folder: Path, only: str, markdown: bool, inspect: bool, track: bool) ->
             click.echo(f"{times[entry['name']]:6.2f} s  {entry['name']}")
         elif track:
             rows += [driven(entry, folder, outcome)] if outcome.verdict.startswith("right") else []
-        elif markdown:
-            click.echo(markdown_row(entry, outcome))
+        elif as_csv:
+            csv.writer(sys.stdout, lineterminator="\n").writerow(row_of(entry, outcome))
         else:
             click.echo(
                 f"{outcome.verdict:24}{entry['name']:26}{outcome.seconds:6.2f} s  {outcome.command}  {outcome.text}"

@@ -37,6 +37,7 @@ CAREFUL: tuple[dict[str, Any], ...] = (  # settings of the solver, one after the
     {"max_step_fraction": 0.9, "static_regularization_constant": 1e-7},
     {"max_step_fraction": 0.8, "static_regularization_constant": 1e-6, "equilibrate_max_iter": 50},
 )
+ROTOR = 0.03  # share of a joint's force that its rotor may need at least, before the motion says so
 ROOT2 = np.sqrt(2.0)
 PLACES = tuple((i, j) for i in range(4) for j in range(i, 4))
 
@@ -76,9 +77,9 @@ class Prior:
             thick = thickened(P)
             centre[BODY * b : BODY * (b + 1)] = vector_of(thick)
             fill_body(B, b, thick)
-        force, speed, inertia = sizes(unknowns, equations)
+        force, speed, rotor = sizes(unknowns, equations)
         scale = np.ones(k)
-        for kind, size in (("rotor", inertia), ("viscous", force / speed), ("coulomb", force), ("stribeck", force)):
+        for kind, size in (("rotor", rotor), ("viscous", force / speed), ("coulomb", force), ("stribeck", force)):
             places = [i for i in unknowns.columns(kind) if unknowns.labels[i].rpartition(".")[0] in regressor.joints]
             scale[places] = size[: len(places)]
         offsets = unknowns.columns("offset")
@@ -137,7 +138,11 @@ def thickened(P: Array) -> Array:
 
 
 def sizes(unknowns: Unknowns, equations: Equations) -> tuple[Array, Array, Array]:
-    """Typical force, speed and inertia of every joint of the regressor, (joints,) each."""
+    """Typical force, speed and rotor inertia of every joint of the regressor, (joints,) each.
+
+    A rotor is believed to be as large as the inertia that its joint feels, or as what takes `ROTOR` of the force for
+    the motion's accelerations: that of a geared wrist is thousands of times its last link.
+    """
     rows = list(unknowns.rows)
     part = np.abs(unknowns.joint_rows[:, rows])
     none = np.where(part.sum(axis=1) > 0, 0.0, 1.0)
@@ -148,7 +153,10 @@ def sizes(unknowns: Unknowns, equations: Equations) -> tuple[Array, Array, Array
     joint_speed = np.sqrt(((equations.speed @ unknowns.joint_rows[:, rows].T) ** 2).mean(axis=0))
     M = np.abs(mass_matrix(unknowns))
     inertia = (part @ np.diag(M)[rows]) / np.maximum((part**2).sum(axis=1), 1e-12) + none
-    return np.maximum(force, 1e-9), np.maximum(joint_speed, 1e-3), np.maximum(inertia, 1e-9)
+    squares = (equations.Y[:, :, unknowns.columns("rotor")] ** 2).sum(axis=1).mean(axis=0)
+    acceleration = np.sqrt(squares / np.maximum((part**2).sum(axis=1), 1e-12))
+    rotor = np.maximum(inertia, np.where(none > 0, 0.0, ROTOR * force / np.maximum(acceleration, 1e-3)))
+    return np.maximum(force, 1e-9), np.maximum(joint_speed, 1e-3), np.maximum(rotor, 1e-9)
 
 
 def mass_matrix(unknowns: Unknowns) -> Array:

@@ -141,7 +141,7 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
     if path.suffix in (".npz", ".npy", ".mat"):
         fix = "identify(robot, Log.of(time, position, effort)) in Python, or write a CSV file"
         raise RecordingError("arrays without names of joints", fix=fix, file=path)
-    header, table = read_table(path)
+    header, table, short = read_table(path)
     joints = [*robot.joint_names, *(n for n in robot.full_velocity_names if n not in robot.joint_names)]
     where = found_columns(header, joints, columns, path)
     counted, notes = numbered(header, robot.joint_names, where, path)
@@ -154,7 +154,7 @@ def read_csv(path: Path, robot: Robot, columns: Columns, rate: float | None = No
     else:
         time = table[:, where["time"]]
     signals = {signal: table[:, i] for signal, i in where.items() if signal != "time"}
-    return replace(from_signals(str(path), {"time": time, **signals}), notes=notes)
+    return replace(from_signals(str(path), {"time": time, **signals}), notes=notes + short)
 
 
 def numbered(
@@ -200,8 +200,10 @@ def is_count(numbers: Mapping[int, int], size: int) -> bool:
     return size > 0 and sorted(numbers) in (list(range(size)), list(range(1, size + 1)))
 
 
-def read_table(path: Path) -> tuple[list[str], Array]:
-    """Header and numbers of a CSV file; separated by commas, semicolons, tabs or blanks. An empty cell is NaN.
+def read_table(path: Path) -> tuple[list[str], Array, tuple[str, ...]]:
+    """Header, numbers and notes of a CSV file; separated by commas, semicolons, tabs or blanks. An empty cell is NaN.
+
+    A last line that ends too early, because whoever wrote it was stopped, is left out.
 
     Raises:
         RecordingError: The file cannot be read, has no header, or a row has other cells than numbers; with the line.
@@ -220,7 +222,11 @@ def read_table(path: Path) -> tuple[list[str], Array]:
     except csv.Error as error:
         raise RecordingError("not a CSV file", why=str(error), file=path, line=rows.line_num) from None
     header = [name.strip() for name in cells[0]]
-    numbers = []
+    numbers: list[list[float]] = []
+    notes: tuple[str, ...] = ()
+    if len(cells) > 2 and len(cells[-1]) < len(header) and not text.endswith("\n"):
+        notes = (f"line {len(cells)} is cut short and left out",)
+        del cells[-1]
     for line, row in enumerate(cells[1:], 2):
         if not any(cell.strip() for cell in row):
             continue
@@ -234,7 +240,7 @@ def read_table(path: Path) -> tuple[list[str], Array]:
             raise RecordingError(what, fix="give one cell per column", file=path, line=line)
     if len(numbers) < 2:
         raise RecordingError(f"{len(numbers)} rows of numbers", fix="give a recorded motion", file=path)
-    return header, np.array(numbers)
+    return header, np.array(numbers), notes
 
 
 def found_columns(header: Sequence[str], joints: Sequence[str], columns: Columns, path: Path) -> dict[str, int]:

@@ -243,7 +243,9 @@ def test_the_programme_is_scipys_minimum(made: tuple[eq.Unknowns, eq.Equations])
         return float(0.5 * np.sum((X @ theta - y) ** 2) + weight * (far + 0.5 * prior.strength[first:] @ others**2))
 
     at = np.linalg.lstsq(prior.B, found.theta - prior.centre, rcond=None)[0]
-    best = minimize(objective, at, method="L-BFGS-B", options={"maxiter": 300, "maxfun": 100_000})
+    least = [*np.full(first, -np.inf), *prior.positive]  # friction and rotors do not drive
+    bounds = list(zip(least, np.full(len(at), np.inf), strict=True))
+    best = minimize(objective, at, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300, "maxfun": 100_000})
     assert objective(at) - best.fun < 1e-4 * abs(best.fun)
     assert min(positive_bodies(found.theta, first)) > 0
     assert (found.theta[unknowns.columns("viscous", "coulomb", "rotor")] >= 0).all()

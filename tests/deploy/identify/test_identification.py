@@ -77,6 +77,14 @@ def test_the_constrained_fit_is_the_truth_in_all_that_matters(found: Identificat
     assert (np.abs(C @ (found.theta - theta)) < 4 * sd + 1e-3).all()
 
 
+def test_a_rotor_far_above_what_its_link_weighs_is_found(urdf: Robot) -> None:
+    """As of a geared wrist: what the last joint feels is its motor, hundreds of times its light link."""
+    light = urdf.with_masses({"arm_2_joint": 0.01})
+    found = identify(light, simulated(rubbing(light, 0.5, 0.3), 40.0, 0.05, rotors=np.array([0.05, 0.2])))
+    np.testing.assert_allclose(found.theta[found.unknowns.columns("rotor")[1]], 0.2, rtol=0.02)
+    assert found.errors("identified")[1] < 0.1 * found.errors("friction")[1]
+
+
 # -- what is written ---------------------------------------------------------------------------------------------------
 
 

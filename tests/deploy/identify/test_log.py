@@ -156,6 +156,16 @@ def test_bad_tables_are_refused_in_one_line(what: str, log: Log, arm: Robot, tmp
     assert message in str(error.value) and "\n" not in str(error.value) and "log.csv" in str(error.value)
 
 
+def test_a_last_line_that_is_cut_short_is_left_out(log: Log, arm: Robot, tmp_path: Path) -> None:
+    text = table(log).rstrip("\n")
+    found = read(text[: text.rindex(",")], tmp_path, arm)
+    lines = len(text.splitlines())
+    assert len(found.time) == len(log.time) - 1 and f"line {lines} is cut short and left out" in found.notes
+    assert read(text, tmp_path, arm).notes == () and len(read(text, tmp_path, arm).time) == len(log.time)
+    with pytest.raises(RecordingError, match=f":{lines}: error: 6 cells under 7 headers"):
+        read(text[: text.rindex(",")] + "\n", tmp_path, arm)
+
+
 def test_unknown_columns_and_signals_are_refused(log: Log, arm: Robot, tmp_path: Path) -> None:
     with pytest.raises(UnknownName, match="unknown column 'q7'"):
         read(table(log), tmp_path, arm, columns={"position.arm_1_joint": "q7"})
