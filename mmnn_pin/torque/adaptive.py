@@ -87,7 +87,8 @@ class AdaptiveSettings(Settings, frozen=True):
         coulomb: Rate of dry friction; gamma_j is `coulomb c_j^2` [1/J].
         rotor: Rate of the rotors' inertias; gamma_j is `rotor c_j^2`. Mostly a link's own inertia says the same: 0.
         leakage: sigma, how fast the estimate is pulled back to its start [1/s].
-        share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut.
+        share: Largest answer of one sample to s, as a share of the feedback; rates that ask for more are cut. "delays"
+            is `h / (h + d)` of the known delays d, so that the answers that do not show yet stay below the feedback.
         modification: "sigma" leaks always, "e" in proportion to |s|.
         bounds: The largest ratio of an estimate to its start, either way.
         heaviest: The largest ratio of an estimate to a body of `mass` and `size`, where it starts from these. Too light
@@ -114,7 +115,7 @@ class AdaptiveSettings(Settings, frozen=True):
     coulomb: float = 10.0
     rotor: float = 0.0
     leakage: float = 0.0
-    share: float = 0.2
+    share: float | Literal["delays"] = 0.2
     modification: Literal["sigma", "e"] = "sigma"
     bounds: float = 100.0
     heaviest: float = 10.0
@@ -248,6 +249,14 @@ def norm(vector: Array) -> float:
 KERNELS[Adaptation] = Kernels(estimate, nothing_to_keep)
 
 
+def share_of(settings: AdaptiveSettings, context: Context) -> float:
+    """Largest answer of a sample to s, as a share of the feedback."""
+    if settings.share != "delays":
+        return float(settings.share)
+    slow = 0.0 if context.lag is None else float(context.lag.max(initial=0.0))
+    return context.control_period / (context.control_period + max(0.0, context.way) + slow)
+
+
 @dataclass(frozen=True, eq=False)
 class Adaptive(ParameterLearner):
     """`tau = Y theta_hat + K s` with `V' = -s' K s`: s goes to zero without leakage, bounds and disturbances.
@@ -305,7 +314,7 @@ class Adaptive(ParameterLearner):
             tracking=tracking,
             sigma=float(own.leakage),
             by_error=own.modification == "e",
-            share=float(own.share),
+            share=share_of(own, context),
             stride=max(1, round(TAKEN / context.control_period)),
             bodies=bodies,
             gradient=np.zeros(start.size),

@@ -23,7 +23,7 @@ from mmnn_pin.model.dynamics import Dynamics
 from mmnn_pin.model.regressor import Regressor
 from mmnn_pin.model.tree.body import parameters
 from mmnn_pin.signals import Layout
-from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt
+from mmnn_pin.torque.adaptive import Adaptive, AdaptiveSettings, Estimate, adapt, share_of
 from mmnn_pin.torque.controller import Context, Feedback
 from mmnn_pin.torque.prior import DOUBT
 from mmnn_pin.torque.pseudo_inertia import (
@@ -516,3 +516,26 @@ class Truth:
     """What a learner may be told here."""
 
     motion, parameters = REGRESSOR, TRUE
+
+
+# --- The largest answer -----------------------------------------------------------------------------------------------
+
+
+@given(st.floats(1e-4, 0.02), st.floats(0.0, 0.05), st.lists(st.floats(0.0, 0.05), min_size=4, max_size=4))
+@settings(max_examples=40, deadline=None)
+def test_answers_that_do_not_show_yet_stay_below_the_feedback(period, way, lags):
+    context = Context(Layout.of(ROBOT.dimensions), period, 1, lag=np.array(lags), way=way)
+    share = share_of(AdaptiveSettings(share="delays"), context)
+    under_way = 1 + (way + max(lags)) / period  # samples until an answer shows
+    assert share * under_way == pytest.approx(1.0) and 0 < share <= 1
+    assert share_of(AdaptiveSettings(share=0.3), context) == 0.3
+
+
+def test_a_share_is_a_number_or_that_of_the_delays():
+    assert share_of(AdaptiveSettings(share="delays"), Context(Layout.of(ROBOT.dimensions), 0.001, 1)) == 1.0
+    experiment = load_experiment("track", ["time.duration=0.01", "actuator.lag=0.003", "latency.sensing=0.001"])
+    robot = experiment.load_robot()
+    loop = experiment.loop(robot, experiment.controller("adaptive", robot=robot))
+    assert share_of(loop.controller.settings, loop.context()) == pytest.approx(1 / 5)  # 1 ms of 1 + 1 + 3
+    with pytest.raises(ConfigError, match=r"adaptive\.share"):
+        load_experiment("track", ["adaptive.share=fast"])
