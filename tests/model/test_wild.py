@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from test_base import MOVE, four
 
 from mmnn_pin.errors import ConfigError, RobotError
+from mmnn_pin.lab.show.robots import interfaces
 from mmnn_pin.model.base.report import Undecided, Unsupported
 from mmnn_pin.model.checks.properties import check
 from mmnn_pin.model.inspection import interfaces_of
@@ -307,6 +308,14 @@ def test_interfaces_are_those_of_the_tags():
     assert found["interfaces_offered"]["elbow"] == ["effort", "position"] and found["interfaces_offered"]["fr"] == []
     used = {"fl": "velocity", "fr": "effort", "rl": "effort", "rr": "effort", "shoulder": "position", "elbow": "effort"}
     assert found["interfaces"] == used
+
+
+def test_a_table_of_interfaces_folds_and_cuts_no_name():
+    names = [f"arm-of-many_joints_{index}" for index in range(30)]
+    offered = {name: ["effort"] for name in names}
+    lines = interfaces({"interfaces": dict.fromkeys(names, "effort"), "interfaces_offered": offered}).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert " ".join(" ".join(lines[3:]).split()) == ", ".join(names)
 
 
 # --- Files as people have them ----------------------------------------------------------------------------------------

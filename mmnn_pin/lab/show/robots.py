@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -88,18 +89,22 @@ def arm(content: dict[str, Any]) -> str:
 
 
 def interfaces(content: dict[str, Any]) -> str:
-    """Which command interfaces joints offer and which one is used; empty where the file states none."""
+    """Which command interface is used, which are offered, and by which joints; empty where none is stated."""
     offered = content["interfaces_offered"]
     if not any(offered.values()):
         return ""
     groups: dict[tuple[str, str], list[str]] = {}
     for name, used in content["interfaces"].items():
         groups.setdefault((used, ", ".join(offered[name]) or "none stated"), []).append(name)
-    rows = [
-        ("interface", "offered", "joints"),
-        *((used, some, ", ".join(names)) for (used, some), names in groups.items()),
-    ]
-    return underlined(rows)
+    heading, line, *rows = underlined([("interface", "offered"), *groups]).split("\n")
+    joints = [folded(", ".join(names)) for names in groups.values()]
+    return "\n".join([heading, line, *(f"{row}\n{names}" for row, names in zip(rows, joints, strict=True))])
+
+
+def folded(names: str) -> str:
+    """Names, indented, in lines of at most 100 characters; a name is never cut."""
+    lines = textwrap.TextWrapper(100, "  ", "  ", break_long_words=False, break_on_hyphens=False)
+    return lines.fill(names)
 
 
 def locked(content: dict[str, Any]) -> Iterator[str]:
