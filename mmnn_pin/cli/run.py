@@ -140,7 +140,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     from ..lab.experiments.runner import run_experiment
     from ..lab.show.comparison import notes, render
     from ..lab.show.gallery import write_pictures
-    from ..lab.show.report.verdict import headline, rivals_left_out
+    from ..lab.show.report.verdict import headline, rivals_left_out, worse_somewhere
     from ..lab.show.table import WIDTH
 
     with progress_bar() as show, interruptible(show) as progress:
@@ -148,7 +148,7 @@ def run_one(asked: Experiment, name: str, folder: Path, force: bool, as_json: bo
     pictures = write_pictures(result.recordings, asked.plots, folder, force)
 
     def text() -> str:
-        remarks = [f"note: {note}" for note in (*rivals_left_out(result), *notes(result))]
+        remarks = [f"note: {note}" for note in (*worse_somewhere(result), *rivals_left_out(result), *notes(result))]
         files = [recording.path for recording in result.recordings.values() if recording.path]
         verdict = textwrap.fill(headline(result), look().get("width", WIDTH))
         return "\n".join([render(result, **look()), "", verdict, *remarks, wrote([*files, *pictures.values()])])

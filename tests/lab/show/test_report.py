@@ -169,6 +169,29 @@ def test_the_verdict_follows_from_the_numbers(chapter4: dict[str, Recording]) ->
     assert [text for text in found.warnings if "fair" in text] == []
 
 
+def test_a_winner_on_average_says_where_it_is_far_worse() -> None:
+    """It holds the base far better and one joint four times worse."""
+
+    def of_sizes(base: float, joint: float):
+        def change(table: np.ndarray, where) -> None:
+            for name, size in (("pose_error", base), ("z", base), ("e", joint)):
+                table[:, where(name)] = table[:, where(f"true_{name}")] = size
+
+        return change
+
+    robot = load("platform_arm")
+    runs = {
+        "two_layer": recorded(robot, "two_layer", change=of_sizes(0.001, 0.4)),
+        "pd_gravity": recorded(robot, "pd_gravity", change=of_sizes(0.1, 0.1)),
+    }
+    found = verdict(result_of(runs))
+    assert found.headline.startswith("two_layer tracks best of 2")
+    (told,) = [text for text in found.warnings if "on average alone" in text]
+    assert re.search(r"its e\.arm_[12]_joint is 4\.00? times that of pd_gravity", told)
+    runs["two_layer"] = recorded(robot, "two_layer", change=of_sizes(0.001, 0.15))
+    assert not any("on average alone" in text for text in verdict(result_of(runs)).warnings)
+
+
 def test_the_headline_compares_with_the_best_of_what_learns_nothing() -> None:
     """Not with PD, which is easy to beat where gravity pulls."""
 

@@ -28,6 +28,7 @@ ABOUT_PROOF = (
     "d/dt (s\u1d40Ms/2) = s\u1d40(\u03a8 - \u03c4 + d) over control periods, worst relative error, "
     f"tolerance {TOLERANCE:g}. mmnn prove tells more of each run."
 )
+FAR = 2.0  # times another's error that is told
 PLAIN = ("pd", "pd_gravity", "pid")
 FROZEN = {"same": "own trajectory", "held_out": "held out", "payload": "with a payload"}
 
@@ -185,10 +186,23 @@ def warnings(result: Result) -> Iterator[str]:
     yield from (f"{note}." for note in notes(result))
     yield from torques(result)
     yield from unlike(result)
-    yield from (f"{text}." for text in rivals_left_out(result))
+    yield from (f"{text}." for text in (*worse_somewhere(result), *rivals_left_out(result)))
     for pd, learner in effective(result.recordings).items():
         if learner in result.recordings and pd not in result.recordings:
             yield f"{learner} ran without {pd}: its gain and its learning cannot be separated."
+
+
+def worse_somewhere(result: Result) -> Iterator[str]:
+    """The error in which the winner is worst beside the plain run that it is compared with, where that is far worse."""
+    (_, judged), base = ranking(result), compared_with(result)
+    if not judged or base in ("", judged[0]):
+        return
+    best, plain = result.metrics[judged[0]], result.metrics[base]
+    ratios = {key: best[key] / plain[key] for key in best if key.endswith(window(result)) and plain[key] > 0}
+    key = max(ratios, key=lambda one: ratios[one], default="")
+    if key and ratios[key] > FAR:
+        name = key.removesuffix(window(result))
+        yield f"{judged[0]} is best on average alone: its {name} is {number(ratios[key])} times that of {base}"
 
 
 def rivals_left_out(result: Result) -> Iterator[str]:
