@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import math
 import queue
@@ -89,6 +88,19 @@ def shown(settings: StudySettings, names: Sequence[str]) -> tuple[str, ...]:
     return tuple(pattern for pattern in DEFAULT if value_of(dict.fromkeys(names, 0.0), pattern) == 0.0)
 
 
+def judged(path: Path) -> str:
+    """Digest of the plan whose points this version judged before it wrote a database; empty where there is none.
+
+    Raises:
+        StudyError: As in `reading`.
+    """
+    if not path.is_file() or not path.stat().st_size:
+        return ""
+    with reading(path) as store:
+        meta = store.meta()
+    return str(meta.get("plan", "")) if meta.get("mmnn_pin") == __version__ else ""
+
+
 def missing_rows(store: Store, plan: Plan, found: Probe, force: bool) -> list[int]:
     """Rows that are still to be run, after the database has agreed to the study's settings.
 
@@ -102,26 +114,25 @@ def missing_rows(store: Store, plan: Plan, found: Probe, force: bool) -> list[in
         StudyError: It holds rows of other settings, and `force` is off.
     """
     fingerprints = list(plan.fingerprints())
-    digest = hashlib.sha256(" ".join(fingerprints).encode()).hexdigest()
     before, rows = store.meta(), store.fingerprints()
     kept = [print_ for print_ in fingerprints if print_ in rows]
-    if rows and (before.get("plan"), before.get("mmnn_pin")) != (digest, __version__):
+    if rows and (before.get("plan"), before.get("mmnn_pin")) != (plan.digest, __version__):
         if not force:
             raise changed_settings(store.path, before, plan, len(rows), len(kept))
         same_code = before.get("mmnn_pin") == __version__
         store.renumber({p: i for i, p in enumerate(fingerprints)} if same_code else {})
         rows = store.fingerprints()
-    store.set_meta(facts(plan, found, digest))
+    store.set_meta(facts(plan, found))
     return [i for i, p in enumerate(fingerprints) if p not in rows or rows[p][1] in AGAIN]
 
 
-def facts(plan: Plan, found: Probe, digest: str) -> dict[str, Any]:
+def facts(plan: Plan, found: Probe) -> dict[str, Any]:
     """What the database holds of its study."""
     study = plan.study
     return {
         "mmnn_pin": __version__,
         "versions": versions(),
-        "plan": digest,
+        "plan": plan.digest,
         "rows": len(plan),
         "name": study.name,
         "file": str(study.path),

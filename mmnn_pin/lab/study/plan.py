@@ -32,6 +32,7 @@ COSMETIC = (
     *("title", "variant", "controllers", "plots", "torque_limits", "weights_interval"),
     *("cases", "tolerance", "contest"),
 )
+ROBOT = ("robot", "overrides")  # decide which robot is loaded
 TRUTH = ("masses", "friction")  # of the true robot only, where the model is nominal
 
 
@@ -62,10 +63,23 @@ class Plan:
 
     def fingerprints(self) -> Iterator[str]:
         """Fingerprint of every run, in order."""
-        for point in self.points:
-            for seed in self.seeds:
+        yield from self._fingerprints
+
+    @cached_property
+    def _fingerprints(self) -> tuple[str, ...]:
+        found: list[str] = []
+        other_robots = any(path.partition(".")[0] in ROBOT for path in paths_of(self.study.settings.factors))
+        for point, seed in itertools.product(self.points, self.seeds):
+            experiment, settings = self.base, self.table_at(point, seed)[1]
+            if other_robots:
                 experiment, settings = self.experiment(point, seed)
-                yield from (self.fingerprint(experiment, settings, controller) for controller in self.controllers)
+            found += [self.fingerprint(experiment, settings, controller) for controller in self.controllers]
+        return tuple(found)
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of all fingerprints."""
+        return hashlib.sha256(" ".join(self._fingerprints).encode()).hexdigest()
 
     def row(self, i: int) -> Row:
         """Run i.
@@ -99,8 +113,21 @@ class Plan:
         Raises:
             InputError: The values make no experiment; with the factors' values.
         """
+        table, settings = self.table_at(parameters, seed)
+        try:
+            return msgspec.convert(table, Experiment), settings
+        except (msgspec.ValidationError, InputError) as error:
+            raise self.no_experiment(parameters, table, error) from None
+
+    def table_at(self, parameters: dict[str, Any], seed: int | None) -> tuple[dict[str, Any], dict[str, Any]]:
+        """The table at values of the factors, its parts that no factor changes shared, and what the factors changed.
+
+        Raises:
+            InputError: A value cannot be put in; with the factors' values.
+        """
         settings: dict[str, Any] = {} if seed is None else {"seed": seed}
-        table = deep(self.table)
+        tops = {path.partition(".")[0] for path in paths_of(self.study.settings.factors)}
+        table = self.table | {key: deep(self.table[key]) for key in tops if key in self.table}
         try:
             for name, value in parameters.items():
                 factor = self.study.settings.factors[name]
@@ -108,8 +135,8 @@ class Plan:
                     settings[path] = changed(table, path, value, factor.relative)
             if seed is not None:
                 table["seed"] = seed
-            return msgspec.convert(table, Experiment), settings
-        except (msgspec.ValidationError, InputError) as error:
+            return table, settings
+        except InputError as error:
             raise self.no_experiment(parameters, table, error) from None
 
     def no_experiment(
@@ -160,17 +187,18 @@ class Plan:
 
     @cached_property
     def _base_digest(self) -> str:
-        kept = {key: value for key, value in self.table.items() if key not in (*COSMETIC, "robot", "overrides", "seed")}
+        kept = {key: value for key, value in self.table.items() if key not in (*COSMETIC, *ROBOT, "seed")}
         return hashlib.sha256(json.dumps(kept, sort_keys=True).encode()).hexdigest()
 
 
-def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None) -> Plan:
+def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int | None = None, judged: str = "") -> Plan:
     """The runs of a study, every point judged.
 
     Args:
         study: The study.
         sampling_seed: Seed of the draws in place of the study's.
         points: Number of draws in place of the study's.
+        judged: Digest of a plan whose points were judged before: they are not judged again.
 
     Raises:
         InputError: A change or a factor names no setting, or a point makes no experiment; with the line.
@@ -195,7 +223,7 @@ def plan_of(study: StudyFile, *, sampling_seed: int | None = None, points: int |
     if len(plan) > MOST:
         what, fix = f"{len(plan)} runs", f"at most {MOST} are taken"
         raise study.placed(ConfigError(what, fix=fix, key="sampling.points"))
-    for point in plan.points:
+    for point in () if judged and plan.digest == judged else plan.points:
         plan.experiment(point, plan.seeds[0])
     return plan
 

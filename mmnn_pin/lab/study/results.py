@@ -10,7 +10,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,7 @@ class Results:
     patterns: tuple[str, ...]
     units: Mapping[str, str]
     meta: Mapping[str, Any] = field(repr=False)
+    _found: dict[tuple[str, str], Array] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def of(self) -> dict[str, list[Stored]]:
@@ -86,9 +87,13 @@ class Results:
 
         NaN for a completed run without a number, such as the RMS of a window that no run reaches.
         """
-        rows = self.of[controller]
-        values = np.array([worth(row.status, row.metrics, pattern) for row in rows])
-        return np.where(np.isinf(values) & [row.completed for row in rows], math.nan, values)
+        if (controller, pattern) not in self._found:
+            rows = self.of[controller]
+            values = np.array([worth(row.status, row.metrics, pattern) for row in rows])
+            self._found[controller, pattern] = np.where(
+                np.isinf(values) & [row.completed for row in rows], math.nan, values
+            )
+        return self._found[controller, pattern].copy()
 
     def succeeded(self, controller: str) -> NDArray[np.bool_]:
         """Which runs of a controller are a success, (n,)."""
@@ -173,10 +178,16 @@ def require_of(row: Stored, settings: StudySettings, controllers: Sequence[str],
 
 def value_of(metrics: Mapping[str, float], pattern: str) -> float:
     """The largest metric that a pattern names; inf where one is no number, nan where there is none."""
-    found = [value for name, value in metrics.items() if fnmatchcase(name, pattern)]
+    found = [metrics[name] for name in named(tuple(metrics), pattern)]
     if not found:
         return math.nan
     return max(math.inf if math.isnan(value) else value for value in found)
+
+
+@lru_cache(maxsize=256)
+def named(names: tuple[str, ...], pattern: str) -> tuple[str, ...]:
+    """Names that a pattern names; remembered, as all rows of a study have the same."""
+    return tuple(name for name in names if fnmatchcase(name, pattern))
 
 
 def require_patterns(patterns: Iterable[str], names: Iterable[str], key: str) -> None:

@@ -19,6 +19,7 @@ from mmnn_pin.errors import ConfigError, InputError
 from mmnn_pin.lab.experiments.config import load_experiment
 from mmnn_pin.lab.study.factors import Factor, unit_cube
 from mmnn_pin.lab.study.keys import leaves, line_of, near
+from mmnn_pin.lab.study.plan import Plan, plan_of
 
 U = st.floats(0.0, 1.0, exclude_max=True)
 
@@ -248,3 +249,15 @@ def test_an_experiment_beside_the_study_is_found_from_any_folder(tmp_path: Path,
     monkeypatch.chdir("/")
     plan = planned(tmp_path, SHORT.replace('"chapter4"', '"mine.toml"'))
     assert plan.base.time.duration == 0.04
+
+
+def test_points_that_were_judged_before_are_not_judged_again(tmp_path: Path, monkeypatch) -> None:
+    plan = planned(tmp_path)
+    judged: list[object] = []
+    whole = Plan.experiment
+    monkeypatch.setattr(Plan, "experiment", lambda self, *point: judged.append(point) or whole(self, *point))
+    again = plan_of(plan.study, judged=plan.digest)
+    assert not judged and list(again.fingerprints()) == list(plan.fingerprints())
+    assert not judged  # nor made for a fingerprint, as no factor changes the robot's files
+    plan_of(plan.study, judged="of another plan")
+    assert len(judged) == len(plan.points)
