@@ -26,7 +26,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ...actuator.settings import Actuator, limits
 from ...errors import RecordingError
 from ...sensing import Sensor
 from ...settings import finite
@@ -40,7 +39,6 @@ OFTEN = 8  # in a block is the integrator looked at
 CORNERS = 3  # of the box, looked at in every block
 MORE = 1.5  # than the largest remainder that was seen
 ROUNDS, AHEAD = 10, 1.2  # of tube and remainder; times what was found is tried next
-NOISE = 4.0  # standard deviations that noise is bounded by
 LOST = 2.0  # [m, rad] of error: no tube
 FACTORS = np.geomspace(1e-3, 1e3, 25)  # on the error of Psi, for how much is borne
 
@@ -105,8 +103,7 @@ def refusal(subject: Subject) -> str:
     meta = subject.recording.meta
     if subject.plant != "ideal" or subject.timing.integrator == "stick":
         return "wheels may slip, or friction stick, in its plant"
-    motors = msgspec.convert(meta.get("actuator", {}), Actuator)
-    if msgspec.structs.replace(motors, torque_limit=None) != Actuator():
+    if subject.motors_lag:
         return "its motors have more than a limit of torque"
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
@@ -126,15 +123,6 @@ def refusal(subject: Subject) -> str:
     if not (gain > 0).all() or np.ptp(gain, axis=0).any() or off > 1e-6 * max(np.abs(tau).max(), 1e-300):
         return "its torque is not a constant gain on s plus Psi_hat (a robust term, a lead or a limit adds to it)"
     return ""
-
-
-def motor_limits(subject: Subject) -> Array:
-    """(motors,) largest torques of a run's motors, inf where there is no limit [N m or N]."""
-    meta = subject.recording.meta
-    if "actuator" not in meta:
-        return np.full(len(subject.robot.actuator_names), np.inf)
-    limit = msgspec.convert(meta["actuator"], Actuator).torque_limit
-    return np.asarray(limits(limit, subject.robot.effort_limits, "motor", "actuator.torque_limit"), float)
 
 
 Told = Callable[[float], None]
@@ -173,8 +161,7 @@ class Search:
         self.periods, self.force = periods, force
         self.late = round(meta.get("latency", {}).get("command", 0.0) / h)
         self.linear = Linear.of(periods, self.late, BLOCKS)
-        noise = np.asarray(meta.get("sensor", {}).get("velocity_noise", 0.0), float)
-        self.noise = NOISE * periods.gain * noise
+        self.noise = periods.gain * periods.subject.velocity_noise
         self.starts, self.ends = self.linear.at[:-1], self.linear.at[1:]
 
     @cached_property
@@ -312,7 +299,7 @@ class Search:
         E_inv, since = np.linalg.inv(robot.E), slice(first, None)
         tau = np.einsum("kpm,km->kp", np.abs(lin.T[1:]), size[:, :m]) + self.eps + self.noise
         asked = np.abs(lin.torque[1:] @ E_inv.T) + tau @ np.abs(E_inv).T
-        return np.asarray((asked[since] / motor_limits(self.periods.subject)).max(axis=0))
+        return np.asarray((asked[since] / self.periods.subject.motor_limits).max(axis=0))
 
     def bears(self, first: int) -> float:
         """Largest of `FACTORS` on the errors of Psi from a block on for which there is a tube; 0 for none."""
