@@ -353,12 +353,11 @@ class Boxes:
     def limits(self, box: Box) -> list[Condition]:
         """What may be reached in a box of the limits of motors and supervisor."""
         loop, s = self.loop, self.measured(box)
-        torque = np.abs(np.linalg.inv(loop.robot.E)) @ (self.gains.upper * s + self.gains.network)
-        result = limits_of_motors(loop.motors, torque)
-        if loop.supervisor is None:
+        bounded = np.nan_to_num(self.gains.upper * s + self.gains.network, posinf=1e300)  # 0 times inf is not 0
+        result = limits_of_motors(loop.motors, torque := np.abs(np.linalg.inv(loop.robot.E)) @ bounded)
+        if (its := loop.supervisor) is None:
             return result
-        bounds = loop.signal_bounds(self.drive(box), box.pose, self.joints(box), s)
-        return result + limits_in(loop.supervisor, bounds, torque)
+        return result + limits_in(its, loop.signal_bounds(self.drive(box), box.pose, self.joints(box), s), torque)
 
     def inner(self, faces: Faces) -> Box:
         """The next smaller box: the energy first, then what it drives."""
