@@ -161,11 +161,11 @@ def test_no_signs_take_a_late_sample_further_away_than_its_bound(held: float, la
     rate *= held / gains.oldest / np.linalg.eigvalsh(rate)[-1]  # of M^-1 k
     mu, pushed, fine = float(np.linalg.eigvalsh(rate)[-1]), float(rng.uniform(0, 100.0)), 10
     s = [rng.standard_normal(2)]
-    first = (late + 1) * 4
+    first, push = (late + 1) * 4, np.ones(2)
     for j in range(first + 40):
         sample = s[max(j - late, 0) * fine]
+        push = rng.standard_normal(2) if rng.random() < 0.2 else push
         for _ in range(fine):
-            push = rng.standard_normal(2)
             s.append(s[-1] + h / fine * (-rate @ sample + pushed * push / np.linalg.norm(push)))
     sizes = np.linalg.norm(s, axis=1)
     for k in range(first * fine, len(s) - 1):
