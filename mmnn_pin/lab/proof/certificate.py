@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from ...settings import finite
 from ...signals import Array
 from .bounds import PoseSet, WeightsBound, weights_bound
-from .certified_loop import CertifiedLoop, Condition, limits_in
+from .certified_loop import CertifiedLoop, Condition, limits_in, limits_of_motors
 from .learner import NAMES
 from .motion_bound import Drive, Gains, MotionBound, MotionSamples, drive, motion_bound
 
@@ -117,6 +117,10 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
             leak = max(network.leak, network.leak_V)
             yield Condition(f"leakage, {NAMES[i]}", leak, 2.0, "kappa F |s| per sample, also with G")
         yield Condition(f"weights, {NAMES[i]}", network.norm, math.inf, f"|Z| has a bound, by {network.why}")
+    period = Condition("period", loop.period * motion.fastest, 0.5, "h times the largest eigenvalue of M^-1 k")
+    if loop.late > 0:
+        words = "h + delay times the largest eigenvalue of M^-1 k"
+        period = Condition("period, delay", boxes.gains.oldest * motion.fastest, 1.0, words)
     feedback = "smallest s'Ks / s'Ms: feedback less kinematic gains and Coriolis [1/s]"
     less = "the same less what the hold of the torque takes [1/s]"
     stands = "where the pose error may stand still, within the region [m]"
@@ -128,7 +132,7 @@ def conditions(boxes: Boxes, faces: Faces) -> Iterator[Condition]:
     )
     yield from (
         Condition("pose", faces.decay, 0.0, "decay of the pose error in the region [1/s]", "above"),
-        Condition("period", loop.period * motion.fastest, 0.5, "h times the largest eigenvalue of M^-1 k"),
+        period,
         Condition("feedback", motion.unheld, 0.0, feedback, "above"),
         Condition("feedback, held", motion.margin, 0.0, less, "above"),
         Condition("face, pose", faces.pose, box.pose, stands),
@@ -173,6 +177,7 @@ def error_constants(loop: CertifiedLoop, faces: Faces) -> list[Row]:
     ]
     return [
         ("h", loop.period, "s", "given", "control period"),
+        ("delay", loop.late, "s", "given", "from a sample to when its command is in force, at most"),
         ("vmin", pose.slowest, "m/s", "given", "slowest reference"),
         ("vmax", pose.fastest, "m/s", "given", "fastest reference"),
         ("wmax", pose.turning, "rad/s", "given", "largest yaw rate of the reference"),
@@ -194,8 +199,11 @@ def controller_constants(boxes: Boxes) -> Iterator[Row]:
         yield f"k[{name}] to", high, "SI", "computed", "gain on s: k + Kz (|Z| + ZB)"
     for name, value in zip(names, gains.network, strict=True):
         yield f"Psi_hat[{name}]", value, "N, N m", "computed", "what the network may say at most"
-    for name, value in zip(names, gains.disturbance, strict=True):
+    for name, value in zip(names, boxes.loop.disturbance, strict=True):
         yield f"d[{name}]", value, "N, N m", "given", "external force at most"
+    for name, value in zip(names, boxes.loop.noise, strict=True):
+        if value > 0:
+            yield f"n[{name}]", value, "m/s, rad/s", "given", "noise of the measured velocity at most"
     for i, bound in boxes.networks.items():
         yield f"|W| {NAMES[i]}", bound.W, "", "computed", "bound on the output weights"
         yield f"|V| {NAMES[i]}", bound.V, "", "computed", "bound on the hidden weights that learn"
@@ -273,7 +281,7 @@ class Boxes:
         loop = self.loop
         if loop.learner is None:
             return {}
-        s = self.velocity(self.outer)
+        s = self.measured(self.outer)
         x = loop.input_norm(self.drive(self.outer), self.outer.pose, self.joints(self.outer), s)
         return {i: weights_bound(loop.learner, i, s, x, loop.projection) for i, _ in loop.learner.networks}
 
@@ -285,11 +293,16 @@ class Boxes:
         for i, part in loop.learner.networks if loop.learner else ():
             network[part], norm[part] = self.networks[i].output, self.networks[i].norm
         upper = loop.gain + np.where(Kz > 0, Kz * (np.where(Kz > 0, norm, 0.0) + ZB), 0.0)
-        return Gains(loop.gain + Kz * ZB, upper, network, loop.K, loop.disturbance, loop.period)
+        force = loop.disturbance + np.where(loop.noise > 0, upper, 0.0) * loop.noise
+        return Gains(loop.gain + Kz * ZB, upper, network, loop.K, force, loop.period, loop.late)
 
     def velocity(self, box: Box) -> Array:
         """(p,) largest |s_i| in a box."""
         return np.asarray(np.sqrt(2 * box.energy * self.samples.lightest))
+
+    def measured(self, box: Box) -> Array:
+        """(p,) the same of s as the controller sees it."""
+        return self.velocity(box) + self.loop.noise
 
     def joints(self, box: Box) -> Array:
         """(n,) largest |e_i| in a box."""
@@ -338,12 +351,13 @@ class Boxes:
         )
 
     def limits(self, box: Box) -> list[Condition]:
-        """What may be reached in a box of the supervisor's limits."""
-        if self.loop.supervisor is None:
-            return []
-        s = self.velocity(box)
-        bounds = self.loop.signal_bounds(self.drive(box), box.pose, self.joints(box), s)
-        return limits_in(self.loop.supervisor, bounds, self.gains.upper * s + self.gains.network)
+        """What may be reached in a box of the limits of motors and supervisor."""
+        loop, s = self.loop, self.measured(box)
+        bounded = np.nan_to_num(self.gains.upper * s + self.gains.network, posinf=1e300)  # 0 times inf is not 0
+        result = limits_of_motors(loop.motors, torque := np.abs(np.linalg.inv(loop.robot.E)) @ bounded)
+        if (its := loop.supervisor) is None:
+            return result
+        return result + limits_in(its, loop.signal_bounds(self.drive(box), box.pose, self.joints(box), s), torque)
 
     def inner(self, faces: Faces) -> Box:
         """The next smaller box: the energy first, then what it drives."""
@@ -401,7 +415,7 @@ class Faces:
         motion: The energy in it.
         pose: Size below which the pose error may grow [m]; inf where nothing holds it.
         arm: The same of the arm errors.
-        limits: What may be reached in it of the supervisor's limits.
+        limits: What may be reached in it of the limits of motors and supervisor.
     """
 
     box: Box
@@ -417,7 +431,7 @@ class Faces:
 
     @property
     def invariant(self) -> bool:
-        """Whether no motion leaves the box, and no supervisor steps in."""
+        """Whether no motion leaves the box, no motor saturates and no supervisor steps in."""
         inside = self.pose < self.box.pose and self.motion.level < self.box.energy
         inside = inside and all(limit.holds for limit in self.limits)
         return bool(inside and (self.arm < self.box.arm or not len(self.joints)))

@@ -9,7 +9,7 @@ begins.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import msgspec
@@ -33,6 +33,7 @@ TOLERANCE = 1e-3  # of the largest rate
 SPREAD = 0.5  # [rad or m]: arm errors beyond this are not looked at
 SIGNALS = ("velocity_ref", "acceleration_ref", "q_ref", "qdot_ref", "qddot_ref", "pose_ref")
 RATES = (("velocity_ref", "acceleration_ref"), ("q_ref", "qdot_ref"), ("qdot_ref", "qddot_ref"))
+TORQUE = "largest motor torque [N m or N]"
 SPEED = 1e-6  # [m/s] below which the reference counts as standing
 
 
@@ -52,6 +53,9 @@ class CertifiedLoop:
         supervisor: Limits that the loop must not pass; None without.
         drift: Speed [m/s] and yaw rate [rad/s] at which the reference's poses leave its velocities, at most.
         spread: (n,) largest arm error looked at [rad or m].
+        late: Largest time from a sample to when its command is in force [s].
+        noise: (p,) largest error of the measured velocities [m/s, rad/s].
+        motors: (motors,) largest torque of every motor, inf where there is no limit [N m or N].
     """
 
     robot: Robot
@@ -65,6 +69,14 @@ class CertifiedLoop:
     supervisor: Supervisor | None = None
     drift: tuple[float, float] = (0.0, 0.0)
     spread: Array | None = None
+    late: float = 0.0
+    noise: Array = field(default_factory=lambda: np.zeros(1))
+    motors: Array = field(default_factory=lambda: np.full(1, np.inf))
+
+    def __post_init__(self) -> None:
+        robot = self.robot
+        object.__setattr__(self, "noise", np.zeros(robot.dimensions.dof) + self.noise)
+        object.__setattr__(self, "motors", np.zeros(len(robot.E)) + self.motors)
 
     @cached_property
     def pose(self) -> PoseBound:
@@ -171,6 +183,9 @@ def certified_loop(subject: Subject) -> CertifiedLoop:
         projection=safety.get("weights"),
         supervisor=supervisor,
         drift=drift(along.pose_ref, along.v_ref, along.a_ref, subject.timing.control_period),
+        late=delay(subject),
+        noise=subject.velocity_noise,
+        motors=subject.motor_limits,
     )
 
 
@@ -184,10 +199,12 @@ def refusal(subject: Subject) -> str:
         return f"on the {subject.plant} plant wheels may slip, and then nu does not move by the reduced model"
     if timing.integrator == "stick":
         return "friction that sticks is an impulse, no force that is bounded"
-    if not subject.exact_sensors:
-        return "it takes the true state at every control sample; these sensors err or are slower"
-    if meta.get("actuator"):
-        return "its motors do not give what they are asked for"
+    if not subject.exact_poses:
+        return "it takes the true pose and joint angles at every control sample; these sensors err or are slower"
+    if subject.latency.sensing > 0:
+        return "its measurements are late; only a delay of the commands is covered: latency.command in its place"
+    if subject.motors_lag:
+        return "its motors do not give what they are asked for, by more than a limit of torque"
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
     if subject.recording.outcome.status == "tripped":
@@ -213,6 +230,12 @@ def refusal(subject: Subject) -> str:
     if learner.own.update != "after_output":
         return "the weights are updated before the output, with the hidden outputs of the call before"
     return ""
+
+
+def delay(subject: Subject) -> float:
+    """Largest time from a sample to when its command is in force [s], in steps of the plant."""
+    step, latency = subject.timing.plant_step, subject.latency
+    return round((latency.command + latency.jitter) / step) * step
 
 
 def drift(pose: Array, velocity: Array, acceleration: Array, period: float) -> tuple[float, float]:
@@ -270,7 +293,6 @@ class Supervisor:
         position: Distance of the base from its reference [m].
         heading: Heading error [rad].
         joints: (n,) errors of the arm [rad or m].
-        E_inv: (motors, p) motor torques from torques on nu.
     """
 
     torque: Array
@@ -278,14 +300,13 @@ class Supervisor:
     position: float
     heading: float
     joints: Array
-    E_inv: Array
 
     @classmethod
     def of(cls, safety: Safety, robot: Robot, period: float) -> Supervisor:
         """From settings."""
         its = safety.supervisor(robot, period, np.zeros(robot.dimensions.dof), np.zeros(robot.dimensions.arm))
         position, heading = its.numbers[[POSITION, HEADING]]
-        return cls(its.torque, its.speed, position, heading, its.error, np.asarray(np.linalg.inv(robot.E)))
+        return cls(its.torque, its.speed, position, heading, its.error)
 
 
 def supervisor_of(subject: Subject) -> Supervisor | None:
@@ -321,10 +342,10 @@ class Condition:
 
 
 def limits_in(supervisor: Supervisor, bounds: dict[str, Array], torque: Array) -> list[Condition]:
-    """What a box may reach of every limit: bounds of its signals (see `signal_bounds`), torques on nu up to (p,)."""
+    """What a box may reach of every limit: bounds of `signal_bounds`, torques of motors up to (motors,)."""
     nu = np.concatenate((bounds["velocity"], bounds["qdot"]))
     limits = [
-        worst("torque", np.abs(supervisor.E_inv) @ torque, supervisor.torque, "largest motor torque [N m or N]"),
+        worst("torque", torque, supervisor.torque, TORQUE),
         worst("speed", nu, supervisor.speed, "largest speed [m/s, rad/s or m/s of a joint]"),
         worst("position", bounds["world_error"][:1], supervisor.position, "largest distance from the reference [m]"),
         worst("heading", bounds["pose_error"][2:], supervisor.heading, "largest heading error [rad]"),
@@ -333,12 +354,18 @@ def limits_in(supervisor: Supervisor, bounds: dict[str, Array], torque: Array) -
     return [limit for limit in limits if limit is not None]
 
 
-def worst(name: str, values: Array, limits: Array | float, words: str) -> Condition | None:
+def limits_of_motors(motors: Array, torque: Array) -> list[Condition]:
+    """What a box may ask of the motors, torques up to (motors,), beside their limits; empty where there are none."""
+    found = worst("torque", torque, motors, TORQUE, "motors")
+    return [] if found is None else [found]
+
+
+def worst(name: str, values: Array, limits: Array | float, words: str, whose: str = "supervisor") -> Condition | None:
     """The value that comes nearest to its limit or passes it furthest; None where there is no limit."""
     limits = np.broadcast_to(limits, values.shape)
     if not np.isfinite(limits).any():
         return None
     k = int(np.argmax(values / limits))
     return Condition(
-        f"supervisor, {name}", float(values[k]), float(limits[k]), f"{words}, within the supervisor's limit"
+        f"{whose}, {name}", float(values[k]), float(limits[k]), f"{words}, within the limit of its {whose}"
     )

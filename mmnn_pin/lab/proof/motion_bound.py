@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 
@@ -29,6 +30,7 @@ from .bounds import PoseBound, PoseSet
 
 SAMPLES = 240
 SPENT = (0.03, 0.1, 0.3)  # of the feedback, on what the hold lets pass
+BACK = 4  # samples that late commands are followed back
 SHARES = np.array([0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85])  # of the largest rate
 
 
@@ -41,7 +43,8 @@ class MotionBound:
         level: Energy above which E falls [J]; inf where there is none.
         margin: Largest possible rate, `min of s' K s / s' M s` [1/s].
         unheld: The same for a torque that is not held; negative: the feedback is too weak for the kinematic gains.
-        fastest: Largest eigenvalue of M^-1 k [1/s]; the period has to be below half its inverse.
+        fastest: Largest eigenvalue of M^-1 k [1/s]; the period has to be below half its inverse, or the oldest sample
+            in force, where commands are late, below its inverse.
         pushed: Largest `|d s / dt|` that is not the feedback's, in the norm of k [sqrt(W/s)].
     """
 
@@ -57,18 +60,35 @@ def motion_bound(samples: MotionSamples, added: Drive, energy: float, gains: Gai
     """The energy of the errors in a box of pose errors, arm errors and energies up to `energy`."""
     forces = Forces.of(samples, added, gains)
     pushed, fastest = push(samples, added, forces, energy, gains), samples.fastest(gains.upper)
-    held = fastest * gains.period
-    grip = held / (1 - held) if held < 1 else np.inf
-    delay = gains.period / (1 - held) * pushed if held < 1 else np.inf
     unheld = settle(samples, added, forces, gains, 1.0, np.inf)[2]
     best = MotionBound(np.nan, np.inf, -np.inf, unheld, fastest, pushed)
-    for spent in SPENT:
+    for (grip, delay), spent in product(stale(gains, fastest, pushed, energy), SPENT):
         share = 1 - grip - spent
         constant = delay**2 / (4 * spent) if share > 0 else np.inf  # nothing is left of the feedback
         rate, level, margin = settle(samples, added, forces, gains, max(share, -1.0), constant)
         if level < best.level or (np.isinf(level) and np.isinf(best.level) and margin > best.margin):
             best = MotionBound(rate, level, margin, unheld, fastest, pushed)
     return best
+
+
+def stale(gains: Gains, fastest: float, pushed: float, energy: float) -> list[tuple[float, float]]:
+    """Pairs (grip, rest), each with `|s - s_in_force| <= grip |s| + rest` in the norm of the gains.
+
+    Where commands are late, samples are followed back one after the other, and of the last one it is only known that it
+    was in the box, whose energy is at most `energy`.
+    """
+    held = fastest * gains.oldest
+    if not np.isfinite(held * pushed):
+        return [(np.inf, np.inf)]
+    if not gains.late > 0:
+        return [(held / (1 - held), gains.period / (1 - held) * pushed)] if held < 1 else [(np.inf, np.inf)]
+    result = []
+    for last in range(BACK):
+        grip, rest = 0.0, np.sqrt(2 * energy * fastest)  # of the sample: |s_i| <= grip |s| + rest
+        for n in range(last + 1, 1, -1):
+            grip, rest = 1 + n * held * grip, n * (held * rest + gains.oldest * pushed)
+        result.append((held * grip, held * rest + gains.oldest * pushed))
+    return result
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +175,9 @@ class Gains:
         upper: (p,) largest gain on s: held, it overshoots.
         network: (p,) largest |Psi_hat| [N, N m].
         K: (n,) of the filtered arm error [1/s].
-        disturbance: (p,) largest external force [N, N m].
+        disturbance: (p,) largest external force, noise times the gains included [N, N m].
         period: Control period [s].
+        late: Largest time from a sample to when its command is in force [s].
     """
 
     lower: Array
@@ -165,6 +186,12 @@ class Gains:
     K: Array
     disturbance: Array
     period: float
+    late: float = 0.0
+
+    @property
+    def oldest(self) -> float:
+        """Largest age of the sample whose command is in force [s]."""
+        return self.period + self.late
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,19 +13,22 @@ from functools import cached_property
 import msgspec
 import numpy as np
 
+from ...actuator.settings import Actuator, limits
 from ...disturbance import Block, DeadMotor, Disturbance, Frozen, Messages, Payload, Push, payload
 from ...errors import RecordingError
 from ...kinematic import Kinematic, command
+from ...loop.latency import Latency
 from ...model.dynamics import Dynamics
 from ...model.robot import Robot, carrying
 from ...recording.reading import AGAIN
 from ...recording.recording import Recording, recorded_robot
-from ...sensing import exact
+from ...sensing import Sensor, exact
 from ...settings import Timing
 from ...signals import Array, Layout
 from ...torque.neural import Neural
 from .learner import Learner, Networks, recorded_learner
 
+NOISE = 4.0  # standard deviations that noise is bounded by
 MOST_STEPS = 10_000  # of the plant in a control period
 LARGEST = 1e50  # what a robot's signals stay below; its square can be counted with
 NEEDED = ("time", "position", "nu", "nu_ref", "nudot_ref", "psi", "psi_hat", "robust", "torque")
@@ -110,6 +113,42 @@ class Subject:
         """Whether the controller had the true state at every control sample."""
         every = self.timing.steps_per_control % self.timing.steps_per_measurement == 0
         return "sensor" not in self.recording.meta and not self.hardware.senses and every
+
+    @property
+    def exact_poses(self) -> bool:
+        """Whether pose and joint angles were measured as they are, at every control sample; velocities may be noisy."""
+        every = self.timing.steps_per_control % self.timing.steps_per_measurement == 0
+        exact = msgspec.structs.replace(self.sensor, velocity_noise=0.0) == Sensor()
+        return exact and not self.hardware.senses and every
+
+    @property
+    def sensor(self) -> Sensor:
+        """Its sensors."""
+        return msgspec.convert(self.recording.meta.get("sensor", {}), Sensor)
+
+    @property
+    def latency(self) -> Latency:
+        """How long measurements and commands were under way."""
+        return msgspec.convert(self.recording.meta.get("latency", {}), Latency)
+
+    @property
+    def velocity_noise(self) -> Array:
+        """(p,) what the noise of the measured velocities is bounded by: `NOISE` standard deviations."""
+        return NOISE * (np.zeros(self.layout.dof) + np.asarray(self.sensor.velocity_noise, float))
+
+    @property
+    def motors_lag(self) -> bool:
+        """Whether its motors have more than a limit of torque."""
+        motors = msgspec.convert(self.recording.meta.get("actuator", {}), Actuator)
+        return bool(msgspec.structs.replace(motors, torque_limit=None) != Actuator())
+
+    @property
+    def motor_limits(self) -> Array:
+        """(motors,) largest torques of its motors, inf where there is no limit [N m or N]."""
+        if "actuator" not in self.recording.meta:
+            return np.full(len(self.robot.actuator_names), np.inf)
+        limit = msgspec.convert(self.recording.meta["actuator"], Actuator).torque_limit
+        return np.asarray(limits(limit, self.robot.effort_limits, "motor", "actuator.torque_limit"), float)
 
     @property
     def applied(self) -> Array:

@@ -26,7 +26,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ...actuator.settings import Actuator, limits
 from ...errors import RecordingError
 from ...sensing import Sensor
 from ...settings import finite
@@ -40,7 +39,6 @@ OFTEN = 8  # in a block is the integrator looked at
 CORNERS = 3  # of the box, looked at in every block
 MORE = 1.5  # than the largest remainder that was seen
 ROUNDS, AHEAD = 10, 1.2  # of tube and remainder; times what was found is tried next
-NOISE = 4.0  # standard deviations that noise is bounded by
 SHORTEST, LATEST = 20, 20  # rows of a run; periods of delay
 LOST = 2.0  # [m, rad] of error: no tube
 FACTORS = np.geomspace(1e-3, 1e3, 25)  # on the error of Psi, for how much is borne
@@ -106,8 +104,7 @@ def refusal(subject: Subject) -> str:
     meta = subject.recording.meta
     if subject.plant != "ideal" or subject.timing.integrator == "stick":
         return "wheels may slip, or friction stick, in its plant"
-    motors = msgspec.convert(meta.get("actuator", {}), Actuator)
-    if msgspec.structs.replace(motors, torque_limit=None) != Actuator():
+    if subject.motors_lag:
         return "its motors have more than a limit of torque"
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
@@ -131,15 +128,6 @@ def refusal(subject: Subject) -> str:
     if not (gain > 0).all() or np.ptp(gain, axis=0).any() or off > 1e-6 * max(np.abs(tau).max(), 1e-300):
         return "its torque is not a constant gain on s plus Psi_hat (a robust term, a lead or a limit adds to it)"
     return ""
-
-
-def motor_limits(subject: Subject) -> Array:
-    """(motors,) largest torques of a run's motors, inf where there is no limit [N m or N]."""
-    meta = subject.recording.meta
-    if "actuator" not in meta:
-        return np.full(len(subject.robot.actuator_names), np.inf)
-    limit = msgspec.convert(meta["actuator"], Actuator).torque_limit
-    return np.asarray(limits(limit, subject.robot.effort_limits, "motor", "actuator.torque_limit"), float)
 
 
 Told = Callable[[float], None]
@@ -176,10 +164,9 @@ class Search:
 
     def __init__(self, periods: Periods, force: Array) -> None:
         meta, h = periods.subject.recording.meta, periods.subject.timing.control_period
-        self.periods, self.force, self.limits = periods, force, motor_limits(periods.subject)
+        self.periods, self.force, self.limits = periods, force, periods.subject.motor_limits
         self.late = round(meta.get("latency", {}).get("command", 0.0) / h)
-        noise = np.asarray(meta.get("sensor", {}).get("velocity_noise", 0.0), float)
-        self.noise = NOISE * periods.gain * noise
+        self.noise = periods.gain * periods.subject.velocity_noise
 
     @cached_property
     def linear(self) -> Linear:

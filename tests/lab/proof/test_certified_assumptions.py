@@ -7,22 +7,28 @@ from functools import cache
 
 import numpy as np
 import pytest
-from certified import DIAGONAL, kinematic, learner_loop, loop_of
+from certified import DIAGONAL, PERIOD, kinematic, learner_loop, loop_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from proofs import SLOW
 
 from mmnn_pin import PD, Feedback, Hold, Line, Timing, Trajectory, load
+from mmnn_pin.actuator.settings import Actuator
 from mmnn_pin.lab.proof.certificate import Box, Boxes, Certificate, certify
 from mmnn_pin.lab.proof.certified_loop import CertifiedLoop, certified_loop, drift, jump, refusal
 from mmnn_pin.lab.proof.certified_run import compare, sizes_of
-from mmnn_pin.lab.proof.motion_bound import motion_bound
+from mmnn_pin.lab.proof.motion_bound import Gains, motion_bound, stale
 from mmnn_pin.lab.proof.subject import Subject
 from mmnn_pin.lab.show.proof.text import side
 from mmnn_pin.loop.before_run import Start
+from mmnn_pin.loop.latency import Latency
 from mmnn_pin.reference import Table
 from mmnn_pin.reference.path import BasePath, BaseSamples
 from mmnn_pin.safety import Safety
+from mmnn_pin.sensing import Sensor
 
+compiled_only = pytest.mark.skipif(SLOW, reason="thousands of uncompiled steps")
+BRIEF = PERIOD / 4  # [s]
 STILL = Trajectory(Line(speed=0.3), (Hold(0.0), Hold(0.8)))
 
 
@@ -139,6 +145,86 @@ def test_a_run_that_its_supervisor_stopped_has_no_certificate() -> None:
     assert refusal(subject) == "its supervisor stopped it"
     clipped = pd_run(0.05, Start((-0.05, 0.0, 0.0)), safety=Safety(torque=1.0))
     assert refusal(clipped) == "its supervisor stepped in"
+
+
+# -- late commands, noise, limits of torque --------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0.01, 0.6), st.integers(0, 3), st.integers(0, 2**32 - 1))
+def test_no_signs_take_a_late_sample_further_away_than_its_bound(held: float, late: int, seed: int) -> None:
+    """Two velocities in the norm of k, pushed with random signs; |s| reached within the windows is the box's."""
+    rng, h = np.random.default_rng(seed), 1e-3
+    gains = Gains(*(np.ones(2) for _ in range(3)), np.zeros(0), np.zeros(2), h, late * h)
+    root = rng.standard_normal((2, 2))
+    rate = root @ root.T
+    rate *= held / gains.oldest / np.linalg.eigvalsh(rate)[-1]  # of M^-1 k
+    mu, pushed, fine = float(np.linalg.eigvalsh(rate)[-1]), float(rng.uniform(0, 100.0)), 10
+    s = [rng.standard_normal(2)]
+    first, push = (late + 1) * 4, np.ones(2)
+    for j in range(first + 40):
+        sample = s[max(j - late, 0) * fine]
+        push = rng.standard_normal(2) if rng.random() < 0.2 else push
+        for _ in range(fine):
+            s.append(s[-1] + h / fine * (-rate @ sample + pushed * push / np.linalg.norm(push)))
+    sizes = np.linalg.norm(s, axis=1)
+    for k in range(first * fine, len(s) - 1):
+        box = sizes[max(k - 6 * (late + 1) * fine, 0) : k + 1].max() ** 2 / (2 * mu)
+        away = np.linalg.norm(s[k + 1] - s[max(k // fine - late, 0) * fine])
+        for grip, rest in stale(gains, mu, pushed, box * (1 + 1e-9)):
+            assert away <= grip * sizes[k + 1] + rest + 1e-9
+
+
+def real(start: Start | None = None, duration: float = 0.01) -> Subject:
+    """PD at 20 kHz whose commands are a sample late, velocities noisy and motors limited."""
+    hardware = {"sensor": Sensor(velocity_noise=5e-4), "actuator": Actuator(torque_limit=200.0)}
+    timing = Timing(duration, BRIEF, BRIEF)
+    return pd_run(duration, start, timing=timing, latency=Latency(command=BRIEF), **hardware)
+
+
+@compiled_only
+def test_late_commands_noise_and_limits_are_read_and_certified_and_runs_stay() -> None:
+    subject = real()
+    loop = certified_loop(subject)
+    assert loop.late == pytest.approx(BRIEF) and (loop.motors == 200.0).all()
+    np.testing.assert_allclose(loop.noise, 4 * 5e-4)
+    found = certify(loop)
+    names = {condition.name for condition in found.conditions if condition.holds}
+    assert found.holds and {"period, delay", "motors, torque"} <= names
+    exact = certify(replace(loop, late=0.0, noise=0 * loop.noise)).bound.box
+    assert exact.energy < 0.1 * found.bound.box.energy  # what noise costs
+    size = 0.15 * found.region.box.pose
+    for angle in (0.0, 2.0, 4.0):
+        place = (size * np.cos(angle), size * np.sin(angle), 0.0)
+        run = real(Start(place, moving=True), 0.5)
+        sizes = sizes_of(run, loop)
+        assert sizes.inside(found.region.box).all()
+        assert np.abs(run.recording["motor_torque"]).max() <= 200.0
+
+
+def test_what_fails_of_late_commands_and_limits_is_named() -> None:
+    loop = certified_loop(real())
+    box = certify(loop).region.box
+    for more, name in (({"late": 60 * BRIEF}, "period, delay"), ({"motors": 0.1 * loop.motors}, "motors, torque")):
+        boxes = Boxes(replace(loop, **more), box)
+        faces = boxes.faces(box)
+        failed = [condition.name for condition in Certificate(boxes, [faces]).conditions if not condition.holds]
+        assert not faces.invariant and name in failed
+    assert not certify(replace(loop, period=PERIOD, late=PERIOD)).holds
+    noisy = replace(loop, noise=100 * loop.noise)
+    assert not Boxes(noisy, box).faces(box).invariant
+
+
+@pytest.mark.parametrize(
+    ("hardware", "why"),
+    [
+        ({"sensor": Sensor(pose_noise=(1e-4, 0.0, 0.0))}, "true pose"),
+        ({"latency": Latency(sensing=PERIOD)}, "measurements are late"),
+        ({"actuator": Actuator(lag=0.01)}, "by more than a limit of torque"),
+    ],
+)
+def test_what_is_not_covered_of_a_real_loop_is_named(hardware: dict, why: str) -> None:
+    assert why in refusal(pd_run(0.01, **hardware))
 
 
 # -- a reference that is not quite one motion ------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from mmnn_pin.lab.experiments.runner import run_experiment
 from mmnn_pin.lab.proof.certified_run import prove
 from mmnn_pin.lab.proof.periods import Periods, delayed
 from mmnn_pin.lab.proof.subject import Subject
-from mmnn_pin.lab.proof.tube import Search, motor_limits, refusal, tube_of
+from mmnn_pin.lab.proof.tube import Search, refusal, tube_of
 from mmnn_pin.lab.show.proof.text import tube_sentence
 from mmnn_pin.loop.before_run import viscous_friction
 from mmnn_pin.model.dynamics import Dynamics
@@ -194,7 +194,7 @@ def test_pushes_delays_noise_and_limits_count() -> None:
     assert late.late == 1 and late.exists and late.covers
     noisy = tube_of(Subject.of(run("computed_torque", "sensor.velocity_noise=1e-5")))
     assert noisy.exists and noisy.covers and noisy.size[-1, 4] > plain.size[-1, 4]
-    limits = motor_limits(exact)
+    limits = exact.motor_limits
     needed, given = plain.torque[0] * limits[0], np.abs(exact.signal("motor_torque")).max()
     weak = tube_of(Subject.of(run("computed_torque", f"actuator.torque_limit={(needed + given) / 2}")))
     assert given < needed and not weak.exists and np.isfinite(weak.start) and "motor" in tube_sentence(weak)
