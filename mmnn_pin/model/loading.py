@@ -29,9 +29,10 @@ from ..signals import Array, Dimensions
 from .arm import Arm, choose_arm
 from .base.base import Base
 from .base.overrides import Overrides, folders_of, with_file
-from .base.report import arm_notes, printed_notes, settle, unsupported, weld_notes
+from .base.report import arm_notes, printed_notes, settle, unsupported, weak_notes, weld_notes
 from .base.standing import require_rolling, welded
 from .base.understanding import find_base
+from .dynamics import Dynamics
 from .maps import configuration_indices, constraint_rows, motion_map, motor_map
 from .robot import Robot
 from .robots import find
@@ -160,7 +161,10 @@ def build(document: Document, overrides: Overrides | None = None) -> Robot:
     said = settled(overrides, found.base)
     robot = replace(assemble(document, found.base, arm, model), findings=findings, overrides=said)
     require_finite(document, robot)
-    return robot
+    held = Dynamics(robot).gravity(robot.neutral_position())[robot.dimensions.base :]
+    limits = dict(zip(robot.actuator_names, robot.effort_limits, strict=True))
+    weak = weak_notes(rest, robot.joint_names, held, np.array([limits[name] for name in robot.joint_names]))
+    return replace(robot, findings=(*robot.findings, *weak))
 
 
 def settled(overrides: Overrides, base: Base) -> Overrides:

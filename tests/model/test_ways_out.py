@@ -342,3 +342,22 @@ def test_antennas_make_no_arm_of_a_head(antennas):
     robot = robot_of(chassis(pair() + text))
     assert robot.joint_names == ("shoulder", "elbow")
     assert {f"neck{i}" for i in range(3)} <= robot.arm.locked.keys()
+
+
+# --- Motors -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("effort", "weak"), [(170.0, True), (180.0, False), (0.0, False)])
+def test_a_motor_that_cannot_hold_its_load_is_told_with_both_numbers(effort, weak):
+    """A lift with 18 kg needs 18 times 9.81 N; an effort of 0 is no limit."""
+    limit = f'<limit lower="0" upper="0.5" effort="{effort}" velocity="1"/>'
+    text = link("carriage", 18.0, 0.1) + joint(
+        "lift", "prismatic", "base", "carriage", None, (0, 0, 0.5), (0, 0, 1), limit
+    )
+    text = chassis(pair() + text).replace(ARM, "")
+    found = [f for f in robot_of(text).findings if f.code == "arm-weak"]
+    assert len(found) == weak
+    if weak:
+        assert "effort of 'lift' is 170 N, and gravity takes 177 N" in str(found[0]) and "--lock lift" in found[0].fix
+        locked = followed(text, ways_of(found[0].fix)[0])
+        assert "lift" in locked.arm.locked and "arm-weak" not in codes(locked)

@@ -63,6 +63,7 @@ CODES = {
     "base-welded": "warning",
     # the arm and the rest
     "arm-locked": "note",
+    "arm-weak": "warning",
     "welded": "warning",
     "pinocchio": "warning",
     "overrides": "note",
@@ -199,6 +200,25 @@ def arm_notes(rest: AtRest, arm: Arm) -> list[Finding]:
             text, fix = f"locked: {', '.join(names)}", "--free JOINT lets one move, --free all every one"
             notes.append(note(rest, "arm-locked", names[0], text, reason, fix, "arm"))
     return notes
+
+
+def weak_notes(rest: AtRest, names: Sequence[str], held: Array, limits: Array) -> list[Finding]:
+    """Joints whose motors cannot hold them where the robot rests.
+
+    Args:
+        rest: The robot.
+        names: Of the joints of the arm.
+        held: (n,) what gravity takes there [N m or N].
+        limits: (n,) what their motors give; inf for those without a limit.
+    """
+    found = []
+    for name, needed, limit in zip(names, np.abs(held), limits, strict=True):
+        if needed > limit:
+            unit = "N" if rest.document.joints[name].type == "prismatic" else "N m"
+            what = f"effort of '{name}' is {limit:.3g} {unit}, and gravity takes {needed:.3g} {unit} where it rests"
+            fix = f"correct effort in its <limit>, or --lock {name}"
+            found.append(note(rest, "arm-weak", name, what, "no controller holds it up", fix, about=name))
+    return found
 
 
 def weld_notes(rest: AtRest, kinds: dict[str, str]) -> list[Finding]:
