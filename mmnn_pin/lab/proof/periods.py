@@ -52,7 +52,10 @@ class Periods:
     def state(self, row: Array, position: Array, nu: Array) -> Array:
         """The state (m,) of a position and nu."""
         where, at = self.layout.where, self.poses
-        pose = frame(row[where("pose_ref")][2]).T @ (position[:at] - row[where("pose_ref")]) if at else np.zeros(0)
+        pose = np.zeros(at)
+        if at:
+            pose = frame(row[where("pose_ref")][2]).T @ (position[:at] - row[where("pose_ref")])
+            pose[2] = np.remainder(pose[2] + np.pi, 2 * np.pi) - np.pi
         return np.concatenate((pose, position[self.robot.arm_index] - row[where("q_ref")], nu - self.reference(row)))
 
     def torque(self, row: Array, y: Array) -> Array:
@@ -66,15 +69,9 @@ class Periods:
         self.dynamics.refresh_psi(nu_ref, row[where("nudot_ref")], psi)
         return np.asarray(self.gain * (nu_ref - nu) + psi)
 
-    def dry(self, row: Array, y: Array) -> Array:
-        """Dry friction at a state, as the recorded Psi has it, (p,) [N, N m]."""
-        where = self.layout.where
-        position, nu = self.placed(row, y)
-        psi, smooth = np.zeros((2, len(nu)))
-        for dynamics, result in ((self.dynamics, smooth), (self.rough, psi)):
-            dynamics.refresh(position, nu)
-            dynamics.refresh_psi(row[where("nu_ref")], row[where("nudot_ref")], result)
-        return np.asarray(psi - smooth)
+    def dry(self, nu: Array) -> Array:
+        """Dry friction at a velocity, (p,) [N, N m]."""
+        return np.asarray(self.rough.friction(nu) - self.dynamics.friction(nu))
 
     def after(self, row: Array, following: Array, y: Array, tau: Array) -> Array:
         """The state after a period under a held torque (p,): M, C and gravity of its beginning, friction exactly."""

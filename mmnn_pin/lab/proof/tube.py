@@ -23,11 +23,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from ...errors import RecordingError
-from ...sensing import Sensor
 from ...settings import finite
 from ...signals import Array, IntArray
 from .certified_loop import push_bound
@@ -39,7 +37,7 @@ OFTEN = 8  # in a block is the integrator looked at
 CORNERS = 3  # of the box, looked at in every block
 MORE = 1.5  # than the largest remainder that was seen
 ROUNDS, AHEAD = 10, 1.2  # of tube and remainder; times what was found is tried next
-SHORTEST, LATEST = 20, 20  # rows of a run; periods of delay
+SHORTEST, LATEST = 20, 4  # rows of a run; periods of delay, whose squares the memory grows with
 LOST = 2.0  # [m, rad] of error: no tube
 FACTORS = np.geomspace(1e-3, 1e3, 25)  # on the error of Psi, for how much is borne
 
@@ -108,17 +106,17 @@ def refusal(subject: Subject) -> str:
         return "its motors have more than a limit of torque"
     if any(event["type"] != "push" for event in meta.get("disturbances", ())):
         return "something else than pushes happens to the robot"
-    late, sensor = meta.get("latency", {}), msgspec.convert(meta.get("sensor", {}), Sensor)
+    latency, h = subject.latency, subject.timing.control_period
     if len(subject.rows) <= SHORTEST:
         return f"it has {len(subject.rows)} rows only"
-    if late.get("command", 0.0) > LATEST * subject.timing.control_period:
+    if latency.command > LATEST * h:
         return f"its commands are late by more than {LATEST} periods"
-    if late.get("sensing", 0.0) or late.get("jitter", 0.0):
+    if latency.sensing or latency.jitter:
         return "its measurements are late, or its commands by chance"
-    if not np.isclose(late.get("command", 0.0) % subject.timing.control_period, 0.0):
+    if abs(latency.command / h - round(latency.command / h)) > 1e-6:
         return "its commands are late by a part of a period"
-    if msgspec.structs.replace(sensor, velocity_noise=0.0) != Sensor():
-        return "its sensors err by more than noise of velocities"
+    if not subject.exact_poses:
+        return "its sensors err by more than noise of velocities, or are slower than its controller"
     if subject.recording.outcome.status != "completed":
         return f"the run was {subject.recording.outcome.status}"
     if any(not np.all(np.asarray(getattr(subject.kinematic, name)) > 0) for name in ("kx", "ky", "kth", "K")):
@@ -163,10 +161,10 @@ class Search:
     """
 
     def __init__(self, periods: Periods, force: Array) -> None:
-        meta, h = periods.subject.recording.meta, periods.subject.timing.control_period
-        self.periods, self.force, self.limits = periods, force, periods.subject.motor_limits
-        self.late = round(meta.get("latency", {}).get("command", 0.0) / h)
-        self.noise = periods.gain * periods.subject.velocity_noise
+        subject = periods.subject
+        self.periods, self.force, self.limits = periods, force, subject.motor_limits
+        self.late = round(subject.latency.command / subject.timing.control_period)
+        self.noise = periods.gain * subject.velocity_noise
 
     @cached_property
     def linear(self) -> Linear:
@@ -250,7 +248,7 @@ class Search:
             for j in range(start, end, max((end - start) // OFTEN, 1)):
                 row, following = subject.rows[j], subject.rows[j + 1]
                 y, then = (self.periods.state(r, r[where("position")], r[where("nu")]) for r in (row, following))
-                after = self.periods.after(row, following, y, force[j] - self.periods.dry(row, y))
+                after = self.periods.after(row, following, y, force[j] - self.periods.dry(row[where("nu")]))
                 found[b, : len(y)] = np.maximum(found[b, : len(y)], np.abs(then - after))
         return np.asarray(np.maximum.accumulate(found[::-1], axis=0)[::-1])
 

@@ -194,6 +194,7 @@ def test_pushes_delays_noise_and_limits_count() -> None:
     assert late.late == 1 and late.exists and late.covers
     noisy = tube_of(Subject.of(run("computed_torque", "sensor.velocity_noise=1e-5")))
     assert noisy.exists and noisy.covers and noisy.size[-1, 4] > plain.size[-1, 4]
+    assert refusal(Subject.of(run("computed_torque", "latency.command=0.003"))) == ""  # 3.0000000000000004 periods
     limits = exact.motor_limits
     needed, given = plain.torque[0] * limits[0], np.abs(exact.signal("motor_torque")).max()
     weak = tube_of(Subject.of(run("computed_torque", f"actuator.torque_limit={(needed + given) / 2}")))
@@ -208,7 +209,9 @@ def test_pushes_delays_noise_and_limits_count() -> None:
         ("computed_torque", ("actuator.lag=0.002",), "more than a limit of torque"),
         ("computed_torque", ("latency.sensing=0.001",), "measurements are late"),
         ("computed_torque", ("latency.command=0.0005", "time.plant_step=0.0005"), "part of a period"),
+        ("computed_torque", ("latency.command=0.006",), "more than 4 periods"),
         ("computed_torque", ("sensor.resolution=1e-4",), "its sensors err"),
+        ("computed_torque", ("time.sensor_period=0.002",), "slower than its controller"),
         ("computed_torque", ("lead=true",), "plus Psi_hat"),
         ("pd", ("kinematic.ky=0.0",), "gain is 0"),
     ],
