@@ -213,7 +213,7 @@ def prove(
     the run's own trajectory, on another one and with a payload. Lyapunov function: V, its derivative term by term, when
     and why it grows. Equality: whether the energy of the errors changes as the model says (docs/explanation/proof.md).
     Certificate: a region that the loop provably never leaves, the bound it ends up in, how fast it may learn
-    (docs/explanation/theory.md). Exit code 1 when equality or certificate is violated.
+    (docs/explanation/theory.md). Exit code 1 when a run violates one of them.
     """
     from ..lab.proof.balance import BUDGET
     from ..lab.proof.certified_run import prove as judge

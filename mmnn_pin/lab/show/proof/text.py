@@ -26,6 +26,7 @@ SHARES = {"feedback": "feed-\nback", "network": "network,\nPsi_hat", "robust": "
 MOST_WINDOWS = 8  # columns that a terminal has room for
 PARTS = {"pose": "V1 of the pose", "motion": "s' M s / 2", "weights": "weights' part"}
 PRINTED = "The thesis's bounds, as printed: not proved"
+RIGHT = 1e-6  # share of Psi up to which it counts as known
 CONSTANT = "predicts worse than a constant"
 
 
@@ -380,14 +381,15 @@ def rate_sentence(rate: Rate) -> str:
 
 def tube_sentence(tube: Tube) -> str:
     """Whether there is a tube along the reference, what it counts with, or what is in the way."""
-    psi = f"errors of Psi up to {100 * tube.share.max():.3g} % of the largest Psi"
+    psi = f"at most {100 * tube.share.max():.3g} % of the largest Psi"
     late = f", commands {tube.late} periods late" if tube.late else ""
     if tube.exists:
         left = "more than 1000" if math.isinf(tube.bears) else number(tube.bears)
+        bears = f" It bears {left} times such errors." if tube.share.max() > RIGHT else ""
         return (
             f"Tube along this reference: holds from {tube.start:.3g} s on. A motion that is where the run was then, "
-            f"with no larger errors of Psi than the run had ({psi}{late}), stays within these bounds; it bears {left} "
-            f"times such errors. Motors give at most {100 * tube.torque.max(initial=0.0):.3g} % of their limits."
+            f"with errors of Psi no larger than the run's ({psi}{late}), stays within these bounds.{bears} Motors give "
+            f"at most {100 * tube.torque.max(initial=0.0):.3g} % of their limits."
         )
     if math.isfinite(tube.start):
         return f"Tube along this reference: NONE: a motor may be asked for {tube.torque.max():.3g} times its limit."
@@ -398,8 +400,8 @@ def tube_sentence(tube: Tube) -> str:
             f"model does not say (dry friction that turns, its integrator), {number(worst)} of a velocity at worst."
         )
     return (
-        f"Tube along this reference: NONE: with {psi}{late} it proves nothing; {number(tube.bears)} times such errors "
-        "would have one, in the run's second half."
+        f"Tube along this reference: NONE: with the run's errors of Psi ({psi}{late}) nothing is bounded; "
+        f"{number(tube.bears)} times these would have one in the run's second half."
     )
 
 
