@@ -26,7 +26,7 @@ def render(summary: dict[str, Any]) -> str:
     templates = environment(HERE)
     templates.filters |= {"cell": cell, "number": number, "percent": lambda value: f"{100 * value:.3g} %"}
     templates.filters |= {"middle": middle}
-    templates.globals |= {"middle_axis": axis_at, "told_as": told_as, "unexcited": unexcited}
+    templates.globals |= {"middle_axis": axis_at, "unexcited": unexcited}
     return filled(templates, "contest.md.j2", summary)
 
 
@@ -74,14 +74,6 @@ TOLD_OF = {
     "pid": "nothing; it integrates",
     "disturbance_observer": "nothing; it integrates",
 }
-
-
-def told_as(told: dict[str, str]) -> list[tuple[str, list[str]]]:
-    """Controllers by what they are told, in words."""
-    groups: dict[str, list[str]] = {}
-    for name, what in told.items():
-        groups.setdefault(TOLD.get(what) or TOLD_OF.get(name, "not said"), []).append(name)
-    return list(groups.items())
 
 
 def rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
