@@ -486,7 +486,13 @@ def names_in(file: Path) -> set[str]:
 
 def test_the_document_names_only_tests_that_exist() -> None:
     here = names_in(Path(__file__))
-    files = ("test_certificate.py", "test_certified_assumptions.py", "test_certified_period.py", "test_tube.py")
+    files = (
+        "test_certificate.py",
+        "test_certified_assumptions.py",
+        "test_certified_period.py",
+        "test_tube.py",
+        "test_blocks.py",
+    )
     there = {name for file in files for name in names_in(Path(__file__).parent / file)}
     there |= names_in(ROOT / "tests/loop/test_lead.py")
     named = set(re.findall(r"`(test_\w+)`", DOCUMENT.read_text()))
