@@ -36,7 +36,7 @@ class Found:
         share: Of the postures, in which the comparison holds.
         worst: Largest spectral radius of one posture.
         uniform: The radius of one box for all postures: below 1 some sizes `d > 0` have
-            `sum_b c_ab d_b < lambda_a d_a` in all of them; inf where a block does not shrink by itself in one.
+            `sum_b c_ab d_b < lambda_a d_a` in all of them.
     """
 
     robot: str
@@ -55,8 +55,8 @@ def cuts(robot: Robot) -> dict[str, list[list[int]]]:
 def comparison(M: Array, k: Array, blocks: list[list[int]]) -> tuple[Array, Array]:
     """`lambda_a` and `c_ab` of one posture, each block in the metric of its own inertia.
 
-    That is the inertia which the block has where the others are free to move, `((M^-1)_aa)^-1`; in it the part of
-    `M^-1 k` within the block is closest to its feedback alone.
+    That is the inertia which the block has where the others are free to move, `((M^-1)_aa)^-1`. In it the block's own
+    part of `M^-1 k` is symmetric and positive, so every block alone shrinks.
     """
     F = -np.linalg.solve(M, np.diag(k))
     roots = [np.linalg.cholesky(np.linalg.inv(np.linalg.inv(M)[np.ix_(a, a)])).T for a in blocks]
@@ -65,16 +65,14 @@ def comparison(M: Array, k: Array, blocks: list[list[int]]) -> tuple[Array, Arra
         for j, b in enumerate(blocks):
             part = roots[i] @ F[np.ix_(a, b)] @ np.linalg.inv(roots[j])
             if i == j:
-                decay[i] = -np.linalg.eigvalsh(part + part.T)[-1] / 2
+                decay[i] = np.linalg.eigvalsh(-part)[0]
             else:
                 drive[i, j] = np.linalg.norm(part, 2)
     return decay, drive
 
 
 def radius(decay: Array, drive: Array) -> float:
-    """Spectral radius of `c_ab / lambda_a`; inf where a block does not shrink."""
-    if decay.min() <= 0:
-        return float("inf")
+    """Spectral radius of `c_ab / lambda_a`."""
     return float(np.abs(np.linalg.eigvals(drive / decay[:, None])).max())
 
 
@@ -84,9 +82,7 @@ def one_box(pairs: Sequence[tuple[Array, Array]]) -> float:
     The largest of every row makes one monotone map of d, so the power method finds it. Errors leave a box of sizes d
     through one face first, and there only that row counts.
     """
-    ratios = np.array([drive / np.maximum(decay, 1e-300)[:, None] for decay, drive in pairs])
-    if min(decay.min() for decay, _ in pairs) <= 0:
-        return float("inf")
+    ratios = np.array([drive / decay[:, None] for decay, drive in pairs])
     sizes = np.ones(ratios.shape[1])
     for _ in range(ITERATIONS):
         grown = (ratios @ sizes).max(axis=0) + sizes  # the added sizes make it converge where blocks alternate

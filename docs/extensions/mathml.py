@@ -32,7 +32,7 @@ def mathml(node: nodes.Element, block: bool) -> str:
 def accented(text: str) -> str:
     """MathML with subscripts beside letters that have an accent; docutils writes them below, as limits of a sum."""
     math = etree.fromstring(NAMED.sub(lambda name: unescape(name[0]), text))
-    for found in math.iter(f"{MATHML}munderover", f"{MATHML}mover"):
+    for found in list(math.iter(f"{MATHML}munderover", f"{MATHML}mover")):
         mark = found[-1]
         if mark.tag != f"{MATHML}mo" or (mark.text or "").strip() not in ACCENTS:
             continue

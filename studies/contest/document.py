@@ -60,22 +60,6 @@ def unexcited(said: dict[str, list[str]]) -> int:
     return sum(any("not excited" in text for text in texts) for texts in said.values())
 
 
-TOLD = {
-    "kinematics": "how the robot moves, and where masses and friction act",
-    "form": "the form of the equations",
-    "nominal": "a model with wrong masses",
-    "nothing": "nothing",
-}
-TOLD_OF = {
-    "computed_torque": "everything",
-    "nominal": "a URDF with masses 30 % too low and without friction; it learns nothing",
-    "pd_gravity": "the masses of the URDF, for gravity; it learns nothing",
-    "pd": "nothing, and learns nothing",
-    "pid": "nothing; it integrates",
-    "disturbance_observer": "nothing; it integrates",
-}
-
-
 def rows(summary: dict[str, Any]) -> list[dict[str, Any]]:
     """Every task and controller: the median of each quantity, its smallest and its largest."""
     return [

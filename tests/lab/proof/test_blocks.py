@@ -57,8 +57,8 @@ def test_the_box_for_all_postures_is_that_of_a_linear_program(robot):
     assert possible(1.001 * found) and not possible(0.999 * found)
 
 
-def test_the_page_has_the_numbers(robot):
-    """Fewer postures than the page: single velocities compare in each posture, but no box serves all of them."""
+def test_single_velocities_compare_in_every_posture_and_no_box_serves_all_of_them(robot):
+    """As the page says, on fewer postures; near neutral a box does."""
     both, single = study(robot, "platform_arm", 60)
     assert single.share == 1.0 and single.worst < 1.0 < single.uniform
     assert 1.0 < both.worst < 1.3
