@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Event
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -20,6 +20,8 @@ from ..recording.recording import Outcome, Recording
 from ..signals import Array
 from .controller import with_findings
 from .loop import Loop
+from .setup import Sink
+from .side_by_side import LANES, WORTH, Lanes
 
 
 @dataclass(frozen=True)
@@ -73,36 +75,57 @@ def simulate_many(
     keep = (keep,) if isinstance(keep, str) else keep
     starts = [None] * len(loops) if states is None else states
     require_sound(loops, starts, keep, workers)
+    worth = sum(loop.timing.samples for loop in loops) >= WORTH
     stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
 
-    def one(i: int) -> None:
-        if not stop.is_set():
-            try:
-                results[i] = simulate(loops[i], starts[i], windows, keep, stop.is_set)
-            except InputError as error:
-                error.key = ".".join(filter(None, (f"loops[{i}]", error.key)))
-                raise
+    def start(i: int) -> Started:
+        try:
+            return Started(loops[i], starts[i], windows, keep)
+        except InputError as error:
+            error.key = ".".join(filter(None, (f"loops[{i}]", error.key)))
+            raise
+
+    def some(places: Sequence[int]) -> int:
+        if stop.is_set():
+            return 0
+        runs = [start(i) for i in places]
+        if len(runs) == LANES:
+            ended = simulate_together(runs, worth, stop.is_set)
+        else:
+            ended = [run.ended(run.loop.stream(run.engine, run.sink, cancelled=stop.is_set)) for run in runs]
+        for i, result in zip(places, ended, strict=True):
+            results[i] = result
+        return len(places)
 
     # The first run compiles, or loads the compiled code, before threads compete for it.
     with ThreadPoolExecutor(workers) as pool:
         try:
-            one(0)
+            done = some([0])
             if results[0].outcome.status == "interrupted":
                 return results
-            pending, done = {pool.submit(one, i) for i in range(1, len(loops))}, 1
+            pending = {pool.submit(some, places) for places in side_by_side(loops, range(1, len(loops)))}
             while True:
                 if progress is not None:
                     progress(done, len(loops))
                 if not pending:
                     return results
                 finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
-                done += len(finished)
+                done += sum(future.result() for future in finished)
         except KeyboardInterrupt:
             return results
         finally:
             stop.set()
+
+
+def side_by_side(loops: Sequence[Loop], places: Iterable[int]) -> list[list[int]]:
+    """The places of runs that may go side by side, as many as there are lanes, and of all others one by one."""
+    alike: dict[Any, list[int]] = {}
+    for i in places:
+        loop = loops[i]
+        alike.setdefault((loop.timing, loop.layout, loop.engine, type(loop.controller)), []).append(i)
+    together = [some[i : i + LANES] for some in alike.values() for i in range(0, len(some), LANES)]
+    whole = [some for some in together if len(some) == LANES]
+    return whole + [[i] for some in together if len(some) < LANES for i in some]
 
 
 def require_sound(loops: Sequence[Loop], states: Sequence[Any], keep: bool | Collection[str], workers: int) -> None:
@@ -128,20 +151,55 @@ def simulate(
     loop: Loop, state: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
 ) -> Run:
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
-    if keep is not True:
-        loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
-    engine, layout, robot = loop.engine_at(state), loop.layout, loop.robot
-    names = {"velocity_names": robot.velocity_names, "actuator_names": robot.actuator_names}
-    reducer = Reducer.of(layout, names | {"control_period": loop.timing.control_period}, windows)
-    if keep is False:
-        outcome = with_findings(loop.stream(engine, reducer, cancelled=cancelled), loop.controller, engine.state)
-        return Run(outcome, reducer.result(), loop.final(engine))
-    facts = loop.facts() | {"loop": engine.name}
-    with Recorder(layout, facts, signals=None if keep is True else keep) as recorder:
-        outcome = loop.stream(engine, Both(reducer, recorder), cancelled=cancelled)
-        outcome = with_findings(outcome, loop.controller, engine.state)
-        recording = recorder.finish(outcome, loop.final(engine))
-    return Run(outcome, reducer.result(), loop.final(engine), recording)
+    run = Started(loop, state, windows, keep)
+    return run.ended(run.loop.stream(run.engine, run.sink, cancelled=cancelled))
+
+
+def simulate_together(runs: Sequence[Started], worth: bool, cancelled: Callable[[], bool]) -> list[Run]:
+    """Runs that have as many samples each, block after block side by side; with the bits that they have alone.
+
+    Args:
+        runs: As many as there are lanes.
+        worth: Whether compiling for them is worth while, where that was not done before.
+        cancelled: Asked after every block; true ends them as interrupted.
+    """
+    lanes, results = Lanes([run.engine for run in runs], worth), dict[int, Run]()
+    courses = [run.loop.course(run.engine, run.sink, cancelled=cancelled) for run in runs]
+    answers: list[int | None] = [None] * len(runs)
+    while len(results) < len(runs):
+        asked = set()
+        for i, course in enumerate(courses):
+            if i not in results:
+                try:
+                    asked.add(next(course) if answers[i] is None else course.send(answers[i]))
+                except StopIteration as end:
+                    results[i] = runs[i].ended(end.value)
+        if asked:
+            (samples,) = asked
+            answers = list(lanes.advance(*samples))
+    return [results[i] for i in range(len(runs))]
+
+
+class Started:
+    """A run of a batch at its start; arguments as in `simulate_many`."""
+
+    def __init__(self, loop: Loop, state: Any, windows: Windows, keep: bool | Collection[str]) -> None:
+        if keep is not True:
+            loop = replace(loop, weights_interval=loop.timing.duration)  # nobody reads the weights on the way
+        self.loop, self.engine = loop, loop.engine_at(state)
+        names = {"velocity_names": loop.robot.velocity_names, "actuator_names": loop.robot.actuator_names}
+        self.reducer = Reducer.of(loop.layout, names | {"control_period": loop.timing.control_period}, windows)
+        self.recorder, self.sink = None, cast(Sink, self.reducer)
+        if keep is not False:
+            facts = loop.facts() | {"loop": self.engine.name}
+            self.recorder = Recorder(loop.layout, facts, signals=None if keep is True else keep)
+            self.sink = Both(self.reducer, self.recorder)
+
+    def ended(self, outcome: Outcome) -> Run:
+        """The run, once it has ended."""
+        outcome, final = with_findings(outcome, self.loop.controller, self.engine.state), self.loop.final(self.engine)
+        recording = None if self.recorder is None else self.recorder.finish(outcome, final)
+        return Run(outcome, self.reducer.result(), final, recording)
 
 
 @dataclass(frozen=True)
@@ -178,7 +236,7 @@ def require_fit(loops: Sequence[Loop], states: Sequence[Any]) -> None:
 
 def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:
     """Memory that signals, weights and references take [bytes]; reading a recording's signals copies them once more."""
-    in_flight = sum(sorted(8 * loop.timing.samples * loop.layout.width for loop in loops)[-workers:])
+    in_flight = sum(sorted(8 * loop.timing.samples * loop.layout.width for loop in loops)[-LANES * workers :])
     return in_flight + 8 * sum(kept_numbers(loop, keep) for loop in loops)
 
 

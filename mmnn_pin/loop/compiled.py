@@ -153,10 +153,16 @@ class CompiledLoop:
             row=self.row,
         )
 
-    def advance(self, first: int, last: int) -> int:
-        """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`."""
+    def advance(self, first: int, last: int, at: int = 0) -> int:
+        """Run control samples first ... last - 1; -1, the column of `row` that went bad, or `TRIPPED`.
+
+        Their rows stand from place `at` on.
+        """
         blocks = (self.true, self.nominal, self.hardware, self.learner, self.limits, self.ahead, self.later, self.split)
-        return advance(first, last, self.run, *blocks)
+        run = self.run if at == 0 else self.run._replace(rows=self.rows[at:])
+        bad = advance(first, last, run, *blocks)
+        self.counter[0] += at
+        return bad
 
 
 def start_energy(robot: Robot, true: Machine) -> float:

@@ -7,12 +7,12 @@ rows into a recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import numpy as np
 
@@ -354,9 +354,34 @@ class Loop:
             progress: Called after every block with the simulated time [s].
             cancelled: Asked after every block; true ends the run as interrupted.
         """
+        course, asked = self.course(engine, sink, first, progress, cancelled), None
+        try:
+            asked = next(course)
+            while True:
+                try:
+                    bad = engine.advance(*asked)
+                except KeyboardInterrupt as stopped:
+                    asked = course.throw(stopped)
+                else:
+                    asked = course.send(bad)
+        except StopIteration as ended:
+            return cast(Outcome, ended.value)
+
+    def course(
+        self,
+        engine: Engine,
+        sink: Sink,
+        first: int = 0,
+        progress: Callable[[float], None] | None = None,
+        cancelled: Callable[[], bool] = bool,
+    ) -> Generator[tuple[int, int], int, Outcome]:
+        """What `stream` does but for the stepping: gives the samples to be stepped, takes what `advance` answered.
+
+        Arguments as in `stream`.
+        """
         if self.trajectory.watched is not None:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
-        outcome = run_to_end(self, engine, sink, first, progress, cancelled)
+        outcome = yield from to_the_end(self, engine, sink, first, progress, cancelled)
         return with_remarks(outcome, engine, self.robot)
 
 
@@ -376,15 +401,15 @@ def require_compilable(loop: Loop) -> None:
     raise ConfigError(what, why=why, fix=fix, key="engine")
 
 
-def run_to_end(
+def to_the_end(
     loop: Loop,
     engine: Engine,
     sink: Sink,
     first: int,
     progress: Callable[[float], None] | None,
     cancelled: Callable[[], bool],
-) -> Outcome:
-    """Run to the end, to divergence, to a trip or to an interruption; arguments as in `Loop.stream`."""
+) -> Generator[tuple[int, int], int, Outcome]:
+    """To the end, to divergence, to a trip or to an interruption; see `Loop.course`."""
     state, k, h, samples = engine.state, first, loop.timing.control_period, loop.timing.samples
     every = samples_between(loop.weights_interval, h)
     try:
@@ -393,7 +418,7 @@ def run_to_end(
                 sink.weights(k * h, weights)
             engine.counter[0] = 0
             try:
-                bad = engine.advance(k, min(k + len(engine.rows), (k // every + 1) * every, samples))
+                bad = yield k, min(k + len(engine.rows), (k // every + 1) * every, samples)
             finally:
                 done = int(engine.counter[0])
                 sink.append_block(engine.rows[:done], engine.step_times[:done])
