@@ -7,8 +7,6 @@ So they are run as plain Python (`NUMBA_DISABLE_JIT=1`, a process of its own) on
 A branch that depends on a number becomes a *guard*: the list is right for all states that go the same way, and says of
 any other that it is not. An elementary function is noted as a call, so its branches are its own.
 
-The process reads a loop as `side_by_side.Form` tells it from standard input, and writes what it has noted:
-
     ops        [code, ...] by number; operands are numbers of operations before
     guards     [comparison, a, b, outcome]
     written    {place in memory: operation} for every number that the sample changes
@@ -17,7 +15,6 @@ The process reads a loop as `side_by_side.Form` tells it from standard input, an
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from collections.abc import Callable, Iterator
@@ -240,19 +237,19 @@ def noting(notes: Notes) -> Iterator[None]:
             setattr(module, name, thing)
 
 
-def rebuilt(form: Any, memory: Any) -> Any:
-    """What a form tells of, its numbers those of the memory, an array of noted numbers."""
+def rebuilt(form: Any, memory: Any, numbers: int) -> Any:
+    """What a form tells of, its numbers those of the memory, an array of noted ones; single ones behind `numbers`."""
     kind, *rest = form
     if kind == "array":
         first, shape = rest
         return memory[first : first + math.prod(shape)].reshape(shape)
     if kind == "number":
-        return memory[rest[0]]
+        return memory[numbers + rest[0]]
     if kind == "places":
         return np.array(rest[2], rest[0]).reshape(rest[1])
     if kind == "tuple":
         module, name, parts = rest
-        things = [rebuilt(part, memory) for part in parts]
+        things = [rebuilt(part, memory, numbers) for part in parts]
         return getattr(import_module(module), name)(*things) if name else tuple(things)
     return rest[0]
 
@@ -261,7 +258,7 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
     """The notes of one control sample.
 
     Args:
-        told: `form` of the engine's parts, `values` of its memory, the `setpoints` (2, m) of the sample before and of
+        told: `form` of the engine's `parts`, `values` of its memory, the single `numbers` from there on, the `setpoints` (2, m) of the sample before and of
             this one, the `time` [s].
 
     Raises:
@@ -277,7 +274,7 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
     for (i, j), x in np.ndenumerate(np.array(told["setpoints"])):
         setpoints[i, j] = Noted(float(x), notes.op("setpoint", i, j))
     time = Noted(told["time"], notes.op("time"))
-    part = dict(zip(names, (rebuilt(form, memory) for form in told["form"]), strict=True))
+    part = dict(zip(names, (rebuilt(form, memory, told["numbers"]) for form in told["form"]), strict=True))
     run, true = part["run"]._replace(setpoints=setpoints), part["true"]
     with noting(notes), np.errstate(all="ignore"):
         measure(0, time, run, true, None)
@@ -296,16 +293,3 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
         "width": run.row.size,
         "setpoints": setpoints.shape[1],
     }
-
-
-def main() -> None:
-    """Read, note, write; an empty object where it cannot be noted."""
-    try:
-        result = sample(json.load(sys.stdin))
-    except (TooMuch, TypeError, ValueError, ZeroDivisionError, AttributeError):
-        result = {}
-    json.dump(result, sys.stdout)
-
-
-if __name__ == "__main__":
-    main()

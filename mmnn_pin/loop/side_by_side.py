@@ -7,7 +7,7 @@ loop makes it, run by run. So the result is that of the compiled loop whatever h
 how often the runs leave the way.
 
 Runs go side by side if their loops differ in numbers only: same blocks, shapes, signals and periods. The function is
-made once for such loops, and kept on disk beside numba's code.
+made once for such loops, in a process of its own while the compiled loop goes on, and kept on disk beside numba's code.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryFile
 from threading import Lock
-from typing import Any
+from typing import Any, ClassVar
 
 import llvmlite.binding as llvm
 import numba
@@ -40,8 +41,9 @@ from .vector_code import SYMBOL, vector_code
 LANES = 4
 PARTS = ("run", "true", "nominal", "learner", "limits", "ahead", "later")  # of an engine, what a sample works on
 WARM = 64  # samples before the one that is noted: the first of a run are not like the others
-PIECE = 200  # samples at a time
+PIECE = 250  # samples at a time
 FEW, ENOUGH = 0.2, 10  # of the pieces may leave the way; with more the compiled loop is faster
+NOTHING = np.zeros((0, 0))
 WORTH = 2_000_000  # samples of a batch, from which on compiling is worth while
 
 
@@ -54,8 +56,8 @@ class Form:
     """What a sample of an engine works on, apart from its numbers.
 
     Attributes:
-        form: Of its parts: tuples by class, integers as they are, arrays and numbers by their place in the memory.
-        roots: The arrays whose numbers, one after the other, are the memory; the first has the single numbers.
+        form: Of its parts: tuples by class, integers as they are, arrays and single numbers by their place.
+        roots: The arrays whose numbers, one after the other, are the memory; the last has the single numbers.
     """
 
     form: list[Any]
@@ -68,38 +70,11 @@ class Form:
         Raises:
             Unlike: It has something else in it.
         """
-        run = engine.run._replace(setpoints=np.zeros((0, 0)), rows=np.zeros((0, 0)))
+        run = engine.run._replace(setpoints=NOTHING, rows=NOTHING)
         parts = (run, engine.true, engine.nominal, engine.learner, engine.limits, engine.ahead, engine.later)
-        numbers, roots, places = list[float](), list[Array](), dict[int, int]()
-
-        def told(thing: Any) -> list[Any]:
-            if isinstance(thing, float):
-                numbers.append(thing)
-                return ["number", len(numbers) - 1]
-            if isinstance(thing, np.ndarray):
-                return array(thing)
-            if isinstance(thing, tuple):
-                kind = type(thing) if hasattr(thing, "_fields") else None
-                return ["tuple", *((kind.__module__, kind.__qualname__) if kind else ("", "")), list(map(told, thing))]
-            if thing is None or isinstance(thing, int | str):
-                return ["plain", thing]
-            raise Unlike
-
-        def array(thing: np.ndarray[Any, Any]) -> list[Any]:
-            if thing.dtype.kind in "iub":
-                return ["places", thing.dtype.str, thing.shape, thing.ravel().tolist()]
-            whole = thing
-            while isinstance(whole.base, np.ndarray):
-                whole = whole.base
-            if thing.dtype != np.float64 or not (thing.flags.c_contiguous and whole.flags.c_contiguous):
-                raise Unlike
-            if (at := whole.ctypes.data) not in places:
-                places[at] = sum(root.size for root in roots)
-                roots.append(whole.reshape(-1))
-            return ["array", places[at] + (thing.ctypes.data - at) // 8, thing.shape]
-
-        form = list(map(told, parts))
-        return cls(moved(form, len(numbers)), [np.array(numbers), *roots])
+        reader = Reader()
+        form = [reader.told(part) for part in parts]
+        return cls(form, [*reader.roots, np.array(reader.numbers)])
 
     @property
     def key(self) -> str:
@@ -107,20 +82,50 @@ class Form:
         return hashlib.sha256(json.dumps(self.form).encode()).hexdigest()
 
     def write(self, values: Array) -> None:
-        """Back into the engine, all but the single numbers, which do not change."""
-        first = self.roots[0].size
-        for root in self.roots[1:]:
+        """Numbers of the memory back into the engine, all but the single ones, which do not change."""
+        first = 0
+        for root in self.roots[:-1]:
             root[:] = values[first : first + root.size]
             first += root.size
 
 
-def moved(form: Any, by: int) -> Any:
-    """A form whose arrays stand behind the single numbers."""
-    if isinstance(form, list):
-        if form[:1] == ["array"]:
-            return ["array", form[1] + by, form[2]]
-        return [moved(part, by) for part in form]
-    return form
+class Reader:
+    """Reads forms; see `Form`."""
+
+    def __init__(self) -> None:
+        self.numbers, self.roots, self.size = list[float](), list[Array](), 0
+        self.places: dict[int, int] = {}
+
+    def told(self, thing: Any) -> list[Any]:
+        """The form of a part."""
+        if isinstance(thing, np.ndarray):
+            return self.array(thing)
+        if isinstance(thing, tuple):
+            kind = type(thing) if hasattr(thing, "_fields") else None
+            name = (kind.__module__, kind.__qualname__) if kind else ("", "")
+            return ["tuple", *name, [self.told(part) for part in thing]]
+        if isinstance(thing, float):
+            self.numbers.append(thing)
+            return ["number", len(self.numbers) - 1]
+        if thing is None or isinstance(thing, int | str):
+            return ["plain", thing]
+        raise Unlike
+
+    def array(self, thing: np.ndarray[Any, Any]) -> list[Any]:
+        """The form of an array, a view of the memory."""
+        if thing.dtype.kind in "iub":
+            return ["places", thing.dtype.str, thing.shape, thing.ravel().tolist()]
+        whole = thing
+        while isinstance(whole.base, np.ndarray):
+            whole = whole.base
+        if thing.dtype != np.float64 or not (thing.flags.c_contiguous and whole.flags.c_contiguous):
+            raise Unlike
+        at, here = (one.__array_interface__["data"][0] for one in (whole, thing))
+        if at not in self.places:
+            self.places[at] = self.size
+            self.roots.append(whole.reshape(-1))
+            self.size += whole.size
+        return ["array", self.places[at] + (here - at) // 8, thing.shape]
 
 
 class Lanes:
@@ -144,13 +149,11 @@ class Lanes:
         """Samples first ... last - 1 of all runs that have not ended; for each what `CompiledLoop.advance` gives."""
         answers, k = [-1] * LANES, first
         while k < last and self.alive.any():
-            if self.waits and k >= WARM:
+            if self.waits:
                 self.begin(k)
-            if self.program is not None:
-                count = min(PIECE, last - k)
-                done = self.together(k, count, k - first)
-            else:
-                count, done = (min(WARM, last) if self.waits else last) - k, False
+            piece = WARM - k if k < WARM else PIECE
+            count = min(piece if self.waits or self.program is not None else last - k, last - k)
+            done = self.program is not None and self.together(k, count, k - first)
             if not done:
                 self.one_by_one(k, count, k - first, answers)
             k += count
@@ -165,11 +168,11 @@ class Lanes:
         return [int(lane) for lane in np.flatnonzero(self.alive)]
 
     def begin(self, sample: int) -> None:
-        """Take up the program, if there is one for these engines."""
+        """Take up the program, if there is one for these engines; what makes it is begun with the second piece."""
         assert self.forms is not None
-        self.waits, width = False, sum(root.size for root in self.forms[0].roots)
         self.program = Program.of(self.engines[0], self.forms[0], sample, self.worth)
         if self.program is not None:
+            self.waits, width = False, sum(root.size for root in self.forms[0].roots)
             self.memory, self.before = aligned((width, LANES)), aligned((width, LANES))
             self.slots = aligned((self.program.slots, LANES))
             self.setpoints = aligned((PIECE + 1, self.engines[0].run.setpoints.shape[1], LANES))
@@ -181,7 +184,8 @@ class Lanes:
         assert self.program is not None
         np.copyto(self.before, self.memory)
         for lane, engine in enumerate(self.engines):
-            self.setpoints[: count + 1, :, lane] = engine.run.setpoints[first - 1 : first + count]
+            self.setpoints[0, :, lane] = engine.run.setpoints[max(first - 1, 0)]
+            self.setpoints[1 : count + 1, :, lane] = engine.run.setpoints[first : first + count]
             self.rows[lane] = engine.rows.ctypes.data + at * engine.rows.strides[0]
         arrays = (self.memory, self.slots, self.setpoints, self.rows, self.alive)
         places = (array.ctypes.data for array in arrays)
@@ -216,8 +220,9 @@ class Lanes:
     def write(self) -> None:
         """Put them back into the engines of the runs that have not ended."""
         assert self.forms is not None
+        numbers = np.ascontiguousarray(self.memory.T)
         for lane in self.living():
-            self.forms[lane].write(self.memory[:, lane])
+            self.forms[lane].write(numbers[lane])
 
 
 def forms_of(engines: Sequence[Any]) -> list[Form] | None:
@@ -248,51 +253,51 @@ class Program:
     """A sample of several runs, compiled.
 
     Args:
-        text: Its code.
-        cached: What was compiled of it; None if nothing.
+        file: Where it is kept.
     """
 
     lock = Lock()
-    made: dict[str, Program | None] = {}
+    made: ClassVar[dict[str, Program]] = {}
+    asked: ClassVar[dict[str, subprocess.Popen[bytes]]] = {}
 
-    def __init__(self, text: str, cached: bytes | None) -> None:
-        self.engine, self.code = compiled_text(text, cached)
-        prepare, step = (self.engine.get_function_address(name) for name in ("prepare", "advance"))
+    def __init__(self, file: Path) -> None:
+        slots, _, code = file.read_bytes().partition(b"\n")
+        self.slots, self.engine = int(slots), loaded(code)
         pointer, integer = ctypes.c_void_p, ctypes.c_int64
+        prepare, advance = (self.engine.get_function_address(name) for name in ("prepare", "advance"))
         self.prepare = ctypes.CFUNCTYPE(integer, pointer, pointer)(prepare)
-        self.advance = ctypes.CFUNCTYPE(integer, *[pointer] * 5, integer, integer, ctypes.c_double)(step)
-        self.slots = int(text.partition("\n")[0].split()[-1])
+        self.advance = ctypes.CFUNCTYPE(integer, *[pointer] * 5, integer, integer, ctypes.c_double)(advance)
 
     @classmethod
     def of(cls, engine: CompiledLoop, form: Form, sample: int, worth: bool) -> Program | None:
-        """The program for an engine, noted at its next sample; None where there can be none, or it is not worth while."""
+        """The program for an engine, None where there is none yet, or can be none.
+
+        Args:
+            engine: Where it is after some samples.
+            form: Its form.
+            sample: The number of its next sample, which is noted if there is no program: a process of its own makes it
+                meanwhile.
+            worth: Whether to begin that.
+        """
         with cls.lock:
-            if form.key not in cls.made:
-                made = program(engine, form, sample, worth)
-                if made is None and not worth:
-                    return None
-                cls.made[form.key] = made
+            file = file_of(form)
+            if file is None or form.key in cls.made:
+                return cls.made.get(form.key)
+            if not file.exists():
+                if worth and sample >= WARM and str(file) not in cls.asked:
+                    cls.asked[str(file)] = ask_for(file, engine, form, sample)
+                return None
+            if file.stat().st_size == 0:
+                return None
+            cls.made[form.key] = cls(file)
             return cls.made[form.key]
 
 
-def program(engine: CompiledLoop, form: Form, sample: int, worth: bool) -> Program | None:
-    """The program from the disk, or else noted and compiled."""
-    folder, cpu = cache_folder(), f"{host_cpu()} {llvm.llvm_version_info} {platform.machine()} {LANES}"
-    name = hashlib.sha256(f"{form.key} {cpu} {sources()}".encode()).hexdigest()[:24]
-    file = None if folder is None else folder / f"side_by_side.{name}"
-    if file is not None and file.exists():
-        text, _, code = file.read_bytes().partition(b"\0")
-        return Program(text.decode(), code) if text else None
-    if not worth:
-        return None
-    told = noted(engine, form, sample)
-    text = vector_code(told, LANES) if told else ""
-    result = Program(text, None) if told else None
-    if file is not None:
-        draft = file.with_name(f"{file.name}.{os.getpid()}")
-        draft.write_bytes(text.encode() + b"\0" + (result.code if result else b""))
-        draft.replace(file)
-    return result
+def file_of(form: Form) -> Path | None:
+    """Where the program of a form is kept; None where nothing can be."""
+    folder = cache_folder()
+    key = f"{form.key} {sources()} {host_cpu()} {llvm.llvm_version_info} {platform.machine()} {LANES}"
+    return None if folder is None else folder / f"side_by_side.{hashlib.sha256(key.encode()).hexdigest()[:24]}"
 
 
 @cache
@@ -302,55 +307,92 @@ def sources() -> str:
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 
-def noted(engine: CompiledLoop, form: Form, sample: int) -> dict[str, Any]:
-    """What `noting` says of the engine's next sample, in a process of its own; empty where it cannot be noted."""
-    values = np.concatenate(form.roots)
+def ask_for(file: Path, engine: CompiledLoop, form: Form, sample: int) -> subprocess.Popen[bytes]:
+    """Begin to make the program of an engine's next sample, in a process of its own; see `main`."""
     told = {
         "parts": PARTS,
         "form": form.form,
-        "values": values.tolist(),
+        "values": np.concatenate(form.roots).tolist(),
+        "numbers": sum(root.size for root in form.roots[:-1]),
         "setpoints": engine.run.setpoints[sample - 1 : sample + 1].tolist(),
         "time": sample * engine.run.numbers.h,
     }
-    plain = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    command = [sys.executable, "-m", "mmnn_pin.loop.noting"]
-    done = subprocess.run(command, input=json.dumps(told), capture_output=True, text=True, env=plain, check=False)
-    return dict(json.loads(done.stdout)) if done.returncode == 0 else {}
+    with TemporaryFile() as read:
+        read.write(json.dumps(told).encode())
+        read.seek(0)
+        quiet, plain = subprocess.DEVNULL, os.environ | {"NUMBA_DISABLE_JIT": "1"}
+        command = [sys.executable, "-m", __name__, str(file)]
+        return subprocess.Popen(command, stdin=read, stdout=quiet, stderr=quiet, env=plain)
+
+
+def main() -> None:
+    """Note a sample that standard input tells of and compile it into the file named; an empty one if that cannot be."""
+    from .noting import TooMuch, sample
+
+    file = Path(sys.argv[1])
+    try:
+        told = sample(json.load(sys.stdin))
+    except (TooMuch, TypeError, ValueError, ArithmeticError, AttributeError):
+        content = b""
+    else:
+        slots, text = vector_code(told, LANES)
+        content = f"{slots}\n".encode() + bytes(machine().emit_object(llvm.parse_assembly(text)))
+    draft = file.with_name(f"{file.name}.{os.getpid()}")
+    draft.write_bytes(content)
+    draft.replace(file)
+
+
+def ready(loop: Any) -> bool:
+    """Make the program of a loop, if there is none yet, and wait for it; whether there is one."""
+    engine = loop.engine_at()
+    if (forms := forms_of([engine] * LANES)) is None:
+        return False
+    engine.advance(0, WARM)
+    while (made := Program.of(engine, forms[0], WARM, True)) is None:
+        if (asked := Program.asked.pop(str(file_of(forms[0])), None)) is None:
+            return False
+        asked.wait()
+    return made is not None
 
 
 def host_cpu() -> tuple[str, str]:
     """Name and features of the processor that code is made for, as numba has them."""
     name, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES
-    host = llvm.get_host_cpu_features().flatten() if features is None else features
-    return name or llvm.get_host_cpu_name(), host
+    return name or llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten() if features is None else features
 
 
-def compiled_text(text: str, cached: bytes | None) -> tuple[Any, bytes]:
-    """The engine that holds the code of a text, and the code as it is kept."""
-    for name in set(elementary.__all__) - {"cos_sin", "sigmoids"}:
-        llvm.add_symbol(SYMBOL + name, address_of(name))
+def machine() -> Any:
+    """What makes code for it."""
     name, features = host_cpu()
-    machine = llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=2, jit=True)
-    kept = [cached or b""]
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly("" if cached else text), machine)
-    if cached:
-        engine.add_object_file(llvm.ObjectFileRef.from_data(cached))
-    else:
-        engine.set_object_cache(notify_func=lambda _, code: kept.__setitem__(0, code))
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=2, jit=True)
+
+
+def loaded(code: bytes) -> Any:
+    """The engine that holds compiled code."""
+    for name in elementary.__all__:
+        if name not in ("cos_sin", "sigmoids"):
+            llvm.add_symbol(SYMBOL + name, address_of(name))
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
-    return engine, kept[0]
+    return engine
+
+
+@cache
+def callback(name: str) -> Any:
+    """An elementary function of doubles for code that is not numba's."""
+    function = getattr(elementary, name)
+    if name in ("atan2", "hypot", "pow"):
+        return numba.cfunc("float64(float64, float64)", error_model="numpy")(lambda x, y: function(x, y))
+    return numba.cfunc("float64(float64)", error_model="numpy")(lambda x: function(x))
 
 
 def address_of(name: str) -> int:
-    """Where compiled code finds an elementary function of doubles."""
-    if name not in FUNCTIONS:
-        function = getattr(elementary, name)
-        if name in ("atan2", "hypot", "pow"):
-            made = numba.cfunc("float64(float64, float64)", error_model="numpy")(lambda x, y: function(x, y))
-        else:
-            made = numba.cfunc("float64(float64)", error_model="numpy")(lambda x: function(x))
-        FUNCTIONS[name] = made
-    return int(FUNCTIONS[name].address)
+    """Where it stands."""
+    return int(callback(name).address)
 
 
-FUNCTIONS: dict[str, Any] = {}
+if __name__ == "__main__":
+    main()

@@ -23,8 +23,8 @@ INTEGERS = ("bits", "add", "shl")  # operations whose results are integers
 LEAVES = ("state", "setpoint", "time", "const")
 
 
-def vector_code(told: dict[str, Any], lanes: int) -> str:
-    """The code.
+def vector_code(told: dict[str, Any], lanes: int) -> tuple[int, str]:
+    """How many slots there are, and the code.
 
     Args:
         told: What `noting.sample` gives.
@@ -32,7 +32,7 @@ def vector_code(told: dict[str, Any], lanes: int) -> str:
     """
     code = VectorCode(told, lanes)
     prepare, advance = code.prepare(), code.advance()
-    return "\n".join((f"; slots {max(len(code.slots), 1)}", *code.declarations(), *prepare, *advance, ""))
+    return max(len(code.slots), 1), "\n".join((*code.declarations(), *prepare, *advance, ""))
 
 
 class VectorCode:
