@@ -21,7 +21,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from tempfile import TemporaryFile
 from threading import Lock
@@ -51,7 +51,7 @@ class Unlike(Exception):
     """A loop that cannot go side by side with others; never seen outside."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Form:
     """What a sample of an engine works on, apart from its numbers.
 
@@ -76,7 +76,7 @@ class Form:
         form = [reader.told(part) for part in parts]
         return cls(form, [*reader.roots, np.array(reader.numbers)])
 
-    @property
+    @cached_property
     def key(self) -> str:
         """The same for engines that can go side by side, and other for others."""
         return hashlib.sha256(json.dumps(self.form).encode()).hexdigest()
@@ -120,12 +120,12 @@ class Reader:
             whole = whole.base
         if thing.dtype != np.float64 or not (thing.flags.c_contiguous and whole.flags.c_contiguous):
             raise Unlike
-        at, here = (one.__array_interface__["data"][0] for one in (whole, thing))
-        if at not in self.places:
-            self.places[at] = self.size
+        if id(whole) not in self.places:
+            self.places[id(whole)] = self.size
             self.roots.append(whole.reshape(-1))
             self.size += whole.size
-        return ["array", self.places[at] + (here - at) // 8, thing.shape]
+        within = 0 if thing is whole else (thing.ctypes.data - whole.ctypes.data) // 8
+        return ["array", self.places[id(whole)] + within, thing.shape]
 
 
 class Lanes:
@@ -257,7 +257,7 @@ class Program:
     """
 
     lock = Lock()
-    made: ClassVar[dict[str, Program]] = {}
+    made: ClassVar[list[tuple[list[Any], Program]]] = []
     asked: ClassVar[dict[str, subprocess.Popen[bytes]]] = {}
 
     def __init__(self, file: Path) -> None:
@@ -280,17 +280,20 @@ class Program:
             worth: Whether to begin that.
         """
         with cls.lock:
+            for known, program in cls.made:
+                if known == form.form:
+                    return program
             file = file_of(form)
-            if file is None or form.key in cls.made:
-                return cls.made.get(form.key)
+            if file is None:
+                return None
             if not file.exists():
                 if worth and sample >= WARM and str(file) not in cls.asked:
                     cls.asked[str(file)] = ask_for(file, engine, form, sample)
                 return None
-            if file.stat().st_size == 0:
+            if file.stat().st_size == 0:  # it cannot be noted
                 return None
-            cls.made[form.key] = cls(file)
-            return cls.made[form.key]
+            cls.made.append((form.form, cls(file)))
+            return cls.made[-1][1]
 
 
 def file_of(form: Form) -> Path | None:
