@@ -40,6 +40,7 @@ from .vector_code import SYMBOL, vector_code
 
 LANES = 4
 PARTS = ("run", "true", "nominal", "learner", "limits", "ahead", "later")  # of an engine, what a sample works on
+WAYS = 4  # programs of one form: settings may say which way a sample goes
 WARM = 64  # samples before the one that is noted: the first of a run are not like the others
 PIECE = 250  # samples at a time
 FEW, ENOUGH = 0.2, 10  # of the pieces may leave the way; with more the compiled loop is faster
@@ -70,7 +71,7 @@ class Form:
         Raises:
             Unlike: It has something else in it.
         """
-        run = engine.run._replace(setpoints=NOTHING, rows=NOTHING)
+        run = engine.run._replace(setpoints=NOTHING, rows=NOTHING, counter=np.zeros(0, np.int64))
         parts = (run, engine.true, engine.nominal, engine.learner, engine.limits, engine.ahead, engine.later)
         reader = Reader()
         form = [reader.told(part) for part in parts]
@@ -257,8 +258,8 @@ class Program:
     """
 
     lock = Lock()
-    made: ClassVar[list[tuple[list[Any], Program]]] = []
-    asked: ClassVar[dict[str, subprocess.Popen[bytes]]] = {}
+    made: ClassVar[list[tuple[list[Any], int, Program]]] = []  # with their forms and ways
+    asked: ClassVar[dict[Path, subprocess.Popen[bytes]]] = {}
 
     def __init__(self, file: Path) -> None:
         slots, _, code = file.read_bytes().partition(b"\n")
@@ -280,26 +281,39 @@ class Program:
             worth: Whether to begin that.
         """
         with cls.lock:
-            for known, program in cls.made:
-                if known == form.form:
+            for way in range(WAYS):
+                if (program := cls.kept(form, way)) is None:
+                    file = file_of(form, way)
+                    if worth and sample >= WARM and file is not None and not (file.exists() or file in cls.asked):
+                        cls.asked[file] = ask_for(file, engine, form, sample)
+                    return None
+                if program.fits(form):
                     return program
-            file = file_of(form)
-            if file is None:
-                return None
-            if not file.exists():
-                if worth and sample >= WARM and str(file) not in cls.asked:
-                    cls.asked[str(file)] = ask_for(file, engine, form, sample)
-                return None
-            if file.stat().st_size == 0:  # it cannot be noted
-                return None
-            cls.made.append((form.form, cls(file)))
-            return cls.made[-1][1]
+            return None
+
+    @classmethod
+    def kept(cls, form: Form, way: int) -> Program | None:
+        """The program of a form that was noted on one way, from this process or the disk; None where there is none."""
+        for known, at, program in cls.made:
+            if at == way and known == form.form:
+                return program
+        file = file_of(form, way)
+        if file is None or not file.exists() or file.stat().st_size == 0:  # an empty one cannot be noted
+            return None
+        cls.made.append((form.form, way, cls(file)))
+        return cls.made[-1][2]
+
+    def fits(self, form: Form) -> bool:
+        """Whether it was noted on the way that an engine goes by its settings."""
+        memory, slots = aligned((sum(root.size for root in form.roots), LANES)), aligned((self.slots, LANES))
+        memory[:] = np.concatenate(form.roots)[:, None]
+        return bool(self.prepare(memory.ctypes.data, slots.ctypes.data) == 0)
 
 
-def file_of(form: Form) -> Path | None:
-    """Where the program of a form is kept; None where nothing can be."""
+def file_of(form: Form, way: int) -> Path | None:
+    """Where the program of a form that was noted on one way is kept; None where nothing can be."""
     folder = cache_folder()
-    key = f"{form.key} {sources()} {host_cpu()} {llvm.llvm_version_info} {platform.machine()} {LANES}"
+    key = f"{form.key} {way} {sources()} {host_cpu()} {llvm.llvm_version_info} {platform.machine()} {LANES}"
     return None if folder is None else folder / f"side_by_side.{hashlib.sha256(key.encode()).hexdigest()[:24]}"
 
 
@@ -350,12 +364,15 @@ def ready(loop: Any) -> bool:
     engine = loop.engine_at()
     if (forms := forms_of([engine] * LANES)) is None:
         return False
-    engine.advance(0, WARM)
-    while (made := Program.of(engine, forms[0], WARM, True)) is None:
-        if (asked := Program.asked.pop(str(file_of(forms[0])), None)) is None:
-            return False
-        asked.wait()
-    return made is not None
+    for sample in range(WARM):
+        engine.advance(sample, sample + 1)
+    while Program.of(engine, forms[0], WARM, True) is None:
+        running = [process for process in Program.asked.values() if process.poll() is None]
+        if not running:
+            return Program.of(engine, forms[0], WARM, False) is not None
+        for process in running:
+            process.wait()
+    return True
 
 
 def host_cpu() -> tuple[str, str]:
