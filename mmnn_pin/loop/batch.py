@@ -165,7 +165,7 @@ def simulate_together(runs: Sequence[Started], worth: bool, cancelled: Callable[
     """
     lanes, results = Lanes([run.engine for run in runs], worth), dict[int, Run]()
     courses = [run.loop.course(run.engine, run.sink, cancelled=cancelled) for run in runs]
-    answers: list[int | None] = [None] * len(runs)
+    answers: list[Any] = [None] * len(runs)
     while len(results) < len(runs):
         asked = set()
         for i, course in enumerate(courses):

@@ -19,7 +19,6 @@ import math
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
 from importlib import import_module
 from typing import Any, ClassVar
 
@@ -201,6 +200,11 @@ def is_finite(x: Any, isfinite: Callable[[Any], Any] = np.isfinite) -> Any:
     return abs(x) < math.inf if isinstance(x, Noted) else isfinite(x)
 
 
+def is_nan(x: Any, isnan: Callable[[float], bool] = math.isnan) -> bool:
+    """`math.isnan`."""
+    return x != x if isinstance(x, Noted) else isnan(x)
+
+
 def bits_of(x: Any, plain_bits: Callable[[float], int] = bits.bits_of) -> Any:
     """`elementary.bits.bits_of`."""
     return Bits(plain_bits(x.value), Noted.notes.op("bits", x.number)) if isinstance(x, Noted) else plain_bits(x)
@@ -219,7 +223,8 @@ def noting(notes: Notes) -> Iterator[None]:
     cos, sin = instead[elementary.cos], instead[elementary.sin]
     instead |= {elementary.cos_sin: lambda x: (cos(x), sin(x)), bits.bits_of: bits_of, bits.from_bits: from_bits}
     modules = [module for name, module in sys.modules.items() if name.startswith(__package__.partition(".")[0])]
-    before: list[tuple[Any, str, Any]] = [(math, "sqrt", root), (math, "isfinite", is_finite), (np, "isfinite", is_finite)]
+    before: list[tuple[Any, str, Any]] = [(math, "sqrt", root), (math, "isnan", is_nan)]
+    before += [(module, "isfinite", is_finite) for module in (math, np)]
     before += [
         (module, name, instead[thing])
         for module in modules
@@ -258,8 +263,8 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
     """The notes of one control sample.
 
     Args:
-        told: `form` of the engine's `parts`, `values` of its memory, the single `numbers` from there on, the `setpoints` (2, m) of the sample before and of
-            this one, the `time` [s].
+        told: `form` of the engine's `parts`, `values` of its memory, single ones from place `numbers` on, `setpoints`
+            (2, m) of the sample before and of this one, `time` [s].
 
     Raises:
         TooMuch: It cannot be noted.
@@ -273,12 +278,13 @@ def sample(told: dict[str, Any]) -> dict[str, Any]:
     setpoints = np.empty(np.shape(told["setpoints"]), object)
     for (i, j), x in np.ndenumerate(np.array(told["setpoints"])):
         setpoints[i, j] = Noted(float(x), notes.op("setpoint", i, j))
-    time = Noted(told["time"], notes.op("time"))
+    time: Any = Noted(told["time"], notes.op("time"))
     part = dict(zip(names, (rebuilt(form, memory, told["numbers"]) for form in told["form"]), strict=True))
     run, true = part["run"]._replace(setpoints=setpoints), part["true"]
     with noting(notes), np.errstate(all="ignore"):
         measure(0, time, run, true, None)
-        control(1, time, run, part["nominal"], None, *(part[n] for n in ("learner", "limits", "ahead", "later")), None)
+        learner, limits, ahead, later = (part[name] for name in ("learner", "limits", "ahead", "later"))
+        control(1, time, run, part["nominal"], None, learner, limits, ahead, later, None)
         bad = observe(run, true.body, true, run.numbers.start_energy)
         for i in range(run.numbers.steps):
             move(run.numbers, i, true.body, true, view(run.row, run.at, INDEX["torque"]))

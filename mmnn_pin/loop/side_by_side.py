@@ -1,13 +1,15 @@
 """Several runs at once on one core: each in one lane of the processor's vectors, with the bits that it has alone.
 
 A control sample of the compiled loop is noted as one list of operations (`noting`), which becomes a function of vectors
-of four runs. It does what the blocks do, in their order, so that nothing is rounded otherwise. Where a run takes another
-branch than the one that was noted, a guard tells: then the state goes back to where the piece began, and the compiled
-loop makes it, run by run. So the result is that of the compiled loop whatever happens; only how long it takes depends on
-how often the runs leave the way.
+of four runs (`vector_code`). It does what the blocks do, in their order, so that nothing is rounded otherwise. Where a
+run takes another branch than the one that was noted, a guard tells: then the state goes back to where the piece began,
+and the compiled loop makes it, run by run. So the result is that of the compiled loop whatever happens; only how long
+it takes depends on how often runs leave the way. Learners that count samples or sweep until something is small leave it
+all the time; then the compiled loop goes on alone.
 
-Runs go side by side if their loops differ in numbers only: same blocks, shapes, signals and periods. The function is
-made once for such loops, in a process of its own while the compiled loop goes on, and kept on disk beside numba's code.
+Runs go side by side if their loops differ in numbers only: same blocks, shapes, signals and periods, without a hardware
+model. The function is made once for such loops, in a process of its own while the compiled loop goes on, and kept on
+disk beside numba's code.
 """
 
 from __future__ import annotations
@@ -33,8 +35,7 @@ import numpy as np
 
 from .. import elementary
 from ..compiled import cache_folder
-from ..errors import InputError
-from ..signals import Array
+from ..signals import Array, IntArray
 from .compiled import CompiledLoop
 from .vector_code import SYMBOL, vector_code
 
@@ -82,12 +83,11 @@ class Form:
         """The same for engines that can go side by side, and other for others."""
         return hashlib.sha256(json.dumps(self.form).encode()).hexdigest()
 
-    def write(self, values: Array) -> None:
-        """Numbers of the memory back into the engine, all but the single ones, which do not change."""
-        first = 0
-        for root in self.roots[:-1]:
-            root[:] = values[first : first + root.size]
-            first += root.size
+    def changed(self, places: IntArray) -> list[tuple[Array, int]]:
+        """The arrays with any of some places of the memory in them, and where they begin."""
+        ends = np.cumsum([root.size for root in self.roots])
+        which = np.unique(np.searchsorted(ends, places, side="right"))
+        return [(self.roots[i], int(ends[i]) - self.roots[i].size) for i in which]
 
 
 class Reader:
@@ -137,14 +137,13 @@ class Lanes:
         worth: Whether compiling is worth while where there is no code yet.
     """
 
-    def __init__(self, engines: Sequence[CompiledLoop], worth: bool) -> None:
+    def __init__(self, engines: Sequence[Any], worth: bool) -> None:
         self.engines, self.worth = engines, worth
         self.forms = forms_of(engines)
         self.program: Program | None = None
         self.waits = self.forms is not None  # for its program
         self.alive = aligned((LANES,), np.int64)
         self.alive[:] = -1
-        self.pieces = self.left = 0
 
     def advance(self, first: int, last: int) -> list[int]:
         """Samples first ... last - 1 of all runs that have not ended; for each what `CompiledLoop.advance` gives."""
@@ -178,6 +177,7 @@ class Lanes:
             self.slots = aligned((self.program.slots, LANES))
             self.setpoints = aligned((PIECE + 1, self.engines[0].run.setpoints.shape[1], LANES))
             self.rows = np.zeros(LANES, np.int64)
+            self.changed = [form.changed(self.program.written) for form in self.forms]
             self.read()
 
     def together(self, first: int, count: int, at: int) -> bool:
@@ -190,12 +190,12 @@ class Lanes:
             self.rows[lane] = engine.rows.ctypes.data + at * engine.rows.strides[0]
         arrays = (self.memory, self.slots, self.setpoints, self.rows, self.alive)
         places = (array.ctypes.data for array in arrays)
-        self.pieces += 1
+        self.program.pieces += 1
         if self.program.advance(*places, first, count, self.engines[0].run.numbers.h) == count:
             return True
         np.copyto(self.memory, self.before)
         self.write()
-        self.left += 1
+        self.program.left += 1
         return False
 
     def one_by_one(self, first: int, count: int, at: int, answers: list[int]) -> None:
@@ -204,9 +204,7 @@ class Lanes:
             answers[lane] = self.engines[lane].advance(first, first + count, at)
             if answers[lane] != -1:
                 self.alive[lane] = 0
-        if self.pieces >= ENOUGH and self.left > FEW * self.pieces:
-            self.program = None
-        elif self.program is not None:
+        if self.program is not None:
             self.read()
 
     def read(self) -> None:
@@ -215,15 +213,14 @@ class Lanes:
         for lane, form in enumerate(self.forms):
             self.memory[:, lane] = np.concatenate(form.roots)
         others = self.program.prepare(self.memory.ctypes.data, self.slots.ctypes.data)
-        if any(others >> lane & 1 for lane in self.living()):
+        if self.program.is_left_often or any(others >> lane & 1 for lane in self.living()):
             self.program = None
 
     def write(self) -> None:
         """Put them back into the engines of the runs that have not ended."""
-        assert self.forms is not None
-        numbers = np.ascontiguousarray(self.memory.T)
         for lane in self.living():
-            self.forms[lane].write(numbers[lane])
+            for root, first in self.changed[lane]:
+                root[:] = self.memory[first : first + root.size, lane]
 
 
 def forms_of(engines: Sequence[Any]) -> list[Form] | None:
@@ -245,7 +242,7 @@ def forms_of(engines: Sequence[Any]) -> list[Form] | None:
 def aligned(shape: tuple[int, ...], kind: type = np.float64) -> np.ndarray[Any, Any]:
     """An array of eight-byte numbers whose vectors may be loaded as wholes."""
     size = int(np.prod(shape))
-    room = np.zeros(size + 8, kind)
+    room: np.ndarray[Any, Any] = np.zeros(size + 8, kind)
     first = -room.ctypes.data // 8 % 8
     return room[first : first + size].reshape(shape)
 
@@ -262,8 +259,11 @@ class Program:
     asked: ClassVar[dict[Path, subprocess.Popen[bytes]]] = {}
 
     def __init__(self, file: Path) -> None:
-        slots, _, code = file.read_bytes().partition(b"\n")
-        self.slots, self.engine = int(slots), loaded(code)
+        about, _, code = file.read_bytes().partition(b"\n")
+        told = json.loads(about)
+        self.slots, self.written = told["slots"], np.array(told["written"], np.int64)
+        self.engine = loaded(code, told["calls"])
+        self.pieces = self.left = 0
         pointer, integer = ctypes.c_void_p, ctypes.c_int64
         prepare, advance = (self.engine.get_function_address(name) for name in ("prepare", "advance"))
         self.prepare = ctypes.CFUNCTYPE(integer, pointer, pointer)(prepare)
@@ -288,7 +288,7 @@ class Program:
                         cls.asked[file] = ask_for(file, engine, form, sample)
                     return None
                 if program.fits(form):
-                    return program
+                    return None if program.is_left_often else program
             return None
 
     @classmethod
@@ -302,6 +302,11 @@ class Program:
             return None
         cls.made.append((form.form, way, cls(file)))
         return cls.made[-1][2]
+
+    @property
+    def is_left_often(self) -> bool:
+        """Whether runs leave its way so often that the compiled loop is faster."""
+        return self.pieces >= ENOUGH and self.left > FEW * self.pieces
 
     def fits(self, form: Form) -> bool:
         """Whether it was noted on the way that an engine goes by its settings."""
@@ -353,7 +358,9 @@ def main() -> None:
         content = b""
     else:
         slots, text = vector_code(told, LANES)
-        content = f"{slots}\n".encode() + bytes(machine().emit_object(llvm.parse_assembly(text)))
+        calls = sorted({op[1] for op in told["ops"] if op[0] == "call"})
+        about = {"slots": slots, "written": sorted(map(int, told["written"])), "calls": calls}
+        content = json.dumps(about).encode() + b"\n" + bytes(machine().emit_object(llvm.parse_assembly(text)))
     draft = file.with_name(f"{file.name}.{os.getpid()}")
     draft.write_bytes(content)
     draft.replace(file)
@@ -377,7 +384,8 @@ def ready(loop: Any) -> bool:
 
 def host_cpu() -> tuple[str, str]:
     """Name and features of the processor that code is made for, as numba has them."""
-    name, features = numba.config.CPU_NAME, numba.config.CPU_FEATURES
+    config: Any = numba.config
+    name, features = config.CPU_NAME, config.CPU_FEATURES
     return name or llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten() if features is None else features
 
 
@@ -389,11 +397,10 @@ def machine() -> Any:
     return llvm.Target.from_default_triple().create_target_machine(cpu=name, features=features, opt=2, jit=True)
 
 
-def loaded(code: bytes) -> Any:
-    """The engine that holds compiled code."""
-    for name in elementary.__all__:
-        if name not in ("cos_sin", "sigmoids"):
-            llvm.add_symbol(SYMBOL + name, address_of(name))
+def loaded(code: bytes, calls: Sequence[str]) -> Any:
+    """The engine that holds compiled code, which calls some elementary functions."""
+    for name in calls:
+        llvm.add_symbol(SYMBOL + name, callback(name).address)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine())
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -407,11 +414,6 @@ def callback(name: str) -> Any:
     if name in ("atan2", "hypot", "pow"):
         return numba.cfunc("float64(float64, float64)", error_model="numpy")(lambda x, y: function(x, y))
     return numba.cfunc("float64(float64)", error_model="numpy")(lambda x: function(x))
-
-
-def address_of(name: str) -> int:
-    """Where it stands."""
-    return int(callback(name).address)
 
 
 if __name__ == "__main__":

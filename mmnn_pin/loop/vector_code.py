@@ -7,8 +7,8 @@ them leaves the way that was noted:
     prepare(memory, slots)                                          bits of the runs that go another way from the start
     advance(memory, slots, setpoints, rows, alive, first, count, h)     how many samples were right
 
-with the setpoints (count + 1, m, lanes) from the sample before `first` on, one place per run for its rows (count, width),
-and alive (lanes,) -1 for the runs whose guards count, 0 for others.
+with the setpoints (count + 1, m, lanes) from the sample before `first` on, one place per run for its rows (count,
+width), and alive (lanes,) -1 for the runs whose guards count, 0 for others.
 """
 
 from __future__ import annotations
