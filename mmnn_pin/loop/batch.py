@@ -78,21 +78,14 @@ def simulate_many(
     worth = sum(loop.timing.samples for loop in loops) >= WORTH
     stop, results = Event(), [Run(Outcome("interrupted", 0.0, message="not started"), {}, {})] * len(loops)
 
-    def start(i: int) -> Started:
-        try:
-            return Started(loops[i], starts[i], windows, keep)
-        except InputError as error:
-            error.key = ".".join(filter(None, (f"loops[{i}]", error.key)))
-            raise
-
     def some(places: Sequence[int]) -> int:
         if stop.is_set():
             return 0
-        runs = [start(i) for i in places]
-        if len(runs) == LANES:
-            ended = simulate_together(runs, worth, stop.is_set)
+        started = [begun(f"loops[{i}]", loops[i], starts[i], windows, keep) for i in places]
+        if len(started) == LANES:
+            ended = simulate_together(started, worth, stop.is_set)
         else:
-            ended = [run.ended(run.loop.stream(run.engine, run.sink, cancelled=stop.is_set)) for run in runs]
+            ended = [run.alone(stop.is_set) for run in started]
         for i, result in zip(places, ended, strict=True):
             results[i] = result
         return len(places)
@@ -124,8 +117,8 @@ def side_by_side(loops: Sequence[Loop], places: Iterable[int]) -> list[list[int]
         loop = loops[i]
         alike.setdefault((loop.timing, loop.layout, loop.engine, type(loop.controller)), []).append(i)
     together = [some[i : i + LANES] for some in alike.values() for i in range(0, len(some), LANES)]
-    whole = [some for some in together if len(some) == LANES]
-    return whole + [[i] for some in together if len(some) < LANES for i in some]
+    groups = [part for some in together for part in ([some] if len(some) == LANES else [[i] for i in some])]
+    return sorted(groups)
 
 
 def require_sound(loops: Sequence[Loop], states: Sequence[Any], keep: bool | Collection[str], workers: int) -> None:
@@ -151,8 +144,16 @@ def simulate(
     loop: Loop, state: Any, windows: Windows, keep: bool | Collection[str], cancelled: Callable[[], bool]
 ) -> Run:
     """One run, reduced to its metrics as it goes; arguments as in `simulate_many`."""
-    run = Started(loop, state, windows, keep)
-    return run.ended(run.loop.stream(run.engine, run.sink, cancelled=cancelled))
+    return Started(loop, state, windows, keep).alone(cancelled)
+
+
+def begun(key: str, *arguments: Any) -> Started:
+    """A run at its start; errors have its place among the runs as the beginning of their key."""
+    try:
+        return Started(*arguments)
+    except InputError as error:
+        error.key = ".".join(filter(None, (key, error.key)))
+        raise
 
 
 def simulate_together(runs: Sequence[Started], worth: bool, cancelled: Callable[[], bool]) -> list[Run]:
@@ -195,6 +196,10 @@ class Started:
             self.recorder = Recorder(loop.layout, facts, signals=None if keep is True else keep)
             self.sink = Both(self.reducer, self.recorder)
 
+    def alone(self, cancelled: Callable[[], bool]) -> Run:
+        """The run, made alone."""
+        return self.ended(self.loop.stream(self.engine, self.sink, cancelled=cancelled))
+
     def ended(self, outcome: Outcome) -> Run:
         """The run, once it has ended."""
         outcome, final = with_findings(outcome, self.loop.controller, self.engine.state), self.loop.final(self.engine)
@@ -236,7 +241,7 @@ def require_fit(loops: Sequence[Loop], states: Sequence[Any]) -> None:
 
 def needed_bytes(loops: Sequence[Loop], keep: bool | Collection[str], workers: int) -> int:
     """Memory that signals, weights and references take [bytes]; reading a recording's signals copies them once more."""
-    in_flight = sum(sorted(8 * loop.timing.samples * loop.layout.width for loop in loops)[-LANES * workers :])
+    in_flight = sum(sorted(8 * loop.timing.samples * loop.layout.width for loop in loops)[-workers:])
     return in_flight + 8 * sum(kept_numbers(loop, keep) for loop in loops)
 
 

@@ -7,12 +7,12 @@ rows into a recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 import numpy as np
 
@@ -26,15 +26,16 @@ from ..plant.contact.feet import Contact
 from ..recording.recorder import Recorder
 from ..recording.recording import Outcome, Recording
 from ..reference import Trajectory
-from ..safety import HAS_TRIPPED, TRIPPED, Safety, remarks, trip_of
+from ..safety import Safety
 from ..sensing import Sensor
 from ..settings import Timing, given_array, plain
 from ..settings.arguments import checked, require_types
-from ..signals import SIGNALS, Array, Dimensions, Layout
+from ..signals import Array, Dimensions, Layout
 from ..torque.controller import CompiledController, Context, ControllerState, TorqueController
 from .before_run import Bounds, Start, lags, require_first, require_nominal, require_seed, samples_between
 from .compiled import CompiledLoop
 from .controller import state_from, with_findings
+from .course import Course, Engine, drive, to_the_end
 from .latency import Latency
 from .lead import delays
 from .new_hardware import new_hardware
@@ -45,7 +46,6 @@ from .servo import Servo, servo_gains
 from .setup import Sink, Streams, Watching, believed_by, facts_of, lead_signals, new_context, new_lead, new_streams
 from .suited import Given, suited, timing_for
 
-Engine = CompiledLoop | OrdinaryLoop
 BLOCK = 250  # most samples that an engine hands over at a time
 PLANTS = ("ideal", "contact")
 
@@ -354,18 +354,7 @@ class Loop:
             progress: Called after every block with the simulated time [s].
             cancelled: Asked after every block; true ends the run as interrupted.
         """
-        course, asked = self.course(engine, sink, first, progress, cancelled), None
-        try:
-            asked = next(course)
-            while True:
-                try:
-                    bad = engine.advance(*asked)
-                except KeyboardInterrupt as stopped:
-                    asked = course.throw(stopped)
-                else:
-                    asked = course.send(bad)
-        except StopIteration as ended:
-            return cast(Outcome, ended.value)
+        return drive(engine, self.course(engine, sink, first, progress, cancelled))
 
     def course(
         self,
@@ -374,15 +363,11 @@ class Loop:
         first: int = 0,
         progress: Callable[[float], None] | None = None,
         cancelled: Callable[[], bool] = bool,
-    ) -> Generator[tuple[int, int], int, Outcome]:
-        """What `stream` does but for the stepping: gives the samples to be stepped, takes what `advance` answered.
-
-        Arguments as in `stream`.
-        """
+    ) -> Course:
+        """What `stream` does but for the stepping; arguments as there."""
         if self.trajectory.watched is not None:
             sink = Watching(sink, self.trajectory.watched.writer(self.robot, self.layout))
-        outcome = yield from to_the_end(self, engine, sink, first, progress, cancelled)
-        return with_remarks(outcome, engine, self.robot)
+        return to_the_end(self, engine, sink, first, progress, cancelled)
 
 
 def require_compilable(loop: Loop) -> None:
@@ -399,64 +384,6 @@ def require_compilable(loop: Loop) -> None:
     else:
         return
     raise ConfigError(what, why=why, fix=fix, key="engine")
-
-
-def to_the_end(
-    loop: Loop,
-    engine: Engine,
-    sink: Sink,
-    first: int,
-    progress: Callable[[float], None] | None,
-    cancelled: Callable[[], bool],
-) -> Generator[tuple[int, int], int, Outcome]:
-    """To the end, to divergence, to a trip or to an interruption; see `Loop.course`."""
-    state, k, h, samples = engine.state, first, loop.timing.control_period, loop.timing.samples
-    every = samples_between(loop.weights_interval, h)
-    try:
-        while k < samples:
-            if k % every == 0 and (weights := loop.controller.weights(state)):
-                sink.weights(k * h, weights)
-            engine.counter[0] = 0
-            try:
-                bad = yield k, min(k + len(engine.rows), (k // every + 1) * every, samples)
-            finally:
-                done = int(engine.counter[0])
-                sink.append_block(engine.rows[:done], engine.step_times[:done])
-                k += done
-            if bad == TRIPPED:
-                break
-            if bad >= 0:
-                return diverged(engine.row, loop.layout, bad, k * h, sink)
-            if progress is not None:
-                progress(k * h)
-            if cancelled():
-                return Outcome("interrupted", k * h, message=f"stopped at t = {k * h:g} s")
-    except KeyboardInterrupt:
-        return Outcome("interrupted", k * h, message="stopped by Ctrl-C")
-    if weights := loop.controller.weights(state):
-        sink.weights(k * h, weights)
-    supervisor = None if engine.hardware is None else engine.hardware.way.supervisor
-    if supervisor is not None and supervisor.on and supervisor.state[HAS_TRIPPED]:
-        return Outcome("tripped", *trip_of(supervisor.state, loop.robot))
-    return Outcome("completed", samples * h)
-
-
-def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
-    """An outcome whose message also tells what supervisor and plant saw."""
-    found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
-    if engine.hardware is not None and engine.hardware.way.supervisor.on:
-        found = remarks(engine.hardware.way.supervisor.state, robot, outcome.status) + found
-    return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
-
-
-def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:
-    """Outcome of a run whose row went bad at a column; a row that is still finite is kept."""
-    i = int(np.searchsorted(layout.offsets, column, side="right") - 1)
-    signal, value = f"{SIGNALS[i][0]}[{column - layout.offsets[i]}]", row[column]
-    if np.isfinite(row).all():
-        sink.append_block(row[None], np.zeros(1))
-    why = "left its bounds" if np.isfinite(value) else "is not finite"
-    return Outcome("diverged", time, signal, f"{signal} {why} ({value:.3g}) at t = {time:g} s")
 
 
 @lru_cache(maxsize=4)  # runs of a batch mostly share their reference

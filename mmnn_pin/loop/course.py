@@ -1,0 +1,140 @@
+"""A run as it goes: which samples come next, what is done with their rows, and how it ends.
+
+The stepping itself is left to whoever drives the course: an engine alone (`drive`), or several side by side
+(`batch.simulate_together`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import replace
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from ..model.robot import Robot
+from ..recording.recording import Outcome
+from ..safety import HAS_TRIPPED, TRIPPED, remarks, trip_of
+from ..settings import Timing
+from ..signals import SIGNALS, Array, Layout
+from .before_run import samples_between
+from .compiled import CompiledLoop
+from .ordinary import OrdinaryLoop
+from .setup import Sink
+
+Engine = CompiledLoop | OrdinaryLoop
+Course = Generator[tuple[int, int], int, Outcome]  # gives the samples to be stepped, takes what `advance` answers
+
+
+class Settled(Protocol):
+    """What a course knows of a loop."""
+
+    @property
+    def robot(self) -> Robot:
+        """The true robot."""
+
+    @property
+    def layout(self) -> Layout:
+        """Where the signals stand in a row."""
+
+    @property
+    def timing(self) -> Timing:
+        """Periods."""
+
+    @property
+    def controller(self) -> Any:
+        """The controller."""
+
+    @property
+    def weights_interval(self) -> float:
+        """Between weights that are kept [s]."""
+
+
+def drive(engine: Engine, course: Course) -> Outcome:
+    """Step an engine along its course to the end."""
+    try:
+        asked = next(course)
+        while True:
+            try:
+                bad = engine.advance(*asked)
+            except BaseException as error:
+                asked = course.throw(error)  # rows that are done are handed over first
+            else:
+                asked = course.send(bad)
+    except StopIteration as ended:
+        return cast(Outcome, ended.value)
+
+
+def to_the_end(
+    loop: Settled,
+    engine: Engine,
+    sink: Sink,
+    first: int,
+    progress: Callable[[float], None] | None,
+    cancelled: Callable[[], bool],
+) -> Course:
+    """A run to its end; arguments as in `Loop.stream`."""
+    outcome = yield from stretches(loop, engine, sink, first, progress, cancelled)
+    return with_remarks(outcome, engine, loop.robot)
+
+
+def stretches(
+    loop: Settled,
+    engine: Engine,
+    sink: Sink,
+    first: int,
+    progress: Callable[[float], None] | None,
+    cancelled: Callable[[], bool],
+) -> Course:
+    """A run to its end, to divergence, to a trip or to an interruption; arguments as in `Loop.stream`."""
+    state, k, h, samples = engine.state, first, loop.timing.control_period, loop.timing.samples
+    every = samples_between(loop.weights_interval, h)
+    try:
+        while k < samples:
+            if k % every == 0 and (weights := loop.controller.weights(state)):
+                sink.weights(k * h, weights)
+            engine.counter[0] = 0
+            failure, bad = None, -1
+            try:
+                bad = yield k, min(k + len(engine.rows), (k // every + 1) * every, samples)
+            except (Exception, KeyboardInterrupt) as error:
+                failure = error
+            done = int(engine.counter[0])
+            sink.append_block(engine.rows[:done], engine.step_times[:done])
+            k += done
+            if failure is not None:
+                raise failure
+            if bad == TRIPPED:
+                break
+            if bad >= 0:
+                return diverged(engine.row, loop.layout, bad, k * h, sink)
+            if progress is not None:
+                progress(k * h)
+            if cancelled():
+                return Outcome("interrupted", k * h, message=f"stopped at t = {k * h:g} s")
+    except KeyboardInterrupt:
+        return Outcome("interrupted", k * h, message="stopped by Ctrl-C")
+    if weights := loop.controller.weights(state):
+        sink.weights(k * h, weights)
+    supervisor = None if engine.hardware is None else engine.hardware.way.supervisor
+    if supervisor is not None and supervisor.on and supervisor.state[HAS_TRIPPED]:
+        return Outcome("tripped", *trip_of(supervisor.state, loop.robot))
+    return Outcome("completed", samples * h)
+
+
+def with_remarks(outcome: Outcome, engine: Engine, robot: Robot) -> Outcome:
+    """An outcome whose message also tells what supervisor and plant saw."""
+    found = engine.plant.findings() if isinstance(engine, OrdinaryLoop) else []
+    if engine.hardware is not None and engine.hardware.way.supervisor.on:
+        found = remarks(engine.hardware.way.supervisor.state, robot, outcome.status) + found
+    return replace(outcome, message="; ".join(text for text in (outcome.message, *found) if text))
+
+
+def diverged(row: Array, layout: Layout, column: int, time: float, sink: Sink) -> Outcome:
+    """Outcome of a run whose row went bad at a column; a row that is still finite is kept."""
+    i = int(np.searchsorted(layout.offsets, column, side="right") - 1)
+    signal, value = f"{SIGNALS[i][0]}[{column - layout.offsets[i]}]", row[column]
+    if np.isfinite(row).all():
+        sink.append_block(row[None], np.zeros(1))
+    why = "left its bounds" if np.isfinite(value) else "is not finite"
+    return Outcome("diverged", time, signal, f"{signal} {why} ({value:.3g}) at t = {time:g} s")
